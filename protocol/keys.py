@@ -1,0 +1,101 @@
+"""Key expressions: the only file that builds or parses them.
+
+    covey/<run>/hello/<agent>          covey/<run>/beacon/<agent>        covey/<run>/gossip/<agent>
+    covey/<run>/observation/<agent>    covey/<run>/command/<agent>       covey/<run>/estimate/<agent>
+    covey/<run>/truth                  covey/<run>/alive/<role>/<name>/<incarnation>   (a liveliness token)
+
+In an expression `*` stands for one part and `**` for any number of parts.
+"""
+
+import re
+from typing import NamedTuple
+
+from protocol.messages import Message, Observation
+
+ROOT = "covey"
+NAME = re.compile(r"^[A-Za-z0-9_.-]{1,64}\Z")
+
+INCARNATION = re.compile(r"^(0|[1-9][0-9]{0,18})\Z")
+
+
+class Key(NamedTuple):
+    """The parts of a message's key; `name` is the agent, empty for truth."""
+
+    run: str
+    kind: str
+    name: str
+
+
+class Token(NamedTuple):
+    """Who a liveliness token stands for."""
+
+    run: str
+    role: str
+    name: str
+    incarnation: int
+
+
+def order(name: str) -> tuple[int, str]:
+    """Sort key of agent names: s2 before s10."""
+    return len(name), name
+
+
+def message_key(run: str, message: Message) -> str:
+    """The key under which a message is published."""
+    kind = type(message).__struct_config__.tag
+    if kind == "truth":
+        return f"{ROOT}/{run}/truth"
+    name = message.recipient if isinstance(message, Observation) else message.sender
+    return f"{ROOT}/{run}/{kind}/{name}"
+
+
+def all_of(run: str, kind: str) -> str:
+    """The expression for every key of one kind."""
+    return f"{ROOT}/{run}/truth" if kind == "truth" else f"{ROOT}/{run}/{kind}/*"
+
+
+def one_of(run: str, kind: str, name: str) -> str:
+    """The key of one agent's messages of one kind."""
+    return f"{ROOT}/{run}/{kind}/{name}"
+
+
+def token_key(run: str, role: str, name: str, incarnation: int) -> str:
+    """The key of a liveliness token."""
+    return f"{ROOT}/{run}/alive/{role}/{name}/{incarnation}"
+
+
+def all_tokens(run: str) -> str:
+    """The expression for every liveliness token of a run."""
+    return f"{ROOT}/{run}/alive/**"
+
+
+def parse_message_key(text: str) -> Key | None:
+    """The parts of a message key, or None for anything else."""
+    parts = text.split("/")
+    if len(parts) == 3 and parts[0] == ROOT and parts[2] == "truth":
+        return Key(parts[1], "truth", "")
+    if len(parts) == 4 and parts[0] == ROOT and parts[2] != "alive":
+        return Key(parts[1], parts[2], parts[3])
+    return None
+
+
+def parse_token(text: str) -> Token | None:
+    """The parts of a liveliness token's key, or None for anything else."""
+    parts = text.split("/")
+    if len(parts) != 6 or parts[0] != ROOT or parts[2] != "alive" or not all(NAME.match(part) for part in parts[1:]):
+        return None
+    number = INCARNATION.match(parts[5])
+    return Token(parts[1], parts[3], parts[4], int(number[0])) if number and int(number[0]) < 2**63 else None
+
+
+def matches(expression: str, key: str) -> bool:
+    """Whether a key lies in a key expression (`*` one part, `**` any number, none included)."""
+    return _match(expression.split("/"), key.split("/"))
+
+
+def _match(pattern: list[str], parts: list[str]) -> bool:
+    if not pattern:
+        return not parts
+    if pattern[0] == "**":
+        return any(_match(pattern[1:], parts[start:]) for start in range(len(parts) + 1))
+    return bool(parts) and pattern[0] in ("*", parts[0]) and _match(pattern[1:], parts[1:])

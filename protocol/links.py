@@ -1,0 +1,144 @@
+"""Faults of a link: what happens to a payload on its way from one node to another.
+
+A *condition* describes one direction between two nodes; a *channel* is that direction with its own random stream, keyed by the run
+seed and the two names, so that a fault on one link changes nobody else's dice. Every message takes the same number of draws: what is
+lost at 10 % is lost at 30 % too.
+"""
+
+import json
+from collections.abc import Callable
+
+import msgspec
+
+from protocol.keys import parse_message_key
+from protocol.settings import NotNegative, Section, Share, convert
+from protocol.streams import key, stream
+
+
+class Condition(Section, frozen=True, kw_only=True):
+    """The condition of one direction of a link; the default is a clear one."""
+
+    drop: Share = 0.0  # share of the messages that are lost
+    burst: NotNegative = 0.0  # mean number of messages lost in a row (Gilbert-Elliott); 0: each is lost on its own (Bernoulli)
+    delay: NotNegative = 0.0  # s
+    jitter: NotNegative = 0.0  # s, uniform on top of the delay; messages may overtake each other
+    duplicate: Share = 0.0  # share of the messages that arrive twice, the copy up to `spread` s later
+    reorder: Share = 0.0  # share of the messages that are held back by up to `spread` s
+    spread: NotNegative = 0.2  # s
+    flip: Share = 0.0  # share of the messages that are spoilt: one bit is wrong, or eight bytes are all ones, which is no number
+
+
+CLEAR = Condition()
+LOST: list[tuple[float, bytes]] = []
+
+
+class Channel:
+    """One direction of a link."""
+
+    def __init__(self, seed: int, sender: str, receiver: str) -> None:
+        self._rng = stream(seed, "link", key(sender), key(receiver))
+        self._bad = False  # Gilbert-Elliott: all is lost while the channel is bad
+
+    def copies(self, payload: bytes, condition: Condition) -> list[tuple[float, bytes]]:
+        """(delay s, payload) of every copy that arrives; the very object `payload` where nothing was spoilt."""
+        if condition == CLEAR:
+            return [(0.0, payload)]
+        lost, jitter, twice, later, held, hold, flip, where = self._rng.random(8).tolist()
+        if self._loses(lost, condition):
+            return LOST
+        delay = condition.delay + jitter * condition.jitter + (hold * condition.spread if held < condition.reorder else 0.0)
+        arrived = spoilt(payload, where) if flip < condition.flip and payload else payload
+        copies = [(delay, arrived)]
+        return [*copies, (delay + later * condition.spread, arrived)] if twice < condition.duplicate else copies
+
+    def _loses(self, draw: float, condition: Condition) -> bool:
+        """Whether this message is lost; with bursts the channel turns bad and good again so that `drop` is lost in the long run."""
+        if condition.burst <= 1.0 or condition.drop in (0.0, 1.0):
+            return draw < condition.drop
+        recovery = 1.0 / condition.burst
+        turn = recovery if self._bad else min(1.0, recovery * condition.drop / (1.0 - condition.drop))
+        self._bad ^= draw < turn
+        return self._bad
+
+
+def spoilt(payload: bytes, where: float) -> bytes:
+    """The payload with a fault at the place `where` in [0, 1): one wrong bit, or in every second case eight bytes of ones (a NaN)."""
+    place = where * 8 * len(payload)
+    bit, blank = int(place), place % 1.0 < 0.5
+    changed = bytearray(payload)
+    if blank:
+        start = max(0, min(bit // 8, len(payload) - 8))
+        changed[start : start + 8] = b"\xff" * len(changed[start : start + 8])
+    else:
+        changed[bit // 8] ^= 1 << (bit % 8)
+    return bytes(changed)
+
+
+class Reception(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """How one node hears the others: from whom nothing at all, and the conditions of the links that are not clear."""
+
+    cut: tuple[str, ...] = ()
+    conditions: dict[str, Condition] = {}
+
+
+class Ears:
+    """The links towards one node: what arrives of what the others send."""
+
+    def __init__(self, seed: int, receiver: str) -> None:
+        self._seed, self._receiver = seed, receiver
+        self._reception = Reception()
+        self._channels: dict[str, Channel] = {}
+
+    def set(self, reception: Reception) -> None:
+        """From now on it hears like this."""
+        self._reception = reception
+
+    def hear(self, sender: str, payload: bytes) -> list[tuple[float, bytes]]:
+        """(delay s, payload) of every copy of a message that arrives."""
+        if sender in self._reception.cut:
+            return LOST
+        condition = self._reception.conditions.get(sender)
+        if condition is None:
+            return [(0.0, payload)]
+        channel = self._channels.get(sender)
+        if channel is None:
+            channel = self._channels[sender] = Channel(self._seed, sender, self._receiver)
+        return channel.copies(payload, condition)
+
+
+class LiveLink:
+    """Link faults of one process, set by lines of its standard input: {"links": {...}} as `Reception`. Other lines are ignored."""
+
+    def __init__(self, seed: int, receiver: str, complain: Callable[[str], None] = lambda text: None) -> None:
+        self._ears = Ears(seed, receiver)
+        self._complain = complain
+
+    def on_line(self, line: str) -> None:
+        """Take a line of standard input."""
+        try:
+            data = json.loads(line)
+            if isinstance(data, dict) and "links" in data:
+                self._ears.set(convert(data["links"], Reception, "links"))
+        except ValueError as error:
+            self._complain(str(error))
+
+    def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+        """Of what this process publishes: everything, at once; the receivers lose what is to be lost."""
+        return [(0.0, payload)]
+
+    def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+        """Of what arrives at this process."""
+        return self._ears.hear(sender_of(key), payload)
+
+
+def sender_of(key: str) -> str:
+    """Who publishes under a key: the name in it, or the world for the truth and for what is addressed to one agent."""
+    parts = parse_message_key(key)
+    if parts is None:
+        return ""
+    return "world" if parts.kind in ("truth", "observation") else parts.name
+
+
+def as_line(reception: Reception) -> str:
+    """A reception as the line that `LiveLink.on_line` reads."""
+    return json.dumps({"links": msgspec.to_builtins(reception)})

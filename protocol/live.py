@@ -1,0 +1,341 @@
+"""The live driver: one node, one process, asyncio and Zenoh. The only file that imports zenoh.
+
+Zenoh's threads only append to the inbox; decoding, the node and its timers run in the event loop. Every message names its Zenoh
+session, so that a sender of garbage is shut out without silencing the agent under whose key it writes.
+"""
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import re
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Protocol
+
+os.environ.setdefault(  # read by zenoh when it is imported: fewer threads, less CPU
+    "ZENOH_RUNTIME", "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), app: (worker_threads: 1))"
+)
+
+import zenoh
+
+from protocol import codec, keys
+from protocol.endpoints import check_endpoints
+from protocol.inbox import Arrival, Inbox, Quarantine
+from protocol.messages import Malformed, Message
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.settings import BadSetting, NetworkSettings
+
+CLOSE_SECONDS = 2.0
+SLICE = 64  # messages between two looks at the timers
+
+log = logging.getLogger(__name__)
+
+
+class LinkFaults(Protocol):
+    """A hook on one process's traffic: what happens to a payload on its way, as (delay s, payload) of every copy."""
+
+    def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+        """Of what this process publishes."""
+
+    def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+        """Of what arrives at this process."""
+
+
+def session_config(settings: NetworkSettings) -> zenoh.Config:
+    """The Zenoh configuration of a peer; why each value is what it is stands in docs/protocol.md."""
+    config = zenoh.Config()
+    for key, value in _session_values(settings).items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def _session_values(settings: NetworkSettings) -> dict[str, Any]:
+    return {
+        "mode": "peer",
+        "listen/endpoints": settings.listen,
+        "listen/exit_on_failure": True,
+        "connect/endpoints": settings.seeds,
+        "connect/timeout_ms": -1,  # 0 would miss a seed that restarts
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "scouting/gossip/autoconnect_strategy": {"peer": {"to_peer": "greater-zid", "to_router": "always"}},
+        "transport/link/tx/lease": round(1000.0 * settings.lease),
+        "transport/link/tx/keep_alive": 4,
+        "transport/link/rx/max_message_size": codec.MAX_BYTES,
+        "transport/unicast/open_timeout": 60000,
+        "transport/unicast/accept_timeout": 60000,
+        "transport/unicast/accept_pending": 1000,
+        "transport/unicast/max_sessions": 1000,
+        "transport/shared_memory/enabled": False,
+    }
+
+
+def open_session(settings: NetworkSettings) -> zenoh.Session:
+    """A Zenoh session; raises BadSetting in one line when the endpoints cannot be used. Blocks."""
+    check_endpoints(settings)
+    try:
+        return zenoh.open(session_config(settings))
+    except zenoh.ZError as error:
+        text = re.sub(r" at \S+\.rs:\d+\.?", "", str(error)).strip()
+        used = "already in use" in text
+        hint = "the port is in use; choose a free one, or port 0 for any" if used else text
+        raise BadSetting(f"network.listen = {', '.join(settings.listen)}: {hint}") from None
+
+
+class Driver:
+    """Drives one node over one Zenoh session inside a running event loop."""
+
+    def __init__(self, node: Node, settings: NetworkSettings, link: LinkFaults | None = None) -> None:
+        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, failed_puts
+        self._node = node
+        self._settings = settings
+        self._link = link
+        self._inbox = Inbox()
+        self._quarantine = Quarantine()
+        self._tokens: set[keys.Token] = set()
+        self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
+        self._wanted: Counter[str] = Counter()  # expression -> how often the node subscribed
+        self._subscribers: dict[str, Any] = {}
+        self._publishers: dict[str, tuple[Any, Any]] = {}
+        self._declared: list[Any] = []  # Zenoh undeclares what is no longer referenced
+        self._session: zenoh.Session | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_at: float | None = None
+        self._loop = asyncio.get_running_loop()
+        self._stopped: asyncio.Future[int] = self._loop.create_future()
+
+    async def open(self) -> None:
+        """Open the session; raises BadSetting when the endpoints cannot be used."""
+        self._session = await asyncio.to_thread(open_session, self._settings)
+
+    async def serve(self) -> int:
+        """Run until the node or `stop` ends it; returns the exit code. Raises what `open` and the node raise."""
+        if self._session is None:
+            await self.open()
+        try:
+            self._declare()
+            self._handle(Started())
+            return await self._stopped
+        finally:
+            self._disarm()
+            await self._close()
+            log.info("left the run", extra={"counts": dict(self.counts), "superseded": self._inbox.dropped})
+
+    def stop(self, code: int, reason: str) -> None:
+        """End `serve` with this exit code; the first call counts."""
+        if not self._stopped.done():
+            log.info("stopping: %s", reason)
+            self._stopped.set_result(code)
+
+    def _declare(self) -> None:
+        """Announce the own token and watch everybody's, in this order so that a follower of the token finds us ready."""
+        assert self._session is not None
+        liveliness = self._session.liveliness()
+        self._declared = [
+            liveliness.declare_subscriber(keys.all_tokens(self._node.run), self._on_token, history=True),
+            liveliness.declare_token(keys.token_key(*self._own)),
+        ]
+
+    async def _close(self) -> None:
+        """Close the session, for 2 s at most; in a thread of its own, for asyncio would wait for one of its pool without end."""
+        session, self._session = self._session, None
+        if session is None:
+            return
+        closed = asyncio.Event()
+
+        def close() -> None:
+            with contextlib.suppress(zenoh.ZError, RuntimeError):
+                session.close()
+                self._loop.call_soon_threadsafe(closed.set)
+
+        threading.Thread(target=close, daemon=True).start()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(closed.wait(), CLOSE_SECONDS)
+
+    # ------------------------------------------------------------------ Zenoh's threads
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        source = sample.source_info
+        self._arrive(Arrival(str(sample.key_expr), sample.payload.to_bytes(), str(source.source_id.zid) if source else ""))
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        self._arrive(Arrival(str(sample.key_expr), token=sample.kind == zenoh.SampleKind.PUT))
+
+    def _arrive(self, arrival: Arrival) -> None:
+        if self._inbox.add(arrival):
+            with contextlib.suppress(RuntimeError):  # the loop has been closed
+                self._loop.call_soon_threadsafe(self._drain)
+
+    # ------------------------------------------------------------------ the event loop
+
+    def _drain(self) -> None:
+        batch = self._inbox.take(SLICE)
+        for arrival in batch:
+            self._token(arrival) if arrival.token is not None else self._pass(arrival)
+        if batch:
+            self._loop.call_soon(self._drain)
+
+    def _token(self, arrival: Arrival) -> None:
+        """Report a token once when it appears and once when it vanishes; the own one never."""
+        token = keys.parse_token(arrival.key)
+        if token is None or token == self._own or (token in self._tokens) == arrival.token:
+            return
+        if arrival.token:
+            self._tokens.add(token)
+            self._handle(Alive(token.role, token.name, token.incarnation))
+        else:
+            self._tokens.remove(token)
+            self._handle(Gone(token.role, token.name, token.incarnation))
+
+    def _pass(self, arrival: Arrival) -> None:
+        if self._link is None:
+            self._receive(arrival)
+            return
+        for delay, payload in self._link.incoming(arrival.key, arrival.payload):
+            changed = Arrival(arrival.key, payload, arrival.source)
+            self._loop.call_later(delay, self._receive, changed) if delay > 0.0 else self._receive(changed)
+
+    def _receive(self, arrival: Arrival) -> None:
+        source = arrival.source or arrival.key
+        now = self._loop.time()
+        if self._quarantine.holds(source, now):
+            self.counts["quarantined"] += 1
+            self._handle(Rejected(arrival.key.rpartition("/")[2], "quarantine", arrival.key, arrival.payload))
+            return
+        try:
+            message = codec.decode(arrival.key, arrival.payload)
+        except Malformed as error:
+            self.counts["rejected"] += 1
+            self._quarantine.offend(source, now)
+            self._handle(Rejected(arrival.key.rpartition("/")[2], error.reason, arrival.key, arrival.payload))
+            return
+        self.counts["received"] += 1
+        self._handle(Received(message, len(arrival.payload), arrival.payload))
+
+    def _handle(self, event: Event) -> None:
+        """Let the node take an event; an exception in the node ends the process, never only the event."""
+        if self._stopped.done():
+            return
+        try:
+            for effect in self._node.handle(event, self._loop.time()):
+                self._carry_out(effect)
+            self._arm()
+        except Exception as error:
+            self._stopped.set_exception(error)
+
+    def _carry_out(self, effect: Effect) -> None:
+        if isinstance(effect, Message):
+            self._send(keys.message_key(self._node.run, effect), codec.encode(effect))
+        elif isinstance(effect, Subscribe):
+            self._subscribe(effect.expression)
+        elif isinstance(effect, Unsubscribe):
+            self._unsubscribe(effect.expression)
+        elif isinstance(effect, Stop):
+            self.stop(effect.code, effect.reason)
+
+    def _send(self, key: str, payload: bytes) -> None:
+        if self._link is None:
+            self._put(key, payload)
+            return
+        for delay, changed in self._link.outgoing(key, payload):
+            self._loop.call_later(delay, self._put, key, changed) if delay > 0.0 else self._put(key, changed)
+
+    def _put(self, key: str, payload: bytes) -> None:
+        if self._session is None:
+            return
+        if key not in self._publishers:
+            publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+            self._publishers[key] = publisher, zenoh.SourceInfo(publisher.id, 0)
+        publisher, source = self._publishers[key]
+        try:
+            publisher.put(payload, source_info=source)
+        except zenoh.ZError as error:
+            self.counts["failed_puts"] += 1
+            log.warning("could not publish under %s: %s", key, error)
+            return
+        self.counts["sent"] += 1
+        self.counts["sent_bytes"] += len(payload)
+
+    def _subscribe(self, expression: str) -> None:
+        self._wanted[expression] += 1
+        if self._session is not None and expression not in self._subscribers:
+            declare = self._session.declare_subscriber
+            self._subscribers[expression] = declare(expression, self._on_sample, allowed_origin=zenoh.Locality.REMOTE)
+
+    def _unsubscribe(self, expression: str) -> None:
+        self._wanted[expression] -= 1
+        if self._wanted[expression] <= 0:
+            del self._wanted[expression]
+            self._subscribers.pop(expression).undeclare()
+
+    def _arm(self) -> None:
+        """Set the timer to the node's deadline, in the past: as soon as the loop is free."""
+        deadline = self._node.deadline()
+        if deadline == self._timer_at:
+            return
+        self._disarm()
+        if deadline is not None:
+            self._timer_at = deadline
+            self._timer = self._loop.call_at(deadline, self._fire)
+
+    def _disarm(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._timer_at = None
+
+    def _fire(self) -> None:
+        self._timer = self._timer_at = None
+        self._handle(Timer())
+
+
+async def serve(node: Node, settings: NetworkSettings, *, link: LinkFaults | None = None) -> int:
+    """Drive a node inside the running event loop until it stops; its exit code."""
+    return await Driver(node, settings, link).serve()
+
+
+def run(
+    node: Node,
+    network: NetworkSettings,
+    *,
+    watch_stdin: bool = False,
+    on_line: Callable[[str], None] | None = None,
+    link: LinkFaults | None = None,
+) -> int:
+    """Drive a node until it stops; blocks. The exit code: the node's own, 130 / 143 after SIGINT / SIGTERM or the end of stdin."""
+    return asyncio.run(_run(node, network, watch_stdin, on_line, link))
+
+
+async def _run(
+    node: Node, network: NetworkSettings, watch_stdin: bool, on_line: Callable[[str], None] | None, link: LinkFaults | None
+) -> int:
+    driver = Driver(node, network, link)
+    loop = asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGTERM, driver.stop, 143, "SIGTERM")
+    loop.add_signal_handler(signal.SIGINT, driver.stop, 130, "SIGINT")
+    if watch_stdin:
+        _watch_stdin(loop, driver, on_line)
+    return await driver.serve()
+
+
+def _watch_stdin(loop: asyncio.AbstractEventLoop, driver: Driver, on_line: Callable[[str], None] | None) -> None:
+    """Stop when stdin ends, for then the parent is gone; hand its lines to `on_line`."""
+    pending = b""
+
+    def read() -> None:
+        nonlocal pending
+        data = os.read(0, 65536)
+        if not data:
+            loop.remove_reader(0)
+            driver.stop(143, "stdin ended: the parent is gone")
+        *lines, pending = (pending + data).split(b"\n")
+        for line in lines:
+            if on_line is not None:
+                on_line(line.decode(errors="replace"))
+
+    loop.add_reader(0, read)

@@ -1,0 +1,310 @@
+"""The messages: frozen msgspec structs, one per kind, that travel as msgpack maps (docs/protocol.md is the page for strangers).
+
+Arrays travel as raw little-endian bytes and are read through properties that return read-only numpy views. A message that can be
+built is well-formed in type and range; what only the context can tell (sender against key, limits of the announced sensor) is
+checked where bytes enter, in `codec` and in the agent. All lengths in m, times in s, angles in rad.
+"""
+
+from typing import Annotated, Any, Union
+
+import msgspec
+import numpy as np
+
+from protocol.once import once
+from protocol.sensing import WedgeSensor
+
+WIRE_VERSION = 1
+MAX_DETECTIONS = 4096
+MAX_PARTICLES = 8192
+MAX_NAMES = 4096
+FARTHEST = 1.0e6  # no coordinate of an arena is larger, m
+LARGEST_AREA = FARTHEST**2  # m^2
+LATEST = 1.0e12  # no world time is larger, s
+
+_F4, _F8, _U8 = np.dtype("<f4"), np.dtype("<f8"), np.dtype("<u8")
+
+Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
+Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+Vector = tuple[float, float]
+Triple = tuple[float, float, float]
+
+
+class Malformed(ValueError):
+    """A message breaks a rule; `reason` is one word for the counters, the text names the field."""
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+def _array(data: bytes, dtype: np.dtype, columns: int, field: str, most: int) -> np.ndarray:
+    rows, rest = divmod(len(data), dtype.itemsize * columns)
+    if rest:
+        raise Malformed("shape", f"{field}: {len(data)} bytes are no whole number of rows of {columns} x {dtype.str}")
+    if rows > most:
+        raise Malformed("size", f"{field}: {rows} rows, at most {most} are allowed")
+    flat = np.frombuffer(data, dtype)
+    return flat.reshape(rows, columns) if columns > 1 else flat
+
+
+def _check_number(field: str, value: float, least: float = -FARTHEST, most: float = FARTHEST) -> None:
+    """Refuse NaN, infinity and anything outside [least, most]: one bad float would win every comparison downstream."""
+    if not least <= value <= most:
+        raise Malformed("range", f"{field} = {value}: should be a finite number from {least:g} to {most:g}")
+
+
+def _check_vector(field: str, values: Vector | Triple) -> None:
+    for value in values:
+        if not -FARTHEST <= value <= FARTHEST:
+            raise Malformed("range", f"{field} = {values}: every number should be finite and within +-{FARTHEST:g}")
+
+
+def _check_array(field: str, array: np.ndarray) -> None:
+    """Refuse arrays with NaN, infinity or anything beyond `FARTHEST`.
+
+    A sum of squares below half the bound squared proves it for the whole array in one pass (its rounding error is below 1 %,
+    and NaN compares false); only a larger sum needs the look at every number.
+    """
+    if not np.vdot(array, array) < 0.5 * FARTHEST**2 and not bool(np.all(np.abs(array) <= FARTHEST)):
+        raise Malformed("range", f"{field}: every number should be finite and within +-{FARTHEST:g}")
+
+
+def pack(array: np.ndarray, dtype: str) -> bytes:
+    """The little-endian bytes of an array, row by row."""
+    return np.ascontiguousarray(array, dtype=dtype).tobytes()
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, tag_field="type"):
+    """What every message says of itself."""
+
+    sender: Name  # unique in the run, the last part of the key
+    incarnation: Count  # grows with every restart under the same name
+    wire: int = WIRE_VERSION
+
+    @once
+    def memo(self) -> dict[str, Any]:
+        """A place for what readers derive from the message, so that in one process it is derived once; never on the wire."""
+        return {}
+
+    def check(self) -> None:
+        """Raise `Malformed` unless every array and number is in range."""
+
+
+class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
+    """I am here, this is my sensor, and these are the peers whose Hello I have heard."""
+
+    role: Name = "agent"
+    software: str = ""
+    sensor_class: str = ""  # a name from the scenario, "A" to "H" for those of the paper
+    sensor: WedgeSensor | None = None  # the numbers of a wedge; None: look the class up in your own scenario
+    max_speed: float = 0.0  # m/s
+    max_turn_rate: float = 0.0  # rad/s
+    heard: tuple[str, ...] = ()
+
+    def check(self) -> None:
+        _check_number("max_speed", self.max_speed, least=0.0)
+        _check_number("max_turn_rate", self.max_turn_rate, least=0.0)
+        if self.sensor is not None:
+            _check_number("sensor.radius", self.sensor.radius)
+        if len(self.heard) > MAX_NAMES:
+            raise Malformed("size", f"heard: {len(self.heard)} names, at most {MAX_NAMES} are allowed")
+
+
+class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
+    """Where I am and how far I reach, at a low rate: enough to decide whether to listen to my Gossip."""
+
+    tick: Tick
+    position: Vector  # of the sensor
+    cod: Vector  # centroid of detection
+    power_radius: float
+    reach: float  # of the footprint, from the position
+
+    def check(self) -> None:
+        _check_vector("position", self.position)
+        _check_vector("cod", self.cod)
+        _check_number("power_radius", self.power_radius, least=0.0)
+        _check_number("reach", self.reach, least=0.0)
+
+
+class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
+    """One agent's round: where I am and what I see at `tick`, and what I owned after round `claim_tick`."""
+
+    tick: Tick
+    pose: Triple  # x, y, heading
+    cod: Vector  # generator of the power cell (14)
+    power_radius: float  # g(U) (13)
+    unused: float  # U, m^2 (11)
+    detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
+    scanned: bool = True  # False: no scan in this tick, which is not an empty scan
+    listening: bool = False  # True: a new incarnation without a cell
+    claim_tick: Tick = 0  # stamp of the claim and of the particles
+    claim_names: tuple[str, ...] = ()  # who bounds my cell, myself first; empty: I own nothing
+    claim_bytes: bytes = msgspec.field(name="claim", default=b"")  # (G, 3) float64: their COD x, y and power radius
+    view: Count = 0  # hash of all generators from which the claim was cut
+    weight: float = 0.0  # of each particle, expected targets
+    states_bytes: bytes = msgspec.field(name="states", default=b"")  # (N, 4) float32: x, y, vx, vy
+    ids_bytes: bytes = msgspec.field(name="ids", default=b"")  # (N,) uint64
+
+    @once
+    def detections(self) -> np.ndarray:
+        """(M, 2) float32."""
+        return _array(self.detections_bytes, _F4, 2, "detections", MAX_DETECTIONS)
+
+    @once
+    def claim(self) -> np.ndarray:
+        """(G, 3) float64."""
+        return _array(self.claim_bytes, _F8, 3, "claim", MAX_NAMES)
+
+    @once
+    def states(self) -> np.ndarray:
+        """(N, 4) float32."""
+        return _array(self.states_bytes, _F4, 4, "states", MAX_PARTICLES)
+
+    @once
+    def ids(self) -> np.ndarray:
+        """(N,) uint64, ascending."""
+        return _array(self.ids_bytes, _U8, 1, "ids", MAX_PARTICLES)
+
+    def check(self) -> None:
+        _check_vector("pose", self.pose)
+        _check_vector("cod", self.cod)
+        _check_number("power_radius", self.power_radius, least=0.0)
+        _check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
+        _check_number("weight", self.weight, least=0.0)
+        _check_array("detections", self.detections)
+        _check_array("claim", self.claim)
+        _check_array("states", self.states)
+        self._check_claim()
+        if len(self.ids) != len(self.states):
+            raise Malformed("shape", f"ids: {len(self.ids)} ids for {len(self.states)} states")
+        if 0 in (self.ids[1:] > self.ids[:-1]).tobytes():
+            raise Malformed("range", "ids: should be strictly ascending")
+
+    def _check_claim(self) -> None:
+        if len(self.claim_names) != len(self.claim):
+            raise Malformed("shape", f"claim_names: {len(self.claim_names)} names for {len(self.claim)} generators")
+        if self.claim_names and self.claim_names[0] != self.sender:
+            raise Malformed("sender", f"claim_names: the first should be the sender, not {self.claim_names[0][:64]!r}")
+        if self.states_bytes and not self.claim_names:
+            raise Malformed("shape", "states: particles without a claim")
+        if self.claim_tick and self.claim_tick >= self.tick:
+            raise Malformed("range", f"claim_tick = {self.claim_tick}: should be earlier than tick = {self.tick}")
+
+
+class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observation"):
+    """The world to one agent: where your body is and what your sensor returned at `tick`."""
+
+    recipient: Name
+    tick: Tick
+    time: float  # of the world, since its start
+    pose: Triple
+    detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
+
+    @once
+    def detections(self) -> np.ndarray:
+        """(M, 2) float32."""
+        return _array(self.detections_bytes, _F4, 2, "detections", MAX_DETECTIONS)
+
+    def check(self) -> None:
+        _check_number("time", self.time, -LATEST, LATEST)
+        _check_vector("pose", self.pose)
+        _check_array("detections", self.detections)
+
+
+class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
+    """An agent to the world: how my body shall move until the next tick (1)."""
+
+    tick: Tick
+    velocity: Vector  # m/s
+    turn_rate: float  # rad/s, counter-clockwise
+
+    def check(self) -> None:
+        _check_vector("velocity", self.velocity)
+        _check_number("turn_rate", self.turn_rate)
+
+
+class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
+    """For watchers: what I believe after round `tick`, and how I fare."""
+
+    tick: Tick
+    pose: Triple
+    cod: Vector
+    power_radius: float
+    unused: float
+    load: float = 0.0  # expected targets in my footprint
+    mass: float = 0.0  # expected targets in my cell
+    cell_bytes: bytes = msgspec.field(name="cell", default=b"")  # (V, 2) float64, counter-clockwise
+    targets_bytes: bytes = msgspec.field(name="targets", default=b"")  # (M, 2) float64
+    view: Count = 0  # hash of the generators from which the cell was cut
+    neighbours: tuple[str, ...] = ()  # who bounds my cell
+    counters: dict[str, int] = {}  # rounds, late, missing, skipped, rejected.<reason>, heard, ...
+    round_seconds: float = 0.0  # how long the round took; 0 where time is virtual
+
+    @once
+    def cell(self) -> np.ndarray:
+        """(V, 2) float64."""
+        return _array(self.cell_bytes, _F8, 2, "cell", MAX_NAMES)
+
+    @once
+    def targets(self) -> np.ndarray:
+        """(M, 2) float64."""
+        return _array(self.targets_bytes, _F8, 2, "targets", MAX_DETECTIONS)
+
+    def check(self) -> None:
+        _check_vector("pose", self.pose)
+        _check_vector("cod", self.cod)
+        _check_number("power_radius", self.power_radius, least=0.0)
+        _check_number("load", self.load, least=0.0)
+        _check_number("mass", self.mass, least=0.0)
+        _check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
+        _check_number("round_seconds", self.round_seconds, least=0.0, most=LATEST)
+        _check_array("cell", self.cell)
+        _check_array("targets", self.targets)
+
+
+class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
+    """The world to watchers, never to agents: where everything really is at `tick`."""
+
+    tick: Tick
+    time: float
+    targets_bytes: bytes = msgspec.field(name="targets", default=b"")  # (T, 2) float64
+    ids_bytes: bytes = msgspec.field(name="ids", default=b"")  # (T,) uint64
+    bodies: tuple[str, ...] = ()  # every body, in team order
+    poses_bytes: bytes = msgspec.field(name="poses", default=b"")  # (B, 3) float64
+    in_view: int = 0  # targets inside the field of view of some live agent's body
+    alive: tuple[str, ...] = ()  # whose tokens the world sees
+
+    @once
+    def targets(self) -> np.ndarray:
+        """(T, 2) float64."""
+        return _array(self.targets_bytes, _F8, 2, "targets", MAX_DETECTIONS)
+
+    @once
+    def ids(self) -> np.ndarray:
+        """(T,) uint64."""
+        return _array(self.ids_bytes, _U8, 1, "ids", MAX_DETECTIONS)
+
+    @once
+    def poses(self) -> np.ndarray:
+        """(B, 3) float64."""
+        return _array(self.poses_bytes, _F8, 3, "poses", MAX_NAMES)
+
+    def check(self) -> None:
+        _check_number("time", self.time, -LATEST, LATEST)
+        _check_array("targets", self.targets)
+        _check_array("poses", self.poses)
+        if len(self.ids) != len(self.targets) or len(self.poses) != len(self.bodies):
+            raise Malformed("shape", "one id per target, one pose per body")
+
+
+AnyMessage = Union[Hello, Beacon, Gossip, Observation, Command, Estimate, Truth]  # noqa: UP007 (msgspec wants the union object)
+KINDS: dict[str, type[Message]] = {
+    "hello": Hello,
+    "beacon": Beacon,
+    "gossip": Gossip,
+    "observation": Observation,
+    "command": Command,
+    "estimate": Estimate,
+    "truth": Truth,
+}

@@ -1,0 +1,118 @@
+"""The Node: a participant without clock, socket or global random numbers.
+
+A driver (`live` or `virtual`) hands it one event at a time with its own monotonic time `now` in s, carries out the returned
+effects in order, and calls again with `Timer` when `deadline()` has passed. A message is the commonest effect: it is published
+under its key.
+"""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from protocol.messages import Message
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """The driver is ready; the node's own liveliness token is declared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message of which key, sender and contents have been checked. `size` is its length on the wire in bytes, 0 if unknown.
+
+    `payload` is what was on the wire, for recorders.
+    """
+
+    message: Message
+    size: int = 0
+    payload: bytes = field(default=b"", compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """Bytes that were no valid message; `sender` is the name in the key, `reason` one word for the counters.
+
+    `key` and `payload` are what was on the wire, for recorders.
+    """
+
+    sender: str
+    reason: str
+    key: str = field(default="", compare=False)
+    payload: bytes = field(default=b"", compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Alive:
+    """A liveliness token appeared."""
+
+    role: str
+    name: str
+    incarnation: int
+
+
+@dataclass(frozen=True, slots=True)
+class Gone:
+    """A liveliness token vanished."""
+
+    role: str
+    name: str
+    incarnation: int
+
+
+@dataclass(frozen=True, slots=True)
+class Timer:
+    """The node's deadline has passed."""
+
+
+Event = Started | Received | Rejected | Alive | Gone | Timer
+
+
+@dataclass(frozen=True, slots=True)
+class Subscribe:
+    """From now on deliver messages whose key lies in `expression`."""
+
+    expression: str
+
+
+@dataclass(frozen=True, slots=True)
+class Unsubscribe:
+    """Undo one earlier `Subscribe` of the same expression."""
+
+    expression: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Leave the run: 0 when done, 3 when fenced off by a younger incarnation."""
+
+    code: int
+    reason: str
+
+
+Effect = Message | Subscribe | Unsubscribe | Stop
+
+
+class Node(Protocol):
+    """What a driver drives."""
+
+    @property
+    def run(self) -> str:
+        """Name of the run, the second part of every key."""
+
+    @property
+    def role(self) -> str:
+        """agent, world, recorder or monitor."""
+
+    @property
+    def name(self) -> str:
+        """Unique in the run."""
+
+    @property
+    def incarnation(self) -> int:
+        """Grows with every restart under the same name."""
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Take one event and return what to do, in order."""
+
+    def deadline(self) -> float | None:
+        """When to be called with `Timer` at the latest, in the time of `now`; None: not at all."""

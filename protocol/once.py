@@ -1,0 +1,26 @@
+"""An attribute that is computed when it is first asked for; functools.cached_property takes a lock for that, which costs more."""
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar, overload
+
+T = TypeVar("T")
+
+
+class once(Generic[T]):
+    """Decorator of a method without arguments; its result takes the method's place in the instance."""
+
+    def __init__(self, method: Callable[[Any], T]) -> None:
+        self._method, self._name = method, method.__name__
+        self.__doc__ = method.__doc__
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> "once[T]": ...
+
+    @overload
+    def __get__(self, instance: object, owner: type) -> T: ...
+
+    def __get__(self, instance: object | None, owner: type) -> "T | once[T]":
+        if instance is None:
+            return self
+        value = instance.__dict__[self._name] = self._method(instance)
+        return value

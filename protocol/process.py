@@ -1,0 +1,114 @@
+"""What the agent and the world process share: arguments, logs as JSON lines, an end with the parent, exit codes."""
+
+import argparse
+import ctypes
+import json
+import logging
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn, TypeVar
+
+import msgspec
+
+from protocol import live
+from protocol.links import LiveLink
+from protocol.node import Node
+from protocol.settings import BadSetting, Common, NetworkSettings, load
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+STANDARD_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
+
+Config = TypeVar("Config", bound=Common)
+
+
+class JsonLines(logging.Formatter):
+    """One JSON object per record: time, level, run, agent, message, and whatever the caller put in `extra` (tick, counts)."""
+
+    def __init__(self, run: str, name: str) -> None:
+        super().__init__()
+        self._run = run
+        self._name = name
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The record as one line."""
+        line = {"time": round(record.created, 3), "level": record.levelname.lower(), "run": self._run, "agent": self._name}
+        line["message"] = record.getMessage()
+        line.update({field: value for field, value in vars(record).items() if field not in STANDARD_FIELDS})
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=str)
+
+
+def log_json_lines(run: str, name: str) -> None:
+    """Send all logging of this process to stderr as JSON lines."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(JsonLines(run, name))
+    logging.basicConfig(level=os.environ.get("COVEY_LOG", "INFO").upper(), handlers=[handler], force=True)
+
+
+def die_with_parent() -> None:
+    """Ask the kernel to kill this process when its parent dies, and leave at once if the parent is gone already.
+
+    The signal is SIGKILL, which also ends a paused process. The end of stdin tells of a parent that died before the call.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    poll = select.poll()
+    poll.register(0, select.POLLIN)
+    if any(event & select.POLLHUP and not event & select.POLLIN for _, event in poll.poll(0)):
+        leave(143)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process now: a Zenoh session that failed to close could hold up the interpreter's own end for ever."""
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def arguments(role: str, words: list[str] | None = None) -> argparse.Namespace:
+    """The parsed command line of `python -m agents` or `python -m world`."""
+    parser = argparse.ArgumentParser(prog=f"python -m {role}", description=f"One {role} process of a Covey run.")
+    parser.add_argument("--name", required=role == "agents", default="world", help="name of this process, unique in the run")
+    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="a resolved scenario (run.toml)")
+    parser.add_argument("--incarnation", type=int, default=None, help="grows with every restart; default: the clock in ms")
+    parser.add_argument("--listen", action="append", metavar="ENDPOINT", help="listen here instead of network.listen")
+    parser.add_argument("--seed-endpoint", action="append", metavar="ENDPOINT", help="dial this instead of network.seeds")
+    parser.add_argument("--supervised", action="store_true", help="end with the parent: when it dies or when stdin ends")
+    return parser.parse_args(words)
+
+
+def network_of(config: Common, options: argparse.Namespace) -> NetworkSettings:
+    """The network settings with the endpoints of the command line laid over them."""
+    listen = tuple(options.listen) if options.listen else config.network.listen
+    seeds = tuple(options.seed_endpoint) if options.seed_endpoint else config.network.seeds
+    return msgspec.structs.replace(config.network, listen=listen, seeds=seeds)
+
+
+def main(role: str, into: type[Config], build: Callable[[Config, str, int], Node]) -> NoReturn:
+    """Be one process: read the configuration, build the node, drive it, leave with its exit code; 2 on bad input."""
+    options = arguments(role)
+    if options.supervised:
+        die_with_parent()
+    sys.path.append(os.environ.get("COVEY_MODULES", "."))  # where a user's own sensor models and controllers are
+    try:
+        config = load(options.config, into)
+        log_json_lines(config.run.name, options.name)
+        incarnation = options.incarnation if options.incarnation is not None else time.time_ns() // 1_000_000
+        node = build(config, options.name, incarnation)
+        link = LiveLink(config.run.seed, options.name, logging.getLogger(__name__).warning) if config.network.link_faults else None
+        on_line = link.on_line if link else None
+        code = live.run(node, network_of(config, options), watch_stdin=options.supervised, on_line=on_line, link=link)
+    except BadSetting as error:
+        print(f"{role}: {error}", file=sys.stderr)
+        code = 2
+    except Exception:
+        logging.getLogger(__name__).exception("the process ends on an error of its own")
+        code = 1
+    leave(code)

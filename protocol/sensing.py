@@ -1,0 +1,93 @@
+"""The sensing contract and the sensors of the paper.
+
+A *sensor model* is any object with the four members of `SensorModel`. A *pose* is (x m, y m, heading rad). Wedge sensors carry
+their numbers with them, so a peer can announce one on the wire; other models are named in the scenario as `module:Class`.
+"""
+
+import math
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+import msgspec
+import numpy as np
+
+Pose = tuple[float, float, float]
+
+
+@runtime_checkable
+class SensorModel(Protocol):
+    """What the swarm needs to know of a sensor; time-invariant, shape and falloff are free (paper, section III)."""
+
+    @property
+    def reach(self) -> float:
+        """No point farther than this from the sensor, m, is ever detected."""
+
+    @property
+    def area(self) -> float:
+        """Area of the footprint, m^2."""
+
+    def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
+        """Detection probability p_d of targets at points (N, 2): (N,), 0 outside the footprint."""
+
+    def footprint(self, pose: Pose) -> np.ndarray:
+        """Outline of the field of view (V, 2), counter-clockwise; need not be convex."""
+
+
+class WedgeSensor(msgspec.Struct, frozen=True, dict=True):
+    """A wedge of `angle` rad and `radius` m, centred on the heading, with constant detection probability (21), figure 2."""
+
+    angle: float
+    radius: float
+    prob_detection: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.angle <= 2.0 * math.pi:
+            raise ValueError(f"angle = {self.angle}: a wedge opens by more than 0 and at most 2 pi rad")
+        if not 0.0 < self.radius <= 1.0e6:
+            raise ValueError(f"radius = {self.radius}: the radius of a sensor lies in (0, 1e6] m")
+        if not 0.0 < self.prob_detection <= 1.0:
+            raise ValueError(f"prob_detection = {self.prob_detection}: a detection probability lies in (0, 1]")
+
+    @property
+    def reach(self) -> float:
+        return self.radius
+
+    @cached_property
+    def area(self) -> float:
+        return self.angle * self.radius**2 / 2.0
+
+    @cached_property
+    def cos_half_angle(self) -> float:
+        """Cosine of half the viewing angle; below -1 for a full disc, so that rounding cuts no ray out of it."""
+        return math.cos(self.angle / 2.0) if self.angle < 2.0 * math.pi else -2.0
+
+    def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
+        """p_d inside the wedge, 0 outside, of points (N, 2): (N,)."""
+        dx, dy = points[:, 0] - pose[0], points[:, 1] - pose[1]
+        range2 = dx * dx + dy * dy
+        ahead = dx * math.cos(pose[2]) + dy * math.sin(pose[2])
+        inside = (range2 <= self.radius * self.radius) & (ahead >= self.cos_half_angle * np.sqrt(range2))
+        return np.where(inside, self.prob_detection, 0.0)
+
+    def footprint(self, pose: Pose) -> np.ndarray:
+        """The outline with an arc point about every 5 degrees (V, 2); a full disc has no apex."""
+        steps = max(2, math.ceil(self.angle / math.radians(5.0)))
+        bearings = pose[2] + np.linspace(-self.angle / 2.0, self.angle / 2.0, steps + 1)
+        arc = np.column_stack([pose[0] + self.radius * np.cos(bearings), pose[1] + self.radius * np.sin(bearings)])
+        return arc[:-1] if self.angle >= 2.0 * math.pi else np.vstack([[pose[:2]], arc])
+
+
+def _degrees(angle: float, radius: float, prob_detection: float) -> WedgeSensor:
+    return WedgeSensor(math.radians(angle), radius, prob_detection)
+
+
+SENSOR_CLASSES: dict[str, WedgeSensor] = {  # Table I: viewing angle in degrees, radius in m, p_d
+    "A": _degrees(240.0, 8.0, 0.99),
+    "B": _degrees(45.0, 8.0, 0.99),
+    "C": _degrees(45.0, 8.0, 0.7),
+    "D": _degrees(240.0, 25.0, 0.99),
+    "E": _degrees(45.0, 10.0, 1.0),
+    "F": _degrees(240.0, 10.0, 1.0),
+    "G": _degrees(240.0, 14.142, 1.0),
+    "H": _degrees(240.0, 20.0, 1.0),
+}

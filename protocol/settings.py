@@ -1,0 +1,240 @@
+"""Settings that every process reads, and the one way in which settings are read.
+
+A scenario is a TOML file of sections; each room declares the sections it needs as frozen structs (here, `agents.config`,
+`world.config`, `deploy.scenario`). A resolved scenario, `run.toml`, is the same file with the team spelled out.
+"""
+
+import difflib
+import importlib
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1.0e9)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1.0e9)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
+
+
+class BadSetting(ValueError):
+    """A setting is wrong; the text names the file, the field, the value and what would be right."""
+
+
+class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of all sections: frozen, unknown fields refused."""
+
+
+class RunSettings(Section, frozen=True, kw_only=True):
+    """[run] what is run and how time passes."""
+
+    name: Name = "covey"
+    scenario: str = ""  # the name or path it was made from
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)] = 1
+    seconds: Positive = 200.0  # of world time
+    dt: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.25  # world time between ticks, s
+    clock: Literal["realtime", "lockstep"] = "realtime"
+    rate: Positive = 1.0  # world seconds per wall second, realtime only
+    patience: Positive = 5.0  # lockstep: how long a missing peer is waited for, wall s
+    start_timeout: Positive = 60.0  # how long the start line waits for the expected agents, wall s
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks of the run."""
+        return max(1, round(self.seconds / self.dt))
+
+
+class ArenaSettings(Section, frozen=True, kw_only=True):
+    """[arena] the rectangle from (0, 0) to (width, height), m."""
+
+    width: Positive = 100.0
+    height: Positive = 100.0
+
+
+class DetectionSettings(Section, frozen=True, kw_only=True):
+    """[detection] what a scan returns for a target in view, and what else."""
+
+    noise: Positive = 0.25  # standard deviation of a detection per axis, m
+    clutter: NotNegative = 0.1  # expected clutter points per scan, uniform in the footprint
+
+
+class LimitSettings(Section, frozen=True, kw_only=True):
+    """[limits] of every body (paper, section IV)."""
+
+    speed: NotNegative = 2.0  # m/s
+    turn_rate: NotNegative = 5.0  # rad/s
+
+
+class SensorSettings(Section, frozen=True, kw_only=True):
+    """[sensors.X] a sensor class of the user's own: a wedge, or any model as `module:Class`."""
+
+    angle: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None  # viewing angle, degrees
+    radius: Annotated[float, msgspec.Meta(gt=0.0, le=1.0e6)] | None = None  # m
+    prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 1.0
+    model: str = "wedge"
+    parameters: dict[str, Any] = {}
+
+    def build(self) -> SensorModel:
+        """The sensor; raises ValueError or ImportError with what is wrong."""
+        if self.model == "wedge":
+            if self.angle is None or self.radius is None:
+                raise ValueError("a wedge needs an angle (degrees) and a radius (m)")
+            return WedgeSensor(math.radians(self.angle), self.radius, self.prob_detection)
+        sensor = load_named(self.model)(**self.parameters)
+        missing = [part for part in ("reach", "area", "probability", "footprint") if not hasattr(sensor, part)]
+        if missing:
+            raise ValueError(f"{self.model} lacks {', '.join(missing)} of protocol.sensing.SensorModel")
+        return sensor
+
+
+class NetworkSettings(Section, frozen=True, kw_only=True):
+    """[network] the Zenoh session."""
+
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:0",)
+    seeds: tuple[str, ...] = ()  # endpoints to dial
+    lease: Positive = 2.0  # s
+    insecure: bool = False  # allow endpoints beyond loopback without TLS
+    link_faults: bool = False  # let the supervisor cut and spoil the links between agents
+
+
+class Common(msgspec.Struct, frozen=True, kw_only=True):
+    """The sections that every process of a run needs; other sections are somebody else's."""
+
+    run: RunSettings = RunSettings()
+    arena: ArenaSettings = ArenaSettings()
+    detection: DetectionSettings = DetectionSettings()
+    limits: LimitSettings = LimitSettings()
+    network: NetworkSettings = NetworkSettings()
+    sensors: dict[str, SensorSettings] = {}
+    members: dict[Name, str] = {}  # agent name -> sensor class, in team order
+
+
+def load_named(name: str) -> Any:
+    """The object that `module:Name` names; raises ValueError or ImportError with what is wrong."""
+    module, colon, attribute = name.partition(":")
+    if not colon or not module or module.startswith("."):
+        raise ValueError(f"{name!r} should read module:Name")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except AttributeError:
+        raise ValueError(f"module {module} has no {attribute}") from None
+
+
+def sensor_of(settings: Common, sensor_class: str) -> SensorModel:
+    """The sensor model of a class: the scenario's own, or one of Table I; raises BadSetting naming the class."""
+    own = settings.sensors.get(sensor_class)
+    if own is None and sensor_class in SENSOR_CLASSES:
+        return SENSOR_CLASSES[sensor_class]
+    known = [*settings.sensors, *SENSOR_CLASSES]
+    if own is None:
+        raise BadSetting(f"sensor class {sensor_class!r} does not exist; known are {', '.join(known)}")
+    try:
+        return own.build()
+    except (ValueError, ImportError, TypeError) as error:
+        raise BadSetting(f"sensors.{sensor_class}: {error}") from None
+
+
+T = TypeVar("T")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The contents of a TOML file; raises BadSetting naming the file."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadSetting(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise BadSetting(f"{path}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadSetting(f"{path}: not a TOML file: {error}") from None
+
+
+def convert(data: dict[str, Any], into: type[T], source: str) -> T:
+    """`data` as the struct `into`; raises BadSetting naming source, field, value and what would be right."""
+    try:
+        return msgspec.convert(data, into)
+    except msgspec.ValidationError as error:
+        raise BadSetting(f"{source}: {explain(str(error), data, into)}") from None
+    except ValueError as error:
+        raise BadSetting(f"{source}: {error}") from None
+
+
+def load(path: Path, into: type[T]) -> T:
+    """The sections of a TOML file that `into` declares."""
+    return convert(read_toml(path), into, str(path))
+
+
+def explain(text: str, data: Any, into: Any) -> str:
+    """A msgspec complaint in the words of the file: `section.field = value: what would be right`."""
+    complaint, _, where = text.partition(" - at ")
+    path, value, hint = _locate(data, into, where)
+    unknown = re.search(r"unknown field `(.*)`", complaint)
+    if unknown:
+        fields = list(getattr(hint, "__struct_encode_fields__", ()))
+        close = difflib.get_close_matches(unknown[1], fields, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(fields)}"
+        return f"{'.'.join([*path, unknown[1]])}: there is no such field; {hint}"
+    missing = re.search(r"missing required field `(.*)`", complaint)
+    if missing:
+        return f"{'.'.join(path)} = {value!r}: the field {missing[1]} is missing"
+    return f"{'.'.join(path)} = {value!r}: {_right(complaint, hint)}"
+
+
+PLAIN_WORDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+}
+
+
+def _right(complaint: str, hint: Any) -> str:
+    """What would be right, from a msgspec complaint and the type that it is about."""
+    if get_origin(hint) is Literal:
+        return f"should be one of {', '.join(str(choice) for choice in get_args(hint))}"
+    if "matching regex" in complaint:
+        return "should be 1 to 64 letters, digits, or any of _ . -"
+    words = re.sub(r"`(\w+)(?: \| null)?`", lambda match: PLAIN_WORDS.get(match[1], match[1]), complaint)
+    return words.replace("Expected", "should be", 1)
+
+
+def _locate(data: Any, into: Any, where: str) -> tuple[list[str], Any, Any]:
+    """Names, value and type along a msgspec path such as `$.faults[0].at`; `[...]`, some key of a table, is looked up by trying."""
+    path: list[str] = []
+    value, hint = data, into
+    for step in re.findall(r"\.\.\.|[^.\[\]`$]+", where.removeprefix("`key` in ")):
+        if step == "...":
+            step = next((key for key, item in value.items() if not _fits(item, get_args(hint)[-1])), step)
+        path.append(step)
+        value = value[int(step)] if isinstance(value, list | tuple) else value.get(step)
+        hint = _inside(hint, step)
+    if where.startswith("`key`"):
+        value = next((key for key in value if not _fits(key, get_args(hint)[0])), value)
+    return path, value, hint
+
+
+def _inside(hint: Any, step: str) -> Any:
+    """The type of the part `step` of a struct, table or list."""
+    arguments = get_args(hint)
+    if hasattr(hint, "__struct_fields__"):
+        inner = get_type_hints(hint, include_extras=True)[step]
+    elif get_origin(hint) is dict:
+        inner = arguments[1]
+    else:
+        inner = arguments[0] if arguments[-1] is ... else arguments[int(step)]
+    return get_args(inner)[0] if get_origin(inner) is Annotated else inner
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    try:
+        msgspec.convert(value, hint)
+    except (msgspec.ValidationError, ValueError):
+        return False
+    return True

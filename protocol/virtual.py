@@ -1,0 +1,316 @@
+"""The virtual driver: many nodes in one process and in virtual time, on a bus of events.
+
+Events of one instant are delivered first come, first served; time moves on only when none is left. With `codec` the real bytes
+travel (each message is encoded and decoded once); a `Link` may drop, delay, copy or spoil them per receiver. Nodes can be stopped,
+slowed down, started twice under one name, and given clocks that jump.
+"""
+
+import heapq
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from protocol import codec
+from protocol.keys import matches, message_key
+from protocol.messages import Command, Malformed, Message, Observation
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+
+
+class Link(Protocol):
+    """What lies between two nodes."""
+
+    def carry(self, sender: str, receiver: str, key: str, payload: bytes, now: float) -> Sequence[tuple[float, bytes]]:
+        """(delay s, payload) of each copy that arrives; the very object `payload` where nothing was spoilt."""
+
+
+@dataclass(eq=False)
+class _Seat:
+    """A node on the bus, and what the bus knows of it."""
+
+    node: Node
+    place: int  # in the order of coming
+    expressions: Counter[str] = field(default_factory=Counter)
+    timer: float | None = None
+    paused: bool = False
+    waiting: list[Event] = field(default_factory=list)  # what arrived while it was paused or at work
+    clock: float = 0.0  # how far its clock is ahead, s
+    work: float = 0.0  # how long it takes over an observation, s
+    at_work: bool = False
+    armed: float | None = None  # the deadline for which the timer is set
+
+    def __post_init__(self) -> None:
+        self.handle, self.deadline = self.node.handle, self.node.deadline  # looked up once
+
+
+class _Done:
+    """A slow node has finished its work."""
+
+
+@dataclass
+class _Call:
+    """A function whose time has come."""
+
+    function: Callable[[], None]
+
+
+@dataclass(slots=True)
+class _Fan:
+    """A message on its way to all its listeners; they take it one after the other."""
+
+    listeners: list[_Seat]
+    sender: _Seat
+    event: Event
+
+
+_Entry = tuple[_Seat, Event | _Done] | _Fan | _Call  # of the queue
+
+
+class VirtualBus:
+    """Drives nodes in virtual time; `now` is in s."""
+
+    def __init__(self, *, use_codec: bool = True, link: Link | None = None, pace: float = 0.0) -> None:
+        """`pace`: how long every Command is on its way, s, so that time passes in a world that waits for nothing else."""
+        self.now = 0.0
+        self.stopped: dict[str, Stop] = {}  # who left by itself, and why
+        self.messages = 0  # published
+        self.deliveries = 0
+        self.bytes = 0  # published
+        self.tap: Callable[[Node, Event], None] | None = None  # called when a node has taken an event
+        self._use_codec = use_codec
+        self._link = link
+        self._pace = pace
+        self._seats: dict[str, _Seat] = {}
+        self._ready: deque[_Entry] = deque()
+        self._later: list[tuple[float, int, _Entry]] = []
+        self._sequence = 0
+        self._subscribers: dict[str, dict[_Seat, None]] = {}  # by expression
+        self._routes: dict[str, list[_Seat]] = {}  # by key
+
+    def nodes(self) -> list[str]:
+        """Labels of the nodes on the bus, paused ones included."""
+        return list(self._seats)
+
+    def add(self, node: Node, label: str | None = None) -> None:
+        """Start a node: it and the others see each other's liveliness tokens. Only a second node of a name needs a label of its own."""
+        label = node.name if label is None else label
+        if label in self._seats:
+            raise ValueError(f"{label} is on the bus already")
+        self._sequence += 1
+        seat = self._seats[label] = _Seat(node, self._sequence)
+        self._ready.append((seat, Started()))
+        for other in self._seats.values():
+            if other is not seat:
+                self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
+                self._ready.append((other, Alive(node.role, node.name, node.incarnation)))
+
+    def remove(self, name: str, *, notice_after: float | None = 0.0) -> Node:
+        """Kill a node: it vanishes; the others see its token go after `notice_after` s (None: never)."""
+        seat = self._seats.pop(name)
+        seat.paused, seat.waiting = True, []
+        self._routes.clear()
+        for expression in seat.expressions:
+            del self._subscribers[expression][seat]
+        if notice_after is not None:
+            self.announce(Gone(seat.node.role, seat.node.name, seat.node.incarnation), notice_after)
+        return seat.node
+
+    def announce(self, event: Alive | Gone, delay: float = 0.0, to: Iterable[str] | None = None) -> None:
+        """Let nodes (all but the subject, or those named) see a token appear or vanish."""
+        for name, seat in self._seats.items():
+            subject = (seat.node.name, seat.node.incarnation) == (event.name, event.incarnation)
+            if not subject and (to is None or name in to):
+                self._schedule(seat, event, delay)
+
+    def pause(self, name: str) -> None:
+        """Stop a node in its tracks (SIGSTOP); what arrives is kept."""
+        self._seats[name].paused = True
+
+    def resume(self, name: str) -> None:
+        """Let a paused node go on; it finds all that has arrived."""
+        seat = self._seats[name]
+        seat.paused = False
+        self._wake(seat)
+
+    def jump(self, name: str, seconds: float) -> None:
+        """Set a node's clock forward or back; what it has set its timer to stays."""
+        self._seats[name].clock += seconds
+        self._seats[name].armed = None
+
+    def slow(self, name: str, seconds: float) -> None:
+        """From now on a node takes `seconds` of work over every observation and looks at nothing else meanwhile; 0: none."""
+        self._seats[name].work = seconds
+
+    def _wake(self, seat: _Seat) -> None:
+        """Hand a node what has waited for it; of observations the newest only, for nobody works off a queue of them."""
+        if seat.paused or seat.at_work:
+            return
+        events, seat.waiting = seat.waiting, []
+        newest = max((place for place, event in enumerate(events) if _is_observation(event)), default=0)
+        self._ready.extendleft((seat, event) for event in reversed(_without_older(events, newest)))
+        self._rearm(seat)
+
+    def run(self, until: float) -> None:
+        """Deliver everything that is due up to the time `until`, which is then the time."""
+        while self.step(until):
+            pass
+        self.now = max(self.now, until)
+
+    def step(self, until: float = float("inf")) -> bool:
+        """Deliver the next event that is due by `until`, a message to all its listeners; False when there is none."""
+        if not self._ready and not self._advance(until):
+            return False
+        entry = self._ready.popleft()
+        if isinstance(entry, _Fan):
+            event, sender = entry.event, entry.sender
+            for seat in entry.listeners:
+                if seat is not sender:
+                    self._hand(seat, event)
+        elif isinstance(entry, _Call):
+            entry.function()
+        elif isinstance(entry[1], _Done):
+            entry[0].at_work = False
+            self._wake(entry[0])
+        else:
+            self._hand(entry[0], entry[1])
+        return True
+
+    def _hand(self, seat: _Seat, event: Event) -> None:
+        """Let a node take an event, or keep it until the node can."""
+        if seat.paused or seat.at_work:
+            if not isinstance(event, Timer):
+                seat.waiting.append(event)
+            return
+        for effect in seat.handle(event, self._time_of(seat) if seat.clock else self.now):
+            self._carry_out(seat, effect)
+        if self.tap is not None:
+            self.tap(seat.node, event)
+        if seat.work > 0.0 and _is_observation(event):
+            seat.at_work = True
+            self._schedule(seat, _Done(), seat.work)
+        elif seat.deadline() != seat.armed:
+            self._rearm(seat)
+
+    def _time_of(self, seat: _Seat) -> float:
+        """What a node's clock shows; never just short of its deadline by rounding, or its timer would fire for ever."""
+        now = self.now + seat.clock
+        due = seat.node.deadline() if seat.clock else None
+        return due if due is not None and 0.0 < due - now < 1e-6 else now
+
+    def _advance(self, until: float) -> bool:
+        while self._later and self._later[0][0] <= until:
+            time, _, entry = heapq.heappop(self._later)
+            if isinstance(entry, tuple) and isinstance(entry[1], Timer):
+                if entry[0].timer != time:
+                    continue
+                entry[0].timer = entry[0].armed = None
+            self.now = time
+            self._ready.append(entry)
+            if not self._later or self._later[0][0] > time:
+                return True
+        return bool(self._ready)
+
+    def call_later(self, delay: float, function: Callable[[], None]) -> None:
+        """Call a function in `delay` s."""
+        self._push(self.now + delay, _Call(function))
+
+    def _schedule(self, seat: _Seat, event: Event | _Done, delay: float) -> None:
+        if delay <= 0.0:
+            self._ready.append((seat, event))
+        else:
+            self._push(self.now + delay, (seat, event))
+
+    def _push(self, time: float, entry: _Entry) -> None:
+        self._sequence += 1
+        heapq.heappush(self._later, (time, self._sequence, entry))
+
+    def _rearm(self, seat: _Seat) -> None:
+        deadline = seat.armed = seat.deadline()
+        if deadline is None:
+            seat.timer = None
+        elif seat.timer is None or deadline - seat.clock != seat.timer:
+            seat.timer = max(deadline - seat.clock, self.now)
+            self._push(seat.timer, (seat, Timer()))
+
+    def _carry_out(self, seat: _Seat, effect: Effect) -> None:
+        if isinstance(effect, Message):
+            self._publish(seat, effect)
+        elif isinstance(effect, Subscribe):
+            self._subscribe(seat, effect.expression)
+        elif isinstance(effect, Unsubscribe):
+            self._unsubscribe(seat, effect.expression)
+        else:
+            for label in [label for label, other in self._seats.items() if other is seat]:
+                self.stopped[label] = effect
+                self.remove(label)
+
+    def _subscribe(self, seat: _Seat, expression: str) -> None:
+        seat.expressions[expression] += 1
+        if "*" in expression:
+            self._routes.clear()
+        else:
+            self._routes.pop(expression, None)
+        self._subscribers.setdefault(expression, {})[seat] = None
+
+    def _unsubscribe(self, seat: _Seat, expression: str) -> None:
+        seat.expressions[expression] -= 1
+        if seat.expressions[expression] > 0:
+            return
+        del seat.expressions[expression], self._subscribers[expression][seat]
+        if "*" in expression:
+            self._routes.clear()
+        else:
+            self._routes.pop(expression, None)
+
+    def _listeners(self, key: str) -> list[_Seat]:
+        """Who has subscribed to a key, in the order in which they came to the bus."""
+        listeners = self._routes.get(key)
+        if listeners is None:
+            fitting = [e for e in self._subscribers if e == key or ("*" in e and matches(e, key))]
+            found = {seat for expression in fitting for seat in self._subscribers[expression]}
+            listeners = self._routes[key] = sorted(found, key=_place)
+        return listeners
+
+    def _publish(self, seat: _Seat, message: Message) -> None:
+        key = message_key(seat.node.run, message)
+        listeners = self._listeners(key)
+        payload = codec.encode(message) if self._use_codec else b""
+        self.messages += 1
+        self.bytes += len(payload)
+        event = self._event(seat, key, message, payload)
+        pace = self._pace if isinstance(message, Command) else 0.0
+        if self._link is None and pace == 0.0:
+            self._ready.append(_Fan(listeners, seat, event))
+            self.deliveries += len(listeners)
+            return
+        for listener in listeners:
+            if listener is not seat:
+                for delay, arrived in self._carried(seat, listener, key, payload):
+                    self.deliveries += 1
+                    self._schedule(listener, event if arrived is payload else self._event(seat, key, message, arrived), pace + delay)
+
+    def _carried(self, seat: _Seat, listener: _Seat, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
+        if self._link is None:
+            return [(0.0, payload)]
+        return self._link.carry(seat.node.name, listener.node.name, key, payload, self.now)
+
+    def _event(self, seat: _Seat, key: str, message: Message, payload: bytes) -> Event:
+        if not self._use_codec:
+            return Received(message)
+        try:
+            return Received(codec.decode(key, payload), len(payload), payload)
+        except Malformed as error:
+            return Rejected(seat.node.name, error.reason, key, payload)
+
+
+def _place(seat: _Seat) -> int:
+    return seat.place
+
+
+def _is_observation(event: Event) -> bool:
+    return isinstance(event, Received) and isinstance(event.message, Observation)
+
+
+def _without_older(events: list[Event], newest: int) -> list[Event]:
+    """Events without the observations before the place `newest`."""
+    return [event for place, event in enumerate(events) if place >= newest or not _is_observation(event)]
