@@ -1,0 +1,1 @@
+"""What is believed and decided: one agent, its filter, its cell, its control. Imports protocol only."""

@@ -1,0 +1,318 @@
+"""One agent: the round of a masterless sensor, as a Node.
+
+In comes an `Observation` of tick k; out goes at once a `Gossip` of tick k. When the gossips of all peers that are expected are in,
+or at the deadline, the round closes: merge, predict, cut the cell, correct with every scan that was heard, resample what is owned,
+and drive. The mathematics lives in `phd`, `belief`, `cells`, `capacity` and `control`; this file keeps the order and the time.
+"""
+
+from collections import Counter
+from functools import partial
+
+from agents.arithmetic import PLAIN, Arithmetic
+from agents.belief import start
+from agents.births import prior
+from agents.capacity import place, sensor_facts
+from agents.config import AgentConfig
+from agents.control import control_law
+from agents.interest import PERIOD
+from agents.neighbours import Neighbours
+from agents.particles import NONE
+from agents.round import Outcome, Self, must_hear, play
+from agents.words import learn
+from protocol.geometry import rectangle
+from protocol.keys import all_of, one_of, order
+from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, pack
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.sensing import WedgeSensor
+from protocol.settings import sensor_of
+
+VERSION = "0.1.0"
+HELLO_SOON = 0.05  # s between the appearance of somebody new and a greeting
+HELLO_EARLY, HELLO_LATE = 0.25, 2.0  # s between greetings while somebody is unknown or nothing has been observed, and later
+EXIT_FENCED = 3
+
+
+class Agent:
+    """The Node of one sensor."""
+
+    role = "agent"
+
+    def __init__(self, config: AgentConfig, name: str, incarnation: int = 1, arithmetic: Arithmetic = PLAIN) -> None:
+        self.name, self.incarnation, self.run = name, incarnation, config.run.name
+        self.config = config
+        self.sensor_class = config.members[name]
+        self.counters: Counter[str] = Counter()
+        self.neighbours = Neighbours(config, name, incarnation)
+        self.tick = -1  # of the newest observation
+        sensor = sensor_of(config, self.sensor_class)
+        self.self = Self(
+            name, sensor, sensor_facts(sensor), control_law(config), arithmetic, config, rectangle(config.arena.width, config.arena.height)
+        )
+        everywhere = prior(config.run.seed, self._prior_count(), config.filter, config.arena)
+        self.outcome = Outcome(start(everywhere, name), self.self.facts.capability)
+        self._heard: set[str] = set()
+        self._world = 0  # incarnation of the world
+        self._observation: Observation | None = None  # of the open round
+        self._gossip: Gossip | None = None  # mine, of the open round
+        self._awaited: set[str] = set()  # whose gossip the open round waits for
+        self._listening = 0  # rounds left in which I have no cell, though others speak
+        self._lonely = 0  # and rounds left in which I do not believe that nobody else is there
+        self._lighthouse = max(1, round(PERIOD / config.run.dt)) if config.timing.interest == "neighbours" else 0  # ticks between beacons
+        self._first = 0  # tick
+        self._subscribed: set[str] = set()  # to whose gossip; nobody: to everybody's
+        self._chosen_at, self._members = -(10**9), 0  # when, and among whom, the neighbours were chosen
+        self._close_at: float | None = None
+        self._greet_at: float | None = None
+        self._opened_at = 0.0
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Take one event; the effects in order (Node)."""
+        if type(event) is Received:
+            message = event.message
+            return self._on_gossip(message, now) if type(message) is Gossip else self._on_message(message, now)
+        match event:
+            case Timer():
+                return self._on_timer(now)
+            case Alive(role="agent") if event.name == self.name:
+                return self._fence(event.incarnation)
+            case Alive():
+                if event.role == "agent":
+                    self.neighbours.alive(event.name, event.incarnation)
+                self._greet_soon(now)
+            case Gone(role="agent"):
+                self.neighbours.gone(event.name, event.incarnation, self.tick)
+                self._awaited.discard(event.name)
+                return self._close_if_complete(now)
+            case Started():
+                self._greet_at = now + HELLO_EARLY
+                kinds = [all_of(self.run, "hello"), all_of(self.run, "gossip"), one_of(self.run, "observation", self.name)]
+                if self._lighthouse:
+                    kinds.append(all_of(self.run, "beacon"))
+                return [*map(Subscribe, kinds), self._hello()]
+            case Rejected(reason=reason):
+                self.counters[f"rejected.{reason}"] += 1
+        return []
+
+    def _on_message(self, message: Message, now: float) -> list[Effect]:
+        if isinstance(message, Observation):
+            return self._on_observation(message, now)
+        if isinstance(message, Hello):
+            return self._on_hello(message, now)
+        if isinstance(message, Beacon) and message.sender != self.name:
+            self.neighbours.see(message)
+        return []
+
+    def deadline(self) -> float | None:
+        """When the open round closes or the next greeting is due, whichever is earlier (Node)."""
+        close, greet = self._close_at, self._greet_at
+        if close is None or (greet is not None and greet < close):
+            return greet
+        return close
+
+    def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
+        if observation.incarnation < self._world or observation.tick <= self.tick:
+            self.counters["rejected.stale"] += 1
+            return []
+        self._world = observation.incarnation
+        effects = self._close(now) if self._observation else []
+        if self.tick < 0:
+            self._first = observation.tick
+            self._listening = self.config.timing.listening_rounds if observation.tick > 0 else 0
+            self._lonely = 2 * self.config.timing.silent_rounds
+        elif observation.tick > self.tick + 1:
+            self.counters["skipped"] += observation.tick - self.tick - 1
+        self.tick, self._observation, self._opened_at = observation.tick, observation, now
+        self._gossip = self._say(observation)
+        self._awaited = self.neighbours.missing(self.tick, newcomer=self._listening > 0)
+        self._close_at = now + self._patience()
+        if self._greet_at is not None:
+            self._greet_at = min(self._greet_at, now + HELLO_LATE)  # later only if the clock has jumped back
+        return [*effects, *self._shine(self._gossip), self._gossip, *self._close_if_complete(now)]
+
+    def _on_gossip(self, gossip: Gossip, now: float) -> list[Effect]:
+        if gossip.sender == self.name:
+            return self._fence(gossip.incarnation)
+        reason = self.neighbours.hear(gossip)
+        if reason:
+            if reason != "unasked":
+                self.counters[f"rejected.{reason}"] += 1
+            return []
+        self.counters["heard"] += 1
+        if gossip.tick == self.tick and gossip.sender in self._awaited:
+            self._awaited.remove(gossip.sender)
+            if not self._awaited:
+                return self._close_if_complete(now)
+        return []
+
+    def _on_hello(self, hello: Hello, now: float) -> list[Effect]:
+        if hello.sender == self.name:
+            return self._fence(hello.incarnation)
+        reason = self.neighbours.greet(hello) if hello.role == "agent" else None
+        if reason:
+            self.counters[f"rejected.{reason}"] += 1
+            return []
+        if hello.sender not in self._heard:
+            self._heard.add(hello.sender)
+            self._greet_soon(now)
+        return []
+
+    def _greet_soon(self, now: float) -> None:
+        """Somebody is new: say Hello, but once for all who appear within a moment."""
+        soon = now + HELLO_SOON
+        self._greet_at = soon if self._greet_at is None else min(self._greet_at, soon)
+
+    def _on_timer(self, now: float) -> list[Effect]:
+        effects: list[Effect] = []
+        if self._greet_at is not None and now >= self._greet_at:
+            self._greet_at = now + (HELLO_EARLY if self.tick < 0 or self.neighbours.strangers() else HELLO_LATE)
+            effects.append(self._hello())
+        if self._close_at is not None and now >= self._close_at:
+            self.counters["late"] += 1
+            effects += self._close(now)
+        return effects
+
+    def _close_if_complete(self, now: float) -> list[Effect]:
+        if self._observation is None or self._awaited:
+            return []
+        return self._close(now)
+
+    def _close(self, now: float) -> list[Effect]:
+        """Play the open round and say what follows from it."""
+        observation, gossip = self._observation, self._gossip
+        assert observation is not None and gossip is not None
+        heard = self.neighbours.fresh(self.tick)
+        self.outcome = play(self.self, self.outcome, self.neighbours, gossip, heard)
+        missing = self.neighbours.close(self.tick, newcomer=self._listening > 0)
+        if self._listening:
+            self._listen_on(len(heard), missing)
+        self.counters["missing"] += missing
+        self.counters["rounds"] += 1
+        self._observation = self._gossip = self._close_at = None
+        velocity, turn_rate = self.outcome.command
+        command = Command(sender=self.name, incarnation=self.incarnation, tick=self.tick, velocity=velocity, turn_rate=turn_rate)
+        effects = self._choose(gossip) if self._lighthouse else []
+        if self.tick % self.config.timing.estimate_every:
+            return [*effects, command]
+        return [*effects, self._estimate(gossip, now), command]
+
+    def _shine(self, gossip: Gossip) -> list[Effect]:
+        """Now and then a beacon, for those who do not hear my gossip."""
+        if not self._lighthouse or (gossip.tick - self._first) % self._lighthouse:
+            return []
+        beacon = Beacon(
+            sender=self.name,
+            incarnation=self.incarnation,
+            tick=gossip.tick,
+            position=gossip.pose[:2],
+            cod=gossip.cod,
+            power_radius=gossip.power_radius,
+            reach=self.self.sensor.reach,
+        )
+        return [beacon]
+
+    def _choose(self, gossip: Gossip) -> list[Effect]:
+        """Listen to those whom I must hear from now on, no longer to others."""
+        neighbours = self.neighbours
+        if gossip.tick < self._chosen_at + self._lighthouse and self._members == neighbours.membership:
+            return []
+        known = neighbours.whereabouts()
+        if len(known) < len(neighbours.peers) and not neighbours.chosen:
+            return []  # too early: somebody's place is not known
+        self._chosen_at, self._members = gossip.tick, neighbours.membership
+        asked = neighbours.choose(must_hear(self.self, self.outcome, gossip, known))
+        self.outcome.belief.everyone &= neighbours.circle.keys() | {self.name}
+        key = partial(one_of, self.run, "gossip")
+        added, dropped = sorted(asked - self._subscribed, key=order), sorted(self._subscribed - asked, key=order)
+        everybody = [Unsubscribe(all_of(self.run, "gossip"))] if not self._subscribed else []
+        self._subscribed = asked
+        return [*(Subscribe(key(name)) for name in added), *(Unsubscribe(key(name)) for name in dropped), *everybody]
+
+    def _listen_on(self, heard: int, missing: int) -> None:
+        """A listening round is over: I get a cell once I have heard everybody; or after some rounds in which I heard but a part; or
+        after more rounds in which I heard nobody."""
+        if heard:
+            self._listening = self._listening - 1 if missing else 0
+        else:
+            self._lonely -= 1
+            self._listening = self._listening if self._lonely > 0 else 0
+
+    def _say(self, observation: Observation) -> Gossip:
+        """The gossip of a tick: my pose and scan, and what I own if my last round was the one before."""
+        share = self.outcome.belief.mine
+        current = self.outcome.belief.stamp == observation.tick - 1
+        particles = share.particles if current else NONE
+        gossip = Gossip(
+            sender=self.name,
+            incarnation=self.incarnation,
+            tick=observation.tick,
+            pose=observation.pose,
+            cod=place(self.self.facts.cod_offset, observation.pose),
+            power_radius=self.outcome.power_radius,
+            unused=self.outcome.unused,
+            detections_bytes=observation.detections_bytes,
+            listening=self._listening > 0,
+            claim_tick=max(0, observation.tick - 1),
+            claim_names=share.claim.names if current else (),
+            claim_bytes=pack(share.claim.generators, "<f8") if current else b"",
+            view=share.view if current else 0,
+            weight=float(particles.weights[0]) if len(particles.weights) else 0.0,
+            states_bytes=pack(particles.states, "<f4"),
+            ids_bytes=pack(particles.ids, "<u8"),
+        )
+        learn(gossip, self.self.sensor, self.config)
+        return gossip
+
+    def _estimate(self, gossip: Gossip, now: float) -> Estimate:
+        outcome = self.outcome
+        return Estimate(
+            sender=self.name,
+            incarnation=self.incarnation,
+            tick=gossip.tick,
+            pose=gossip.pose,
+            cod=gossip.cod,
+            power_radius=gossip.power_radius,
+            unused=outcome.unused,
+            load=outcome.load,
+            mass=outcome.mass,
+            cell_bytes=pack(outcome.cell, "<f8"),
+            targets_bytes=pack(outcome.targets, "<f8"),
+            view=outcome.belief.mine.view,
+            neighbours=outcome.belief.mine.claim.names[1:],
+            counters=dict(self.counters),
+            round_seconds=max(0.0, now - self._opened_at),  # a clock may have jumped
+        )
+
+    def _hello(self) -> Hello:
+        sensor = self.self.sensor
+        return Hello(
+            sender=self.name,
+            incarnation=self.incarnation,
+            software=f"covey {VERSION}",
+            sensor_class=self.sensor_class,
+            sensor=sensor if isinstance(sensor, WedgeSensor) else None,
+            max_speed=self.config.limits.speed,
+            max_turn_rate=self.config.limits.turn_rate,
+            heard=tuple(sorted(self._heard)),
+        )
+
+    def _fence(self, incarnation: int) -> list[Effect]:
+        """Another process speaks under my name: the older incarnation leaves."""
+        if incarnation > self.incarnation:
+            return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self.name} is alive")]
+        return []
+
+    def _patience(self) -> float:
+        """How long an open round waits for missing gossips, s: less for peers that were missing already.
+
+        A share of what the world waits for a command, or the command of a round that has waited would always come too late.
+        """
+        run, share = self.config.run, self.config.timing.deadline
+        if run.clock == "realtime":
+            return share * run.dt / run.rate
+        return share * run.patience * (0.1 if self.neighbours.anyone_missed() else 1.0)
+
+    def _prior_count(self) -> int:
+        """Particles of the prior over the whole arena: enough for the mass, and for every owner of a cell."""
+        mass = self.config.filter.prior_density * self.config.arena.width * self.config.arena.height
+        filters = self.config.filter
+        return max(round(filters.particles_per_target * mass), filters.least_particles * len(self.config.members))

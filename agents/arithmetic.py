@@ -1,0 +1,99 @@
+"""The arithmetic of a round: the same functions in plain numpy or compiled, bit for bit the same, chosen when an agent is made."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from agents import cells, phd
+from agents.births import near_part
+from agents.cells import Cell, Claim
+from agents.extraction import estimate_targets
+from agents.particles import Particles, canonical, join, select, total
+from agents.step import Step
+from agents.words import Words
+from protocol import geometry
+from protocol.sensing import Pose, SensorModel
+from protocol.settings import ArenaSettings
+
+
+class Arithmetic(NamedTuple):
+    """One implementation of everything that a round computes per particle or per corner."""
+
+    cut: Callable[..., Cell]
+    distances: Callable[..., np.ndarray]
+    owned: Callable[..., np.ndarray]
+    predict: Callable[[Particles, Step], Particles]
+    gather: Callable[..., tuple[Particles, Particles]]
+    update: Callable[[Particles, Words, np.ndarray, Step], Particles]
+    take: Callable[[Particles, Claim, ArenaSettings], Particles]
+    resample: Callable[[Particles, str, Step], Particles]
+    estimate_targets: Callable[..., np.ndarray]
+    moments: Callable[[Particles], tuple[float, float, float]]
+    in_view: Callable[[Particles, SensorModel, Pose], tuple[float, float]]
+
+
+def predict(particles: Particles, step: Step) -> Particles:
+    """The particles one step on (`phd.predict`)."""
+    config = step.config
+    return phd.predict(particles, step.tick, config.run.seed, config.run.dt, config.filter, config.arena)
+
+
+def gather(
+    particles: Particles, births: Particles, polygon: np.ndarray, eye: tuple[float, float], reach: float, step: Step
+) -> tuple[Particles, Particles]:
+    """Particles one step on, in canonical order, each id once: those within the halo of a polygon, with the births that lie there
+    behind them; and of the others those within `reach` m of the point `eye`."""
+    moved, halo = predict(canonical(particles), step), step.config.filter.halo
+    close = geometry.distances(polygon, moved.states) <= halo
+    born = select(births, geometry.distances(polygon, births.states) <= halo)
+    dx, dy = moved.states[:, 0] - eye[0], moved.states[:, 1] - eye[1]
+    return join([select(moved, close), born]), select(moved, ~close & (dx * dx + dy * dy <= reach * reach))
+
+
+def update(particles: Particles, words: Words, polygon: np.ndarray, step: Step) -> Particles:
+    """The PHD around a cell after all scans that reach it, of which the detections within the halo of the cell matter (`phd.update`)."""
+    config, close = step.config, []
+    for scan in words.scans():
+        apart = geometry.distances(polygon, np.array([scan.pose]))[0]
+        if apart <= config.filter.halo + scan.sensor.reach:
+            close.append(near_part(scan, geometry.distances(polygon, scan.detections) <= config.filter.halo))
+    return phd.update(particles, close, step.tick, config.run.seed, config.detection.noise, config.filter, config.birth)
+
+
+def take(particles: Particles, claim: Claim, arena: ArenaSettings) -> Particles:
+    """The particles in a claimed cell, in canonical order."""
+    return canonical(select(particles, cells.owned(particles.states, claim, arena)))
+
+
+def resample(particles: Particles, owner: str, step: Step) -> Particles:
+    """Equally weighted particles of the same mass (`phd.resample`)."""
+    return phd.resample(particles, owner, step.tick, step.config.run.seed, step.config.filter)
+
+
+def moments(particles: Particles) -> tuple[float, float, float]:
+    """Mass (expected targets), and the mass-weighted sums of x and y in m (17)."""
+    weights, states = particles.weights, particles.states
+    return total(weights), total(weights * states[:, 0]), total(weights * states[:, 1])
+
+
+def in_view(particles: Particles, sensor: SensorModel, pose: Pose) -> tuple[float, float]:
+    """The integrals of v and of p_d v over the footprint (10), expected targets."""
+    probability = sensor.probability(particles.states[:, :2], pose)
+    seen = np.where(probability > 0.0, particles.weights, 0.0)
+    return total(seen), total(seen * probability)
+
+
+PLAIN = Arithmetic(
+    cut=cells.cut,
+    distances=geometry.distances,
+    owned=cells.owned,
+    predict=predict,
+    gather=gather,
+    update=update,
+    take=take,
+    resample=resample,
+    estimate_targets=estimate_targets,
+    moments=moments,
+    in_view=in_view,
+)

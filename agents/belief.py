@@ -1,0 +1,147 @@
+"""The replicated PHD: what one agent holds, and how it merges what the others say they own.
+
+The owner of a cell is the authority for what is in it; everybody else keeps copies and moves them with the same keyed noise. A
+belief is stamped with the tick of the round after which it holds. Nothing is ever handed over: a particle that crosses a border
+lands in exactly one cell, and the particles of a dead agent live on in the copies (docs/journey.md).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.arithmetic import Arithmetic
+from agents.cells import Claim, depths, in_arena, make_claim, power_distances
+from agents.config import AgentConfig
+from agents.particles import NONE, Particles, canonical, join, select
+from agents.step import Step
+from agents.words import Words
+from protocol.keys import order
+from protocol.messages import Gossip
+
+NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
+MOST_COPIES = 6000  # a backstop against growth without bound
+
+
+class Share(NamedTuple):
+    """What one agent owned after a round: its claim, its particles, and the hash of the diagram that its cell was cut from."""
+
+    owner: str
+    claim: Claim
+    particles: Particles
+    view: int
+
+
+def share_of(gossip: Gossip) -> Share:
+    """What a gossip says its sender owns."""
+    share: Share | None = gossip.memo.get("share")
+    if share is None:
+        names = gossip.claim_names
+        claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
+        particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids)
+        share = gossip.memo["share"] = Share(gossip.sender, claim, particles, gossip.view)
+    return share
+
+
+class Round(NamedTuple):
+    """What a round knew of the particles outside the own cell, as far as copies are made of it."""
+
+    step: Step
+    arithmetic: Arithmetic
+    told: Particles  # everything that counted, one tick before
+    polygon: np.ndarray  # the own cell
+    claim: Claim
+    horizon: float = math.inf  # m from the cell: copies farther away are given up
+
+
+@dataclass
+class Copies:
+    """What an agent holds of what others own, after a round.
+
+    `near` is what it corrected around its own cell. The rest is what it was told in that round, one step on: it is only computed
+    when somebody falls silent, because fresh claims replace it otherwise.
+    """
+
+    near: Particles
+    round: Round | None = None
+
+    def all(self) -> Particles:
+        """Every copy, at the stamp of the belief."""
+        if self.round is not None:
+            step, arithmetic, told, polygon, claim, horizon = self.round
+            arena, states = step.config.arena, self.near.states
+            others = select(self.near, ~arithmetic.owned(states, claim, arena) & in_arena(states, arena))
+            moved = arithmetic.predict(told, step)
+            away = arithmetic.distances(polygon, moved.states)
+            apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
+            self.near, self.round = _kept(join([others, select(moved, apart & within)])), None
+        return self.near
+
+
+def _kept(copies: Particles) -> Particles:
+    """The copies worth keeping: those with mass, and at most `MOST_COPIES`, the heaviest."""
+    copies = select(copies, copies.weights > 0.0)
+    if len(copies.weights) <= MOST_COPIES:
+        return copies
+    heaviest = np.argsort(-copies.weights, kind="stable")[:MOST_COPIES]
+    return select(copies, np.sort(heaviest))
+
+
+@dataclass
+class Belief:
+    """An agent's belief after the round `stamp`: what it owns, and its copies of everything else."""
+
+    stamp: int
+    mine: Share
+    copies: Copies
+    everyone: frozenset[str] = frozenset()  # whose generators made the diagram that `mine` was cut from
+
+    def merge(self, words: Words, tick: int, arithmetic: Arithmetic, config: AgentConfig) -> Particles:
+        """Everything at `stamp` that counts, given what all say in the round `tick`, myself included; an id may occur twice.
+
+        Copies count where no fresh claim lies. Where two claims overlap (the views differed), both count within `timing.overlap` m
+        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena.
+        """
+        # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
+        agreed = self.mine.view != 0 and words.claimed == (tick - 1, self.mine.view)
+        if agreed and self.everyone and self.everyone.issubset(words.names):
+            return words.particles
+        shares = [share_of(gossip) for gossip in words.gossips if gossip.claim_tick == tick - 1 and gossip.sender != self.mine.owner]
+        claims = [self.mine, *shares]
+        parts = [_uncontested(share, claims, config.timing.overlap) for share in claims]
+        copies = self.copies.all()
+        free = np.ones(len(copies.ids), dtype=bool)
+        for share in claims:
+            if share.claim.names:
+                free &= ~arithmetic.owned(copies.states, share.claim, config.arena)
+        return canonical(join([*parts, select(copies, free)]))
+
+    def awake(self, step: Step, arithmetic: Arithmetic) -> "Belief":
+        """This belief as a copy of the tick before `step.tick`, for an agent that missed rounds: nothing in it is claimed any more."""
+        if self.stamp >= step.tick - 1:
+            return self
+        particles = canonical(join([self.mine.particles, self.copies.all()]))
+        for missed in range(self.stamp + 1, step.tick):
+            particles = arithmetic.predict(particles, step._replace(tick=missed))
+        return Belief(step.tick - 1, Share(self.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
+
+
+def _uncontested(share: Share, claims: list[Share], overlap: float) -> Particles:
+    """The particles of a share but for those deep inside another's claim and nearer to its owner in power distance."""
+    states = share.particles.states
+    keep = np.ones(len(states), dtype=bool)
+    if not len(keep):
+        return share.particles
+    own = power_distances(states, share.claim.generators[:1])[:, 0]
+    for other in claims:
+        if other.owner == share.owner or other.view == share.view or not other.claim.names:
+            continue
+        theirs = power_distances(states, other.claim.generators[:1])[:, 0]
+        keep &= ~((theirs < own) & (depths(states, other.claim) > overlap))
+    return select(share.particles, keep)
+
+
+def start(prior: Particles, name: str) -> Belief:
+    """The belief before the first round: everybody holds the prior, nobody owns anything."""
+    return Belief(stamp=-1, mine=Share(name, NO_CLAIM, NONE, 0), copies=Copies(prior))

@@ -1,0 +1,114 @@
+"""Where new particles come from: the prior, the background, and the detections.
+
+Every birth is public: a pure function of keys that everybody knows, its id included, so that all who cover a place make the same
+particles there and the cell decides who owns them.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.config import BirthSettings, FilterSettings
+from agents.particles import NONE, WIRE, Particles, canonical, column_sums, squared_distances
+from protocol.sensing import Pose, SensorModel, WedgeSensor
+from protocol.settings import ArenaSettings
+from protocol.streams import key, normal, scramble, uniform
+
+DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
+
+
+class Scan(NamedTuple):
+    """What one sensor returned in a tick, or the part of it that matters here."""
+
+    salt: int  # the key of the sensor's name
+    sensor: SensorModel
+    pose: Pose
+    detections: np.ndarray  # (M, 2) float64, m
+    numbers: np.ndarray  # (M,) uint64: the place of each detection in the whole scan
+    clutter_density: float  # kappa, per m^2
+
+
+def sensor_row(sensor: WedgeSensor, pose: Pose) -> tuple[float, ...]:
+    """A posed wedge as the kernels want it: x, y, cos and sin of the heading, radius, cos of half the angle, p_d."""
+    return pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), sensor.radius, sensor.cos_half_angle, sensor.prob_detection
+
+
+def near_part(scan: Scan, close: np.ndarray) -> Scan:
+    """The scan with only those detections that a mask (M,) names."""
+    return scan if close.all() else scan._replace(detections=scan.detections[close], numbers=scan.numbers[close])
+
+
+def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings) -> Particles:
+    """The uniform PHD of density `prior_density` that everybody starts with, as `count` particles."""
+    mass = settings.prior_density * arena.width * arena.height
+    if count == 0 or mass == 0.0:
+        return NONE
+    ids = _numbered(key(seed, "prior"), count)
+    x = uniform(scramble(ids, 1)) * arena.width
+    y = uniform(scramble(ids, 2)) * arena.height
+    states = np.column_stack([x, y, _directions(scramble(ids, 3)) * settings.speed])
+    return canonical(Particles(states.astype(WIRE).astype(float), np.full(count, mass / count), ids))
+
+
+@lru_cache(maxsize=8)
+def background_births(seed: int, tick: int, dt: float, settings: FilterSettings, birth: BirthSettings, arena: ArenaSettings) -> Particles:
+    """New particles of `tick` over the whole arena, a pure function of (seed, tick).
+
+    Their mass is what flows in over the border when the density outside is `prior_density`: density x speed x perimeter / pi
+    per second. The share `border_share` starts on the border with headings inward (cosine law), the rest anywhere. Remembered,
+    because in virtual time every agent asks.
+    """
+    width, height = arena.width, arena.height
+    mass = settings.prior_density * settings.speed * 2.0 * (width + height) / math.pi * dt
+    count = birth.background_particles
+    if not birth.background or mass <= 0.0:
+        return NONE
+    ids = _numbered(key(seed, "background", tick), count)
+    on_border = np.arange(count) < round(birth.border_share * count)
+    along = uniform(scramble(ids, 1)) * (2.0 * (width + height))
+    sideways = 2.0 * uniform(scramble(ids, 2)) - 1.0  # the sine of a cosine-law heading is uniform
+    inward = np.sqrt(1.0 - sideways * sideways)
+    side = np.searchsorted([width, width + height, 2.0 * width + height], along, side="right")
+    rest = along - np.array([0.0, width, width + height, 2.0 * width + height])[side]
+    border = np.array([(1.0, 0.0, 0.0, 1.0), (0.0, 1.0, -1.0, 0.0), (-1.0, 0.0, 0.0, -1.0), (0.0, -1.0, 1.0, 0.0)])[side]  # tangent, inward
+    corner = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])[side]
+    anywhere = np.column_stack([along / (2.0 * (width + height)) * width, uniform(scramble(ids, 4)) * height])
+    places = np.where(on_border[:, None], corner + border[:, :2] * rest[:, None], anywhere)
+    headings = border[:, :2] * sideways[:, None] + border[:, 2:] * inward[:, None]
+    headings = np.where(on_border[:, None], headings, _directions(scramble(ids, 3)))
+    return Particles(np.column_stack([places, headings * settings.speed]), np.full(count, mass / count), ids)
+
+
+def _numbered(salt: int, count: int) -> np.ndarray:
+    return scramble(np.arange(count, dtype=np.uint64), salt)
+
+
+def _directions(bits: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 2) in one of 4096 directions."""
+    return DIRECTIONS[(bits >> np.uint64(52)).astype(np.int64)]
+
+
+def birth_density(particles: Particles, scan: Scan, birth: BirthSettings) -> np.ndarray:
+    """Density of unrepresented targets at each detection, per m^2: the local PHD density, clipped; (M,)."""
+    if not birth.measurement:
+        return np.zeros(len(scan.detections))
+    near = squared_distances(particles.states, scan.detections) <= birth.radius * birth.radius
+    masses = column_sums(np.where(near, particles.weights[:, None], 0.0))
+    local = masses / (math.pi * birth.radius * birth.radius)
+    return np.minimum(np.maximum(local, birth.least_share * scan.clutter_density), birth.most_density)
+
+
+def measurement_births(
+    scan: Scan, per_copy: np.ndarray, tick: int, seed: int, noise: float, settings: FilterSettings, birth: BirthSettings
+) -> Particles:
+    """New particles around every detection, a pure function of (seed, sensor, detection number, tick, copy) but for the weight."""
+    copies = birth.copies
+    numbers = np.repeat(scan.numbers * np.uint64(copies), copies) + np.tile(np.arange(copies, dtype=np.uint64), len(scan.numbers))
+    ids = scramble(numbers, key(seed, "birth", tick, scan.salt))
+    places = np.repeat(scan.detections, copies, axis=0)
+    x = places[:, 0] + normal(scramble(ids, 1)) * noise
+    y = places[:, 1] + normal(scramble(ids, 2)) * noise
+    velocities = _directions(scramble(ids, 3)) * settings.speed
+    return Particles(np.column_stack([x, y, velocities]), np.repeat(per_copy, copies), ids)

@@ -1,0 +1,74 @@
+"""How much a sensor could see, how much of that is taken, and where the middle of its sight is (paper, section III-A, III-B).
+
+For constant detection probability the literal unused capacity (11) is D - p_d whenever anything is in view: a mean of p_d, which
+has no unit, taken from an area. Other readings are chosen by `mode` (docs/paper.md).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.config import CapacitySettings
+from protocol.sensing import Pose, SensorModel, WedgeSensor
+
+_AT_REST: Pose = (0.0, 0.0, 0.0)
+_GRID = 1024  # quadrature points per axis over the square of side 2 reach
+
+
+class SensorFacts(NamedTuple):
+    """What does not change while a sensor moves: D in m^2 (6) and the COD in the sensor's own frame, m (14)."""
+
+    capability: float
+    cod_offset: tuple[float, float]
+
+
+def sensor_facts(sensor: SensorModel) -> SensorFacts:
+    """D and the COD of a sensor in its own frame: closed form for wedges, midpoint quadrature otherwise."""
+    if isinstance(sensor, WedgeSensor):
+        half = sensor.angle / 2.0
+        return SensorFacts(sensor.prob_detection * sensor.area, (2.0 * sensor.radius * math.sin(half) / (3.0 * half), 0.0))
+    step = 2.0 * sensor.reach / _GRID
+    ticks = (np.arange(_GRID) + 0.5) * step - sensor.reach
+    points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
+    probability = sensor.probability(points, _AT_REST)
+    total = float(probability.sum())
+    if not total > 0.0:
+        raise ValueError(f"{type(sensor).__name__}: the detection probability is 0 everywhere within its reach of {sensor.reach} m")
+    x, y = (probability @ points) / total
+    return SensorFacts(total * step * step, (float(x), float(y)))
+
+
+def detecting_capability(sensor: SensorModel) -> float:
+    """Total detecting capability D in m^2: the integral of p_d over the footprint (6), (8)."""
+    return sensor_facts(sensor).capability
+
+
+def place(offset: tuple[float, float], pose: Pose) -> tuple[float, float]:
+    """A point of the sensor's own frame in the world frame, m."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    return pose[0] + cos * offset[0] - sin * offset[1], pose[1] + sin * offset[0] + cos * offset[1]
+
+
+def centroid_of_detection(sensor: SensorModel, pose: Pose) -> np.ndarray:
+    """Centroid of detection (2,) in m: the p_d-weighted centroid of the footprint (14)."""
+    return np.array(place(sensor_facts(sensor).cod_offset, pose))
+
+
+def unused_capacity(capability: float, detected: float, load: float, settings: CapacitySettings = CapacitySettings()) -> float:
+    """Unused sensing capacity U in m^2 (11), between 0 and D.
+
+    `capability` is D; `detected` the integral of p_d v and `load` the integral of v over the footprint, expected targets.
+    """
+    if settings.mode == "static":
+        return capability
+    if settings.mode == "expected":
+        return max(0.0, capability - detected)
+    if settings.mode == "saturating":
+        return capability * max(0.0, 1.0 - load / settings.limit)
+    return max(0.0, capability - (detected / load if load > 0.0 else 0.0))
+
+
+def power_radius(unused: float) -> float:
+    """Power radius g(U) in m: that of a perfect disc with the same unused capacity (13)."""
+    return math.sqrt(unused / math.pi)

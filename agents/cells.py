@@ -1,0 +1,153 @@
+"""Power cells: the generators are (points (N, 2) m, radii (N,) m); generator k owns x when |x - p_k|^2 - r_k^2 is least (15).
+
+Ties go to the lower index, so coincident equal generators give the cell to the first and nothing to the others. Empty cells are
+normal, and a cell need not hold its own generator. A *claim* states a cell by its generators, the owner's own first, so that a
+receiver decides about a particle with the very arithmetic of the owner.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.geometry import EMPTY
+from protocol.settings import ArenaSettings
+
+TOUCH = 1.0e-6  # m: a generator this close to bounding a cell belongs to its claim
+
+
+class Cell(NamedTuple):
+    """A power cell and the indices of the generators that bound it, its own first; empty: no polygon and no bounds."""
+
+    polygon: np.ndarray  # (V, 2), counter-clockwise
+    bounds: tuple[int, ...]
+
+
+NO_CELL = Cell(EMPTY, ())
+
+
+def power_cell(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> np.ndarray:
+    """The power cell (15) of generator `index` inside the convex arena: (V, 2) counter-clockwise, (0, 2) when empty."""
+    return cut(index, points, radii, arena).polygon
+
+
+def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> Cell:
+    """The power cell (15) of generator `index`, with what bounds it.
+
+    Half-plane clipping, nearest bisector first: the bisector towards generator j lies t_j = (d^2 + r_i^2 - r_j^2) / (2 d) ahead
+    of point i, and once t_j exceeds the distance of the farthest corner no later generator can cut.
+    """
+    origin_x, origin_y = float(points[index, 0]), float(points[index, 1])
+    order, ahead, normals = _bisectors(index, points, radii)
+    corners = [(float(x) - origin_x, float(y) - origin_y) for x, y in arena]
+    farthest = _farthest(corners)
+    tried = 0
+    for rank in range(len(order)):
+        limit = ahead[rank]
+        if limit > farthest + TOUCH:
+            break
+        tried = rank + 1
+        clipped = _clip(corners, normals[rank][0], normals[rank][1], limit)
+        if clipped is not corners:
+            corners = clipped
+            if len(corners) < 3:
+                return NO_CELL
+            farthest = _farthest(corners)
+    if _area(corners) <= 1.0e-12:
+        return NO_CELL
+    bounds = [index]
+    for rank in range(tried):
+        nx, ny = normals[rank]
+        if any(x * nx + y * ny > ahead[rank] - TOUCH for x, y in corners):
+            bounds.append(order[rank])
+    return Cell(np.array(corners) + points[index], tuple(bounds))
+
+
+def _bisectors(index: int, points: np.ndarray, radii: np.ndarray) -> tuple[list[int], list[float], list[list[float]]]:
+    """The other generators by their bisector's distance ahead of `index`: indices, distances, unit normals towards them."""
+    offsets = points - points[index]
+    squared = offsets[:, 0] * offsets[:, 0] + offsets[:, 1] * offsets[:, 1]
+    spans = np.sqrt(squared)
+    excess = squared + radii[index] * radii[index] - radii * radii
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead = excess / (2.0 * spans)
+        normals = offsets / spans[:, None]
+    coincident = spans == 0.0
+    if coincident.any():
+        wins = (radii < radii[index]) | ((radii == radii[index]) & (np.arange(len(radii)) > index))
+        ahead[coincident] = np.where(wins[coincident], math.inf, -math.inf)
+        normals[coincident] = (1.0, 0.0)
+    ahead[index] = math.inf
+    order = np.argsort(ahead, kind="stable")
+    return order.tolist(), ahead[order].tolist(), normals[order].tolist()
+
+
+def _farthest(corners: list[tuple[float, float]]) -> float:
+    return math.sqrt(max(x * x + y * y for x, y in corners))
+
+
+def _clip(corners: list[tuple[float, float]], nx: float, ny: float, limit: float) -> list[tuple[float, float]]:
+    """The part of a convex polygon with n . x <= limit; the same object when nothing is cut off."""
+    heights = [x * nx + y * ny - limit for x, y in corners]
+    if max(heights) <= 0.0:
+        return corners
+    kept = []
+    for here, (x, y) in enumerate(corners):
+        before, after = heights[here - 1], heights[here]
+        if (before < 0.0 < after) or (after < 0.0 < before):
+            px, py = corners[here - 1]
+            share = before / (before - after)
+            kept.append((px + share * (x - px), py + share * (y - py)))
+        if after <= 0.0:
+            kept.append((x, y))
+    return kept
+
+
+def _area(corners: list[tuple[float, float]]) -> float:
+    return 0.5 * sum(corners[i - 1][0] * corners[i][1] - corners[i][0] * corners[i - 1][1] for i in range(len(corners)))
+
+
+class Claim(NamedTuple):
+    """A cell as its owner states it: generators (G, 3) of COD x, y and power radius, the owner's first."""
+
+    names: tuple[str, ...]
+    generators: np.ndarray
+    first: np.ndarray  # (G,) bool: this generator comes before the owner in the order of names, and wins ties
+
+
+def make_claim(names: tuple[str, ...], generators: np.ndarray, order: tuple[tuple[int, str], ...]) -> Claim:
+    """The claim of the owner `names[0]`; `order` holds the sort key of each name."""
+    return Claim(names, generators, np.array([other < order[0] for other in order], dtype=bool))
+
+
+def power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
+    """|x - p|^2 - r^2 in m^2 of points (N, 2) to generators (G, 3): (N, G)."""
+    dx = points[:, 0, None] - generators[None, :, 0]
+    dy = points[:, 1, None] - generators[None, :, 1]
+    return dx * dx + dy * dy - generators[None, :, 2] * generators[None, :, 2]
+
+
+def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
+    """Which points (N, 2 or more columns) lie in the arena and in the claimed cell: (N,) bool."""
+    if not claim.names:
+        return np.zeros(len(points), dtype=bool)
+    distances = power_distances(points, claim.generators)
+    mine = distances[:, :1]
+    inside: np.ndarray = np.all(np.where(claim.first[None, :], mine < distances, mine <= distances), axis=1)
+    return inside & in_arena(points, arena)
+
+
+def in_arena(points: np.ndarray, arena: ArenaSettings) -> np.ndarray:
+    """Which points lie in the arena, its border included: (N,) bool."""
+    x, y = points[:, 0], points[:, 1]
+    return (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
+
+
+def depths(points: np.ndarray, claim: Claim) -> np.ndarray:
+    """How deep in m each point (N, 2) lies inside a claimed cell: distance to its nearest bisector, negative outside; (N,)."""
+    if len(claim.names) < 2:
+        return np.full(len(points), math.inf)
+    distances = power_distances(points, claim.generators)
+    offsets = claim.generators[1:, :2] - claim.generators[0, :2]
+    spans = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
+    return ((distances[:, 1:] - distances[:, :1]) / (2.0 * np.maximum(spans, 1e-9))).min(axis=1)

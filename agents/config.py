@@ -1,0 +1,91 @@
+"""What an agent reads from a scenario: the common sections and those of its filter, births, capacity, partition and control.
+
+Defaults are the readings of what the paper leaves open; docs/paper.md gives the reason for each.
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from protocol.settings import Common, NotNegative, Positive, Section, Share
+
+Particles = Annotated[int, msgspec.Meta(ge=1, le=8000)]
+
+
+class FilterSettings(Section, frozen=True, kw_only=True):
+    """[filter] the particle PHD filter of every agent."""
+
+    speed: Positive = 2.0  # of every particle, m/s
+    heading_noise: NotNegative = 0.3  # rad/sqrt(s)
+    position_noise: NotNegative = 0.1  # per axis and step, m
+    lifetime: NotNegative = 1000.0  # mean survival time, s; 0 = for ever
+    border: Literal["cross", "reflect"] = "cross"  # what a particle does at the border of the arena
+    prior_density: NotNegative = 0.001  # expected targets per m^2 at the start and in equilibrium
+    particles_per_target: Particles = 75
+    least_particles: Particles = 30  # per owner
+    most_particles: Particles = 2000  # per owner
+    gate: Positive = 6.0  # the likelihood is cut at this many standard deviations
+    halo: Positive = 6.0  # what is updated around the own cell, m
+
+
+class BirthSettings(Section, frozen=True, kw_only=True):
+    """[birth] where new targets may come from."""
+
+    border_share: Share = 0.9  # of the background births lie on the border, the rest anywhere
+    background_particles: Particles = 12  # per tick over the whole arena
+    background: bool = True
+    measurement: bool = True
+    copies: Particles = 10  # particles per measurement birth
+    radius: Positive = 4.0  # the local density is read within this distance, m
+    least_share: NotNegative = 0.25  # the density is at least this share of the clutter density
+    most_density: NotNegative = 0.001  # and at most this, per m^2
+
+
+class CapacitySettings(Section, frozen=True, kw_only=True):
+    """[capacity] how the unused sensing capacity U is read (11)."""
+
+    mode: Literal["literal", "expected", "static", "saturating"] = "literal"
+    limit: Positive = 8.0  # saturating: the load at which nothing is left, expected targets
+
+
+class PartitionSettings(Section, frozen=True, kw_only=True):
+    """[partition] which diagram the cells come from."""
+
+    kind: Literal["power", "voronoi", "voronoi-cod"] = "power"
+
+
+class ControlSettings(Section, frozen=True, kw_only=True):
+    """[control] how the body is driven (18)."""
+
+    mode: str = "lloyd"  # lloyd, static, random, uniform-density, pursuit, or module:Class
+    heading: Literal["centroid", "literal"] = "centroid"  # face the centroid from the sensor, or as printed from the COD
+
+
+class ExtractionSettings(Section, frozen=True, kw_only=True):
+    """[extraction] how targets are read off the PHD."""
+
+    bin: Positive = 1.0  # m
+    threshold: Positive = 0.5  # mass of a 5 x 5 peak, expected targets
+
+
+class TimingSettings(Section, frozen=True, kw_only=True):
+    """[timing] of rounds and of membership."""
+
+    deadline: Share = 0.5  # a round closes at this share of the period at the latest, realtime only
+    silent_rounds: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4  # a silent peer stays a generator this long
+    listening_rounds: Annotated[int, msgspec.Meta(ge=0, le=100)] = 2  # at most, for a new incarnation
+    overlap: NotNegative = 0.0  # both claims count this close to a contested border, m (docs/decisions/0003)
+    estimate_every: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1  # rounds between two estimates
+    interest: Literal["all", "neighbours"] = "all"  # whose gossip an agent hears; with neighbours beacons say who is one
+
+
+class AgentConfig(Common, frozen=True, kw_only=True):
+    """Everything an agent process needs."""
+
+    filter: FilterSettings = FilterSettings()
+    birth: BirthSettings = BirthSettings()
+    capacity: CapacitySettings = CapacitySettings()
+    partition: PartitionSettings = PartitionSettings()
+    control: ControlSettings = ControlSettings()
+    extraction: ExtractionSettings = ExtractionSettings()
+    timing: TimingSettings = TimingSettings()

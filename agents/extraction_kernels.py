@@ -1,0 +1,88 @@
+"""Compiled target extraction: the loops of `extraction` for numba, bit for bit; rules as in `kernels`."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def _block(masses: np.ndarray, row: int, column: int) -> float:
+    total = 0.0
+    for c in range(column - 2, column + 3):
+        line = 0.0
+        for r in range(row - 2, row + 3):
+            line += masses[r, c]
+        total += line
+    return total
+
+
+@njit(cache=True)
+def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
+    total = 0.0
+    for r in range(row - half, row + half + 1):
+        for c in range(column - half, column + half + 1):
+            total += grid[r, c]
+    return total
+
+
+@njit(cache=True)
+def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, threshold: float) -> np.ndarray:
+    """Twin of `phd.estimate_targets`."""
+    left = low = np.int64(1 << 60)
+    right = high = -left
+    for n in range(len(weights)):
+        column, row = np.int64(math.floor(states[n, 0] / size)), np.int64(math.floor(states[n, 1] / size))
+        left, right, low, high = min(left, column), max(right, column), min(low, row), max(high, row)
+    left, low = left - 4, low - 4
+    height, width = high - low + 5, right - left + 5
+    masses, east, north = np.zeros((height, width)), np.zeros((height, width)), np.zeros((height, width))
+    for n in range(len(weights)):
+        column = np.int64(math.floor(states[n, 0] / size)) - left
+        row = np.int64(math.floor(states[n, 1] / size)) - low
+        masses[row, column] += weights[n]
+        east[row, column] += weights[n] * states[n, 0]
+        north[row, column] += weights[n] * states[n, 1]
+    lines = np.zeros((height, width))
+    for r in range(2, height - 2):
+        for c in range(width):
+            for shift in range(-2, 3):
+                lines[r, c] += masses[r + shift, c]
+    blocks = np.zeros((height, width))
+    for r in range(2, height - 2):
+        for c in range(2, width - 2):
+            total = 0.0
+            for shift in range(-2, 3):
+                total += lines[r, c + shift]
+            blocks[r, c] = total
+    found = np.empty((len(weights) + 1, 2))
+    number = 0
+    while number < len(found):
+        flat = np.argmax(blocks)
+        row, column = flat // width, flat % width
+        if blocks[row, column] < threshold:
+            break
+        best, core_row, core_column = -1.0, row, column
+        for r in range(row - 1, row + 2):
+            for c in range(column - 1, column + 2):
+                mass = _window(masses, r, c, 1)
+                if mass > best:
+                    best, core_row, core_column = mass, r, c
+        mass = _window(masses, core_row, core_column, 1)
+        found[number, 0] = _window(east, core_row, core_column, 1) / mass
+        found[number, 1] = _window(north, core_row, core_column, 1) / mass
+        number += 1
+        unit = 1.0
+        for stage in range(2):
+            r0, c0, half = (core_row, core_column, 1) if stage == 0 else (row, column, 2)
+            mass = _window(masses, r0, c0, half)
+            if mass > 0.0:
+                keep = max(0.0, 1.0 - unit / mass)
+                masses[r0 - half : r0 + half + 1, c0 - half : c0 + half + 1] *= keep
+                east[r0 - half : r0 + half + 1, c0 - half : c0 + half + 1] *= keep
+                north[r0 - half : r0 + half + 1, c0 - half : c0 + half + 1] *= keep
+                unit -= min(unit, mass)
+        for r in range(max(row - 4, 2), min(row + 5, height - 2)):
+            for c in range(max(column - 4, 2), min(column + 5, width - 2)):
+                blocks[r, c] = _block(masses, r, c)
+    return found[:number]

@@ -1,0 +1,148 @@
+"""The compiled arithmetic: the loops of the kernels behind the signatures of the plain functions.
+
+Importing this file imports numba. Sensors other than wedges are corrected by the plain functions.
+"""
+
+import math
+
+import numpy as np
+
+from agents import cell_kernels, extraction_kernels, kernels, phd, update_kernels
+from agents.arithmetic import Arithmetic
+from agents.arithmetic import in_view as plain_in_view
+from agents.arithmetic import update as plain_update
+from agents.births import DIRECTIONS, sensor_row
+from agents.cells import NO_CELL, TOUCH, Cell, Claim
+from agents.config import ExtractionSettings
+from agents.particles import NONE, Particles
+from agents.step import Step
+from agents.words import Words
+from protocol.sensing import Pose, SensorModel, WedgeSensor
+from protocol.settings import ArenaSettings
+from protocol.streams import key
+
+
+def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> Cell:
+    """See `cells.cut`."""
+    corners, bounds = cell_kernels.cut(index, points, radii, arena, TOUCH)
+    return Cell(corners + points[index], tuple(bounds.tolist())) if len(bounds) else NO_CELL
+
+
+def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """See `geometry.distances`."""
+    return cell_kernels.distances(polygon, points)  # type: ignore[no-any-return]
+
+
+def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
+    """See `cells.owned`."""
+    return cell_kernels.owned(points, claim.generators, claim.first, arena.width, arena.height)  # type: ignore[no-any-return]
+
+
+Motion = tuple[np.uint64, np.uint64, np.uint64, float, float, float, float, float, bool, float, float]
+
+
+def motion(step: Step) -> Motion:
+    """A step of prediction as the kernels want it: three keys, dt, half the turn per deviation, speed, noise, survival, border, arena."""
+    config, tick = step.config, step.tick
+    run, settings, arena = config.run, config.filter, config.arena
+    return (
+        np.uint64(key(run.seed, "turn", tick)),
+        np.uint64(key(run.seed, "east", tick)),
+        np.uint64(key(run.seed, "north", tick)),
+        run.dt,
+        0.5 * settings.heading_noise * math.sqrt(run.dt),
+        settings.speed,
+        settings.position_noise,
+        phd.survival_probability(run.dt, settings),
+        settings.border == "reflect",
+        arena.width,
+        arena.height,
+    )
+
+
+def predict(particles: Particles, step: Step) -> Particles:
+    """See `arithmetic.predict`."""
+    states, weights = kernels.predict(*particles, motion(step))
+    return Particles(states, weights, particles.ids)
+
+
+def gather(
+    particles: Particles, births: Particles, polygon: np.ndarray, eye: tuple[float, float], reach: float, step: Step
+) -> tuple[Particles, Particles]:
+    """See `arithmetic.gather`."""
+    halo = step.config.filter.halo
+    found = kernels.gather(*particles, *births, polygon, halo, eye, reach, step.reach, motion(step))
+    return Particles(*found[:3]), Particles(*found[3:])
+
+
+def update(particles: Particles, words: Words, polygon: np.ndarray, step: Step) -> Particles:
+    """See `arithmetic.update`."""
+    if not words.all_wedges:
+        return plain_update(particles, words, polygon, step)
+    config, birth, noise = step.config, step.config.birth, step.config.detection.noise
+    births_key = np.uint64(key(config.run.seed, "birth", step.tick))
+    shape = (birth.measurement, birth.copies, birth.radius, birth.least_share, birth.most_density)
+    return Particles(
+        *update_kernels.update(
+            *particles,
+            words.table,
+            words.salts,
+            words.detections,
+            polygon,
+            config.filter.halo,
+            noise,
+            (config.filter.gate * noise) ** 2,
+            (*shape, config.filter.speed, births_key, DIRECTIONS),
+        )
+    )
+
+
+def take(particles: Particles, claim: Claim, arena: ArenaSettings) -> Particles:
+    """See `arithmetic.take`."""
+    return Particles(*kernels.take(*particles, claim.generators, claim.first, arena.width, arena.height))
+
+
+def resample(particles: Particles, owner: str, step: Step) -> Particles:
+    """See `arithmetic.resample`."""
+    mass = kernels.first_moments(particles.states, particles.weights)[0]
+    if mass <= 0.0:
+        return NONE
+    seed = step.config.run.seed
+    count = phd.sample_size(mass, step.config.filter)
+    offset = phd.sample_offset(seed, owner, step.tick)
+    states, ids = kernels.resample(*particles, mass, count, offset, np.uint64(key(seed, "split", step.tick)))  # type: ignore[arg-type]
+    return Particles(states, np.full(len(ids), mass / count), ids)
+
+
+def estimate_targets(particles: Particles, settings: ExtractionSettings = ExtractionSettings()) -> np.ndarray:
+    """See `extraction.estimate_targets`."""
+    if not len(particles.weights):
+        return np.empty((0, 2))
+    return extraction_kernels.estimate_targets(particles.states, particles.weights, settings.bin, settings.threshold)  # type: ignore[no-any-return]
+
+
+def moments(particles: Particles) -> tuple[float, float, float]:
+    """See `arithmetic.moments`."""
+    return kernels.first_moments(particles.states, particles.weights)  # type: ignore[no-any-return]
+
+
+def in_view(particles: Particles, sensor: SensorModel, pose: Pose) -> tuple[float, float]:
+    """See `arithmetic.in_view`."""
+    if not isinstance(sensor, WedgeSensor):
+        return plain_in_view(particles, sensor, pose)
+    return kernels.in_view(particles.states, particles.weights, np.array(sensor_row(sensor, pose)))  # type: ignore[no-any-return]
+
+
+FAST = Arithmetic(
+    cut=cut,
+    distances=distances,
+    owned=owned,
+    predict=predict,
+    gather=gather,
+    update=update,
+    take=take,
+    resample=resample,
+    estimate_targets=estimate_targets,
+    moments=moments,
+    in_view=in_view,
+)

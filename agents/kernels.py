@@ -1,0 +1,236 @@
+"""Compiled particle kernels: prediction, selection and resampling for numba, each the bit-for-bit twin of a numpy function.
+
+The numpy functions are the reference and the oracle of the tests; `fast` wraps these loops in their signatures. No fast-math: the
+order and the rounding of every operation are those of the reference. Compiled code is cached on disk beside this file.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from agents.cell_kernels import distance, owned
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
+_LOW = np.uint64(0xFFFF)
+_NORMAL_SCALE = 3.0**0.5 / 65536.0
+
+
+@njit
+def scramble(word: int, salt: int) -> int:
+    """Twin of `streams.scramble`."""
+    word = (word ^ salt) + _GOLDEN
+    word = (word ^ (word >> _S30)) * _MIX1
+    word = (word ^ (word >> _S27)) * _MIX2
+    return word ^ (word >> _S31)
+
+
+@njit
+def normal(bits: int) -> float:
+    """Twin of `streams.normal`."""
+    total = (bits & _LOW) + ((bits >> _S16) & _LOW) + ((bits >> _S32) & _LOW) + (bits >> _S48)
+    return (np.float64(total) - 131070.0) * _NORMAL_SCALE
+
+
+@njit
+def _moved(x: float, y: float, vx: float, vy: float, name: int, motion: tuple) -> tuple[float, float, float, float, bool]:
+    """One particle a step on, and whether it is still in the arena; `motion` is `fast.motion`."""
+    turn_salt, east_salt, north_salt, dt, half_turn, speed, position_noise, _, reflect, width, height = motion
+    turn = normal(scramble(name, turn_salt)) * half_turn
+    scale = speed / max(math.sqrt(vx * vx + vy * vy), 1e-12)
+    cos, sin = (1.0 - turn * turn) / (1.0 + turn * turn), 2.0 * turn / (1.0 + turn * turn)
+    vx, vy = (cos * vx - sin * vy) * scale, (sin * vx + cos * vy) * scale
+    x = x + vx * dt + normal(scramble(name, east_salt)) * position_noise
+    y = y + vy * dt + normal(scramble(name, north_salt)) * position_noise
+    if reflect:
+        if x < 0.0:
+            x, vx = -x, -vx
+        elif x > width:
+            x, vx = 2.0 * width - x, -vx
+        if y < 0.0:
+            y, vy = -y, -vy
+        elif y > height:
+            y, vy = 2.0 * height - y, -vy
+    return x, y, vx, vy, 0.0 <= x <= width and 0.0 <= y <= height
+
+
+@njit(cache=True)
+def predict(states: np.ndarray, weights: np.ndarray, ids: np.ndarray, motion: tuple) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `phd.predict`: new states (N, 4) and weights (N,)."""
+    moved, kept = np.empty_like(states), np.empty_like(weights)
+    for n in range(len(weights)):
+        x, y, vx, vy, inside = _moved(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
+        moved[n, 0], moved[n, 1], moved[n, 2], moved[n, 3] = x, y, vx, vy
+        kept[n] = weights[n] * motion[7] if inside else 0.0
+    return moved, kept
+
+
+@njit(cache=True)
+def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """The indices `order` in ascending order of id, stable: a natural merge sort, because ids come in ascending runs."""
+    count = len(order)
+    source, target, starts = order, np.empty_like(order), np.empty(count + 1, np.int64)
+    while True:
+        runs = 0
+        for n in range(count):
+            if n == 0 or ids[source[n]] < ids[source[n - 1]]:
+                starts[runs] = n
+                runs += 1
+        if runs <= 1:
+            return source
+        starts[runs] = count
+        for run in range(0, runs, 2):
+            low, middle = starts[run], starts[min(run + 1, runs)]
+            high = starts[min(run + 2, runs)]
+            left, right = low, middle
+            for n in range(low, high):
+                if left < middle and (right >= high or ids[source[left]] <= ids[source[right]]):
+                    target[n] = source[left]
+                    left += 1
+                else:
+                    target[n] = source[right]
+                    right += 1
+        source, target = target, source
+
+
+@njit(cache=True)
+def gather(
+    states: np.ndarray,
+    weights: np.ndarray,
+    ids: np.ndarray,
+    born_states: np.ndarray,
+    born_weights: np.ndarray,
+    born_ids: np.ndarray,
+    polygon: np.ndarray,
+    halo: float,
+    eye: tuple[float, float],
+    reach: float,
+    step: float,
+    motion: tuple,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Twin of `arithmetic.gather`; `step` is the farthest that a particle can move. What cannot come near is not even predicted."""
+    west = south = np.inf
+    east = north = -np.inf
+    for c in range(len(polygon)):
+        west, east = min(west, polygon[c, 0] - halo), max(east, polygon[c, 0] + halo)
+        south, north = min(south, polygon[c, 1] - halo), max(north, polygon[c, 1] + halo)
+    chosen, count = np.empty(len(ids), np.int64), 0
+    far2 = (reach + step) ** 2
+    for n in range(len(ids)):
+        x, y = states[n, 0], states[n, 1]
+        dx, dy = x - eye[0], y - eye[1]
+        if (west - step <= x <= east + step and south - step <= y <= north + step) or dx * dx + dy * dy <= far2:
+            chosen[count] = n
+            count += 1
+    room = count + len(born_ids)
+    near_states, near_weights, near_ids = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64)
+    far_states, far_weights, far_ids = np.empty((count, 4)), np.empty(count), np.empty(count, np.uint64)
+    near = far = 0
+    order = sort_by_id(ids, chosen[:count])
+    for rank in range(count):
+        n = order[rank]
+        if rank > 0 and ids[n] == ids[order[rank - 1]]:
+            continue
+        x, y, vx, vy, inside = _moved(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
+        weight = weights[n] * motion[7] if inside else 0.0
+        dx, dy = x - eye[0], y - eye[1]
+        if west <= x <= east and south <= y <= north and distance(polygon, x, y) <= halo:
+            near_states[near, 0], near_states[near, 1], near_states[near, 2], near_states[near, 3] = x, y, vx, vy
+            near_weights[near], near_ids[near] = weight, ids[n]
+            near += 1
+        elif dx * dx + dy * dy <= reach * reach:
+            far_states[far, 0], far_states[far, 1], far_states[far, 2], far_states[far, 3] = x, y, vx, vy
+            far_weights[far], far_ids[far] = weight, ids[n]
+            far += 1
+    for n in range(len(born_ids)):
+        x, y = born_states[n, 0], born_states[n, 1]
+        if west <= x <= east and south <= y <= north and distance(polygon, x, y) <= halo:
+            near_states[near], near_weights[near], near_ids[near] = born_states[n], born_weights[n], born_ids[n]
+            near += 1
+    return near_states[:near], near_weights[:near], near_ids[:near], far_states[:far], far_weights[:far], far_ids[:far]
+
+
+@njit
+def wedge(x: float, y: float, sensor: np.ndarray) -> float:
+    """p_d at a point; `sensor` is a row of `words.Words`, or its first seven columns."""
+    dx, dy = x - sensor[0], y - sensor[1]
+    range2 = dx * dx + dy * dy
+    if range2 <= sensor[4] * sensor[4] and dx * sensor[2] + dy * sensor[3] >= sensor[5] * math.sqrt(range2):
+        return sensor[6]
+    return 0.0
+
+
+@njit(cache=True)
+def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tuple[float, float]:
+    """Twin of the sums in `round`: mass in the footprint of a wedge, and that mass times p_d."""
+    load = detected = 0.0
+    for n in range(len(weights)):
+        probability = wedge(states[n, 0], states[n, 1], sensor)
+        if probability > 0.0:
+            load += weights[n]
+            detected += weights[n] * probability
+    return load, detected
+
+
+@njit(cache=True)
+def resample(
+    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, mass: float, count: int, offset: float, salt: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of the systematic draw of `phd.resample`: states (count, 4) float32-rounded and ids, ascending."""
+    chosen, names, parents = np.empty((count, 4)), np.empty(count, np.uint64), np.empty(count, np.int64)
+    step = mass / count
+    parent, reached, copy, last = 0, weights[0], 0, -1
+    for n in range(count):
+        mark = (n + offset) * step
+        while reached <= mark and parent < len(weights) - 1:
+            parent += 1
+            reached += weights[parent]
+        copy = copy + 1 if parent == last else 0
+        last = parent
+        names[n] = ids[parent] if copy == 0 else scramble(ids[parent] + np.uint64(copy), salt)
+        parents[n] = parent
+    order = sort_by_id(names, np.arange(count))
+    sorted_names, unique = np.empty(count, np.uint64), 0
+    for rank in range(count):
+        n = order[rank]
+        if rank > 0 and names[n] == names[order[rank - 1]]:
+            continue
+        sorted_names[unique] = names[n]
+        for axis in range(4):
+            chosen[unique, axis] = np.float64(np.float32(states[parents[n], axis]))
+        unique += 1
+    return chosen[:unique], sorted_names[:unique]
+
+
+@njit(cache=True)
+def take(
+    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Twin of `arithmetic.take`."""
+    chosen, count = np.empty(len(ids), np.int64), 0
+    inside = owned(states, generators, first, width, height)
+    for n in range(len(ids)):
+        if inside[n]:
+            chosen[count] = n
+            count += 1
+    order = sort_by_id(ids, chosen[:count])
+    own_states, own_weights, own_ids, own = np.empty((count, 4)), np.empty(count), np.empty(count, np.uint64), 0
+    for rank in range(count):
+        n = order[rank]
+        if rank == 0 or ids[n] != ids[order[rank - 1]]:
+            own_states[own], own_weights[own], own_ids[own] = states[n], weights[n], ids[n]
+            own += 1
+    return own_states[:own], own_weights[:own], own_ids[:own]
+
+
+@njit(cache=True)
+def first_moments(states: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
+    """Twin of the sums of `round`: mass, and mass-weighted x and y, one after the other."""
+    mass = east = north = 0.0
+    for n in range(len(weights)):
+        mass += weights[n]
+        east += weights[n] * states[n, 0]
+        north += weights[n] * states[n, 1]
+    return mass, east, north

@@ -1,0 +1,63 @@
+"""Weighted particles, and the operations that keep their order.
+
+Particles carry 64-bit ids; the canonical order is by id. Sums run one after the other in the order of the particles, so that a
+particle that contributes zero changes no bit.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Particles(NamedTuple):
+    """states (N, 4): x, y in m and vx, vy in m/s; weights (N,): expected targets; ids (N,) uint64."""
+
+    states: np.ndarray
+    weights: np.ndarray
+    ids: np.ndarray
+
+
+NONE = Particles(np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.uint64))
+WIRE = np.float32  # the precision of states on the wire
+
+
+def join(parts: list[Particles]) -> Particles:
+    """All particles of several sets, in order."""
+    if not parts:
+        return NONE
+    return Particles(
+        np.concatenate([part.states for part in parts]),
+        np.concatenate([part.weights for part in parts]),
+        np.concatenate([part.ids for part in parts]),
+    )
+
+
+def select(particles: Particles, chosen: np.ndarray) -> Particles:
+    """The particles that a mask or an index array names."""
+    return Particles(particles.states[chosen], particles.weights[chosen], particles.ids[chosen])
+
+
+def canonical(particles: Particles) -> Particles:
+    """The same particles in ascending order of id, the first of equal ids only."""
+    order = np.argsort(particles.ids, kind="stable")
+    ids = particles.ids[order]
+    if len(ids) > 1:
+        order = order[np.concatenate([[True], ids[1:] != ids[:-1]])]
+    return select(particles, order)
+
+
+def total(values: np.ndarray) -> float:
+    """The sum of an array (N,), one after the other."""
+    return float(np.add.accumulate(values)[-1]) if len(values) else 0.0
+
+
+def squared_distances(states: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(N, M) m^2."""
+    dx = states[:, 0, None] - points[None, :, 0]
+    dy = states[:, 1, None] - points[None, :, 1]
+    return dx * dx + dy * dy
+
+
+def column_sums(values: np.ndarray) -> np.ndarray:
+    """Sums of the columns of (N, M), one row after the other: (M,)."""
+    return np.add.accumulate(values, axis=0)[-1] if len(values) else np.zeros(values.shape[1])

@@ -1,0 +1,225 @@
+"""One closed round: from what was heard of a tick to the belief, the cell and the command that follow.
+
+`play` is a pure function of the outcome of the last round and of the gossips of this one, the agent's own included.
+"""
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.arithmetic import Arithmetic
+from agents.belief import NO_CLAIM, Belief, Copies, Round, Share
+from agents.births import background_births
+from agents.capacity import SensorFacts, power_radius, unused_capacity
+from agents.cells import NO_CELL, Cell, Claim, make_claim
+from agents.config import AgentConfig
+from agents.control import STAND, Command, ControlLaw, Situation
+from agents.interest import wanted
+from agents.neighbours import Far, Neighbours
+from agents.particles import Particles
+from agents.step import Step
+from agents.words import Words, side_by_side
+from protocol.geometry import EMPTY, polygon_centroid
+from protocol.keys import order
+from protocol.messages import Beacon, Gossip
+from protocol.sensing import Pose, SensorModel
+
+HORIZON = 40.0  # m around the own cell: who hears but a part keeps no older copies of what lies farther away
+NO_TARGETS = np.empty((0, 2))
+
+
+class Self(NamedTuple):
+    """What does not change about an agent."""
+
+    name: str
+    sensor: SensorModel
+    facts: SensorFacts
+    law: ControlLaw
+    arithmetic: Arithmetic
+    config: AgentConfig
+    arena: np.ndarray  # its corners
+
+
+@dataclass
+class Outcome:
+    """What a round leaves behind."""
+
+    belief: Belief
+    unused: float  # U, m^2
+    load: float = 0.0  # expected targets in the footprint
+    mass: float = 0.0  # expected targets in the cell
+    cell: np.ndarray = field(default_factory=lambda: EMPTY)
+    targets: np.ndarray = field(default_factory=lambda: NO_TARGETS)  # estimates in the cell, (M, 2) m
+    command: Command = STAND
+
+    @property
+    def power_radius(self) -> float:
+        """g(U), m (13)."""
+        return power_radius(self.unused)
+
+
+def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> Outcome:
+    """The outcome of the round of `mine.tick`, given the gossips of that tick by name, in the order of names."""
+    config, tick, arithmetic = me.config, mine.tick, me.arithmetic
+    step = Step(config, tick)
+    words = _with_mine(heard, mine)
+    speaking = _speaking(neighbours, mine, heard, words)
+    cell = _own_cell(me, speaking, neighbours.far)
+    claim = _claim(speaking, cell, neighbours.far)
+    told = last.belief.awake(step, arithmetic).merge(words, tick, arithmetic, config)
+    near, seen = arithmetic.gather(told, _births(step), cell.polygon, mine.pose[:2], me.sensor.reach, step)
+    updated = arithmetic.update(near, words, cell.polygon, step)
+    own = arithmetic.take(updated, claim, config.arena)
+    mass, east, north = arithmetic.moments(own)
+    load, unused = _capacity(me, mine, updated, seen)
+    kept = arithmetic.resample(own, me.name, step)
+    return Outcome(
+        belief=Belief(
+            stamp=tick,
+            mine=Share(me.name, claim, kept, _view(neighbours, heard, speaking, claim)),
+            copies=Copies(updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.chosen else math.inf)),
+            everyone=frozenset(speaking.names),
+        ),
+        unused=unused,
+        load=load,
+        mass=mass,
+        cell=cell.polygon,
+        targets=_own_targets(me, updated, claim),
+        command=me.law.command(_situation(me, mine, cell, _centroid(mass, east, north, cell), own, speaking, words)),
+    )
+
+
+def _with_mine(heard: dict[str, Gossip], mine: Gossip) -> Words:
+    """Gossips in the order of names, mine in its place."""
+    gossips = list(heard.values())
+    gossips.insert(bisect_left(list(heard), order(mine.sender), key=order), mine)
+    return side_by_side(gossips)
+
+
+def _speaking(neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip], words: Words) -> Words:
+    """All generators of the tick, mine included unless I listen."""
+    if len(heard) == len(neighbours.circle) and not words.listening:
+        return words
+    speaking = neighbours.generators(mine.tick, heard)
+    return side_by_side(list(speaking.values())) if mine.listening else _with_mine(speaking, mine)
+
+
+def _view(neighbours: Neighbours, heard: dict[str, Gossip], speaking: Words, claim: Claim) -> int:
+    """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, who there is.
+
+    Two who heard their whole circles at the same tick cannot differ about a generator that both know.
+    """
+    certain = len(heard) == len(neighbours.circle) and neighbours.circle.keys() >= set(claim.names[1:])
+    if neighbours.chosen and certain:
+        return neighbours.membership
+    return speaking.view
+
+
+def _own_cell(me: Self, speaking: Words, far: Far) -> Cell:
+    if me.name not in speaking.names:
+        return NO_CELL
+    points, radii = speaking.points, speaking.radii
+    if far.names:
+        points, radii = np.concatenate([points, far.points]), np.concatenate([radii, far.radii])
+    return me.arithmetic.cut(speaking.names.index(me.name), points, radii, me.arena)
+
+
+def _claim(speaking: Words, cell: Cell, far: Far) -> Claim:
+    """The cell as generators, the own one first; the names that speak are in order, so whose index is smaller comes first."""
+    if not cell.bounds:
+        return NO_CLAIM
+    bounds, heard = np.array(cell.bounds), len(speaking.names)
+    if bounds.max() < heard:
+        names = tuple([speaking.names[index] for index in cell.bounds])
+        return Claim(names, speaking.generators[bounds], bounds < bounds[0])
+    everybody = (*speaking.names, *far.names)
+    names = tuple([everybody[index] for index in cell.bounds])
+    generators = np.vstack([speaking.generators, np.column_stack([far.points, far.radii])])[bounds]
+    return make_claim(names, generators, tuple([order(name) for name in names]))
+
+
+def _births(step: Step) -> Particles:
+    config = step.config
+    return background_births(config.run.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
+
+
+def _capacity(me: Self, mine: Gossip, updated: Particles, seen: Particles) -> tuple[float, float]:
+    """Load (expected targets) and unused capacity U (m^2) of my footprint."""
+    near_load, near_detected = me.arithmetic.in_view(updated, me.sensor, mine.pose)
+    far_load, far_detected = me.arithmetic.in_view(seen, me.sensor, mine.pose)
+    load, detected = near_load + far_load, near_detected + far_detected
+    return load, unused_capacity(me.facts.capability, detected, load, me.config.capacity)
+
+
+def _centroid(mass: float, east: float, north: float, cell: Cell) -> tuple[float, float] | None:
+    """Centroid in m of the PHD in the cell (17); of the cell's area when there is no mass; None without a cell."""
+    if mass > 0.0:
+        return east / mass, north / mass
+    if not len(cell.polygon):
+        return None
+    x, y = polygon_centroid(cell.polygon)
+    return float(x), float(y)
+
+
+def _own_targets(me: Self, updated: Particles, claim: Claim) -> np.ndarray:
+    """Estimates from the cell and its halo that lie in the cell, (M, 2) m."""
+    if not claim.names:
+        return NO_TARGETS
+    targets = me.arithmetic.estimate_targets(updated, me.config.extraction)
+    return targets[me.arithmetic.owned(targets, claim, me.config.arena)]
+
+
+def _situation(
+    me: Self, mine: Gossip, cell: Cell, centroid: tuple[float, float] | None, own: Particles, speaking: Words, words: Words
+) -> Situation:
+    config = me.config
+    return Situation(
+        name=me.name,
+        seed=config.run.seed,
+        tick=mine.tick,
+        dt=config.run.dt,
+        pose=mine.pose,
+        driven=mine.pose[:2] if config.partition.kind == "voronoi" else mine.cod,
+        cell=cell.polygon,
+        centroid=centroid,
+        particles=own,
+        sensor=me.sensor,
+        limits=config.limits,
+        heading=config.control.heading,
+        arena=(config.arena.width, config.arena.height),
+        fields=_fields(me, cell, words) if getattr(me.law, "uses_fields", False) else (),
+        generators=speaking.points,
+        own_generator=speaking.names.index(me.name) if me.name in speaking.names else -1,
+    )
+
+
+def _fields(me: Self, cell: Cell, words: Words) -> tuple[tuple[SensorModel, Pose], ...]:
+    """The sensors whose reach touches the region around my cell and that scanned in this tick, and their poses."""
+    scanned = [(gossip.memo["sensor"], gossip.pose) for gossip in words.gossips if gossip.scanned]
+    apart = me.arithmetic.distances(cell.polygon, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()
+    return tuple(field for field, distance in zip(scanned, apart) if distance <= me.config.filter.halo + field[0].reach)
+
+
+def must_hear(me: Self, outcome: Outcome, mine: Gossip, known: dict[str, Beacon | Gossip]) -> set[str]:
+    """Names of those whose gossip my next rounds need, from where they were last known to be."""
+    if not known:
+        return set()
+    said = [*known.values(), mine]
+    eyes = np.array([word.pose[:2] if isinstance(word, Gossip) else word.position for word in said])
+    kind = me.config.partition.kind
+    points = eyes if kind == "voronoi" else np.array([word.cod for word in said])
+    radii = np.array([word.power_radius if kind == "power" else 0.0 for word in said])
+    reaches = np.array([word.memo["sensor"].reach if isinstance(word, Gossip) else word.reach for word in said])
+    chosen = wanted(
+        outcome.cell,
+        mine.pose[:2],
+        me.sensor.reach,
+        me.config.filter.halo,
+        np.column_stack([eyes, reaches])[:-1],
+        np.column_stack([points, radii]),
+        me.arena,
+    )
+    return {name for name, needed in zip(known, chosen.tolist()) if needed}
