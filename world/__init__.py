@@ -1,0 +1,1 @@
+"""What is true: targets, bodies, detector and score. Imports protocol only; agents learn of it through messages alone."""

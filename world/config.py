@@ -1,0 +1,31 @@
+"""What the world reads from a scenario: the common sections and those of targets and bodies."""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from protocol.settings import Common, NotNegative, Section
+
+
+class TargetSettings(Section, frozen=True, kw_only=True):
+    """[targets] how many there are and how they move (paper, section IV)."""
+
+    count: Annotated[int, msgspec.Meta(ge=0, le=4000)] = 30  # at the start
+    speed: NotNegative = 2.0  # m/s
+    heading_noise: NotNegative = 0.2  # random walk of the heading, rad/sqrt(s); 0 = fixed heading
+    border: Literal["reflect", "cross"] = "cross"  # IV-A stays inside; IV-B leaves and enters
+    motion: str = "constant-speed"  # or module:Class
+
+
+class BodySettings(Section, frozen=True, kw_only=True):
+    """[bodies] where the sensors start: anywhere ("uniform"), or at the given poses x, y, heading."""
+
+    start: Literal["uniform", "given"] = "uniform"
+    poses: dict[str, tuple[float, float, float]] = {}
+
+
+class WorldConfig(Common, frozen=True, kw_only=True):
+    """Everything the world process needs."""
+
+    targets: TargetSettings = TargetSettings()
+    bodies: BodySettings = BodySettings()

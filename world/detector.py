@@ -1,0 +1,138 @@
+"""The detector: what the sensors return in one tick, with misses, Gaussian noise and Poisson clutter.
+
+A die is keyed by (seed, sensor name, tick, target id) or (seed, sensor name, tick, number), never by the order of calls: who else is
+there changes nobody's scan. All sensors of a tick are thrown together, because numpy pays per call.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.messages import MAX_DETECTIONS
+from protocol.sensing import Pose, SensorModel
+from protocol.settings import DetectionSettings
+from protocol.streams import key, scramble, uniform
+
+_MISS, _RADIUS, _ANGLE, _COUNT, _EAST, _NORTH = range(1, 7)  # one salt per use of a word, so that its draws are independent
+_MOST_BATCHES = 100
+
+
+class Sightings(NamedTuple):
+    """Every pair of a sensor and a target inside its footprint, by sensor: three arrays (P,)."""
+
+    sensors: np.ndarray  # index
+    targets: np.ndarray  # index
+    probabilities: np.ndarray  # p_d, above 0
+
+
+def sightings(sensors: Sequence[SensorModel], poses: Sequence[Pose], positions: np.ndarray) -> Sightings:
+    """Which of S sensors at their poses have which targets at positions (T, 2) in view, and with what probability."""
+    empty = Sightings(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0))
+    if not sensors or not len(positions):
+        return empty
+    places, reaches = np.array(poses), np.array([sensor.reach for sensor in sensors])
+    offset_x = positions[:, 0] - places[:, :1]
+    offset_y = positions[:, 1] - places[:, 1:2]
+    near = offset_x * offset_x + offset_y * offset_y <= (reaches * reaches * (1.0 + 1e-9))[:, None]
+    who, what = np.nonzero(near)
+    if not len(who):
+        return empty
+    starts = np.searchsorted(who, np.arange(len(sensors) + 1)).tolist()
+    close = positions[what]
+    probabilities = np.zeros(len(who))
+    for index, (start, end) in enumerate(pairwise(starts)):
+        if end > start:
+            probabilities[start:end] = sensors[index].probability(close[start:end], poses[index])
+    seen = probabilities > 0.0
+    return Sightings(who[seen], what[seen], probabilities[seen])
+
+
+def count_in_view(seen: Sightings) -> int:
+    """Number of different targets among the sightings."""
+    return len(np.unique(seen.targets))
+
+
+def poisson_table(mean: float) -> np.ndarray:
+    """P(count <= n) of a Poisson count for n = 0, 1, ... until it is 1 to the last digit, or one message is full; (N,)."""
+    longest = min(MAX_DETECTIONS, math.ceil(mean + 12.0 * math.sqrt(mean) + 20.0))
+    if mean == 0.0:
+        return np.ones(1)
+    logs = [n * math.log(mean) - mean - math.lgamma(n + 1.0) for n in range(longest)]
+    return np.cumsum(np.exp(logs))
+
+
+class Detector:
+    """Scans of one run; pure in (seed, settings, arguments)."""
+
+    def __init__(self, settings: DetectionSettings, seed: int) -> None:
+        self._noise = settings.noise
+        self._counts = poisson_table(settings.clutter)
+        self._seed = seed
+
+    def scan(self, sensor: SensorModel, pose: Pose, name: str, positions: np.ndarray, ids: np.ndarray, tick: int) -> np.ndarray:
+        """The detections (M, 2) float32 of one sensor; the same as from `scans` in any company."""
+        return self.scans([sensor], [pose], [name], positions, ids, tick, sightings([sensor], [pose], positions))[0]
+
+    def scans(
+        self,
+        sensors: Sequence[SensorModel],
+        poses: Sequence[Pose],
+        names: Sequence[str],
+        positions: np.ndarray,
+        ids: np.ndarray,
+        tick: int,
+        seen: Sightings,
+    ) -> list[np.ndarray]:
+        """The detections (M, 2) float32 of each of S sensors, sorted by x so that their order tells nothing of the truth.
+
+        `positions` (T, 2) and `ids` (T,) are the targets, `seen` their sightings. Detections may lie a little outside arena or footprint.
+        """
+        words = scramble(np.array([key("scan", name) for name in names], dtype=np.uint64), key(self._seed, "scans", tick))
+        true_owners, true_points = self._detections(words, positions, ids, seen)
+        clutter_owners, clutter_points = self._clutter(words, sensors, poses)
+        owners = np.concatenate([true_owners, clutter_owners])
+        points = np.vstack([true_points, clutter_points]).astype(np.float32)
+        order = np.lexsort((points[:, 1], points[:, 0], owners))
+        starts = np.searchsorted(owners[order], np.arange(len(names) + 1)).tolist()
+        points = points[order]
+        return [points[start : min(end, start + MAX_DETECTIONS)] for start, end in pairwise(starts)]
+
+    def _detections(self, words: np.ndarray, positions: np.ndarray, ids: np.ndarray, seen: Sightings) -> tuple[np.ndarray, np.ndarray]:
+        """Sensor indices (M,) and noisy points (M, 2) of the sightings that are not missed."""
+        dice = scramble(ids, key("target"))[seen.targets] ^ words[seen.sensors]
+        hit = uniform(scramble(dice, _MISS)) < seen.probabilities
+        dice, owners, points = dice[hit], seen.sensors[hit], positions[seen.targets[hit]]
+        # Box and Muller: two normal variates from two uniform ones.
+        radius = self._noise * np.sqrt(-2.0 * np.log1p(-uniform(scramble(dice, _RADIUS))))
+        angle = 2.0 * math.pi * uniform(scramble(dice, _ANGLE))
+        return owners, points + np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+    def _clutter(self, words: np.ndarray, sensors: Sequence[SensorModel], poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
+        """Sensor indices (M,) and points (M, 2) of the clutter."""
+        numbers = np.searchsorted(self._counts, uniform(scramble(words, _COUNT)), side="right")
+        busy = np.nonzero(numbers)[0]
+        points = [clutter_points(sensors[index], poses[index], int(numbers[index]), int(words[index])) for index in busy.tolist()]
+        owners = np.repeat(busy, [len(some) for some in points])
+        return owners, np.vstack([np.empty((0, 2)), *points])
+
+
+def clutter_points(sensor: SensorModel, pose: Pose, number: int, word: int) -> np.ndarray:
+    """`number` points (number, 2) uniform in the footprint, keyed by `word`: drawn in the square around it until enough lie inside.
+
+    A footprint that fills less than about 1e-4 of its square may get fewer.
+    """
+    batch = 8 + min(2000 + 4 * number, math.ceil(number * 6.0 * sensor.reach**2 / max(sensor.area, 1e-300)))
+    accepted: list[np.ndarray] = []
+    found = 0
+    for start in range(0, batch * _MOST_BATCHES, batch):
+        dice = scramble(np.arange(start, start + batch, dtype=np.uint64), word)
+        east, north = uniform(scramble(dice, _EAST)), uniform(scramble(dice, _NORTH))
+        points = np.column_stack([2.0 * east - 1.0, 2.0 * north - 1.0]) * sensor.reach + np.array(pose[:2])
+        accepted.append(points[sensor.probability(points, pose) > 0.0])
+        found += len(accepted[-1])
+        if found >= number:
+            break
+    return np.vstack(accepted)[:number]

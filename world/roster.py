@@ -1,0 +1,68 @@
+"""The roster: which agents are there, by their liveliness tokens, and what they have said of themselves."""
+
+from collections.abc import Iterable
+
+from protocol.keys import order
+from protocol.messages import MAX_NAMES, Hello
+
+
+class Roster:
+    """Agents by name; of two live incarnations of a name the newer one counts."""
+
+    def __init__(self) -> None:
+        self.hellos: dict[str, Hello] = {}  # the newest of each name
+        self._tokens: dict[str, set[int]] = {}
+        self._spoken: dict[str, int] = {}  # the newest incarnation of which a message has arrived
+
+    def appear(self, name: str, incarnation: int) -> bool:
+        """Note a token; whether it made this incarnation the one that counts."""
+        before = self.live(name)
+        self._tokens.setdefault(name, set()).add(incarnation)
+        return before is None or incarnation > before
+
+    def vanish(self, name: str, incarnation: int) -> bool:
+        """Note the loss of a token; whether it was the one that counted."""
+        counted = self.live(name) == incarnation
+        self._tokens.get(name, set()).discard(incarnation)
+        if not self._tokens.get(name):
+            self._tokens.pop(name, None)
+        return counted
+
+    def hear(self, hello: Hello) -> bool:
+        """Note a Hello; whether it is the first of its incarnation. Those of an older one are ignored."""
+        known = self.hellos.get(hello.sender)
+        if known is None and len(self.hellos) >= MAX_NAMES:
+            return False
+        if known is not None and known.incarnation > hello.incarnation:
+            return False
+        self.hellos[hello.sender] = hello
+        self.note_spoken(hello.sender, hello.incarnation)
+        return known is None or known.incarnation < hello.incarnation
+
+    def note_spoken(self, name: str, incarnation: int) -> None:
+        """Note that a message of this incarnation has arrived, so that it is running and listening."""
+        self._spoken[name] = incarnation
+
+    def live(self, name: str) -> int | None:
+        """The incarnation that counts, None when the agent is not there."""
+        tokens = self._tokens.get(name)
+        return max(tokens) if tokens else None
+
+    def speaks(self, name: str) -> bool:
+        """Whether the incarnation that counts has been heard of."""
+        return name in self._tokens and self._spoken.get(name) == self.live(name)
+
+    def heard(self) -> tuple[str, ...]:
+        """Names of those whose Hello has arrived, s2 before s10."""
+        return tuple(sorted(self.hellos, key=order))
+
+    def is_complete(self, expected: Iterable[str], world: str) -> bool:
+        """Whether all the expected are alive, heard here, and say that they hear each other and the world."""
+        everybody = {*expected, world}
+        return all(
+            self.live(name) is not None
+            and name in self.hellos
+            and self.hellos[name].incarnation == self.live(name)
+            and everybody - {name} <= set(self.hellos[name].heard)
+            for name in everybody - {world}
+        )

@@ -1,0 +1,140 @@
+"""Targets: the ground truth of what moves, as arrays of positions (T, 2) m, headings (T,) rad and ids (T,) uint64.
+
+Tracks depend on the seed, the scenario and the number of ticks alone, never on the sensors: two runs with the same seed see the same
+targets whatever the swarm does, and a restarted world reaches tick k again by stepping k times.
+"""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from protocol.messages import MAX_DETECTIONS
+from protocol.settings import ArenaSettings, BadSetting, load_named
+from protocol.streams import key, normal, scramble, stream
+from world.config import TargetSettings
+
+
+class Motion(Protocol):
+    """How targets move on an unbounded plane; a scenario's own `module:Class` is built as Class(settings, dt, seed)."""
+
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (T, 2) and headings (T,) one tick after `tick`; random numbers must be keyed by (seed, id, tick)."""
+
+
+class ConstantSpeed:
+    """Constant speed; the heading is a random walk of `heading_noise` rad/sqrt(s) (paper, section IV)."""
+
+    def __init__(self, settings: TargetSettings, dt: float, seed: int) -> None:
+        self._step = settings.speed * dt
+        self._turn = settings.heading_noise * math.sqrt(dt)
+        self._seed = seed
+
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> tuple[np.ndarray, np.ndarray]:
+        """Turn by a keyed normal variate, then go straight for one tick."""
+        if self._turn > 0.0:
+            headings = headings + self._turn * normal(scramble(ids, key(self._seed, "heading", tick)))
+        return positions + self._step * np.column_stack([np.cos(headings), np.sin(headings)]), headings
+
+
+def build_motion(settings: TargetSettings, dt: float, seed: int) -> Motion:
+    """The motion that a scenario names; raises BadSetting naming the field."""
+    if settings.motion == "constant-speed":
+        return ConstantSpeed(settings, dt, seed)
+    try:
+        motion = load_named(settings.motion)(settings, dt, seed)
+    except (ValueError, ImportError, TypeError) as error:
+        raise BadSetting(f"targets.motion = {settings.motion!r}: {error}; should be constant-speed or module:Class") from None
+    if not hasattr(motion, "move"):
+        raise BadSetting(f"targets.motion = {settings.motion!r}: has no method move (see world.targets.Motion)")
+    return motion
+
+
+def arrival_rate(settings: TargetSettings, arena: ArenaSettings) -> float:
+    """Expected targets that enter per second, density x speed x perimeter / pi: what leaves a uniform crowd, so the mean number stays."""
+    density = settings.count / (arena.width * arena.height)
+    return density * settings.speed * 2.0 * (arena.width + arena.height) / math.pi
+
+
+def arrivals(rng: np.random.Generator, number: int, arena: ArenaSettings, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 2) and headings (N,) at a tick's end of `number` targets that entered during it.
+
+    Each crosses the border at a uniform place and time of the tick, by the cosine law inward, and goes on straight; `step` is the way
+    of a whole tick, m. One that has cut a corner and left again is not returned.
+    """
+    draws = rng.random((number, 3))
+    along = draws[:, 0] * 2.0 * (arena.width + arena.height)
+    corners = np.array([0.0, arena.width, arena.width + arena.height, 2.0 * arena.width + arena.height])
+    side = np.searchsorted(corners, along, side="right") - 1  # south, east, north, west; walked counter-clockwise
+    offset = along - corners[side]
+    x = np.choose(side, [offset, arena.width, arena.width - offset, 0.0])
+    y = np.choose(side, [0.0, offset, arena.height, arena.height - offset])
+    headings = wrap((side + 1.0) * (math.pi / 2.0) + np.arcsin(2.0 * draws[:, 1] - 1.0))
+    way = step * draws[:, 2]
+    positions = np.column_stack([x + way * np.cos(headings), y + way * np.sin(headings)])
+    kept = inside(positions, arena)
+    return positions[kept], headings[kept]
+
+
+def inside(positions: np.ndarray, arena: ArenaSettings) -> np.ndarray:
+    """Which positions (N, 2) lie in the arena, its border included: (N,) bool."""
+    x, y = positions[:, 0], positions[:, 1]
+    return (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
+
+
+def wrap(headings: np.ndarray) -> np.ndarray:
+    """The same directions in [-pi, pi): (N,)."""
+    return (headings + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def reflect(positions: np.ndarray, headings: np.ndarray, arena: ArenaSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 2) folded back into the arena and headings (N,) mirrored as often as the way met a wall (specular reflection)."""
+    x, x_mirrored = _fold(positions[:, 0], arena.width)
+    y, y_mirrored = _fold(positions[:, 1], arena.height)
+    headings = np.where(x_mirrored, math.pi - headings, headings)
+    return np.column_stack([x, y]), np.where(y_mirrored, -headings, headings)
+
+
+def _fold(values: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    unfolded = values % (2.0 * size)
+    mirrored = unfolded > size
+    return np.where(mirrored, 2.0 * size - unfolded, unfolded), mirrored
+
+
+class Targets:
+    """All targets at the current tick; `step` goes on to the next. Arrays are replaced by a step, never changed in place."""
+
+    def __init__(self, settings: TargetSettings, arena: ArenaSettings, dt: float, seed: int) -> None:
+        self._settings, self._arena, self._seed = settings, arena, seed
+        self._motion = build_motion(settings, dt, seed)
+        self._arrivals_per_tick = arrival_rate(settings, arena) * dt
+        self._way = settings.speed * dt
+        draws = stream(seed, "targets").random((settings.count, 3))  # row by row: more targets leave the first ones as they were
+        self.tick = 0
+        self.positions = draws[:, :2] * np.array([arena.width, arena.height])
+        self.headings = wrap(draws[:, 2] * (2.0 * math.pi))
+        self.ids = np.arange(1, settings.count + 1, dtype=np.uint64)
+        self._next_id = settings.count + 1
+
+    def step(self) -> None:
+        """Move everything on by one tick, and settle what happens at the border."""
+        positions, headings = self._motion.move(self.positions, self.headings, self.ids, self.tick)
+        if self._settings.border == "reflect":
+            self.positions, headings = reflect(positions, headings, self._arena)
+            self.headings = wrap(headings)
+        else:
+            kept = inside(positions, self._arena)
+            self.positions, self.headings, self.ids = positions[kept], wrap(headings[kept]), self.ids[kept]
+            self._enter()
+        self.tick += 1
+
+    def _enter(self) -> None:
+        rng = stream(self._seed, "arrivals", self.tick)
+        number = int(rng.poisson(self._arrivals_per_tick))
+        positions, headings = arrivals(rng, number, self._arena, self._way)
+        room = MAX_DETECTIONS - len(self.ids)  # more would not fit into one message
+        positions, headings = positions[:room], headings[:room]
+        self.positions = np.vstack([self.positions, positions])
+        self.headings = np.concatenate([self.headings, headings])
+        self.ids = np.concatenate([self.ids, np.arange(self._next_id, self._next_id + len(positions), dtype=np.uint64)])
+        self._next_id += len(positions)

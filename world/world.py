@@ -1,0 +1,263 @@
+"""The World node: moves the targets, owns the bodies, hands out detections and says the truth to watchers.
+
+A tick k: publish Observation(k) to every agent that is alive, and Truth(k); then wait for the Commands (lockstep) or for the clock
+(real time); then move bodies and targets to k + 1. Tick 0 is the state at the start, before anything has moved.
+"""
+
+import numpy as np
+
+from protocol.keys import all_of
+from protocol.messages import MAX_NAMES, Command, Hello, Observation, Truth, pack
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.sensing import Pose, SensorModel
+from protocol.settings import BadSetting, sensor_of
+from world.bodies import Bodies, check_given, start_pose
+from world.config import WorldConfig
+from world.detector import Detector, count_in_view, sightings
+from world.roster import Roster
+from world.targets import Targets
+
+HELLO_PERIOD = 0.25  # s, until the start
+HOLD = 2.0  # a command drives a body for so long at most, s of world time, real time only
+MOST_PERIODS_LATE = 5  # a world that is later than this gives up catching up, real time only
+RESTORE_GAP = 2  # ticks from the last Truth that was kept to the first of a restarted world: agents may have seen one more
+RESTORE_TIMEOUT = 1.0  # s, how long a restarted world waits for those who were alive before
+
+
+class World:
+    """The true state of a run, and its clock. `restored` is the last Truth of an earlier incarnation."""
+
+    role = "world"
+    name = "world"
+
+    def __init__(self, config: WorldConfig, incarnation: int, restored: Truth | None = None) -> None:
+        if self.name in config.members:
+            raise BadSetting(f"members.{self.name}: this name belongs to the world; call the agent otherwise")
+        check_given(config)
+        self.run, self.incarnation = config.run.name, incarnation
+        self.tick = 0
+        self.started = False
+        self.late_commands = 0  # lockstep: commands that did not come in time
+        self.ignored_commands = 0  # stale, of an old incarnation, or of nobody with a body
+        self.rejected_messages = 0
+        self.re_anchored = 0  # real time: how often the world was too late to catch up
+        self._config, self._roster = config, Roster()
+        self._lockstep = config.run.clock == "lockstep"
+        self._period = config.run.dt / config.run.rate
+        self._detector = Detector(config.detection, config.run.seed)
+        self._sensors: dict[str, SensorModel] = {}
+        self._last_poses: dict[str, Pose] = {}  # of a restored run
+        self._expected, self._patience = tuple(config.members), config.run.start_timeout
+        self.targets = Targets(config.targets, config.arena, config.run.dt, config.run.seed)
+        self.bodies = Bodies(config.run.dt, config.limits)
+        if restored is not None:
+            self._restore(restored)
+        for name, sensor_class in config.members.items():
+            self._embody(name, sensor_of(config, sensor_class))
+        self._commands: dict[str, Command] = {}  # the newest of each live agent
+        self._waiting: set[str] = set()  # lockstep: whose command of this tick is still missing
+        self._due: float | None = None
+        self._begun = 0.0
+        self._anchor = 0.0  # real time: when tick 0 would have been
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Take one event and return what to do, in order."""
+        match event:
+            case Started():
+                return self._begin(now)
+            case Timer():
+                return self._on_time(now)
+            case Received(message=Command() as command):
+                return self._obey(command, now)
+            case Received(message=Hello(role="agent") as hello):
+                return self._hear(hello, now)
+            case Alive(role="agent"):
+                return self._greet(event.name, event.incarnation, now)
+            case Gone(role="agent"):
+                return self._bury(event.name, event.incarnation, now)
+            case Alive(role=self.role, name=self.name) if event.incarnation > self.incarnation:
+                return self._stop(3, "a younger world has taken over")
+            case Rejected():
+                self.rejected_messages += 1
+        return []
+
+    def deadline(self) -> float | None:
+        """When the next Hello or tick is due, in the time of `now`."""
+        return self._due
+
+    def _begin(self, now: float) -> list[Effect]:
+        self._begun, self._due = now, now + HELLO_PERIOD
+        return [Subscribe(all_of(self.run, "hello")), Subscribe(all_of(self.run, "command")), self._hello()]
+
+    def _on_time(self, now: float) -> list[Effect]:
+        if self._due is None or now < self._due:
+            return []
+        if self.started:
+            return self._finish_tick(now)
+        self._due = now + HELLO_PERIOD
+        return [self._hello(), *self._try_start(now)]
+
+    def _hear(self, hello: Hello, now: float) -> list[Effect]:
+        """Take a Hello; whoever speaks for the first time after the start is answered."""
+        is_new = self._roster.hear(hello)
+        self._embody_guest(hello.sender)
+        if self.started:
+            return [self._hello()] if is_new else []
+        return self._try_start(now)
+
+    def _greet(self, name: str, incarnation: int, now: float) -> list[Effect]:
+        """An agent has appeared; what an older incarnation of it was asked or told is void."""
+        is_new = self._roster.appear(name, incarnation)
+        self._embody_guest(name)
+        if not self.started:
+            return self._try_start(now)
+        if not is_new:
+            return []
+        self._commands.pop(name, None)
+        return [self._hello(), *self._no_longer_wait(name, now)]
+
+    def _bury(self, name: str, incarnation: int, now: float) -> list[Effect]:
+        """An agent has gone; its body stands still at once and nobody waits for it."""
+        if not self._roster.vanish(name, incarnation):
+            return []
+        self._commands.pop(name, None)
+        return self._no_longer_wait(name, now)
+
+    def _obey(self, command: Command, now: float) -> list[Effect]:
+        """Keep a command until the tick ends."""
+        if not self._is_valid(command):
+            self.ignored_commands += 1
+            return []
+        self._commands[command.sender] = command
+        self._roster.note_spoken(command.sender, command.incarnation)
+        return self._no_longer_wait(command.sender, now)
+
+    def _is_valid(self, command: Command) -> bool:
+        """Whether a command comes from who counts and is newer than the one at hand; in lockstep it must be of this very tick.
+
+        In real time a command of an earlier tick still counts: an agent that is always a little late must not stand still.
+        """
+        if not self.started or command.sender not in self.bodies.poses or self._roster.live(command.sender) != command.incarnation:
+            return False
+        if command.tick > self.tick or (self._lockstep and command.tick < self.tick):
+            return False
+        held = self._commands.get(command.sender)
+        return held is None or command.tick > held.tick
+
+    def _no_longer_wait(self, name: str, now: float) -> list[Effect]:
+        """In lockstep the tick ends with the last answer that it waited for."""
+        if name not in self._waiting:
+            return []
+        self._waiting.discard(name)
+        return [] if self._waiting else self._finish_tick(now)
+
+    def _try_start(self, now: float) -> list[Effect]:
+        """The first tick, once everybody expected is ready or has been waited for long enough and somebody is there."""
+        if self._due is None or not self._present():
+            return []
+        if not self._roster.is_complete(self._expected, self.name) and now - self._begun < self._patience:
+            return []
+        self.started = True
+        self._anchor = now - self.tick * self._period
+        return [self._hello(), *self._open_tick(now)]
+
+    def _open_tick(self, now: float) -> list[Effect]:
+        """What everybody sees at this tick."""
+        present = self._present()
+        sensors, poses = [self._sensors[name] for name in present], [self.bodies.poses[name] for name in present]
+        targets = self.targets
+        seen = sightings(sensors, poses, targets.positions)
+        scans = self._detector.scans(sensors, poses, present, targets.positions, targets.ids, self.tick, seen)
+        if self._lockstep:
+            self._waiting = {name for name in present if self._roster.speaks(name)}
+            self._due = now + (self._config.run.patience if self._waiting else self._period)
+        else:
+            self._due = self._anchor + (self.tick + 1) * self._period
+        return [*map(self._observation, present, scans), self._truth(present, count_in_view(seen))]
+
+    def _finish_tick(self, now: float) -> list[Effect]:
+        """Move bodies and targets on and open the next tick."""
+        self.late_commands += len(self._waiting)
+        self._waiting = set()
+        self.bodies.move(self._commands_in_force())
+        self.targets.step()
+        self.tick += 1
+        if self.tick >= self._config.run.ticks:
+            return self._stop(0, "done")
+        if not self._lockstep and now - (self._anchor + self.tick * self._period) > MOST_PERIODS_LATE * self._period:
+            self._anchor = now - self.tick * self._period
+            self.re_anchored += 1
+        return self._open_tick(now)
+
+    def _commands_in_force(self) -> dict[str, Command]:
+        """The commands that move bodies in this tick: its own in lockstep; in real time the newest, as long as they hold."""
+        if self._lockstep:
+            return {name: command for name, command in self._commands.items() if command.tick == self.tick}
+        dt = self._config.run.dt
+        return {name: command for name, command in self._commands.items() if (self.tick - command.tick) * dt < HOLD}
+
+    def _stop(self, code: int, reason: str) -> list[Effect]:
+        self._due, self._waiting, self.started = None, set(), False
+        return [Stop(code, reason)]
+
+    def _present(self) -> list[str]:
+        """Names of the live agents that have a body, in team order."""
+        return [name for name in self.bodies.poses if self._roster.live(name) is not None]
+
+    def _embody_guest(self, name: str) -> None:
+        """Give a body to a live agent that is no member but has said what its sensor is."""
+        hello = self._roster.hellos.get(name)
+        if name in self._sensors or hello is None or self._roster.live(name) != hello.incarnation or len(self._sensors) >= MAX_NAMES:
+            return
+        if hello.sensor is not None:
+            self._embody(name, hello.sensor)
+
+    def _embody(self, name: str, sensor: SensorModel) -> None:
+        config = self._config
+        self._sensors[name] = sensor
+        self.bodies.place(name, self._last_poses.get(name) or start_pose(name, config.bodies, config.arena, config.run.seed))
+
+    def _restore(self, truth: Truth) -> None:
+        """Go on where an earlier incarnation stopped; raises BadSetting when that was another run."""
+        step_until(self.targets, min(truth.tick, self._config.run.ticks - 1))
+        mine = self.targets.positions
+        if not np.array_equal(self.targets.ids, truth.ids) or not np.allclose(mine, truth.targets, rtol=0.0, atol=1e-6):
+            raise BadSetting(f"restore: tick {truth.tick} that was kept does not come from this scenario and seed {self._config.run.seed}")
+        step_until(self.targets, min(truth.tick + RESTORE_GAP, self._config.run.ticks - 1))
+        self.tick = self.targets.tick
+        self._last_poses = {name: (x, y, heading) for name, (x, y, heading) in zip(truth.bodies, truth.poses.tolist())}
+        self._expected, self._patience = truth.alive, min(self._patience, RESTORE_TIMEOUT)
+
+    def _hello(self) -> Hello:
+        return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=self._roster.heard())
+
+    def _observation(self, name: str, detections: np.ndarray) -> Observation:
+        return Observation(
+            sender=self.name,
+            incarnation=self.incarnation,
+            recipient=name,
+            tick=self.tick,
+            time=self.tick * self._config.run.dt,
+            pose=self.bodies.poses[name],
+            detections_bytes=pack(detections, "<f4"),
+        )
+
+    def _truth(self, present: list[str], in_view: int) -> Truth:
+        return Truth(
+            sender=self.name,
+            incarnation=self.incarnation,
+            tick=self.tick,
+            time=self.tick * self._config.run.dt,
+            targets_bytes=pack(self.targets.positions, "<f8"),
+            ids_bytes=pack(self.targets.ids, "<u8"),
+            bodies=tuple(self.bodies.poses),
+            poses_bytes=pack(np.array(list(self.bodies.poses.values())), "<f8"),
+            in_view=in_view,
+            alive=tuple(present),
+        )
+
+
+def step_until(targets: Targets, tick: int) -> None:
+    """Bring the targets to a later tick."""
+    while targets.tick < tick:
+        targets.step()
