@@ -1,0 +1,1 @@
+"""What is run: scenarios, supervisor, simulation, studies, recorder and monitor. May import everything."""

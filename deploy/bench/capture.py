@@ -1,0 +1,84 @@
+"""Real inputs of rounds: what the agents of a simulation had in hand when they closed the rounds of one tick."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from agents.neighbours import Neighbours
+from agents.round import Outcome, Self
+from deploy.scenario import Scenario
+from deploy.simulate import Simulation
+from protocol import codec
+from protocol.keys import all_of, message_key, order
+from protocol.messages import Gossip, Truth
+from protocol.node import Effect, Event, Received, Started, Subscribe
+
+
+class Captured(NamedTuple):
+    """One round of one agent: all that `agents.round.play` takes."""
+
+    me: Self
+    last: Outcome
+    neighbours: Neighbours
+    mine: Gossip
+    heard: dict[str, Gossip]
+
+
+@dataclass
+class Ear:
+    """A Node that keeps the gossip of one tick."""
+
+    run: str
+    tick: int
+    name: str = "ear"
+    role: str = "recorder"
+    incarnation: int = 1
+    gossips: dict[str, Gossip] = field(default_factory=dict)
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        if isinstance(event, Started):
+            return [Subscribe(all_of(self.run, "gossip"))]
+        if isinstance(event, Received) and isinstance(event.message, Gossip) and event.message.tick == self.tick:
+            self.gossips[event.message.sender] = event.message
+        return []
+
+    def deadline(self) -> float | None:
+        return None
+
+
+def capture(scenario: Scenario, tick: int) -> list[Captured]:
+    """The rounds of `tick` of all agents of a run without faults."""
+    simulation, lasts = Simulation(scenario), dict[str, Outcome]()
+    ear = Ear(scenario.run.name, tick)
+    simulation.bus.add(ear)
+
+    def on_truth(truth: Truth) -> None:
+        if truth.tick == tick:
+            lasts.update((name, agent.outcome) for name, agent in simulation.agents.items())
+
+    simulation.on_truth = on_truth
+    while not simulation.done and all(agent.tick <= tick for agent in simulation.agents.values()):
+        simulation.bus.step()
+    names = sorted(ear.gossips, key=order)
+    rounds = []
+    for name, agent in simulation.agents.items():
+        heard = {other: ear.gossips[other] for other in names if other != name and other in agent.neighbours.peers}
+        rounds.append(Captured(agent.self, lasts[name], agent.neighbours, ear.gossips[name], heard))
+    return rounds
+
+
+def cold(rounds: list[Captured]) -> list[Captured]:
+    """The same rounds as processes of their own would play them: nothing that was derived from a message is remembered."""
+    return [
+        captured._replace(
+            mine=_again(captured.mine, captured.me.config.run.name),
+            heard={name: _again(gossip, captured.me.config.run.name) for name, gossip in captured.heard.items()},
+        )
+        for captured in rounds
+    ]
+
+
+def _again(gossip: Gossip, run: str) -> Gossip:
+    """The gossip as it comes from the wire, unread."""
+    message = codec.decode(message_key(run, gossip), codec.encode(gossip))
+    assert isinstance(message, Gossip)
+    return message

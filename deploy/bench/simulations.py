@@ -1,0 +1,96 @@
+"""`covey bench simulate` and `scale`: how fast a swarm plays in virtual time, beside the centralised reference and as it grows."""
+
+import math
+import time
+
+from deploy.bench import central
+from deploy.bench.timing import Row, cpu_seconds
+from deploy.scenario import Scenario, resolve
+from deploy.simulate import Simulation, compiled
+
+AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
+
+
+def figure_4(seconds: float) -> Scenario:
+    """Team 4 ACD of figure 4 with 30 targets and dt 0.5 s."""
+    return resolve("efficacy", {"team.composition": "4", "run.dt": 0.5, "run.seconds": seconds})
+
+
+def simulate(seconds: float = 60.0) -> list[Row]:
+    """Simulated seconds per second of CPU: with the codec, without, and the central filter without agents and messages."""
+    scenario, arithmetic = figure_4(seconds), compiled()
+    Simulation(figure_4(5.0)).run()
+    central.play(figure_4(5.0), arithmetic)
+    reference = cpu_seconds(lambda: central.play(scenario, arithmetic))
+    rows = []
+    for name, codec in (("with codec", True), ("without codec", False)):
+        simulation = Simulation(scenario, use_codec=codec)
+        spent = cpu_seconds(simulation.run)
+        rounds = scenario.run.ticks * len(scenario.members)
+        rows.append(
+            {
+                "what": name,
+                "simulated s per CPU s": seconds / spent,
+                "ms per agent-round": 1000.0 * spent / rounds,
+                "of the central speed": reference / spent,
+            }
+        )
+    each = 1000.0 * reference / (scenario.run.ticks * len(scenario.members))
+    rows.append({"what": "central", "simulated s per CPU s": seconds / reference, "ms per agent-round": each, "of the central speed": 1.0})
+    return rows
+
+
+def crowd(agents: int, interest: str, ticks: int) -> Scenario:
+    """A swarm of classes A, C and D as in team 5, at its density of agents and of targets (50 per 48 agents)."""
+    side = math.sqrt(agents * AREA_PER_AGENT)
+    few, many = agents // 8, agents // 2
+    options = {
+        "team.composition": f"A{few},C{many},D{agents - few - many}",
+        "targets.count": round(agents * 50 / 48),
+        "arena.width": side,
+        "arena.height": side,
+        "run.dt": 0.5,
+        "run.seconds": 0.5 * ticks,
+        "timing.interest": interest,
+        # twelve background births for every hundred metres squared, whatever the size
+        "birth.background_particles": max(1, round(12 * side / 100.0)),
+    }
+    return resolve("efficacy", options)
+
+
+def scale(sizes: tuple[int, ...] = (48, 200, 500, 1000), ticks: int = 24) -> list[Row]:
+    """Per agent-round at constant density, once all have chosen their neighbours: CPU, deliveries, messages, bytes, peers listened to."""
+    rows = []
+    for agents in sizes:
+        for interest in ("all", "neighbours"):
+            if interest == "all" and agents > 200:
+                continue  # grows with the square
+            rows.append(_steady(crowd(agents, interest, ticks), interest, ticks))
+    return rows
+
+
+def _steady(scenario: Scenario, interest: str, ticks: int) -> Row:
+    """The second half of a short run."""
+    simulation = Simulation(scenario)
+    marks: list[tuple[float, int, int, int]] = []
+    half = ticks // 2
+
+    def mark() -> None:
+        marks.append((time.process_time(), simulation.bus.deliveries, simulation.bus.messages, simulation.bus.bytes))
+
+    simulation.on_truth = lambda truth: mark() if truth.tick in (half, ticks - 1) else None
+    begun = time.process_time()
+    simulation.run()
+    agents, rounds = len(scenario.members), len(scenario.members) * (ticks - 1 - half)
+    spent, deliveries, messages, size = ((late - early) / rounds for early, late in zip(marks[0], marks[-1]))
+    heard = sum(len(agent.neighbours.circle) for agent in simulation.agents.values()) / agents
+    return {
+        "agents": agents,
+        "interest": interest,
+        "ms per agent-round": 1000.0 * spent,
+        "deliveries": deliveries,
+        "messages": messages,
+        "bytes": size,
+        "listened to": heard,
+        "start and first rounds, CPU s": marks[0][0] - begun,
+    }

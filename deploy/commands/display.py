@@ -1,0 +1,104 @@
+"""Progress for people: a live panel in a terminal, plain lines elsewhere."""
+
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+if TYPE_CHECKING:  # they bring scipy and shapely, which `ps` has no use for
+    from deploy.monitor_node import Status
+    from deploy.result import Result
+
+PLAIN_PERIOD = 5.0  # s between two plain lines
+
+
+class Display:
+    """Shows the status of one run while it runs; use as a context. With `to_stderr` standard output stays free for the result."""
+
+    def __init__(self, title: str = "", to_stderr: bool = False) -> None:
+        self._title = title
+        self._console = Console(stderr=to_stderr, highlight=False)
+        self._live = Live(console=self._console, refresh_per_second=4, transient=True) if self._console.is_terminal else None
+        self._shown_at = -PLAIN_PERIOD
+
+    def __enter__(self) -> "Display":
+        if self._live:
+            self._live.start()
+        if self._title:
+            self.event(self._title)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live:
+            self._live.stop()
+
+    def event(self, text: str) -> None:
+        """One line that stays."""
+        self._console.print(text, markup=False, soft_wrap=True)
+        sys.stdout.flush()
+
+    def status(self, status: "Status") -> None:
+        """The newest figures, in place of the last ones."""
+        if self._live:
+            self._live.update(status_table(status))
+        elif time.monotonic() - self._shown_at >= PLAIN_PERIOD:
+            self._shown_at = time.monotonic()
+            self.event(status_line(status))
+
+
+def status_line(status: "Status") -> str:
+    """The figures of a swarm in one line."""
+    alive = sum(agent.alive for agent in status.agents)
+    if status.tick < 0:
+        return f"starting: {alive} of {len(status.agents)} agents alive"
+    share = 100.0 * (status.tick + 1) / status.ticks
+    return f"{share:3.0f} %  {swarm_line(msgspec.to_builtins(status))}  alive {alive}/{len(status.agents)}"
+
+
+def swarm_line(swarm: dict[str, Any]) -> str:
+    """Time and scores of a swarm."""
+    scores = f"OSPA {swarm['ospa']:5.2f} m  GOSPA {swarm['gospa']:5.1f} m  in view {swarm['in_view']}/{swarm['targets']}"
+    return f"t {swarm['time']:7.2f} s  {scores}  hole {100.0 * swarm['hole']:.2f} %  overlap {100.0 * swarm['overlap']:.2f} %"
+
+
+def status_table(status: "Status") -> Table:
+    """The figures of a swarm, and one row of blocks for its agents."""
+    table = Table.grid(padding=(0, 2))
+    table.add_row(status_line(status))
+    table.add_row(" ".join(f"[green]{agent.name}[/]" if agent.alive else f"[red strike]{agent.name}[/]" for agent in status.agents))
+    return table
+
+
+def result_table(result: "Result", title: str) -> Table:
+    """The result of a run."""
+    table = Table(title=title, show_header=False, title_justify="left")
+    for what, how_much in result.rows():
+        table.add_row(what, how_much)
+    return table
+
+
+def process_table(data: dict[str, Any]) -> Table:
+    """Every process of a running swarm."""
+    title = f"{data['run']} ({data['scenario']})  {swarm_line(data['swarm'])}"
+    table = Table(title=title, title_justify="left", box=None, caption=f"subscribe at {data['endpoint']}", caption_justify="left")
+    for head in ("name", "class", "state", "pid", "inc", "tick", "cell %", "mass", "targets", "round ms"):
+        table.add_column(head, justify="left" if head in ("name", "class", "state") else "right", no_wrap=True)
+    for row in data["processes"]:
+        table.add_row(*process_cells(row), style="" if row["state"] == "running" else "red" if row["state"] == "dead" else "yellow")
+    return table
+
+
+def process_cells(row: dict[str, Any]) -> list[str]:
+    """The cells of one process: who died says how and when."""
+    state = row["state"]
+    if state == "dead":
+        when = f" at {time.strftime('%H:%M:%S', time.localtime(row['ended_at']))}" if row["ended_at"] else ""
+        state = f"dead: {row['end']}{when}" if row["end"] else "not started"
+    figures = ["", "", "", "", ""]
+    if "tick" in row and row["tick"] >= 0:
+        figures = [str(row["tick"]), f"{100.0 * row['cell']:.1f}", f"{row['mass']:.2f}", str(row["targets"]), f"{row['round_ms']:.1f}"]
+    return [row["name"], row["class"], state, str(row["pid"] or ""), str(row["incarnation"]), *figures]

@@ -1,0 +1,157 @@
+"""`echo`, `hz`, `ls`, `record` and `watch --page`: commands that listen to a running swarm from outside."""
+
+import asyncio
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from deploy.monitor.picture import Picture
+from deploy.monitor.server import PageServer, address_of
+from deploy.monitor.source import LiveSource
+from deploy.monitor_node import Scorer
+from deploy.onlookers import Onlookers, open_recorder, recording_path
+from deploy.recorder import RecorderNode
+from deploy.watching import Heard, Listener, Rates, block, expression, plain_line, swarm_to_watch
+from protocol import live
+from protocol.keys import order
+from protocol.settings import BadSetting
+
+LOOK_PERIOD = 1.0  # s between two looks whether the run still runs
+PLAIN_PERIOD = 2.0  # s between two tables of rates
+
+
+def own_name(role: str) -> str:
+    """A name that no other watcher has."""
+    return f"{role}-{os.getpid()}"
+
+
+def _until_interrupted(work: Coroutine[Any, Any, int]) -> int:
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    return asyncio.run(work)
+
+
+def echo(key: str, count: int | None, run: str | None) -> int:
+    """Print what is said under a key: blocks in a terminal, JSON lines elsewhere."""
+    _, scenario = swarm_to_watch(run)
+    show = block if sys.stdout.isatty() else plain_line
+    left = count if count is not None else -1
+
+    def on_heard(heard: Heard, now: float) -> bool:
+        nonlocal left
+        print(show(heard), flush=True)
+        left -= 1
+        return left != 0
+
+    if count is not None and count < 1:
+        raise BadSetting(f"--count {count}: should be 1 or more")
+    node = Listener(scenario.run.name, own_name("echo"), expression(key, scenario.run.name), on_heard)
+    return _quietly(live.run(node, scenario.network))
+
+
+def hz(key: str, seconds: float | None, run: str | None) -> int:
+    """Print every two seconds how often and how much is said under a key."""
+    _, scenario = swarm_to_watch(run)
+    rates, console = Rates(), Console(highlight=False)
+    shown_at = time.monotonic()
+
+    def on_heard(heard: Heard, now: float) -> bool:
+        nonlocal shown_at
+        rates.note(heard, now)
+        if time.monotonic() - shown_at >= PLAIN_PERIOD:
+            shown_at = time.monotonic()
+            console.print(rates_table(rates))
+        return True
+
+    node = Listener(scenario.run.name, own_name("hz"), expression(key, scenario.run.name), on_heard, seconds)
+    code = live.run(node, scenario.network)
+    console.print(rates_table(rates))
+    return _quietly(code)
+
+
+def ls(seconds: float, run: str | None) -> int:
+    """Print who is there and what is said, after listening for some seconds."""
+    directory, scenario = swarm_to_watch(run)
+    rates, console = Rates(), Console(highlight=False)
+    own = own_name("ls")
+    node = Listener(scenario.run.name, own, expression("**", scenario.run.name), rates.note, seconds)
+    code = live.run(node, scenario.network)
+    console.print(f"run {directory.name}: {scenario.run.scenario}, {len(scenario.members)} agents")
+    for role in ("world", "agent", "monitor", "recorder"):
+        names = sorted((name for kind, name, _ in node.tokens if kind == role and name != own), key=order)
+        if names:
+            console.print(f"{role + 's' * (len(names) > 1)}: {', '.join(names)}", soft_wrap=True)
+    console.print(rates_table(rates))
+    return _quietly(code)
+
+
+def rates_table(rates: Rates) -> Table:
+    """Keys with their rates."""
+    table = Table(box=None, title_justify="left")
+    for head in ("key", "1/s", "longest gap, ms", "bytes"):
+        table.add_column(head, justify="left" if head == "key" else "right", no_wrap=True)
+    for key, rate, gap, size in rates.rows():
+        table.add_row(key, "" if rate is None else f"{rate:.1f}", "" if gap is None else f"{1000.0 * gap:.0f}", f"{size:.0f}")
+    return table
+
+
+def record(file: Path | None, run: str | None) -> int:
+    """Record a running swarm from outside until Ctrl-C or until it ends."""
+    directory, scenario = swarm_to_watch(run)
+    path = recording_path(file if file is not None else True, directory.path)
+    assert path is not None
+    recorder = open_recorder(path, scenario)
+
+    async def work() -> int:
+        driver = live.Driver(RecorderNode(recorder, scenario.run.name, own_name("recorder")), scenario.network)
+        return await _serve_while_running(driver, directory.is_running)
+
+    print(f"recording into {path}; Ctrl-C ends it", flush=True)
+    code = _until_interrupted(work())
+    recorder.close()
+    print(
+        f"{recorder.messages} messages, {recorder.file_bytes / 1e6:.1f} MB" + (f"; stopped: {recorder.stopped}" if recorder.stopped else "")
+    )
+    return code
+
+
+def watch_page(page: bool | str, run: str | None) -> int:
+    """Show a running swarm on a page: a process that listens as any other may."""
+    directory, scenario = swarm_to_watch(run)
+    address = address_of(page)
+    assert address is not None
+    scorer = Scorer(scenario, own_name("page"))
+    server = PageServer(LiveSource(scorer, Picture(scenario), directory), address)
+    print(f"page: {server.bind()}", flush=True)
+    print(f"run {directory.name}; Ctrl-C ends the page, not the run", flush=True)
+
+    async def work() -> int:
+        async with Onlookers(scorer, None, server):
+            return await _serve_while_running(live.Driver(scorer, scenario.network), directory.is_running)
+
+    return _until_interrupted(work())
+
+
+async def _serve_while_running(driver: live.Driver, is_running: Callable[[], bool]) -> int:
+    """Drive a node until a signal comes or the run has ended."""
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, driver.stop, 0, "a signal")
+    serving = asyncio.create_task(driver.serve())
+    while not serving.done():
+        await asyncio.wait([serving], timeout=LOOK_PERIOD)
+        if not is_running():
+            driver.stop(0, "the run has ended")
+    return await serving
+
+
+def _quietly(code: int) -> int:
+    """Ctrl-C is how one ends a look; that is no failure."""
+    return 0 if code in (0, 130) else code

@@ -1,0 +1,114 @@
+"""The options that every command which runs a scenario shares. Imports little: it is read before every command."""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from deploy.scenario import FaultSettings, Scenario
+
+FLAG = Parameter(negative="")
+
+
+@dataclass
+class RunOptions:
+    """Laid over the scenario file; what is not given stays as the file says."""
+
+    seed: int | None = None
+    """Seed of the run: the same scenario and seed, the same run."""
+    team: str | None = None
+    """A team of the paper (1-8), or a composition such as 20E+4H or A4,B12."""
+    triple: str | None = None
+    """The three sensor classes of teams 2 to 5."""
+    targets: int | None = None
+    """Number of targets at the start."""
+    partition: Literal["power", "voronoi", "voronoi-cod"] | None = None
+    capacity: Literal["literal", "expected", "static", "saturating"] | None = None
+    control: str | None = None
+    """lloyd, static, random, uniform-density, pursuit, or module:Class."""
+    dt: float | None = None
+    """World time between two ticks, s."""
+    seconds: float | None = None
+    """World time of the run, s."""
+    kill: Annotated[list[str], FLAG] = field(default_factory=list)
+    """Kill agents at a world time: 30%@300, 4@100, s3@50 or s3,s4@50. May be repeated."""
+    loss: float | None = None
+    """Lose this share (0 to 1) of the messages between agents from the start."""
+    delay: float | None = None
+    """Deliver the messages between agents this many seconds late."""
+    settings: Annotated[list[str], Parameter(name="--set", negative="")] = field(default_factory=list)
+    """Any setting of the scenario: section.key=value. May be repeated."""
+    run: str | None = None
+    """Name of the run, and of its directory under ./runs (or COVEY_RUNS)."""
+    lockstep: Annotated[bool, FLAG] = False
+    """As fast as it goes: the world waits for every live agent."""
+    rate: float | None = None
+    """Real time, so many world seconds per second."""
+    spawn: Literal["zygote", "exec"] = "zygote"
+    """How agent processes start: forked from a prepared process, or each executed anew. Of demo and up only."""
+    insecure: Annotated[bool, FLAG] = False
+    """Allow endpoints beyond this machine without TLS."""
+    json: Annotated[bool, FLAG] = False
+    """The last line of standard output is the result as one JSON object."""
+
+    def overrides(self) -> dict[str, Any]:
+        """The options as dotted settings."""
+        from deploy.scenario import parse_set
+
+        named = {
+            "run.seed": self.seed,
+            "team.composition": self.team,
+            "team.triple": self.triple,
+            "targets.count": self.targets,
+            "partition.kind": self.partition,
+            "capacity.mode": self.capacity,
+            "control.mode": self.control,
+            "run.dt": self.dt,
+            "run.seconds": self.seconds,
+            "run.name": self.run,
+            "run.rate": self.rate,
+            "run.clock": "lockstep" if self.lockstep else "realtime" if self.rate is not None else None,
+            "network.insecure": self.insecure or None,
+            "network.link_faults": True if self.loss is not None or self.delay is not None else None,
+        }
+        given = {dotted: value for dotted, value in named.items() if value is not None}
+        return {**given, **dict(parse_set(text) for text in self.settings)}
+
+    def scenario(self, name: str) -> "Scenario":
+        """The resolved scenario; raises BadSetting naming what is wrong."""
+        import msgspec
+
+        from deploy.faults import check_faults
+        from deploy.scenario import FaultSettings, resolve
+
+        scenario = resolve(name, self.overrides())
+        faults = scenario.faults + tuple(parse_kill(text) for text in self.kill)
+        faults += tuple(FaultSettings(at=0.0, verb=verb, value=value) for verb, value in self._links() if value is not None)
+        scenario = msgspec.structs.replace(scenario, faults=faults)
+        check_faults(scenario.faults, list(scenario.members))
+        return scenario
+
+    def _links(self) -> list[tuple[str, float | None]]:
+        from protocol.settings import BadSetting
+
+        if self.loss is not None and not 0.0 <= self.loss <= 1.0:
+            raise BadSetting(f"--loss {self.loss}: should be a share between 0 and 1")
+        if self.delay is not None and not 0.0 <= self.delay < 1e6:
+            raise BadSetting(f"--delay {self.delay}: should be a number of seconds, 0 or more")
+        return [("drop", self.loss), ("delay", self.delay)]
+
+
+def parse_kill(text: str) -> "FaultSettings":
+    """`30%@300` as a fault: who, and when in s of world time."""
+    from deploy.scenario import FaultSettings
+    from protocol.settings import BadSetting
+
+    who, at, when = text.rpartition("@")
+    try:
+        time = float(when)
+    except ValueError:
+        time = -1.0
+    if not at or not who or not 0.0 <= time < 1e9:
+        raise BadSetting(f"--kill {text}: should read who@when, such as 30%@300, 4@100 or s3@50 (when in s of world time)")
+    return FaultSettings(at=time, verb="kill", who=who)

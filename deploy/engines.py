@@ -1,0 +1,108 @@
+"""Engines: they run the trials of a study somewhere and hand the rows back as they come.
+
+`on_this_machine` has one worker process per core, `on_a_cluster` the workers of a dask.distributed scheduler. Both yield
+(number of the trial, its row) in the order in which trials finish, and end what they started when they are closed early.
+"""
+
+import multiprocessing
+import signal
+import time
+from collections.abc import Generator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import suppress
+from typing import Any, Protocol
+
+from deploy.trials import Row, Trial, run_trial
+from protocol.process import die_with_parent
+from protocol.settings import BadSetting
+
+TICK = 0.25  # s between two looks at what is running
+Numbered = tuple[int, Trial]
+Rows = Generator[list[tuple[int, Row]], None, None]
+
+
+class Shares(Protocol):
+    """How far each trial is, 0 to 1; one place for all processes."""
+
+    def __getitem__(self, number: int, /) -> float:
+        """Of one trial."""
+
+    def __setitem__(self, number: int, share: float, /) -> None:
+        """A trial is so far."""
+
+
+_shares: Any = None  # in a worker: how far each trial is, shared with the study
+
+
+class TrialFailed(Exception):
+    """A trial ended with an error; the text says which and how."""
+
+
+def _start_worker(shares: Shares) -> None:
+    global _shares
+    _shares = shares
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the study, which ends its workers
+    die_with_parent()
+
+
+def _work(number: int, trial: Trial) -> Row:
+    def tell(share: float) -> None:
+        _shares[number] = share
+
+    return run_trial(trial, tell)
+
+
+def on_this_machine(trials: list[Numbered], workers: int, shares: Shares) -> Rows:
+    """What has finished since the last look, every `TICK` s; `shares` tells how far each running trial is."""
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (shares,))
+    try:
+        futures = {pool.submit(_work, number, trial): (number, trial) for number, trial in trials}
+        while futures:
+            done, _ = wait(futures, TICK, FIRST_COMPLETED)
+            yield [_harvest(future, *futures.pop(future)) for future in done]
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+
+
+def _harvest(future: "Future[Row]", number: int, trial: Trial) -> tuple[int, Row]:
+    try:
+        return number, future.result()
+    except Exception as error:
+        raise TrialFailed(f"{trial.command()}: {type(error).__name__}: {error}") from error
+
+
+def shared_shares(count: int) -> Shares:
+    """Room for how far each trial is."""
+    shares: Shares = multiprocessing.get_context("spawn").Array("d", max(1, count))
+    return shares
+
+
+def on_a_cluster(trials: list[Numbered], address: str) -> Rows:
+    """What has finished since the last look; the workers of the scheduler at `address` need Covey on their path."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BadSetting(f"--scheduler {address}: needs dask.distributed; install covey[cluster]") from None
+    try:
+        client = Client(address, timeout="10s", set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise BadSetting(f"--scheduler {address}: no scheduler answers there ({type(error).__name__})") from None
+    try:
+        yield from _from_cluster(client, trials)
+    finally:
+        with suppress(OSError, TimeoutError):
+            client.close(timeout=2)
+
+
+def _from_cluster(client: Any, trials: list[Numbered]) -> Rows:
+    futures = {client.submit(run_trial, trial, key=f"covey-{trial.key()}"): (number, trial) for number, trial in trials}
+    try:
+        while futures:
+            time.sleep(TICK)
+            done = [future for future in futures if future.done()]
+            yield [_harvest(future, *futures.pop(future)) for future in done]
+    finally:
+        client.cancel(list(futures))

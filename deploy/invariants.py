@@ -1,0 +1,224 @@
+"""Invariants: what must hold after every event of a simulation, whatever is broken, and what must hold once all has healed."""
+
+import math
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+
+from agents.agent import Agent
+from agents.belief import MOST_COPIES, share_of
+from agents.neighbours import MOST_TICKS
+from agents.round import Outcome
+from deploy.oracle import Oracle, distance, united
+from deploy.simulate import Simulation
+from protocol.geometry import polygon_area
+from protocol.keys import all_of
+from protocol.messages import Command, Estimate, Gossip, Hello, Truth
+from protocol.node import Alive, Effect, Event, Node, Received, Started, Subscribe
+
+GENTLE = {"loss", "copies", "reorder"}  # profiles under which the cells hardly move apart
+MOST_HOLE, MOST_OVERLAP = 0.03, 0.10  # mean shares of the arena in a gentle profile
+MASS_KEPT = {True: 0.01, False: 0.05}  # of the mass, in ledger mode after everything has healed: one kind of fault, several
+MASS_KEPT_REDRAWN = {True: 0.15, False: 0.4}  # the same where every tick new particles take the place of old ones
+SILENT_ROUNDS = 4  # that a silent peer stays a generator
+SLACK = 1.0 + 1e-9
+
+
+class Broken(Exception):
+    """An invariant does not hold."""
+
+
+def need(condition: bool, what: str) -> None:
+    """Raise `Broken` unless the condition holds."""
+    if not condition:
+        raise Broken(what)
+
+
+class Ear:
+    """A Node that hears all gossip, estimates and commands; only the newest ticks are kept."""
+
+    role, name, incarnation = "recorder", "ear", 1
+
+    def __init__(self, run: str) -> None:
+        self.run = run
+        self.gossips: dict[int, dict[str, Gossip]] = {}
+        self.estimates: dict[int, dict[str, Estimate]] = {}
+        self.commands: list[Command] = []
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Keep what is said."""
+        if isinstance(event, Started):
+            return [Subscribe(all_of(self.run, kind)) for kind in ("gossip", "estimate", "command")]
+        if isinstance(event, Received):
+            message = event.message
+            if isinstance(message, Gossip):
+                self._keep(self.gossips, message.tick, message)
+            elif isinstance(message, Estimate):
+                self._keep(self.estimates, message.tick, message)
+            elif isinstance(message, Command):
+                self.commands.append(message)
+        return []
+
+    def deadline(self) -> float | None:
+        """Never."""
+        return None
+
+    def _keep(self, table: dict[int, dict[str, Any]], tick: int, message: Any) -> None:
+        table.setdefault(tick, {})[message.sender] = message
+        while len(table) > 50:
+            del table[min(table)]
+
+
+class Watch:
+    """Watches a simulation; `settled` is the world time from which on the swarm must be one again."""
+
+    def __init__(self, simulation: Simulation, settled: float, is_ledger: bool, kinds: Collection[str]) -> None:
+        self._simulation = simulation
+        self._settled = round(settled / simulation.scenario.run.dt)
+        self._is_spoilt = "spoilt" in kinds  # wrong numbers may have got in, and stay
+        self._is_ledger, self._is_gentle = is_ledger and not self._is_spoilt, set(kinds) <= GENTLE
+        self._mass_kept = (MASS_KEPT_REDRAWN if simulation.scenario.filter.least_particles > 100 else MASS_KEPT)[len(kinds) <= 1]
+        self._outcomes: dict[str, Outcome] = {}
+        self._newest: dict[tuple[str, int, str], int] = {}  # (name, incarnation, other's name) -> the youngest incarnation it has seen
+        self._prints: dict[tuple[str, int], tuple[Any, ...]] = {}
+        self._first_mass: float | None = None
+        self._oracle: Oracle | None = None
+        self._ear = Ear(simulation.scenario.run.name)
+        simulation.bus.add(self._ear)
+        simulation.bus.tap = self._after
+        simulation.on_truth = self._on_truth
+
+    def finish(self) -> None:
+        """The run is over: liveness."""
+        scores = self._simulation.scorer.scores
+        need(len(scores) == self._simulation.scenario.run.ticks, f"only {len(scores)} ticks were scored")
+        need(self._oracle is not None or self._is_spoilt, "the run never settled")
+        for score in scores[self._settled :]:
+            need(
+                score.hole <= 1e-9 and score.overlap <= 1e-9,
+                f"tick {score.tick}: hole {score.hole:.4f}, overlap {score.overlap:.4f} though healed",
+            )
+        if self._is_gentle:
+            hole, overlap = float(np.mean([score.hole for score in scores])), float(np.mean([score.overlap for score in scores]))
+            need(hole <= MOST_HOLE, f"mean hole {hole:.4f} though no agent was touched")
+            need(overlap <= MOST_OVERLAP, f"mean overlap {overlap:.4f} though no agent was touched")
+
+    # ------------------------------------------------------------------ after every event
+
+    def _after(self, node: Node, event: Event) -> None:
+        if not isinstance(node, Agent):
+            return
+        self._check_incarnations(node, event)
+        label, outcome = f"{node.name}#{node.incarnation}", node.outcome
+        before = self._outcomes.get(label, outcome)
+        self._outcomes[label] = outcome
+        if outcome is not before:
+            check_round(node, is_first=before.belief.stamp < 0)
+            check_diagram(node)
+        while self._ear.commands:
+            self._check_command(self._ear.commands.pop())
+
+    def _check_incarnations(self, agent: Agent, event: Event) -> None:
+        """A message of an incarnation older than one whose token was seen changes nothing."""
+        own = agent.name, agent.incarnation
+        if isinstance(event, Alive) and event.role == "agent":
+            who = (*own, event.name)
+            self._newest[who] = max(event.incarnation, self._newest.get(who, 0))
+        if max(self._newest.values(), default=0) <= 1:
+            return
+        after = fingerprint(agent)
+        if isinstance(event, Received) and isinstance(event.message, Gossip | Hello):
+            message = event.message
+            if message.incarnation < self._newest.get((*own, message.sender), 0) and own in self._prints:
+                need(after == self._prints[own], f"{agent.name}: a message of an old incarnation of {message.sender} changed its state")
+        self._prints[own] = after
+
+    def _check_command(self, command: Command) -> None:
+        limits = self._simulation.scenario.limits
+        speed = math.hypot(*command.velocity)
+        need(speed <= limits.speed * SLACK, f"{command.sender} wants to move at {speed} m/s")
+        need(abs(command.turn_rate) <= limits.turn_rate * SLACK, f"{command.sender} wants to turn at {command.turn_rate} rad/s")
+
+    # ------------------------------------------------------------------ after every tick
+
+    def _on_truth(self, truth: Truth) -> None:
+        """A tick of the world begins: the one before last is complete."""
+        tick = truth.tick - 2
+        estimates = self._ear.estimates.get(tick, {})
+        if self._first_mass is None and tick >= 0:
+            self._first_mass = math.fsum(estimate.mass for estimate in estimates.values())
+        if tick < self._settled:
+            return
+        self._check_unity(tick, estimates)
+        self._compare(tick)
+
+    def _check_unity(self, tick: int, estimates: dict[str, Estimate]) -> None:
+        """All live agents have played the tick and cut the same diagram; in ledger mode nothing has been lost."""
+        alive = set(self._simulation.injector.alive())
+        need(alive == set(estimates), f"tick {tick}: alive are {sorted(alive)}, but {sorted(estimates)} have played")
+        views = {estimate.view for estimate in estimates.values()}
+        need(len(views) == 1, f"tick {tick}: {len(views)} different views though healed")
+        for agent in self._simulation.agents.values():
+            need(agent.outcome.belief.everyone == alive, f"{agent.name} believes that {sorted(agent.outcome.belief.everyone)} are alive")
+        if self._is_ledger and self._first_mass:
+            kept = math.fsum(estimate.mass for estimate in estimates.values()) / self._first_mass
+            need(abs(kept - 1.0) <= self._mass_kept, f"tick {tick}: {kept:.4f} of the mass though healed")
+
+    def _compare(self, tick: int) -> None:
+        """From the settled tick on the agents are the central filter that starts from what they own."""
+        following = self._ear.gossips.get(tick + 1, {})
+        shares = {name: said for name, said in following.items() if said.claim_names}
+        told = {name: share_of(said) for name, said in shares.items()}
+        owned = united({name: share.particles for name, share in told.items()})
+        if len(np.unique(owned.ids)) < len(owned.ids):
+            need(self._is_spoilt, f"tick {tick}: a particle is owned by two agents though healed")
+            return
+        if self._oracle is None:
+            self._oracle = Oracle(self._simulation.injector.scenario, owned, tick)
+            return
+        self._oracle.play(self._ear.gossips[tick], {name: share.claim for name, share in told.items()})
+        apart = distance(owned, self._oracle.particles)
+        need(apart.exact, f"tick {tick}: not the central filter: {apart}")
+
+
+def check_round(agent: Agent, is_first: bool) -> None:
+    """What must hold of an agent whenever it has played a round."""
+    outcome, name = agent.outcome, agent.name
+    share = outcome.belief.mine
+    particles = share.particles
+    need(bool(np.all(np.isfinite(particles.states))), f"{name}: a particle that is nowhere")
+    need(bool(np.all(np.isfinite(particles.weights)) and np.all(particles.weights >= 0.0)), f"{name}: a weight that is no mass")
+    need(bool(np.all(particles.ids[1:] > particles.ids[:-1])), f"{name}: ids that do not ascend")
+    need(math.isfinite(outcome.mass) and outcome.mass >= 0.0, f"{name}: a mass of {outcome.mass}")
+    need(math.isfinite(outcome.load) and outcome.load >= 0.0, f"{name}: a load of {outcome.load}")
+    need(0.0 <= outcome.unused <= agent.self.facts.capability * SLACK, f"{name}: an unused capacity of {outcome.unused}")
+    need(bool(np.all(np.isfinite(outcome.targets))), f"{name}: a target that is nowhere")
+    arena = agent.config.arena
+    need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
+    need(not (is_first and outcome.belief.stamp > 0 and share.claim.names), f"{name}: a newcomer with a cell before it has listened")
+    need(len(agent.neighbours._said) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.neighbours._said)} ticks")
+    need(len(outcome.belief.copies.near.ids) <= 4 * MOST_COPIES, f"{name}: {len(outcome.belief.copies.near.ids)} copies")
+
+
+def check_diagram(agent: Agent) -> None:
+    """Whoever is alive and was heard in the last `SILENT_ROUNDS` rounds has a generator (rule 7)."""
+    belief, neighbours = agent.outcome.belief, agent.neighbours
+    for name, peer in neighbours.circle.items():
+        last = neighbours.last.get(name)
+        if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.gone_at is not None:
+            continue
+        lately = belief.stamp - last.tick <= SILENT_ROUNDS
+        need(
+            not lately or name in belief.everyone,
+            f"{agent.name}: {name} is alive, was heard at {last.tick}, no generator at {belief.stamp}",
+        )
+
+
+def fingerprint(agent: Agent) -> tuple[Any, ...]:
+    """Everything about an agent that a message could change, but for the counters."""
+    neighbours = agent.neighbours
+    peers = tuple((name, p.incarnation, p.token, p.gone_at, p.missed, p.outfit is None) for name, p in neighbours.peers.items())
+    last = tuple((name, gossip.incarnation, gossip.tick) for name, gossip in neighbours.last.items())
+    said = tuple((tick, tuple((name, id(gossip)) for name, gossip in found.items())) for tick, found in neighbours._said.items())
+    return agent.tick, id(agent.outcome), peers, last, said

@@ -1,0 +1,112 @@
+"""What a page shows: a source is a running swarm or a recording. The server asks it for pictures and hands it what is clicked."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from deploy.faults import LIVE_VERBS
+from deploy.monitor.picture import Picture
+from deploy.monitor_node import Score, Scorer
+from deploy.rundir import RunDirectory
+from protocol.settings import BadSetting
+
+STATE_PERIOD = 1.0  # s between two questions who is paused
+ANSWER_SECONDS = 20.0
+BUTTONS = ("kill", "pause", "resume", "restart", "partition", "heal")
+
+
+class Source(Protocol):
+    """What the server needs of a source."""
+
+    picture: Picture
+    jumps: int  # grows when browsers must be greeted again
+
+    def scores(self) -> Sequence[Score]:
+        """All scores that are known, oldest first."""
+
+    def score(self) -> Score | None:
+        """The score of the moment that the picture shows."""
+
+    def about(self, may_act: bool) -> dict[str, Any]:
+        """What a newcomer must know: the kind of source, and what may be clicked."""
+
+    def extra(self) -> dict[str, Any]:
+        """What frames say beside the picture."""
+
+    async def ask(self, request: dict[str, Any]) -> str:
+        """Carry out a click and say what was done; raises BadSetting."""
+
+    async def chores(self) -> None:
+        """What the source does while it is shown."""
+
+
+class LiveSource:
+    """A running swarm: the picture is fed by whoever drives the scorer; the supervisor, if it can be reached, obeys the buttons."""
+
+    def __init__(self, scorer: Scorer, picture: Picture, directory: RunDirectory | None) -> None:
+        self.picture = picture
+        self.jumps = 0
+        self._scorer = scorer
+        self._directory = directory
+        self._look_again = asyncio.Event()
+
+    def scores(self) -> Sequence[Score]:
+        return self._scorer.scores
+
+    def score(self) -> Score | None:
+        """The last but one: when a tick has been scored, all has been heard of the one before, its particles included."""
+        return self._scorer.scores[-2] if len(self._scorer.scores) > 1 else None
+
+    def about(self, may_act: bool) -> dict[str, Any]:
+        allowed = [verb for verb in BUTTONS if verb in LIVE_VERBS] if may_act and self._directory else []
+        return {"source": "live", "verbs": allowed}
+
+    def extra(self) -> dict[str, Any]:
+        return {}
+
+    async def ask(self, request: dict[str, Any]) -> str:
+        verb, who = str(request.get("verb", "")), str(request.get("who", ""))
+        if verb not in BUTTONS:
+            raise BadSetting(f"{verb!r}: should be one of {', '.join(BUTTONS)}")
+        answer = await self._control(verb, who)
+        text = str(answer.get("ok", ""))
+        self.picture.note("asked", who, f"from the page: {text}")
+        self._look_again.set()
+        return text
+
+    async def chores(self) -> None:
+        """Ask the supervisor now and then who is paused: from outside, a paused agent is only a silent one."""
+        while True:
+            with contextlib.suppress(BadSetting, OSError, KeyError, TypeError):
+                rows = (await self._control("status", ""))["data"]["processes"]
+                self.picture.pause(frozenset(row["name"] for row in rows if row["state"] == "paused"))
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._look_again.wait(), STATE_PERIOD)
+            self._look_again.clear()
+
+    async def _control(self, verb: str, who: str) -> dict[str, Any]:
+        """The supervisor's answer; raises BadSetting with its complaint."""
+        if self._directory is None:
+            raise BadSetting("this run has no supervisor that could be asked")
+        try:
+            where = json.loads(self._directory.control.read_text(encoding="utf-8"))["socket"]
+            async with asyncio.timeout(ANSWER_SECONDS):
+                return await _one_answer(where, json.dumps({"verb": verb, "who": who}).encode() + b"\n")
+        except (OSError, ValueError, KeyError, TimeoutError) as error:
+            if isinstance(error, BadSetting):
+                raise
+            raise BadSetting("the supervisor does not answer: the run is starting or has ended") from None
+
+
+async def _one_answer(where: str, request: bytes) -> dict[str, Any]:
+    reader, writer = await asyncio.open_unix_connection(where, limit=1 << 22)
+    try:
+        writer.write(request)
+        answer: dict[str, Any] = json.loads(await reader.readline())
+    finally:
+        writer.close()
+    if "error" in answer:
+        raise BadSetting(answer["error"])
+    return answer

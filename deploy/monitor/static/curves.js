@@ -1,0 +1,149 @@
+// Curves over the world's time, and the strip of what happened. Each chart is one canvas: lines, a scale, and the newest values.
+import { alpha, css, GLYPHS, isLight } from "./palette.js";
+
+const MOST = 2400; // points kept of a curve; beyond that every other one goes
+export const NAMES = ["time", "ospa", "gospa", "targets", "estimated", "mass", "hole", "overlap", "rate"];
+
+// Line colours of the charts (Okabe and Ito), by theme, and a dash for each so that they differ without colour as well.
+const LINES = { dark: ["#56b4e9", "#e69f00", "#cccccc"], light: ["#0072b2", "#c05a00", "#555555"] };
+const DASHES = [[], [5, 3], [1.5, 2.5]];
+
+export const CHARTS = [
+  { title: "OSPA", unit: "m", lines: [["ospa", ""]], digits: 2 },
+  { title: "GOSPA", unit: "m", lines: [["gospa", ""]], digits: 1 },
+  { title: "targets", unit: "", lines: [["targets", "true"], ["estimated", "estimated"], ["mass", "mass"]], digits: 1 },
+  { title: "hole, overlap", unit: "%", lines: [["hole", "hole"], ["overlap", "overlap"]], digits: 2, times: 100, least: 0.5 },
+  { title: "messages", unit: "/s", lines: [["rate", ""]], digits: 0 },
+];
+
+export function fresh(curves) {
+  const history = {};
+  for (const name of NAMES) history[name] = (curves && curves[name] ? curves[name] : []).slice();
+  while (history.rate.length < history.time.length) history.rate.push(null);
+  return history;
+}
+
+export function append(history, score, rate) {
+  const last = history.time.length - 1;
+  if (!score || (last >= 0 && score[0] <= history.time[last])) return;
+  score.forEach((value, index) => history[NAMES[index]].push(value));
+  history.rate.push(rate);
+  if (history.time.length > MOST) for (const name of NAMES) history[name] = history[name].filter((_, index) => index % 2 === 0);
+}
+
+function prepare(canvas) {
+  const ratio = Math.min(2, window.devicePixelRatio || 1), width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+  if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+  const pen = canvas.getContext("2d");
+  pen.clearRect(0, 0, width, height);
+  return [pen, width, height, ratio];
+}
+
+// A round number at or above a value, for the top of a scale.
+function top(value) {
+  const size = 10 ** Math.floor(Math.log10(value));
+  return [1, 1.5, 2, 3, 4, 5, 7.5, 10].map((step) => step * size).find((step) => step >= value * 0.9999);
+}
+
+export function drawChart(canvas, chart, state) {
+  const [pen, width, height, ratio] = prepare(canvas), { history, hello, frame } = state;
+  const em = parseFloat(getComputedStyle(document.documentElement).fontSize) * ratio;
+  const head = 1.25 * em, foot = 2 * ratio, times = chart.times || 1;
+  const seconds = hello.ticks * hello.dt, x = (time) => (time / seconds) * width;
+  let most = chart.least || 0;
+  for (const [name] of chart.lines) for (const value of history[name]) if (value !== null && times * value > most) most = times * value;
+  most = most > 0 ? top(most) : 1;
+  const y = (value) => height - foot - (times * value / most) * (height - head - foot);
+  pen.strokeStyle = css("line");
+  pen.lineWidth = ratio;
+  pen.beginPath();
+  for (const share of [0, 0.5, 1]) { const at = Math.round(y(share * most / times)) + 0.5; pen.moveTo(0, at); pen.lineTo(width, at); }
+  pen.stroke();
+  marks(pen, state, x, head, height);
+  const colours = isLight() ? LINES.light : LINES.dark;
+  chart.lines.forEach(([name], index) => line(pen, history.time, history[name], x, y, colours[index], DASHES[index].map((part) => part * ratio), ratio));
+  if (frame && frame.play) { pen.fillStyle = css("accent"); pen.fillRect(x(frame.time), head * 0.9, 1.5 * ratio, height); }
+  label(pen, chart, state, colours, width, em, most);
+}
+
+function marks(pen, state, x, head, height) {
+  pen.fillStyle = alpha(css("warn"), 0.55);
+  for (const [, time, kind] of state.happenings.values()) if (kind === "lost") pen.fillRect(x(time), head, 1, height - head);
+}
+
+function line(pen, times, values, x, y, colour, dash, ratio) {
+  pen.strokeStyle = colour;
+  pen.lineWidth = 1.6 * ratio;
+  pen.lineJoin = "round";
+  pen.setLineDash(dash);
+  pen.beginPath();
+  let drawn = false;
+  for (let i = 0; i < times.length; i++) {
+    if (values[i] === null) continue;
+    drawn ? pen.lineTo(x(times[i]), y(values[i])) : pen.moveTo(x(times[i]), y(values[i]));
+    drawn = true;
+  }
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+function label(pen, chart, state, colours, width, em, most) {
+  const { frame, history } = state, times = chart.times || 1, last = history.time.length - 1;
+  pen.font = `${0.86 * em}px system-ui, "DejaVu Sans", sans-serif`;
+  pen.textBaseline = "alphabetic";
+  pen.textAlign = "left";
+  pen.fillStyle = css("soft");
+  pen.fillText(chart.title + (chart.unit && !chart.lines[0][1] ? `, ${chart.unit}` : ""), 0, 0.92 * em);
+  let at = width;
+  pen.textAlign = "right";
+  chart.lines.map(([name, words], index) => [name, words, index]).reverse().forEach(([name, words, index]) => {
+    const now = frame && frame.score && name !== "rate" ? frame.score[NAMES.indexOf(name)] : history[name][last];
+    const text = `${words ? `${words} ` : ""}${now === undefined || now === null ? "–" : (times * now).toFixed(chart.digits)}`;
+    pen.fillStyle = colours[index];
+    pen.fillText(text, at, 0.92 * em);
+    at -= pen.measureText(text).width + 0.3 * em;
+    if (words) {
+      pen.strokeStyle = colours[index];
+      pen.setLineDash(DASHES[index].map((part) => (part * em) / 13));
+      pen.beginPath();
+      pen.moveTo(at - 1.3 * em, 0.62 * em);
+      pen.lineTo(at, 0.62 * em);
+      pen.stroke();
+      pen.setLineDash([]);
+      at -= 2 * em;
+    }
+  });
+  pen.fillStyle = alpha(css("soft"), 0.8);
+  pen.font = `${0.72 * em}px system-ui, "DejaVu Sans", sans-serif`;
+  pen.textAlign = "left";
+  pen.fillText(`${most}${chart.unit === "%" ? " %" : ""}`, 1, 2.0 * em);
+}
+
+// The whole run as a strip: what happened, as marks with shapes, and where we are.
+export function drawStrip(canvas, state) {
+  const [pen, width, height, ratio] = prepare(canvas), { hello, frame, happenings } = state;
+  const seconds = hello.ticks * hello.dt, em = parseFloat(getComputedStyle(document.documentElement).fontSize) * ratio;
+  const x = (time) => 0.5 * em + (time / seconds) * (width - em), middle = 0.36 * height;
+  pen.fillStyle = css("line");
+  pen.fillRect(x(0), middle - 2 * ratio, x(seconds) - x(0), 4 * ratio);
+  if (frame) { pen.fillStyle = css("accent"); pen.fillRect(x(0), middle - 2 * ratio, x(frame.time) - x(0), 4 * ratio); }
+  pen.font = `${0.72 * em}px system-ui, "DejaVu Sans", sans-serif`;
+  pen.fillStyle = css("soft");
+  pen.textBaseline = "alphabetic";
+  const step = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((size) => seconds / size <= 12) || seconds / 10;
+  for (let time = 0; time <= seconds + 1e-9; time += step) {
+    pen.textAlign = time === 0 ? "left" : time + step > seconds ? "right" : "center";
+    pen.fillText(`${Math.round(time)} s`, x(time), height - 2 * ratio);
+  }
+  pen.font = `700 ${0.86 * em}px system-ui, "DejaVu Sans", sans-serif`;
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  const room = new Map();
+  for (const [, time, kind] of happenings.values()) {
+    const at = Math.round(x(time) / (0.6 * em)), key = `${at} ${kind}`;
+    if (room.has(key)) continue;
+    room.set(key, true);
+    pen.fillStyle = { lost: css("warn"), silent: css("warn"), paused: css("warn"), world: css("soft"), asked: css("accent") }[kind] || css("good");
+    pen.fillText(GLYPHS[kind] || "•", x(time), middle);
+  }
+}

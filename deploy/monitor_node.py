@@ -1,0 +1,332 @@
+"""The scorer: a Node that hears truth and estimates and says how the swarm fares. Live it is fed by Zenoh, in a simulation by the bus.
+
+A tick is scored once every live agent's estimate of it is in, or when the world is `lag` ticks ahead. Hole and overlap are exact
+areas of the published cells of the living, as shares of the arena.
+"""
+
+import hashlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from deploy.result import Kill, Result
+from deploy.scenario import Scenario
+from deploy.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
+from protocol.geometry import polygon_area
+from protocol.keys import all_of, order
+from protocol.messages import Estimate, Gossip, Hello, Truth
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Subscribe
+from world.score import gospa, ospa
+
+CLOSED = 1e-6  # of the arena: cells leave no hole
+LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
+
+
+class AgentStatus(msgspec.Struct, kw_only=True):
+    """What watchers see of one agent."""
+
+    name: str
+    alive: bool = False
+    incarnation: int = 0
+    gone_at: float | None = None  # world time at which it was last lost, s
+    pose: tuple[float, float, float] | None = None  # where its body really is: x, y, heading
+    tick: int = -1
+    cell: float = 0.0  # area, share of the arena
+    mass: float = 0.0
+    targets: int = 0
+    rounds: int = 0
+    skipped: int = 0
+    round_ms: float = 0.0
+
+
+class Status(msgspec.Struct, kw_only=True):
+    """What watchers see of the swarm."""
+
+    tick: int
+    ticks: int
+    time: float
+    ospa: float
+    gospa: float
+    targets: int
+    in_view: int
+    mass: float
+    hole: float
+    overlap: float
+    messages: int
+    agents: list[AgentStatus]
+    arena: tuple[float, float]  # width and height, m
+    places: list[tuple[float, float]]  # of the true targets, m
+    estimates: list[tuple[float, float]]  # of the targets that the living report, m
+
+
+@dataclass(slots=True)
+class _Loss:
+    name: str
+    tick: int
+    time: float
+    now: float
+    closed: tuple[float, int] | None = None  # s, ticks
+
+
+@dataclass
+class _Tally:
+    """What has been counted, by incarnation where it starts again with every process."""
+
+    messages: int = 0
+    bytes: int = 0
+    rejected: int = 0
+    rounds: dict[tuple[str, int], int] = field(default_factory=dict)
+    residual: float = 0.0
+
+
+class Scorer:
+    """The Node that scores a run; `finish` before the agents are dismissed, then `result`."""
+
+    role = "monitor"
+
+    def __init__(self, scenario: Scenario, name: str = "monitor", incarnation: int = 1) -> None:
+        self.run, self.name, self.incarnation = scenario.run.name, name, incarnation
+        self.scores: list[Score] = []
+        self.truth: Truth | None = None  # the newest
+        self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick of the world
+        self.on_event: Callable[[Event, float], None] = lambda event, now: None  # called first with all that is heard: recorder, page
+        self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
+        self.greeted: set[str] = set()  # who has been heard at all
+        self._scenario = scenario
+        self._area = scenario.arena.width * scenario.arena.height
+        self._coverage = Coverage(scenario)
+        self._lag = LAG[scenario.run.clock]
+        self._fresh = max(scenario.timing.silent_rounds, 2 * scenario.timing.estimate_every)  # an older estimate counts no more
+        self._names = list(scenario.members)
+        self._alive: dict[str, int] = {}
+        self._gone_at: dict[str, float] = {}
+        self._truths: dict[int, Truth] = {}
+        self._estimates: dict[int, dict[str, Estimate]] = {}
+        self._latest: dict[str, Estimate] = {}
+        self._next = 0
+        self._losses: list[_Loss] = []
+        self._tally = _Tally()
+        self._transcript = hashlib.blake2b(digest_size=16)
+        self._finished = False
+
+    def deadline(self) -> float | None:
+        """Never: what is late is noticed by the world's next ticks."""
+        return None
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Take one event and return what to do."""
+        self.on_event(event, now)
+        match event:
+            case Started():
+                return [Subscribe(all_of(self.run, kind)) for kind in ("truth", "estimate", "gossip", "observation", "command", "hello")]
+            case Received(message=message):
+                self._tally.messages += 1
+                self._tally.bytes += event.size
+                self._hear(message)
+                if not isinstance(message, Truth | Estimate):
+                    return []  # nothing that could complete a tick
+            case Alive(role="agent"):
+                self._alive[event.name] = max(event.incarnation, self._alive.get(event.name, 0))
+                if event.name not in self._names:
+                    self._names = sorted([*self._names, event.name], key=order)
+            case Gone(role="agent") if self._alive.get(event.name) == event.incarnation:
+                self._lose(event.name, now)
+            case Rejected():
+                self._tally.rejected += 1
+        self._score_what_is_complete(now)
+        return []
+
+    def _hear(self, message: object) -> None:
+        if isinstance(message, Truth):
+            self._hear_truth(message)
+        elif isinstance(message, Estimate):
+            self._hear_estimate(message)
+        elif isinstance(message, Gossip):
+            self._compare_mass(message)
+        elif isinstance(message, Hello):
+            self.greeted.add(message.sender)
+
+    def _hear_truth(self, truth: Truth) -> None:
+        if truth.tick < self._next or (self.truth is not None and truth.tick <= self.truth.tick):
+            return
+        self._truths[truth.tick] = self.truth = truth
+        self.on_truth(truth)
+
+    def _hear_estimate(self, estimate: Estimate) -> None:
+        latest = self._latest.get(estimate.sender)
+        if latest is not None and (estimate.incarnation, estimate.tick) <= (latest.incarnation, latest.tick):
+            return
+        self._latest[estimate.sender] = estimate
+        self._tally.rounds[estimate.sender, estimate.incarnation] = estimate.counters.get("rounds", 0)
+        if estimate.tick >= self._next:
+            self._estimates.setdefault(estimate.tick, {})[estimate.sender] = estimate
+
+    def _compare_mass(self, gossip: Gossip) -> None:
+        """The mass that an agent reports must be the sum of the particles that it publishes."""
+        estimate = self._latest.get(gossip.sender)
+        if estimate is not None and gossip.claim_names and (estimate.incarnation, estimate.tick) == (gossip.incarnation, gossip.claim_tick):
+            self._tally.residual = max(self._tally.residual, abs(estimate.mass - gossip.weight * len(gossip.ids)))
+
+    def _lose(self, name: str, now: float) -> None:
+        del self._alive[name]
+        if self._finished or self.truth is None:
+            return
+        self._gone_at[name] = self.truth.time
+        self._losses.append(_Loss(name, self.truth.tick, self.truth.time, now))
+
+    def _score_what_is_complete(self, now: float) -> None:
+        while self.truth is not None and not self._finished:
+            late = self.truth.tick - self._next >= self._lag
+            truth = self._truths.get(self._next)
+            if truth is None and late:
+                self._forget(self._next)
+            elif truth is not None and (late or self._is_complete(truth)):
+                self._score(truth, now)
+                self._forget(truth.tick)
+            else:
+                return
+
+    def _forget(self, tick: int) -> None:
+        self._truths.pop(tick, None)
+        self._estimates.pop(tick, None)
+        self._next = tick + 1
+
+    def _is_complete(self, truth: Truth) -> bool:
+        """Whether all who live and were given this tick have answered; ticks without estimates wait for the next one."""
+        if truth.tick % self._scenario.timing.estimate_every:
+            return truth.tick + 1 in self._truths
+        said = self._estimates.get(truth.tick, {})
+        return all(name in said for name in truth.alive if name in self._alive)
+
+    def _score(self, truth: Truth, now: float) -> None:
+        said = self._estimates.get(truth.tick, {})
+        self._transcript.update(truth.poses_bytes)
+        for name in self._names:
+            if name in said:
+                self._transcript.update(said[name].targets_bytes)
+        counted = [said.get(name) or self._latest[name] for name in self._names if name in self._alive and name in self._latest]
+        counted = [estimate for estimate in counted if estimate.tick >= truth.tick - self._fresh]
+        targets = np.concatenate([np.empty((0, 2)), *(estimate.targets for estimate in counted)])
+        one_view = len({estimate.view for estimate in counted}) == 1
+        hole, overlap = hole_and_overlap([estimate.cell for estimate in counted], self._area, one_view=one_view)
+        parts = gospa(truth.targets, targets)
+        score = Score(
+            tick=truth.tick,
+            time=truth.time,
+            ospa=ospa(truth.targets, targets),
+            gospa=parts.total,
+            targets=len(truth.targets),
+            in_view=truth.in_view,
+            estimated=len(targets),
+            mass=math.fsum(estimate.mass for estimate in counted),
+            hole=hole,
+            overlap=overlap,
+            localisation=parts.localisation,
+            missed=parts.missed,
+            false=parts.false,
+            coverage=self._coverage.share(truth),
+        )
+        self.scores.append(score)
+        for loss in self._losses:
+            if loss.closed is None and hole <= CLOSED and truth.tick > loss.tick:
+                loss.closed = now - loss.now, truth.tick - loss.tick
+
+    def finish(self, now: float) -> None:
+        """The run is over: score what is left; who leaves from now on has not been lost."""
+        while self._truths and not self._finished:
+            tick = min(self._truths)
+            self._score(self._truths[tick], now)
+            self._forget(tick)
+        self._finished = True
+        self.on_finish()
+
+    def is_up_to_date(self) -> bool:
+        """Whether every truth that was heard has been scored."""
+        return not self._truths
+
+    def alive(self) -> dict[str, int]:
+        """Live agents and their incarnations, by their tokens, in team order."""
+        return {name: self._alive[name] for name in self._names if name in self._alive}
+
+    def status(self) -> Status:
+        """The newest score and what is known of each agent."""
+        last = self.scores[-1] if self.scores else NO_SCORE
+        run = self._scenario.run
+        return Status(
+            tick=last.tick,
+            ticks=run.ticks,
+            time=last.time,
+            ospa=last.ospa,
+            gospa=last.gospa,
+            targets=last.targets,
+            in_view=last.in_view,
+            mass=last.mass,
+            hole=last.hole,
+            overlap=last.overlap,
+            messages=self._tally.messages,
+            agents=[self._agent_status(name) for name in self._names],
+            arena=(self._scenario.arena.width, self._scenario.arena.height),
+            places=_pairs([self.truth.targets] if self.truth else []),
+            estimates=_pairs([self._latest[name].targets for name in self._alive if name in self._latest]),
+        )
+
+    def _agent_status(self, name: str) -> AgentStatus:
+        status = AgentStatus(name=name, alive=name in self._alive, incarnation=self._alive.get(name, 0), gone_at=self._gone_at.get(name))
+        if self.truth is not None and name in self.truth.bodies:
+            x, y, heading = self.truth.poses[self.truth.bodies.index(name)].tolist()
+            status.pose = x, y, heading
+        estimate = self._latest.get(name)
+        if estimate is not None:
+            status.tick, status.mass, status.targets = estimate.tick, estimate.mass, len(estimate.targets)
+            status.cell = polygon_area(estimate.cell) / self._area
+            status.rounds, status.skipped = estimate.counters.get("rounds", 0), estimate.counters.get("skipped", 0)
+            status.round_ms = 1000.0 * estimate.round_seconds
+        return status
+
+    def result(self, wall_seconds: float, messages: int | None = None, payload_bytes: int | None = None) -> Result:
+        """The record of the run; `messages` and `payload_bytes` where the driver has counted them better than this node can."""
+        scenario, scores = self._scenario, self.scores
+        steady = steady_part(scores, scenario)
+        last = scores[-1] if scores else None
+        result = Result(
+            scenario=scenario.run.scenario,
+            seed=scenario.run.seed,
+            partition=scenario.partition.kind,
+            capacity=scenario.capacity.mode,
+            control=scenario.control.mode,
+            agents=len(scenario.members),
+            ticks=len(scores),
+            dt=scenario.run.dt,
+            wall_s=round(wall_seconds, 3),
+            mean_ospa=mean([score.ospa for score in scores]),
+            steady_ospa=mean([score.ospa for score in steady]),
+            final_ospa=last.ospa if last else 0.0,
+            mean_gospa=mean([score.gospa for score in scores]),
+            steady_gospa=mean([score.gospa for score in steady]),
+            final_gospa=last.gospa if last else 0.0,
+            cardinality_error=mean([abs(score.mass - score.targets) for score in steady]),
+            share_in_view=share_in_view(scores),
+            targets=last.targets if last else 0,
+            targets_in_view=last.in_view if last else 0,
+            hole_area=max((score.hole for score in scores), default=0.0),
+            overlap_area=max((score.overlap for score in scores), default=0.0),
+            mass_residual=self._tally.residual,
+            messages=self._tally.messages if messages is None else messages,
+            bytes=self._tally.bytes if payload_bytes is None else payload_bytes,
+            rounds=sum(self._tally.rounds.values()),
+            kills=tuple(_kill(loss) for loss in self._losses),
+            transcript=self._transcript.hexdigest(),
+        )
+        return msgspec.structs.replace(result, **why(scores, scenario))
+
+
+def _pairs(parts: list[np.ndarray]) -> list[tuple[float, float]]:
+    return [(round(x, 2), round(y, 2)) for part in parts for x, y in part.tolist()]
+
+
+def _kill(loss: _Loss) -> Kill:
+    seconds, ticks = loss.closed if loss.closed else (None, None)
+    return Kill(name=loss.name, tick=loss.tick, time=loss.time, closed_seconds=seconds, closed_ticks=ticks)

@@ -1,0 +1,92 @@
+"""The oracle: one centralised filter over the whole arena, fed with everything that the agents say they saw.
+
+It uses the agents' own functions, but knows no cells while it predicts and corrects: every particle and every detection of a tick in
+one filter, the sensors in the order of their names. Only the draw of new particles goes cell by cell, with the claims that the
+agents published and each owner's key. Without loss the union of what the agents own equals it.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.arithmetic import PLAIN, Arithmetic
+from agents.births import background_births
+from agents.cells import Claim
+from agents.config import AgentConfig
+from agents.particles import NONE, Particles, canonical, join, select
+from agents.step import Step
+from agents.words import learn, side_by_side
+from protocol.geometry import rectangle
+from protocol.keys import order
+from protocol.messages import Gossip
+from protocol.settings import ArenaSettings, sensor_of
+
+
+class Oracle:
+    """A PHD over the whole arena; `particles` holds after the tick `stamp`."""
+
+    def __init__(self, config: AgentConfig, particles: Particles, stamp: int = -1, arithmetic: Arithmetic = PLAIN) -> None:
+        self.config, self.arithmetic = config, arithmetic
+        self.particles, self.stamp = particles, stamp
+
+    def play(self, gossips: Mapping[str, Gossip], claims: Mapping[str, Claim]) -> None:
+        """One tick on: predict, correct with the scans of all `gossips`, draw new particles in each of the `claims`."""
+        self.stamp += 1
+        config, step = self.config, Step(self.config, self.stamp)
+        born = background_births(config.run.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
+        said = [gossips[name] for name in sorted(gossips, key=order)]
+        for gossip in said:
+            learn(gossip, sensor_of(config, config.members[gossip.sender]), config)
+        all_over = _widely(config.arena)
+        everything, _ = self.arithmetic.gather(self.particles, born, all_over, (0.0, 0.0), 0.0, step)
+        updated = self.arithmetic.update(everything, side_by_side(said), all_over, step)
+        self.particles = canonical(join([self._drawn(updated, owner, claim, step) for owner, claim in claims.items()]))
+
+    @property
+    def mass(self) -> float:
+        """Expected number of targets."""
+        return float(self.particles.weights.sum())
+
+    def _drawn(self, updated: Particles, owner: str, claim: Claim, step: Step) -> Particles:
+        return self.arithmetic.resample(self.arithmetic.take(updated, claim, self.config.arena), owner, step)
+
+
+def _widely(arena: ArenaSettings) -> np.ndarray:
+    """A polygon that holds everything that can matter: the arena and 1 km around it, counter-clockwise."""
+    far = 1000.0
+    return rectangle(arena.width + 2.0 * far, arena.height + 2.0 * far) - far
+
+
+class Distance(NamedTuple):
+    """How far two sets of particles are apart."""
+
+    strangers: int  # ids that only one of them has
+    moved: int  # common ids with different states
+    weight: float  # the largest difference of weights at common ids, expected targets
+    mass: float  # difference of the masses, first minus second, expected targets
+
+    @property
+    def exact(self) -> bool:
+        """Whether they are the same particle by particle, weights to 1e-9."""
+        return self.strangers == 0 and self.moved == 0 and self.weight <= 1e-9
+
+
+def distance(one: Particles, other: Particles) -> Distance:
+    """Particle by particle; both in ascending order of id."""
+    common, first, second = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
+    moved = np.any(one.states[first] != other.states[second], axis=1)
+    apart = np.abs(one.weights[first] - other.weights[second])
+    return Distance(
+        strangers=len(one.ids) + len(other.ids) - 2 * len(common),
+        moved=int(np.count_nonzero(moved)),
+        weight=float(apart.max()) if len(common) else 0.0,
+        mass=float(one.weights.sum() - other.weights.sum()),
+    )
+
+
+def united(shares: Mapping[str, Particles]) -> Particles:
+    """Everything that the agents own, in ascending order of id; an id that two of them own occurs twice."""
+    parts = [shares[name] for name in sorted(shares, key=order)]
+    everything = join(parts) if parts else NONE
+    return select(everything, np.argsort(everything.ids, kind="stable"))

@@ -1,0 +1,114 @@
+"""One child process of a run: started, paused, resumed, killed, and looked at. Nothing here waits.
+
+A child ends with its supervisor whatever happens: its stdin is a pipe that only the supervisor holds, and it asks the kernel for
+SIGKILL when the thread that started it ends; so children are started from the main thread only.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deploy.rundir import RunDirectory
+from deploy.zygote import Forked, Zygote
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass
+class Child:
+    """A process of the run under its name, through all its incarnations."""
+
+    name: str
+    room: str  # agents or world
+    directory: RunDirectory
+    arguments: list[str]  # endpoints
+    incarnation: int = 0
+    paused: bool = False
+    returncode: int | None = None  # of the newest incarnation; negative: the signal that ended it
+    ended_at: float | None = None  # Unix time, for people only
+    process: subprocess.Popen[bytes] | Forked | None = field(default=None, repr=False)
+    zygote: Zygote | None = field(default=None, repr=False)  # forks it; None: it is executed
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the process exists and has not been seen to end; a paused one is running."""
+        return self.process is not None
+
+    @property
+    def pid(self) -> int | None:
+        """Its process id while it runs."""
+        return self.process.pid if self.process else None
+
+    def start(self, *extra: str) -> None:
+        """Start the next incarnation."""
+        assert self.process is None
+        self.incarnation += 1
+        self.paused, self.returncode, self.ended_at = False, None, None
+        words = ["--name", self.name, "--config", str(self.directory.config), "--supervised"]
+        words += ["--incarnation", str(self.incarnation), *self.arguments, *extra]
+        if self.zygote is not None:
+            with contextlib.suppress(OSError):  # a zygote that has died: the child is executed instead
+                self.process = self.zygote.fork(words, self.directory.log(self.name))
+                return
+        command = [sys.executable, "-m", self.room, *words]
+        with self.directory.log(self.name).open("ab") as log:
+            self.process = subprocess.Popen(
+                command,
+                cwd=ROOT,
+                env=child_environment(),
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                process_group=0,  # Ctrl-C in the terminal is the supervisor's alone
+            )
+
+    def poll(self) -> bool:
+        """Notice the end of the process; True when it has ended since the last look."""
+        if self.process is None or self.process.poll() is None:
+            return False
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        self.returncode, self.ended_at = self.process.returncode, time.time()
+        self.process, self.paused = None, False
+        return True
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal if it runs."""
+        if self.process is not None:
+            self.process.send_signal(number)
+            self.paused = number == signal.SIGSTOP or (self.paused and number != signal.SIGCONT)
+
+    def tell(self, line: str) -> None:
+        """Write a line to its standard input; dropped when it has ended, or has been stopped for so long that the pipe is full."""
+        if self.process is not None and self.process.stdin is not None:
+            number = self.process.stdin.fileno()
+            os.set_blocking(number, False)
+            with contextlib.suppress(OSError):
+                os.write(number, line.encode() + b"\n")
+
+    def end(self) -> str:
+        """How it ended, for people: `killed by SIGKILL`, `exit code 2`; empty while it runs."""
+        if self.returncode is None:
+            return ""
+        if self.returncode < 0:
+            return f"killed by {signal.Signals(-self.returncode).name}"
+        return f"exit code {self.returncode}"
+
+    def last_words(self) -> str:
+        """The last line of its log that is no JSON, where complaints about bad input stand; else its last line; empty when silent."""
+        try:
+            lines = self.directory.log(self.name).read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            return ""
+        plain = [line for line in lines if line.strip() and not line.startswith("{")]
+        return (plain or lines or [""])[-1]
+
+
+def child_environment() -> dict[str, str]:
+    """The environment of children: they look for a user's own modules in the user's folder, after ours; numpy uses one thread."""
+    return {**os.environ, "COVEY_MODULES": os.getcwd(), "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}

@@ -1,0 +1,87 @@
+"""The result of a run: one record, one JSON object, one table."""
+
+import json
+
+import msgspec
+
+VERSION = "0.1.0"
+
+
+class Kill(msgspec.Struct, frozen=True, kw_only=True):
+    """One agent that went, and how long the rest took until their cells covered the arena again."""
+
+    name: str
+    tick: int  # the newest when it went
+    time: float  # of the world, s
+    closed_seconds: float | None  # wall s, or virtual s in a simulation; None: the run ended before
+    closed_ticks: int | None
+
+
+class Result(msgspec.Struct, frozen=True, kw_only=True):
+    """What a run came to. Lengths in m, areas as shares of the arena, times in s."""
+
+    scenario: str
+    seed: int
+    partition: str
+    capacity: str
+    control: str
+    agents: int  # at the start
+    ticks: int  # that were scored
+    dt: float
+    wall_s: float
+    mean_ospa: float
+    steady_ospa: float  # last `study.steady_share` of the run
+    final_ospa: float
+    mean_gospa: float
+    steady_gospa: float
+    final_gospa: float
+    cardinality_error: float  # mean over the steady part of |sum of masses - number of targets|
+    share_in_view: float  # of target-time
+    targets: int  # at the end
+    targets_in_view: int  # at the end
+    hole_area: float  # the largest, share of the arena
+    overlap_area: float
+    mass_residual: float  # the largest difference between the mass an agent says and the sum of its particles, expected targets
+    messages: int
+    bytes: int
+    rounds: int  # played by all agents together
+    kills: tuple[Kill, ...]
+    transcript: str  # hash of all poses and estimates
+    version: str = VERSION
+    steady_localisation: float = 0.0  # the parts of GOSPA, m
+    steady_missed: float = 0.0
+    steady_false: float = 0.0
+    steady_targets: float = 0.0  # number of targets; of those that the agents report; of those that they expect
+    steady_estimated: float = 0.0
+    steady_mass: float = 0.0
+    steady_coverage: float = 0.0  # share of the arena inside some footprint
+    end_in_view: float = 0.0  # share of target-time over the last 5 s
+
+    def to_json(self) -> str:
+        """One line of JSON."""
+        return json.dumps(msgspec.to_builtins(self))
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The table for people: what, and how much."""
+        closed = [kill for kill in self.kills if kill.closed_seconds is not None]
+        slowest = max(closed, key=lambda kill: kill.closed_seconds or 0.0, default=None)
+        hole = (
+            "-" if not self.kills else "not closed" if slowest is None else f"{slowest.closed_seconds:.2f} s, {slowest.closed_ticks} ticks"
+        )
+        if slowest is not None and len(closed) < len(self.kills):
+            hole += f" ({len(self.kills) - len(closed)} not closed)"
+        names = ", ".join(kill.name for kill in self.kills)
+        return [
+            ("OSPA, mean / steady / final", f"{self.mean_ospa:.2f} / {self.steady_ospa:.2f} / {self.final_ospa:.2f} m"),
+            ("GOSPA, mean / steady / final", f"{self.mean_gospa:.1f} / {self.steady_gospa:.1f} / {self.final_gospa:.1f} m"),
+            ("  localisation + missed + false", f"{self.steady_localisation:.1f} + {self.steady_missed:.1f} + {self.steady_false:.1f} m"),
+            ("targets / reported / expected", f"{self.steady_targets:.1f} / {self.steady_estimated:.1f} / {self.steady_mass:.1f}"),
+            ("arena in view", f"{100.0 * self.steady_coverage:.0f} %"),
+            ("targets in view at the end", f"{self.targets_in_view} of {self.targets} ({100.0 * self.share_in_view:.0f} % of the time)"),
+            ("ticks / rounds of all agents", f"{self.ticks} / {self.rounds}"),
+            ("messages", f"{self.messages} ({self.bytes / 1e6:.1f} MB)"),
+            ("killed", f"{len(self.kills)} of {self.agents}" + (f": {names}" if names else "")),
+            ("time to close the hole", hole),
+            ("largest hole / overlap", f"{100.0 * self.hole_area:.2f} / {100.0 * self.overlap_area:.2f} % of the arena"),
+            ("wall time", f"{self.wall_s:.1f} s"),
+        ]

@@ -1,0 +1,134 @@
+"""Scenarios: one TOML file each, with the options of the command line laid over it, resolved into the run.toml of a run."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from agents.config import AgentConfig
+from protocol.settings import BadSetting, NotNegative, Section, Share, convert, read_toml, sensor_of
+from world.config import BodySettings, TargetSettings, WorldConfig
+
+FOLDER = Path(__file__).parent / "scenarios"
+PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4": (5, 20, 15), "5": (6, 24, 18)}
+
+
+class TeamSettings(Section, frozen=True, kw_only=True):
+    """[team] either a team of the paper by number, or a composition such as "20E+4H" or "A4,B12"."""
+
+    composition: str = "1"
+    triple: str = "ACD"  # the three classes of teams 2 to 5, a column that Table II has lost
+
+
+class FaultSettings(Section, frozen=True, kw_only=True):
+    """[[faults]] one thing that happens to the swarm."""
+
+    at: NotNegative  # world time, s
+    verb: str
+    who: str = ""  # a name, names with commas, a number, or a share such as "30%"
+    seconds: NotNegative | None = None  # for how long; None = until the end
+    value: NotNegative | None = None  # of the verb: a probability, a delay in s
+    options: dict[str, Any] = {}
+
+
+class StudySettings(Section, frozen=True, kw_only=True):
+    """[study] how results are averaged."""
+
+    steady_share: Share = 0.8  # the last share of the run that counts as steady state
+
+
+class Scenario(AgentConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A whole scenario, all sections; unknown ones are refused."""
+
+    targets: TargetSettings = TargetSettings()
+    bodies: BodySettings = BodySettings()
+    team: TeamSettings = TeamSettings()
+    study: StudySettings = StudySettings()
+    faults: tuple[FaultSettings, ...] = ()
+
+
+def world_config(scenario: Scenario) -> WorldConfig:
+    """What the world reads of a scenario."""
+    return WorldConfig(**{field: getattr(scenario, field) for field in WorldConfig.__struct_fields__})
+
+
+def team_counts(team: TeamSettings) -> dict[str, int]:
+    """Sensors of each class, in order; raises BadSetting when the text cannot be read (Table II)."""
+    text = team.composition.strip()
+    if text == "1":
+        return {"A": 4, "B": 12}
+    if text in PAPER_TEAMS:
+        if len(team.triple) != 3 or len(set(team.triple)) != 3:
+            raise BadSetting(f"team.triple = {team.triple!r}: should be three different sensor classes such as ACD")
+        return dict(zip(team.triple, PAPER_TEAMS[text]))
+    text = {"6": "20E+4H", "7": "20E+10G", "8": "20E+20F"}.get(text, text)
+    counts: dict[str, int] = {}
+    for part in re.split(r"[+,\s]+", text):
+        match = re.fullmatch(r"(\d{1,9})([A-Za-z_]\w*)|([A-Za-z_]\w*?)(\d{1,9})", part)
+        if match is None:
+            raise BadSetting(f"team.composition = {team.composition!r}: should be a team 1-8, or such as 20E+4H or A4,B12")
+        sensor_class, number = match[2] or match[3], int(match[1] or match[4])
+        counts[sensor_class] = counts.get(sensor_class, 0) + number
+    if not 0 < sum(counts.values()) <= 10000:
+        raise BadSetting(f"team.composition = {team.composition!r}: a team has 1 to 10000 sensors")
+    return counts
+
+
+def find(name: str) -> Path:
+    """The file of a scenario that is named or given by its path; raises BadSetting listing what there is."""
+    path = Path(name)
+    if path.suffix == ".toml" or "/" in name:
+        return path
+    shipped = FOLDER / f"{name}.toml"
+    if not shipped.is_file():
+        known = ", ".join(sorted(file.stem for file in FOLDER.glob("*.toml")))
+        raise BadSetting(f"scenario {name!r} does not exist; known are {known}, or give the path of a TOML file")
+    return shipped
+
+
+def resolve(name: str, overrides: dict[str, Any] | None = None) -> Scenario:
+    """The scenario `name` with dotted overrides such as {"run.seed": 3} laid over it and the team spelled out."""
+    path = find(name)
+    data = read_toml(path)
+    for dotted, value in (overrides or {}).items():
+        _lay_over(data, dotted, value)
+    source = str(path) if not overrides else f"{path} with options"
+    scenario = convert(data, Scenario, source)
+    try:
+        members = scenario.members or _name_members(team_counts(scenario.team))
+        for sensor_class in dict.fromkeys(members.values()):
+            sensor_of(scenario, sensor_class)
+    except BadSetting as error:
+        field = "" if str(error).startswith(("team.", "sensors.")) else "members: " if scenario.members else "team.composition: "
+        raise BadSetting(f"{source}: {field}{error}") from None
+    run = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name)
+    return msgspec.structs.replace(scenario, members=members, run=run)
+
+
+def _name_members(counts: dict[str, int]) -> dict[str, str]:
+    classes = [sensor_class for sensor_class, number in counts.items() for _ in range(number)]
+    return {f"s{number}": sensor_class for number, sensor_class in enumerate(classes, start=1)}
+
+
+def _lay_over(data: dict[str, Any], dotted: str, value: Any) -> None:
+    *sections, field = dotted.split(".")
+    if not sections:
+        raise BadSetting(f"--set {dotted}: should read section.key=value")
+    for section in sections:
+        data = data.setdefault(section, {})
+        if not isinstance(data, dict):
+            raise BadSetting(f"--set {dotted}: {section} is not a section")
+    data[field] = value
+
+
+def parse_set(text: str) -> tuple[str, Any]:
+    """`section.key=value` as a dotted name and a TOML value (bare words count as strings)."""
+    dotted, equals, value = text.partition("=")
+    if not equals or "." not in dotted:
+        raise BadSetting(f"--set {text}: should read section.key=value")
+    try:
+        return dotted.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return dotted.strip(), value.strip()

@@ -1,0 +1,337 @@
+"""The supervisor: starts the world and the agents, kills, pauses and restarts them, notices who dies, and never leaves an orphan.
+
+It is no part of the swarm: agents find each other by themselves and go on without it in every respect but one, they end with it.
+Everything runs in one event loop in the main thread (children must be started from there).
+"""
+
+import asyncio
+import contextlib
+import logging
+import signal
+import time
+from collections.abc import Callable
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from deploy.control import Answer, ControlServer
+from deploy.faults import LINK_VERBS, Action, Schedule, check_fault, check_faults, choose, plain_verb
+from deploy.links import Links, describe
+from deploy.monitor_node import Scorer, Status
+from deploy.processes import Child, child_environment
+from deploy.result import Result
+from deploy.rundir import RunDirectory
+from deploy.scenario import FaultSettings, Scenario
+from deploy.zygote import Zygote
+from protocol.codec import encode
+from protocol.endpoints import check_endpoints, free_port
+from protocol.links import as_line
+from protocol.live import Driver
+from protocol.messages import Truth
+from protocol.settings import BadSetting, NetworkSettings
+
+SEED_AGENTS = 1  # agents that listen on a known port beside monitor and world, so that newcomers find the swarm when these are down
+START_LINE = 20.0  # s that the last agent is held back at most
+GRACE = 2.5  # s for children to end by themselves
+EXIT_BAD_INPUT = 2
+
+Spawn = Literal["zygote", "exec"]
+
+log = logging.getLogger(__name__)
+
+
+class Supervisor:
+    """One run, from the first process to the result."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        directory: RunDirectory,
+        on_event: Callable[[str], None] = lambda text: None,
+        on_status: Callable[[Status], None] = lambda status: None,
+        *,
+        spawn: Spawn = "exec",
+    ) -> None:
+        check_faults(scenario.faults, list(scenario.members), live=True, link_faults=scenario.network.link_faults)
+        check_endpoints(scenario.network)
+        _check_names(scenario)
+        self.directory = directory
+        self.result: Result | None = None
+        self._listens = _seed_listeners(scenario)
+        seeds = tuple(dict.fromkeys([*self._listens.values(), *scenario.network.seeds]))
+        network = msgspec.structs.replace(scenario.network, seeds=seeds, listen=NetworkSettings().listen)
+        own = self._listens["monitor"]
+        others = tuple(seed for seed in seeds if seed != own)
+        self._own_network = msgspec.structs.replace(network, listen=(own,), seeds=others)
+        self.scenario = msgspec.structs.replace(scenario, network=network)
+        self.scorer = Scorer(self.scenario, incarnation=time.time_ns() // 1_000_000)
+        self.scorer.on_truth = self._on_truth
+        self.children = {name: Child(name, room, directory, self._endpoints(name)) for name, room in self._rooms().items()}
+        self._zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
+        for name in scenario.members:
+            self.children[name].zygote = self._zygote
+        self._schedule = Schedule(scenario.run.seed, scenario.faults)
+        self._links = Links(scenario.run.seed, list(scenario.members))
+        self._on_event, self._on_status = on_event, on_status
+        self._over: asyncio.Future[int] | None = None
+        self._winding_down = False
+        self._started_at = time.monotonic()
+        self._first_truth_at: float | None = None
+        self._dice = np.random.default_rng()  # of commands by hand only; those of the scenario are drawn from its seed
+
+    async def run(self) -> int:
+        """Run to the end; the exit code. Raises BadSetting when a process refuses its input."""
+        loop = asyncio.get_running_loop()
+        self._over = loop.create_future()
+        for number, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
+            loop.add_signal_handler(number, self._on_signal, code)
+        loop.add_signal_handler(signal.SIGCHLD, self._reap)
+        if self._zygote is not None:
+            loop.add_reader(self._zygote.fileno(), self._reap)
+        driver = Driver(self.scorer, self._own_network)
+        control = ControlServer(self.directory, self._answer)
+        monitor = None
+        try:
+            self.directory.write_config(self.scenario)
+            await driver.open()
+            monitor = asyncio.create_task(driver.serve())
+            await control.open()
+            await self._start_all()
+            return await self._watch(monitor)
+        finally:
+            await self._wind_down()
+            if self._zygote is not None:
+                loop.remove_reader(self._zygote.fileno())
+                self._zygote.close()
+            await control.close()
+            driver.stop(0, "the run is over")
+            if monitor is not None:
+                await asyncio.gather(monitor, return_exceptions=True)
+
+    async def _start_all(self) -> None:
+        """Start everybody, the last agent only when the monitor hears all others: the world waits for it, so nothing is missed."""
+        assert self._over is not None
+        *first, last = self.children.values()
+        for child in first:
+            if child.zygote is not None:
+                await asyncio.to_thread(child.zygote.wait_until_ready)
+            child.start()
+        end = time.monotonic() + START_LINE
+        while not self._over.done() and time.monotonic() < end:
+            if all(child.name in self.scorer.greeted or not child.is_running for child in first):
+                break
+            await asyncio.wait([self._over], timeout=0.02)
+        if not self._over.done():
+            last.start()
+
+    async def _watch(self, monitor: "asyncio.Task[int]") -> int:
+        """Report the status twice a second until the run is over."""
+        assert self._over is not None
+        while not self._over.done():
+            await asyncio.wait([self._over], timeout=0.5)
+            self._reap()  # in case a signal was merged with another
+            self._on_status(self.scorer.status())
+            if monitor.done() and not self._over.done():
+                monitor.result()
+                raise RuntimeError("the monitor's session has ended")
+        code = self._over.result()
+        if code == 0:
+            await self._wait_for_estimates()
+        self._make_result()
+        return code
+
+    async def _wait_for_estimates(self) -> None:
+        """Give the estimates of the last tick a moment to arrive."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(1.0):
+                while not self.scorer.is_up_to_date():
+                    await asyncio.sleep(0.01)
+
+    def _make_result(self) -> None:
+        now = asyncio.get_running_loop().time()
+        self.scorer.finish(now)
+        self.result = self.scorer.result(now - (self._first_truth_at or now))
+        self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
+
+    async def _wind_down(self) -> None:
+        """End all children: politely, then not; at the end none is left."""
+        self._winding_down = True
+        for child in self.children.values():
+            child.send(signal.SIGTERM)
+            child.send(signal.SIGCONT)
+        end = time.monotonic() + GRACE
+        while any(child.is_running for child in self.children.values()):
+            if time.monotonic() > end:
+                self._kill_all()
+            await asyncio.sleep(0.02)
+            self._reap()
+
+    def _kill_all(self) -> None:
+        for child in self.children.values():
+            child.send(signal.SIGKILL)
+
+    def _on_signal(self, code: int) -> None:
+        """The first signal ends the run, the second one at once."""
+        if self._winding_down:
+            self._kill_all()
+        self._end(code)
+
+    def _end(self, code: int) -> None:
+        if self._over is not None and not self._over.done():
+            self._over.set_result(code)
+
+    def _reap(self) -> None:
+        """Notice who has died."""
+        for child in self.children.values():
+            if child.poll() and not self._winding_down:
+                self._on_death(child)
+
+    def _on_death(self, child: Child) -> None:
+        log.info("%s ended: %s", child.name, child.end(), extra={"tick": self.scorer.truth.tick if self.scorer.truth else None})
+        if child.name == "world" and child.returncode == 0:
+            self._end(0)
+            return
+        if child.returncode == EXIT_BAD_INPUT or (self.scorer.truth is None and child.returncode == 1):
+            self._fail(BadSetting(child.last_words() or f"{child.name} ended with {child.end()}"))
+        self._tell(f"{child.name} died: {child.end()}")
+
+    def _fail(self, error: Exception) -> None:
+        if self._over is not None and not self._over.done():
+            self._over.set_exception(error)
+
+    def _tell(self, text: str) -> None:
+        when = f"{self.scorer.truth.time:.1f} s" if self.scorer.truth else "start"
+        self._on_event(f"[{when}] {text}")
+
+    def _on_truth(self, truth: Truth) -> None:
+        """The world's time has moved on: carry out the faults that are due."""
+        if self._first_truth_at is None:
+            self._first_truth_at = asyncio.get_running_loop().time()
+            log.info("the first tick", extra={"seconds": round(self._first_truth_at - self._started_at, 3)})
+        try:
+            for action in self._schedule.due(truth.time, self._agents("running"), self._agents("dead"), list(self.children)):
+                self._act(action)
+        except BadSetting as error:
+            self._tell(f"a fault of the scenario could not be carried out: {error}")
+
+    # ------------------------------------------------------------------ verbs
+
+    async def _answer(self, request: dict[str, Any]) -> Answer:
+        """Carry out a request of the control socket."""
+        verb, who = str(request.get("verb", "")), str(request.get("who", ""))
+        if verb == "status":
+            return {"ok": "", "data": self.status()}
+        if verb == "down":
+            self._end(0)
+            return {"ok": "going down"}
+        fault = FaultSettings(at=0.0, verb=verb, who=who, value=request.get("value"), options=request.get("options") or {})
+        check_fault(fault, "", [*self.scenario.members], live=True, link_faults=self.scenario.network.link_faults)
+        states = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}
+        candidates = self._agents(states.get(verb, "running"))
+        names = choose(who, candidates, list(self.children), self._dice) if who else candidates
+        return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}
+
+    def _act(self, action: Action) -> str:
+        """Do it, and say what was done."""
+        verb, names, done = action.verb, action.names, []
+        if verb in LINK_VERBS:
+            return self._spoil_links(action)
+        for name in names:
+            child = self.children[name]
+            if verb == "restart":
+                self._restart(child)
+            elif not child.is_running:
+                raise BadSetting(f"{name} is not running; `covey restart {name}` brings it back")
+            else:
+                child.send({"kill": signal.SIGKILL, "pause": signal.SIGSTOP, "resume": signal.SIGCONT}[verb])
+            done.append(name)
+        past = {"kill": "killed", "pause": "paused", "resume": "resumed", "restart": "restarted"}[verb]
+        text = f"{past} {', '.join(done)}" if done else f"nobody to {verb}"
+        log.info(text)
+        self._tell(text)
+        return text
+
+    def _spoil_links(self, action: Action) -> str:
+        """Change the links between agents: every agent is told how it hears the others from now on."""
+        self._links.act(action)
+        for name in self.scenario.members:
+            self._tell_links(name)
+        text = describe(action)
+        log.info(text)
+        self._tell(text)
+        return text
+
+    def _tell_links(self, name: str) -> None:
+        if self.scenario.network.link_faults and name in self.scenario.members:
+            self.children[name].tell(as_line(self._links.reception(name)))
+
+    def _restart(self, child: Child) -> None:
+        """Bring a process back under its name, with the next incarnation; a restarted world goes on from the last truth."""
+        if child.process is not None:
+            child.process.kill()
+            child.process.wait()
+            child.poll()
+        if child.name == "world" and self.scorer.truth is not None:
+            self.directory.truth.write_bytes(encode(self.scorer.truth))
+            child.start("--restore", str(self.directory.truth))
+        else:
+            child.start()
+            self._tell_links(child.name)
+
+    def _agents(self, state: str) -> list[str]:
+        """Names of the agents that are running, awake (running and not paused), paused, or dead."""
+        agents = [self.children[name] for name in self.scenario.members]
+        return [
+            child.name
+            for child in agents
+            if {
+                "running": child.is_running,
+                "awake": child.is_running and not child.paused,
+                "paused": child.paused,
+                "dead": not child.is_running,
+            }[state]
+        ]
+
+    def status(self) -> dict[str, Any]:
+        """What `ps` and `watch` show: the swarm as scored, and every process."""
+        swarm = msgspec.to_builtins(self.scorer.status())
+        scored = {agent["name"]: agent for agent in swarm.pop("agents")}
+        rows: list[dict[str, Any]] = []
+        for name, child in self.children.items():
+            state = "paused" if child.paused else "running" if child.is_running else "dead"
+            row: dict[str, Any] = {"name": name, "class": self.scenario.members.get(name, ""), "state": state, "pid": child.pid}
+            row |= {"incarnation": child.incarnation, "end": child.end(), "ended_at": child.ended_at}
+            rows.append({**scored.get(name, {}), **row})
+        head = {"run": self.directory.name, "scenario": self.scenario.run.scenario, "endpoint": self._own_network.listen[0]}
+        return {**head, "swarm": swarm, "processes": rows}
+
+    # ------------------------------------------------------------------ endpoints
+
+    def _rooms(self) -> dict[str, str]:
+        return {"world": "world", **dict.fromkeys(self.scenario.members, "agents")}
+
+    def _endpoints(self, name: str) -> list[str]:
+        """The command-line options of a process: a seed listens where all expect it, and nobody dials itself."""
+        own = self._listens.get(name)
+        words = ["--listen", own] if own else []
+        for endpoint in self.scenario.network.seeds:
+            words += ["--seed-endpoint", endpoint] if endpoint != own else []
+        return words
+
+
+def _check_names(scenario: Scenario) -> None:
+    for name in ("world", "monitor", "supervisor"):
+        if name in scenario.members:
+            raise BadSetting(f"members.{name}: this name belongs to the {name}; call the agent otherwise")
+
+
+def _seed_listeners(scenario: Scenario) -> dict[str, str]:
+    """Which processes listen on a known port, and where: on free ports, or the monitor alone where the scenario says."""
+    if scenario.network.listen != NetworkSettings().listen:
+        return {"monitor": scenario.network.listen[0]}
+    names = ["monitor", "world", *list(scenario.members)[:SEED_AGENTS]]
+    ports: set[int] = set()
+    while len(ports) < len(names):
+        ports.add(free_port())
+    return {name: f"tcp/127.0.0.1:{port}" for name, port in zip(names, sorted(ports))}

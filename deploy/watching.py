@@ -1,0 +1,151 @@
+"""Listening to a running swarm from outside: key expressions, and a node that hands on whatever it hears."""
+
+import itertools
+import re
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from deploy.rundir import RunDirectory, find_running
+from deploy.scenario import Scenario
+from protocol.keys import ROOT, message_key
+from protocol.messages import Message
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.settings import BadSetting, load
+
+PART = re.compile(r"^(\*\*?|[^*/#?$\s]+(\$\*[^*/#?$\s]*)*|\$\*[^*/#?$\s]+)\Z")
+
+
+class Heard(NamedTuple):
+    """A payload under a key; `message` where it is one of ours, `reason` where it is not."""
+
+    key: str
+    payload: bytes
+    message: Message | None
+    reason: str
+
+
+def swarm_to_watch(run: str | None) -> tuple[RunDirectory, Scenario]:
+    """The running run of that name, or the newest, and its resolved scenario, which says where the swarm is found."""
+    directory = find_running(run)
+    try:
+        return directory, load(directory.config, Scenario)
+    except BadSetting:
+        raise BadSetting(f"--run {directory.name}: the run is starting or ending; try again in a second") from None
+
+
+def expression(text: str, run: str) -> str:
+    """A key expression: as given when it begins with covey/ or with **/, else within the run. Raises BadSetting."""
+    parts = text.strip("/").split("/")
+    if not all(PART.match(part) for part in parts) or any(pair == ("**", "**") for pair in itertools.pairwise(parts)):
+        raise BadSetting(f"{text!r}: should be a key expression such as truth, estimate/s3, 'gossip/*' or '{ROOT}/**'")
+    return "/".join(parts if parts[0] == ROOT or (parts[0] == "**" and len(parts) > 1) else [ROOT, run, *parts])
+
+
+class Listener:
+    """The Node of `echo`, `hz` and `ls`: subscribes to one expression, hands on what it hears, stops after `seconds` or on demand."""
+
+    role = "monitor"
+    incarnation = 1
+
+    def __init__(self, run: str, name: str, wanted: str, on_heard: Callable[[Heard, float], bool], seconds: float | None = None) -> None:
+        """`on_heard` says whether to go on listening."""
+        self.run, self.name = run, name
+        self.tokens: set[tuple[str, str, int]] = set()  # role, name, incarnation of who is there
+        self._wanted, self._on_heard, self._seconds = wanted, on_heard, seconds
+        self._end: float | None = None
+
+    def deadline(self) -> float | None:
+        """When the time is up."""
+        return self._end
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Take one event and return what to do."""
+        go_on = True
+        match event:
+            case Started():
+                self._end = now + self._seconds if self._seconds is not None else None
+                return [Subscribe(self._wanted)]
+            case Timer():
+                return [Stop(0, "time is up")]
+            case Received(message=message):
+                go_on = self._on_heard(Heard(message_key(self.run, message), event.payload, message, ""), now)
+            case Rejected():
+                go_on = self._on_heard(Heard(event.key, event.payload, None, event.reason), now)
+            case Alive():
+                self.tokens.add((event.role, event.name, event.incarnation))
+            case Gone():
+                self.tokens.discard((event.role, event.name, event.incarnation))
+        return [] if go_on else [Stop(0, "enough")]
+
+
+def fields(message: Message) -> dict[str, Any]:
+    """A message for people: its fields by name, arrays as lists of rows."""
+    found: dict[str, Any] = {"type": type(message).__struct_config__.tag}
+    for name in message.__struct_fields__:
+        value = getattr(message, name.removesuffix("_bytes"))
+        found[name.removesuffix("_bytes")] = value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)
+    return found
+
+
+def plain_line(heard: Heard) -> str:
+    """One line of JSON: the key, and the message or its raw bytes and why it is none."""
+    if heard.message is not None:
+        return msgspec.json.encode({"key": heard.key, **fields(heard.message)}).decode()
+    raw: dict[str, Any] = {"key": heard.key, "unknown": heard.reason, "bytes": len(heard.payload), "raw": heard.payload[:256].hex()}
+    try:
+        raw["msgpack"] = msgspec.to_builtins(msgspec.msgpack.decode(heard.payload), builtin_types=(bytes,), str_keys=True)
+        return msgspec.json.encode(raw).decode()
+    except (msgspec.MsgspecError, ValueError, TypeError, RecursionError, UnicodeError):
+        raw.pop("msgpack", None)
+        return msgspec.json.encode(raw).decode()
+
+
+def block(heard: Heard, most: int = 6) -> str:
+    """Several lines for a terminal: the key, then field by field, long arrays by their first rows."""
+    if heard.message is None:
+        return f"{heard.key}\n  {heard.reason}, {len(heard.payload)} bytes: {heard.payload[:64].hex(' ')}"
+    return "\n".join([heard.key, *(f"  {name:14} {_short(value, most)}" for name, value in fields(heard.message).items())])
+
+
+def _short(value: Any, most: int) -> str:
+    if isinstance(value, list | tuple) and len(value) > most:
+        return f"{len(value)} rows: {', '.join(_short(item, most) for item in value[:most])}, ..."
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_short(item, most) for item in value) + "]"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
+
+
+class Rates:
+    """How often and how much is said, by key."""
+
+    def __init__(self) -> None:
+        self.counts: dict[str, int] = {}
+        self.bytes: dict[str, int] = {}
+        self._first: dict[str, float] = {}
+        self._last: dict[str, float] = {}
+        self._longest: dict[str, float] = {}
+
+    def note(self, heard: Heard, now: float) -> bool:
+        """Count one message; always True, for who listens goes on."""
+        key = heard.key
+        if key in self._last:
+            self._longest[key] = max(self._longest.get(key, 0.0), now - self._last[key])
+        self._first.setdefault(key, now)
+        self._last[key] = now
+        self.counts[key] = self.counts.get(key, 0) + 1
+        self.bytes[key] = self.bytes.get(key, 0) + len(heard.payload)
+        return True
+
+    def rows(self) -> list[tuple[str, float | None, float | None, float]]:
+        """(key, messages per s, longest gap in s, bytes per message) by key; no rate from a single message."""
+        found: list[tuple[str, float | None, float | None, float]] = []
+        for key in sorted(self.counts, key=lambda key: [(len(part), part) for part in key.split("/")]):
+            span = self._last[key] - self._first[key]
+            rate = (self.counts[key] - 1) / span if span > 0.0 else None
+            found.append((key, rate, self._longest.get(key), self.bytes[key] / self.counts[key]))
+        return found
