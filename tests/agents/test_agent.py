@@ -1,0 +1,229 @@
+"""The agent as a node: what goes in, what comes out, and when."""
+
+import math
+
+import pytest
+
+from agents.agent import EXIT_FENCED, HELLO_EARLY, HELLO_SOON, Agent
+from agents.config import AgentConfig, ControlSettings
+from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
+from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.sensing import SENSOR_CLASSES
+from protocol.settings import ArenaSettings, BadSetting, RunSettings
+
+CONFIG = AgentConfig(
+    run=RunSettings(dt=0.5, rate=2.0),
+    arena=ArenaSettings(width=40.0, height=40.0),
+    members={"s1": "A", "s2": "B"},
+)
+LOCKSTEP = AgentConfig(run=RunSettings(dt=0.5, clock="lockstep", patience=5.0), arena=CONFIG.arena, members={"s1": "A", "s2": "B"})
+
+
+def see(tick: int, incarnation: int = 1) -> Received:
+    return Received(
+        Observation(sender="world", incarnation=incarnation, recipient="s1", tick=tick, time=0.5 * tick, pose=(10.0, 20.0, 0.0))
+    )
+
+
+def word(tick: int, sender: str = "s2", incarnation: int = 1, **fields: object) -> Received:
+    usual: dict[str, object] = {"pose": (30.0, 20.0, 0.0), "cod": (32.0, 20.0), "power_radius": 2.0, "unused": 20.0}
+    return Received(Gossip(sender=sender, incarnation=incarnation, tick=tick, **{**usual, **fields}))  # type: ignore[arg-type]
+
+
+def hello(sender: str = "s2", incarnation: int = 1, **fields: object) -> Received:
+    usual: dict[str, object] = {"sensor_class": "B", "sensor": SENSOR_CLASSES["B"]}
+    return Received(Hello(sender=sender, incarnation=incarnation, **{**usual, **fields}))  # type: ignore[arg-type]
+
+
+def kinds(effects: list[Effect]) -> list[type]:
+    return [type(effect) for effect in effects]
+
+
+def only(effects: list[Effect], kind: type[Message]) -> Message:
+    found = [effect for effect in effects if isinstance(effect, kind)]
+    assert len(found) == 1
+    return found[0]
+
+
+def met(config: AgentConfig = CONFIG) -> Agent:
+    """s1, which knows that s2 is alive and what its sensor is."""
+    agent = Agent(config, "s1", incarnation=1)
+    agent.handle(Started(), 0.0)
+    agent.handle(Alive("agent", "s2", 1), 0.0)
+    agent.handle(hello(), 0.0)
+    return agent
+
+
+def test_it_subscribes_to_greetings_gossip_and_its_own_observations_and_greets() -> None:
+    effects = Agent(CONFIG, "s1").handle(Started(), 0.0)
+    assert [effect.expression for effect in effects if isinstance(effect, Subscribe)] == [
+        "covey/covey/hello/*",
+        "covey/covey/gossip/*",
+        "covey/covey/observation/s1",
+    ]
+    greeting = only(effects, Hello)
+    assert isinstance(greeting, Hello) and greeting.sensor == SENSOR_CLASSES["A"] and greeting.heard == ()
+
+
+def test_an_observation_is_answered_at_once_and_the_round_closes_with_the_last_word() -> None:
+    agent = met()
+    effects = agent.handle(see(0), 1.0)
+    said = only(effects, Gossip)
+    assert isinstance(said, Gossip) and said.tick == 0 and said.pose == (10.0, 20.0, 0.0) and not said.listening
+    assert math.isclose(said.power_radius, 6.4992, abs_tol=1e-3)  # Table I, class A: nothing is used yet
+    assert kinds(agent.handle(word(0), 1.1)) == [Estimate, Command]
+
+
+def test_a_word_that_came_before_the_observation_counts() -> None:
+    agent = met()
+    assert agent.handle(word(0), 0.9) == []
+    assert kinds(agent.handle(see(0), 1.0)) == [Gossip, Estimate, Command]
+
+
+def test_alone_it_closes_at_once_and_owns_the_arena() -> None:
+    agent = Agent(CONFIG, "s1")
+    estimate = only(agent.handle(see(0), 0.0), Estimate)
+    assert isinstance(estimate, Estimate)
+    assert sorted(map(tuple, estimate.cell.tolist())) == [(0.0, 0.0), (0.0, 40.0), (40.0, 0.0), (40.0, 40.0)]
+    # The prior less what the empty scan of class A has ruled out, D = 132.7 m^2; the particles are a random sample of it.
+    assert math.isclose(estimate.mass, 0.001 * (1600.0 - 132.7), rel_tol=0.05)
+
+
+def test_in_real_time_the_deadline_is_a_share_of_the_period() -> None:
+    agent = met()
+    agent.handle(see(0), 1.0)
+    assert agent.deadline() == pytest.approx(HELLO_SOON) or agent.deadline() == pytest.approx(1.125)
+    agent.handle(Timer(), 1.0)  # the greeting
+    assert agent.deadline() == pytest.approx(1.0 + 0.5 * 0.5 / 2.0)
+    effects = agent.handle(Timer(), 1.125)
+    assert kinds(effects) == [Estimate, Command]
+    assert agent.counters["late"] == 1 and agent.counters["missing"] == 1
+
+
+def test_in_lockstep_it_is_patient_but_less_so_with_whom_it_has_missed_before() -> None:
+    agent = met(LOCKSTEP)
+    agent.handle(word(0), 0.3)
+    agent.handle(see(0), 0.4)
+    agent.handle(see(1), 10.0)
+    first = agent._close_at
+    agent.handle(Timer(), 100.0)
+    agent.handle(see(2), 100.0)
+    second = agent._close_at
+    assert first is not None and second is not None
+    assert 1.0 < first - 10.0 <= 5.0 and 0.0 < second - 100.0 <= 0.5
+
+
+def test_the_loss_of_the_token_of_the_last_missing_peer_closes_the_round() -> None:
+    agent = met()
+    agent.handle(see(0), 1.0)
+    assert kinds(agent.handle(Gone("agent", "s2", 1), 1.01)) == [Estimate, Command]
+    assert agent.outcome.belief.mine.claim.names == ("s1",)
+
+
+def test_a_dead_peer_is_no_generator_until_it_speaks_of_a_later_tick() -> None:
+    agent = met()
+    agent.handle(word(0), 0.9)
+    agent.handle(see(0), 1.0)
+    assert agent.outcome.belief.mine.claim.names == ("s1", "s2")
+    agent.handle(Gone("agent", "s2", 1), 1.1)
+    agent.handle(see(1), 1.2)
+    assert agent.outcome.belief.mine.claim.names == ("s1",)
+    agent.handle(word(2), 1.3)
+    agent.handle(see(2), 1.4)
+    assert agent.outcome.belief.mine.claim.names == ("s1", "s2")
+
+
+def test_a_new_observation_closes_the_round_that_is_open_and_gaps_are_counted() -> None:
+    agent = met()
+    agent.handle(see(0), 1.0)
+    effects = agent.handle(see(3), 1.5)
+    assert kinds(effects) == [Estimate, Command, Gossip, Estimate, Command]
+    assert [effect.tick for effect in effects if isinstance(effect, Command)] == [0, 3]
+    assert agent.counters["skipped"] == 2
+
+
+def test_an_old_observation_and_an_old_world_change_nothing() -> None:
+    agent = met()
+    agent.handle(see(5, incarnation=2), 1.0)
+    assert agent.handle(see(5, incarnation=2), 1.1) == [] and agent.handle(see(4, incarnation=2), 1.1) == []
+    assert agent.handle(see(9, incarnation=1), 1.1) == []
+    assert agent.counters["rejected.stale"] == 3 and agent.tick == 5
+
+
+def test_a_newcomer_listens_until_it_has_heard_everybody() -> None:
+    agent = met()
+    said = only(agent.handle(see(7), 1.0), Gossip)
+    assert isinstance(said, Gossip) and said.listening and said.claim_names == ()
+    effects = agent.handle(word(7), 1.1)
+    estimate = only(effects, Estimate)
+    assert isinstance(estimate, Estimate) and len(estimate.cell) == 0
+    said = only(agent.handle(see(8), 1.5), Gossip)
+    assert isinstance(said, Gossip) and not said.listening
+
+
+def test_a_newcomer_that_hears_nobody_waits_before_it_believes_to_be_alone() -> None:
+    agent = Agent(CONFIG, "s1")
+    listening = []
+    for tick in range(3, 15):
+        said = only(agent.handle(see(tick), float(tick)), Gossip)
+        assert isinstance(said, Gossip)
+        listening.append(said.listening)
+    assert listening == [True] * 8 + [False] * 4
+
+
+def test_the_older_of_two_processes_with_one_name_leaves() -> None:
+    for younger in (Alive("agent", "s1", 2), hello("s1", 2), word(0, "s1", 2)):
+        effects = Agent(CONFIG, "s1", incarnation=1).handle(younger, 0.0)
+        assert [effect.code for effect in effects if isinstance(effect, Stop)] == [EXIT_FENCED]
+        assert not any(isinstance(effect, Stop) for effect in Agent(CONFIG, "s1", incarnation=2).handle(younger, 0.0))
+
+
+def test_the_word_of_a_stranger_of_an_old_incarnation_and_beyond_its_sensor_is_refused() -> None:
+    agent = met()
+    agent.handle(word(0, "s9"), 0.1)
+    agent.handle(word(0, incarnation=0), 0.1)
+    agent.handle(word(0, power_radius=50.0), 0.1)
+    agent.handle(word(0, unused=30.0), 0.1)
+    agent.handle(word(0, cod=(39.0, 20.0)), 0.1)
+    assert agent.counters == {"rejected.stranger": 1, "rejected.incarnation": 1, "rejected.bounds": 3}
+
+
+def test_a_greeting_with_a_sensor_that_nobody_knows_is_refused_and_ends_nothing() -> None:
+    agent = Agent(CONFIG, "s1")
+    assert agent.handle(hello("s3", sensor=None, sensor_class="Z"), 0.0) == []
+    assert agent.counters["rejected.sensor"] == 1
+
+
+def test_it_greets_once_for_all_who_appear_within_a_moment() -> None:
+    agent = Agent(CONFIG, "s1")
+    agent.handle(Started(), 0.0)
+    for number in range(2, 30):
+        assert agent.handle(Alive("agent", f"s{number}", 1), 0.01) == []
+    assert agent.deadline() == pytest.approx(0.01 + HELLO_SOON)
+    greeting = only(agent.handle(Timer(), 0.01 + HELLO_SOON), Hello)
+    assert isinstance(greeting, Hello)
+    assert agent.deadline() == pytest.approx(0.01 + HELLO_SOON + HELLO_EARLY)
+
+
+def test_rejected_bytes_are_counted_by_reason_and_foreign_kinds_are_ignored() -> None:
+    agent = Agent(CONFIG, "s1")
+    agent.handle(Rejected("s2", "format"), 0.0)
+    agent.handle(Rejected("s2", "format"), 0.0)
+    beacon = Beacon(sender="s2", incarnation=1, tick=0, position=(0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, reach=1.0)
+    assert agent.handle(Received(beacon), 0.0) == []
+    assert agent.counters == {"rejected.format": 2}
+
+
+def test_a_control_law_that_does_not_exist_is_told_at_the_start() -> None:
+    with pytest.raises(BadSetting, match=r"control\.mode = 'lloyds': known are lloyd"):
+        Agent(AgentConfig(members={"s1": "A"}, control=ControlSettings(mode="lloyds")), "s1")
+
+
+def test_an_impossible_word_does_not_raise_the_dead() -> None:
+    agent = met()
+    agent.handle(word(0), 0.9)
+    agent.handle(see(0), 1.0)
+    agent.handle(Gone("agent", "s2", 1), 1.1)
+    agent.handle(word(1, unused=30.0), 1.2)
+    agent.handle(see(1), 1.3)
+    assert agent.outcome.belief.mine.claim.names == ("s1",)

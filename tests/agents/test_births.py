@@ -1,0 +1,104 @@
+"""Where new particles come from: the right mass in the right places, and the same for everybody who looks."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.births import DIRECTIONS, Scan, background_births, birth_density, measurement_births, prior
+from agents.config import BirthSettings, FilterSettings
+from agents.particles import NONE, Particles
+from protocol.sensing import WedgeSensor
+from protocol.settings import ArenaSettings
+
+ARENA = ArenaSettings(width=100.0, height=60.0)
+FILTER, BIRTH = FilterSettings(), BirthSettings()
+DISC = WedgeSensor(2.0 * math.pi, 10.0, 0.8)
+
+
+def scan(places: list[tuple[float, float]], numbers: list[int] | None = None) -> Scan:
+    """Detections of one sensor, numbered as in the whole scan."""
+    points = np.array(places, dtype=float).reshape(-1, 2)
+    return Scan(99, DISC, (50.0, 30.0, 0.0), points, np.array(numbers or range(len(points)), dtype=np.uint64), 3e-4)
+
+
+def test_the_prior_is_uniform_and_has_its_density() -> None:
+    particles = prior(1, 4000, FILTER, ARENA)
+    assert particles.weights.sum() == pytest.approx(0.001 * 6000.0)
+    counts = np.histogram2d(*particles.states[:, :2].T, bins=[5, 3], range=[[0, 100], [0, 60]])[0]
+    spread = math.sqrt(4000 / 15 * (1 - 1 / 15))
+    assert np.abs(counts - 4000 / 15).max() < 4.5 * spread
+    assert np.hypot(particles.states[:, 2], particles.states[:, 3]) == pytest.approx(2.0, rel=1e-6)
+    assert (particles.ids[1:] > particles.ids[:-1]).all()
+
+
+def test_no_prior_density_no_prior() -> None:
+    assert len(prior(1, 100, FilterSettings(prior_density=0.0), ARENA).ids) == 0
+    assert len(prior(1, 0, FILTER, ARENA).ids) == 0
+
+
+def test_background_births_bring_what_flows_in_over_the_border() -> None:
+    """density x speed x perimeter / pi per second: 0.001 x 2 x 320 / pi x 0.5 s."""
+    births = background_births(1, 3, 0.5, FILTER, BIRTH, ARENA)
+    assert births.weights.sum() == pytest.approx(0.001 * 2.0 * 320.0 / math.pi * 0.5)
+    assert len(background_births(1, 3, 0.5, FILTER, BirthSettings(background=False), ARENA).ids) == 0
+
+
+def test_nine_tenths_are_born_on_the_border_with_headings_inward_by_the_cosine_law() -> None:
+    parts = [background_births(2, tick, 0.5, FILTER, BirthSettings(background_particles=1000), ARENA) for tick in range(8)]
+    states = np.concatenate([part.states for part in parts])
+    west, east = states[:, 0] == 0.0, states[:, 0] == 100.0
+    south, north = states[:, 1] == 0.0, states[:, 1] == 60.0
+    assert (west | east | south | north).sum() == 8 * 900
+    assert (states[west, 2] > 0).all() and (states[east, 2] < 0).all() and (states[south, 3] > 0).all() and (states[north, 3] < 0).all()
+    assert west.sum() == pytest.approx(7200 * 60 / 320, abs=4.5 * math.sqrt(7200 * 60 / 320))
+    sines = states[south, 2] / 2.0  # uniform in [-1, 1) under the cosine law: mean 0, variance 1/3
+    assert sines.mean() == pytest.approx(0.0, abs=4.5 * math.sqrt(1 / 3 / south.sum()))
+    assert (sines**2).mean() == pytest.approx(1 / 3, abs=0.04)
+
+
+def test_births_of_different_ticks_have_different_ids() -> None:
+    ids = np.concatenate([background_births(1, tick, 0.5, FILTER, BIRTH, ARENA).ids for tick in range(50)])
+    assert len(set(ids.tolist())) == 50 * BIRTH.background_particles
+
+
+def test_measurement_births_lie_around_their_detections_and_share_their_mass() -> None:
+    births = measurement_births(scan([(50.0, 30.0), (55.0, 31.0)]), np.array([0.01, 0.02]), 7, 1, 0.25, FILTER, BIRTH)
+    assert births.weights.tolist() == [0.01] * 10 + [0.02] * 10
+    apart = births.states[:, :2] - np.repeat([(50.0, 30.0), (55.0, 31.0)], 10, axis=0)
+    assert np.abs(apart).max() < 0.25 * 2.0 * math.sqrt(3.0)
+    assert np.hypot(births.states[:, 2], births.states[:, 3]) == pytest.approx(2.0)
+
+
+def test_a_birth_is_the_same_for_whoever_hears_a_part_of_the_scan() -> None:
+    """The number of a detection in the whole scan is its key, not its place among those that matter here."""
+    whole = measurement_births(scan([(45.0, 30.0), (50.0, 30.0), (55.0, 31.0)]), np.full(3, 0.01), 7, 1, 0.25, FILTER, BIRTH)
+    part = measurement_births(scan([(55.0, 31.0)], [2]), np.full(1, 0.01), 7, 1, 0.25, FILTER, BIRTH)
+    assert (whole.states[20:] == part.states).all() and (whole.ids[20:] == part.ids).all()
+
+
+@given(st.floats(0.0, 10.0), st.integers(0, 40))
+@settings(max_examples=50)
+def test_the_birth_density_is_the_local_density_within_its_limits(mass: float, count: int) -> None:
+    rng = np.random.default_rng(count)
+    angles, ranges = rng.random(count) * 2 * math.pi, rng.random(count) * 3.99
+    places = np.column_stack([50.0 + ranges * np.cos(angles), 30.0 + ranges * np.sin(angles)])
+    particles = Particles(
+        np.column_stack([places, np.zeros((count, 2))]), np.full(count, mass / max(count, 1)), np.arange(count, dtype=np.uint64)
+    )
+    found = birth_density(particles, scan([(50.0, 30.0)]), BIRTH)[0]
+    local = mass / (math.pi * 16.0) if count else 0.0
+    assert found == pytest.approx(min(max(local, 0.25 * 3e-4), 0.001))
+
+
+def test_birth_densities_without_particles_detections_or_births() -> None:
+    assert birth_density(NONE, scan([(50.0, 30.0)]), BIRTH).tolist() == [0.25 * 3e-4]
+    assert birth_density(NONE, scan([]), BIRTH).shape == (0,)
+    assert birth_density(NONE, scan([(50.0, 30.0)]), BirthSettings(measurement=False)).tolist() == [0.0]
+
+
+def test_directions_are_unit_vectors_all_around() -> None:
+    assert np.hypot(*DIRECTIONS.T) == pytest.approx(1.0)
+    assert DIRECTIONS.sum(axis=0) == pytest.approx([0.0, 0.0], abs=1e-9)

@@ -1,0 +1,210 @@
+"""The compiled arithmetic is the plain one to the last bit: every function of `Arithmetic`, on random and on empty inputs."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.arithmetic import PLAIN, Arithmetic
+from agents.cells import make_claim
+from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings
+from agents.particles import NONE, Particles, join, select
+from agents.step import Step
+from agents.words import Words, learn
+from protocol.geometry import EMPTY, rectangle
+from protocol.messages import Gossip, pack
+from protocol.sensing import SENSOR_CLASSES, Pose
+from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
+from protocol.streams import scramble
+
+FAST = pytest.importorskip("agents.fast").FAST
+SIDE = 40.0
+ARENA, BOX = ArenaSettings(width=SIDE, height=SIDE), rectangle(SIDE, SIDE)
+seeds = st.integers(0, 2**32 - 1)
+some = settings(max_examples=60)
+
+
+def bits(value: Any) -> Any:
+    """A result as bytes and plain numbers, so that equal means equal in every bit."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
+    if isinstance(value, tuple):
+        return tuple(map(bits, value))
+    return value.hex() if isinstance(value, float) else value
+
+
+def assert_same(function: str, *arguments: Any) -> None:
+    """Both arithmetics give the same bits."""
+    plain, fast = getattr(PLAIN, function)(*arguments), getattr(FAST, function)(*arguments)
+    assert bits(plain) == bits(fast), f"{function}: {plain} != {fast}"
+
+
+def cloud(rng: np.random.Generator, count: int, weight: float = 0.1) -> Particles:
+    """Particles in clumps and at random, some outside the arena, some without mass."""
+    centres = rng.random((3, 2)) * SIDE
+    places = np.where(
+        rng.random((count, 1)) < 0.5, centres[rng.integers(0, 3, count)] + rng.normal(0, 0.5, (count, 2)), rng.random((count, 2)) * 44 - 2
+    )
+    weights = rng.random(count) * weight * (rng.random(count) < 0.95)
+    ids = np.sort(scramble(np.arange(count, dtype=np.uint64), int(rng.integers(2**60))))
+    return Particles(np.column_stack([places, rng.normal(0, 2, (count, 2))]), weights, ids)
+
+
+def pose(rng: np.random.Generator) -> Pose:
+    """Anywhere in the arena."""
+    x, y, turn = rng.random(3).tolist()
+    return x * SIDE, y * SIDE, (turn - 0.5) * 2.0 * math.pi
+
+
+def diagram(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Generators, some of them coincident, some on whole metres, some outside; radii, some of them equal."""
+    points = rng.random((count, 2)) * 50.0 - 5.0
+    points = np.where(rng.random((count, 1)) < 0.5, np.round(points), points)
+    points[rng.random(count) < 0.3] = points[0]
+    radii = np.where(rng.random(count) < 0.4, 8.0, rng.random(count) * 25.0)
+    return points, radii
+
+
+def words(rng: np.random.Generator, particles: Particles) -> Words:
+    """Up to five scans of the paper's sensors, detections near particles and elsewhere."""
+    said = []
+    for number in range(int(rng.integers(0, 6))):
+        sensor = SENSOR_CLASSES["ABCDEFGH"[int(rng.integers(8))]]
+        count = int(rng.integers(0, 6))
+        detections = rng.random((count, 2)) * SIDE
+        if count and len(particles.ids):
+            detections[0] = particles.states[int(rng.integers(len(particles.ids))), :2] + 0.1
+        posed = pose(rng)
+        gossip = Gossip(
+            sender=f"s{number}",
+            incarnation=1,
+            tick=7,
+            pose=posed,
+            cod=posed[:2],
+            power_radius=0.0,
+            unused=0.0,
+            detections_bytes=pack(np.clip(detections, 0.0, SIDE), "<f4"),
+            scanned=bool(rng.random() < 0.9),
+        )
+        learn(gossip, sensor, AgentConfig())
+        said.append(gossip)
+    return Words(said, bytearray().join([gossip.memo["row"] for gossip in said]))
+
+
+def step(seed: int = 3, tick: int = 7, **filters: Any) -> Step:
+    return Step(AgentConfig(run=RunSettings(seed=seed, dt=0.5), arena=ARENA, filter=FilterSettings(**filters)), tick)
+
+
+def test_every_function_is_compared_here() -> None:
+    text = Path(__file__).read_text(encoding="utf-8")
+    assert [name for name in Arithmetic._fields if f'assert_same("{name}"' not in text] == []
+
+
+@given(seeds, st.integers(1, 14))
+@some
+def test_cut(seed: int, count: int) -> None:
+    points, radii = diagram(np.random.default_rng(seed), count)
+    for index in range(count):
+        assert_same("cut", index, points, radii, BOX)
+
+
+@given(seeds, st.integers(1, 14), st.integers(0, 50))
+@some
+def test_owned(seed: int, count: int, places: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, radii = diagram(rng, count)
+    order = rng.permutation(count).tolist()
+    claim = make_claim(tuple(map(str, order)), np.column_stack([points, radii])[order], tuple((number, "") for number in order))
+    where = np.vstack([rng.random((places, 2)) * 44.0 - 2.0, np.round(rng.random((places, 2)) * SIDE)])
+    assert_same("owned", where, claim, ARENA)
+    assert_same("owned", np.column_stack([where, where]), make_claim((), np.empty((0, 3)), ()) if count == 1 else claim, ARENA)
+
+
+@given(seeds, st.integers(1, 10), st.integers(0, 50))
+@some
+def test_distances(seed: int, count: int, places: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, radii = diagram(rng, count)
+    where = rng.random((places, 4)) * 60.0 - 10.0
+    assert_same("distances", PLAIN.cut(0, points, radii, BOX).polygon, where)
+    assert_same("distances", EMPTY, where)
+
+
+@given(seeds, st.integers(0, 60), st.sampled_from(["cross", "reflect"]), st.floats(0.0, 2.0))
+@some
+def test_predict(seed: int, count: int, border: str, noise: float) -> None:
+    motion = step(5, seed % 1000, border=border, heading_noise=noise, position_noise=noise / 3.0)
+    assert_same("predict", cloud(np.random.default_rng(seed), count), motion)
+
+
+@given(seeds, st.integers(0, 150), st.booleans(), st.sampled_from([0.1, 0.25, 1.0]))
+@some
+def test_update(seed: int, count: int, births: bool, noise: float) -> None:
+    rng = np.random.default_rng(seed)
+    particles = cloud(rng, count)
+    config = AgentConfig(arena=ARENA, birth=BirthSettings(measurement=births), detection=DetectionSettings(noise=noise))
+    assert_same("update", particles, words(rng, particles), BOX[[0, 1, 2]] * 0.5, Step(config, 7))
+
+
+@given(seeds, st.integers(0, 4), st.integers(0, 40), st.integers(0, 20))
+@some
+def test_gather(seed: int, parts: int, count: int, births: int) -> None:
+    """Several sets that share ids, as gossips and copies do."""
+    rng = np.random.default_rng(seed)
+    whole = cloud(rng, count)
+    together = join([select(whole, rng.random(count) < 0.6) for _ in range(parts)])
+    points, radii = diagram(rng, 5)
+    polygon = PLAIN.cut(0, points, radii, BOX).polygon
+    eye, reach = pose(rng)[:2], float(rng.random() * 20.0)
+    assert_same("gather", together, cloud(rng, births), polygon, eye, reach, step())
+    assert_same("gather", together, NONE, EMPTY, eye, reach, step(seed))
+
+
+@given(seeds, st.integers(1, 8), st.integers(0, 60))
+@some
+def test_take(seed: int, count: int, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, radii = diagram(rng, count)
+    claim = make_claim(tuple(map(str, range(count))), np.column_stack([points, radii]), tuple((number, "") for number in range(count)))
+    particles = cloud(rng, size)
+    shuffled = select(particles, rng.integers(0, size, size) if size else np.empty(0, dtype=int))
+    assert_same("take", shuffled, claim, ARENA)
+    assert_same("take", shuffled, make_claim((), np.empty((0, 3)), ()) if count == 1 else claim, ARENA)
+
+
+@given(seeds, st.integers(0, 200), st.floats(0.0, 1.0))
+@some
+def test_resample(seed: int, count: int, weight: float) -> None:
+    assert_same("resample", cloud(np.random.default_rng(seed), count, weight), "s12", step(3, seed % 1000))
+
+
+@given(seeds, st.integers(0, 200), st.floats(0.0, 0.5), st.sampled_from([0.5, 1.0, 2.0]))
+@some
+def test_estimate_targets(seed: int, count: int, weight: float, size: float) -> None:
+    assert_same("estimate_targets", cloud(np.random.default_rng(seed), count, weight), ExtractionSettings(bin=size))
+
+
+@given(seeds, st.integers(0, 200), st.sampled_from(sorted(SENSOR_CLASSES)))
+@some
+def test_moments_and_in_view(seed: int, count: int, name: str) -> None:
+    rng = np.random.default_rng(seed)
+    particles = cloud(rng, count)
+    assert_same("moments", particles)
+    assert_same("in_view", particles, SENSOR_CLASSES[name], pose(rng))
+
+
+def test_nothing_at_all() -> None:
+    assert_same("predict", NONE, step())
+    assert_same("gather", NONE, NONE, BOX, (0.0, 0.0), 5.0, step())
+    assert_same("update", NONE, Words([], bytearray()), BOX, step())
+    assert_same("update", NONE, Words([], bytearray()), EMPTY, step())
+    assert_same("take", NONE, make_claim((), np.empty((0, 3)), ()), ARENA)
+    assert_same("resample", NONE, "s1", step())
+    assert_same("estimate_targets", NONE)
+    assert_same("moments", NONE)
+    assert_same("in_view", NONE, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0))
+    assert_same("distances", BOX, np.empty((0, 2)))

@@ -1,0 +1,167 @@
+"""Who is there: tokens, greetings and gossips decide who bounds the diagram of a tick and whose word a round waits for."""
+
+from agents.config import AgentConfig
+from agents.neighbours import Neighbours
+from protocol.messages import Gossip, Hello
+from protocol.sensing import SENSOR_CLASSES, WedgeSensor
+
+CONFIG = AgentConfig(members={"s1": "A", "s2": "B", "s3": "C"})  # a silent peer stays for 4 rounds
+
+
+def hello(name: str, incarnation: int = 1, sensor_class: str = "B") -> Hello:
+    return Hello(sender=name, incarnation=incarnation, sensor_class=sensor_class)
+
+
+def gossip(name: str, tick: int, incarnation: int = 1, listening: bool = False, radius: float = 2.0, cod: float = 3.0) -> Gossip:
+    return Gossip(
+        sender=name,
+        incarnation=incarnation,
+        tick=tick,
+        pose=(10.0, 20.0, 0.0),
+        cod=(10.0 + cod, 20.0),
+        power_radius=radius,
+        unused=radius * radius * 3.0,
+        listening=listening,
+    )
+
+
+def neighbours(*names: str) -> Neighbours:
+    """The peers of s1, alive and greeted."""
+    found = Neighbours(CONFIG, "s1")
+    for name in names:
+        found.alive(name, 1)
+        assert found.greet(hello(name)) is None
+    return found
+
+
+def generators(peers: Neighbours, tick: int) -> list[str]:
+    """Names of the generators of a tick."""
+    return list(peers.generators(tick, peers.fresh(tick)))
+
+
+def test_a_round_waits_for_everybody_alive_until_all_have_spoken() -> None:
+    peers = neighbours("s2", "s3")
+    assert set(peers.missing(0)) == {"s2", "s3"}
+    assert peers.hear(gossip("s3", 0)) is None
+    assert set(peers.missing(0)) == {"s2"}
+    assert peers.hear(gossip("s2", 0)) is None
+    assert not peers.missing(0) and list(peers.fresh(0)) == ["s2", "s3"]
+
+
+def test_names_are_ordered_by_number_whoever_came_first() -> None:
+    peers = neighbours("s10", "s2", "s9")
+    for name in ("s10", "s9", "s2"):
+        peers.hear(gossip(name, 0))
+    assert list(peers.fresh(0)) == generators(peers, 0) == ["s2", "s9", "s10"]
+
+
+def test_nobody_waits_for_a_late_comer_before_its_first_word() -> None:
+    peers = neighbours("s2")
+    peers.hear(gossip("s2", 6))
+    peers.close(6)
+    peers.alive("s3", 1)
+    peers.greet(hello("s3"))
+    assert set(peers.missing(7)) == {"s2"}
+
+
+def test_a_silent_peer_stays_a_generator_for_four_rounds_where_it_was_last_heard() -> None:
+    peers = neighbours("s2")
+    peers.hear(gossip("s2", 0))
+    peers.close(0)
+    present = []
+    for tick in range(1, 7):
+        present.append(generators(peers, tick) == ["s2"])
+        peers.close(tick)
+    assert present == [True] * 4 + [False] * 2
+    assert peers.generators(4, {}).keys() == {"s2"} and not peers.missing(7)
+
+
+def test_the_loss_of_a_token_removes_the_generator_in_the_same_round() -> None:
+    peers = neighbours("s2", "s3")
+    for name in ("s2", "s3"):
+        peers.hear(gossip(name, 0))
+    peers.gone("s2", 1, 0)
+    assert generators(peers, 0) == ["s3"] and list(peers.fresh(0)) == ["s3"] and not peers.missing(0)
+
+
+def test_a_flapping_token_costs_one_round() -> None:
+    peers = neighbours("s2")
+    peers.hear(gossip("s2", 4))
+    peers.gone("s2", 1, 4)
+    peers.close(4)
+    assert peers.hear(gossip("s2", 5)) is None
+    assert generators(peers, 5) == ["s2"]
+
+
+def test_what_a_dead_peer_said_before_is_refused() -> None:
+    peers = neighbours("s2")
+    peers.gone("s2", 1, 5)
+    assert peers.hear(gossip("s2", 5)) == "dead"
+
+
+def test_a_younger_incarnation_replaces_the_older_whose_word_counts_no_more() -> None:
+    peers = neighbours("s2")
+    peers.hear(gossip("s2", 0))
+    peers.alive("s2", 2)
+    assert generators(peers, 0) == []
+    assert peers.hear(gossip("s2", 1)) == "incarnation" and peers.greet(hello("s2")) == "incarnation"
+    assert peers.hear(gossip("s2", 1, incarnation=2)) == "stranger"
+    assert peers.greet(hello("s2", 2)) is None and peers.hear(gossip("s2", 1, incarnation=2)) is None
+    peers.gone("s2", 1, 1)  # the token of the old process goes late
+    assert generators(peers, 1) == ["s2"]
+
+
+def test_one_wrong_bit_in_an_incarnation_silences_nobody_whose_token_is_up() -> None:
+    peers = neighbours("s2")
+    assert peers.greet(hello("s2", 2**40)) == "incarnation" and peers.hear(gossip("s2", 0, incarnation=3)) == "incarnation"
+    assert peers.hear(gossip("s2", 0)) is None
+    peers.greet(hello("s3", 9))  # wrong, and heard before the token
+    peers.alive("s3", 1)
+    assert peers.greet(hello("s3")) is None and peers.hear(gossip("s3", 0)) is None
+
+
+def test_the_newest_hello_counts_so_that_a_spoilt_one_is_put_right() -> None:
+    peers = neighbours()
+    peers.alive("s2", 1)
+    wrong = Hello(sender="s2", incarnation=1, sensor_class="B", sensor=WedgeSensor(1.0, 2.0, 0.5))
+    peers.greet(wrong)
+    assert peers.hear(gossip("s2", 0)) == "bounds"
+    peers.greet(Hello(sender="s2", incarnation=1, sensor_class="B", sensor=SENSOR_CLASSES["B"]))
+    assert peers.hear(gossip("s2", 0)) is None
+
+
+def test_a_listener_is_heard_but_has_no_cell() -> None:
+    peers = neighbours("s2")
+    peers.hear(gossip("s2", 3, listening=True))
+    assert list(peers.fresh(3)) == ["s2"] and generators(peers, 3) == []
+
+
+def test_a_gossip_of_a_closed_round_is_stale() -> None:
+    peers = neighbours("s2")
+    peers.hear(gossip("s2", 3))
+    peers.close(3)
+    assert peers.hear(gossip("s2", 3)) == "stale" and peers.hear(gossip("s2", 2)) == "stale"
+
+
+def test_a_gossip_beyond_what_its_sensor_can_do_is_refused() -> None:
+    """Class B has D = 24.88 m^2, hence g(U) <= 2.81 m, and reaches 8 m."""
+    peers = neighbours("s2")
+    assert peers.hear(gossip("s2", 0, radius=2.9)) == "bounds"
+    assert peers.hear(gossip("s2", 0, cod=8.1)) == "bounds"
+    assert peers.hear(gossip("s2", 0, radius=2.8, cod=7.9)) is None
+
+
+def test_strangers_and_unknown_sensors_are_refused() -> None:
+    peers = Neighbours(CONFIG, "s1")
+    assert peers.hear(gossip("s2", 0)) == "stranger"
+    assert peers.greet(hello("s2", sensor_class="Z")) == "sensor"
+    assert peers.greet(hello("s2")) is None
+    outfit = peers.peers["s2"].outfit
+    assert outfit is not None and outfit.sensor is SENSOR_CLASSES["B"]
+
+
+def test_a_round_counts_who_was_missing() -> None:
+    peers = neighbours("s2", "s3")
+    peers.hear(gossip("s2", 0))
+    assert peers.close(0) == 1
+    assert peers.close(1) == 1  # s3 has never spoken, and after the first tick nobody waits for it

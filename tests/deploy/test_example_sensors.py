@@ -1,0 +1,86 @@
+"""The example sensors against closed forms and their own data, and the scenario that uses them from end to end."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.capacity import sensor_facts
+from deploy.examples.sensors import DATA, RangeFalling, SampledGrid
+from deploy.scenario import resolve
+from deploy.simulate import simulate
+from protocol.geometry import polygon_area
+from protocol.sensing import Pose, SensorModel
+from protocol.settings import BadSetting
+
+HERE: Pose = (0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def grid(tmp_path: Path) -> SampledGrid:
+    """Four cells of 2 m: ahead on the left .8, ahead on the right .4, behind on the left nothing, behind on the right .2."""
+    (tmp_path / "grid.csv").write_text("0.8,0.4\n0,0.2\n")
+    return SampledGrid(str(tmp_path / "grid.csv"), 2.0)
+
+
+def test_capability_of_a_probability_that_falls_with_the_range() -> None:
+    """D = angle x peak x scale^2 / 2 x (1 - exp(-(R / scale)^2)); the COD lies on the axis."""
+    facts = sensor_facts(RangeFalling(120.0, 14.0, 9.0, 0.98))
+    assert facts.capability == pytest.approx(math.radians(120.0) * 0.98 * 81.0 / 2.0 * (1.0 - math.exp(-196.0 / 81.0)), rel=2e-3)
+    assert facts.cod_offset[1] == pytest.approx(0.0, abs=1e-9) and 3.0 < facts.cod_offset[0] < 9.0
+
+
+def test_the_probability_falls_and_ends_at_the_edge() -> None:
+    sensor = RangeFalling(120.0, 14.0, 9.0, 0.98)
+    points = np.array([[0.0, 0.0], [9.0, 0.0], [13.9, 0.0], [14.1, 0.0], [-1.0, 0.0], [3.0, 5.0], [2.0, 5.0]])
+    found = sensor.probability(points, HERE)
+    assert found[:3] == pytest.approx([0.98, 0.98 / math.e, 0.98 * math.exp(-((13.9 / 9.0) ** 2))])
+    assert (found[[3, 4, 6]] == 0.0).all() and found[5] > 0.0  # half the angle is 60 degrees
+
+
+def test_a_grid_says_what_its_data_say(grid: SampledGrid) -> None:
+    ahead_left, ahead_right, behind_left, behind_right = (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)
+    points = np.array([ahead_left, ahead_right, behind_left, behind_right, (2.1, 1.0)])
+    assert grid.probability(points, HERE).tolist() == [0.8, 0.4, 0.0, 0.2, 0.0]
+    turned = np.array([(-y + 10.0, x + 20.0) for x, y in points])  # by 90 degrees to the left, standing at (10, 20)
+    assert grid.probability(turned, (10.0, 20.0, math.pi / 2.0)).tolist() == [0.8, 0.4, 0.0, 0.2, 0.0]
+
+
+def test_capability_and_cod_of_a_grid_by_hand(grid: SampledGrid) -> None:
+    """D = 4 m^2 x (.8 + .4 + .2); COD = (.8 + .4 - .2, .8 - .4 - .2) / 1.4."""
+    facts = sensor_facts(grid)
+    assert facts.capability == pytest.approx(5.6, rel=5e-3)
+    assert facts.cod_offset == pytest.approx((1.0 / 1.4, 0.2 / 1.4), abs=5e-3)
+    assert (grid.area, grid.reach) == (12.0, pytest.approx(math.sqrt(8.0)))
+
+
+@pytest.mark.parametrize("sensor", [RangeFalling(120.0, 14.0, 9.0), RangeFalling(360.0, 5.0, 9.0), SampledGrid("side_looking.csv", 2.0)])
+def test_outlines_are_counter_clockwise_and_within_reach(sensor: SensorModel) -> None:
+    outline = sensor.footprint((3.0, 4.0, 1.0))
+    assert 0.9 * sensor.area < polygon_area(outline) < 1.01 * sensor.area
+    assert np.hypot(outline[:, 0] - 3.0, outline[:, 1] - 4.0).max() <= sensor.reach * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("text", ["", "0.1,0.2\n0.3\n", "0,0\n0,0\n", "1.5,0\n", "0.5,half\n"])
+def test_data_that_are_no_grid_of_probabilities_are_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(ValueError, match="file = "):
+        SampledGrid(str(tmp_path / "bad.csv"), 2.0)
+
+
+def test_a_scenario_with_a_missing_grid_names_the_sensor() -> None:
+    with pytest.raises(BadSetting, match=r"sensors\.S: file = 'nowhere\.csv'"):
+        resolve("anisotropic", {"sensors.S.parameters": {"file": "nowhere.csv", "spacing": 2.0}})
+
+
+def test_the_data_are_shipped_beside_the_module() -> None:
+    assert (DATA / "side_looking.csv").exists()
+
+
+@pytest.mark.slow
+def test_a_swarm_of_such_sensors_tracks_targets_without_a_hole() -> None:
+    result = simulate(resolve("anisotropic", {"run.dt": 0.5, "run.seconds": 40.0}))
+    assert result.agents == 12 and result.ticks == 80
+    assert result.hole_area < 1e-9 and result.mass_residual < 1e-9
+    assert result.share_in_view > 0.5 and result.steady_ospa < 8.0

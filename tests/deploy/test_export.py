@@ -1,0 +1,131 @@
+"""A run in other tools' forms: tables against the run itself, the drawing for Foxglove against its schema, figures that can be opened."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+from PIL import Image
+from pyarrow import csv, parquet
+
+from deploy.export import tables, write_tables
+from deploy.figures import Ways, pictures, write_animation, write_figure
+from deploy.foxglove import SCENE_SCHEMA, write_foxglove
+from deploy.onlookers import Onlookers, open_recorder
+from deploy.recorder import Recorder
+from deploy.recording import Recording, find_recording
+from deploy.scenario import FaultSettings, resolve
+from deploy.simulate import Simulation
+from protocol.settings import BadSetting
+
+Run = tuple[Simulation, Recording]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of 5 s in which s2 dies at 3 s, and its recording."""
+    scenario = resolve("quick", {"run.seconds": 5.0})
+    simulation = Simulation(msgspec.structs.replace(scenario, faults=(FaultSettings(at=3.0, verb="kill", who="s2"),)))
+    path = tmp_path_factory.mktemp("export") / "recording.mcap"
+    Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    simulation.run()
+    return simulation, Recording(path)
+
+
+def test_the_tables_hold_the_scores_and_what_was_said(run: Run) -> None:
+    found = tables(run[1])
+    scores = run[0].scorer.scores
+    assert found["scores"]["ospa"].to_pylist() == [score.ospa for score in scores]
+    assert found["scores"]["tick"].to_pylist() == list(range(20))
+    assert found["targets"].num_rows == sum(score.targets for score in scores)
+    assert found["agents"].num_rows == 6 * 20 - 8  # s2 falls silent with tick 12, in the middle of it
+    last = [row for row in found["agents"].to_pylist() if row["tick"] == 19]
+    assert sum(row["cell_area"] for row in last) == pytest.approx(625.0)
+    assert {row["agent"] for row in last} == {"s1", "s3", "s4", "s5", "s6"}
+    assert {row["agent"] for row in found["detections"].to_pylist()} <= {"s1", "s2", "s3", "s4", "s5", "s6"}
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_tables_come_back_from_their_files_with_every_digit(run: Run, tmp_path: Path, form: str) -> None:
+    files = {file.stem: file for file in write_tables(run[1], tmp_path / form, form)}
+    assert set(files) == {"scores", "agents", "targets", "estimates", "detections"}
+    again = csv.read_csv(files["scores"]) if form == "csv" else parquet.read_table(files["scores"])
+    assert again["gospa"].to_pylist() == [score.gospa for score in run[0].scorer.scores]
+
+
+def test_a_recording_without_anything_in_it_gives_empty_tables(tmp_path: Path) -> None:
+    Recorder(tmp_path / "a.mcap", resolve("quick")).close()
+    assert [table.num_rows for table in tables(Recording(tmp_path / "a.mcap")).values()] == [0] * 5
+    with pytest.raises(BadSetting, match="nothing was recorded"):
+        write_figure(Recording(tmp_path / "a.mcap"), tmp_path)
+
+
+def fits(data: Any, schema: dict[str, Any]) -> bool:
+    """Whether data have just the fields, and the types, of a JSON schema of objects, arrays and plain values."""
+    kind = schema["type"]
+    if kind == "object":
+        return (
+            isinstance(data, dict)
+            and set(data) == set(schema["properties"])
+            and all(fits(data[n], s) for n, s in schema["properties"].items())
+        )
+    if kind == "array":
+        return isinstance(data, list) and all(fits(item, schema["items"]) for item in data)
+    plain = {"string": str, "boolean": bool, "integer": int, "number": (int, float)}[kind]
+    return isinstance(data, plain) and (kind == "boolean" or not isinstance(data, bool))
+
+
+def test_the_drawing_for_foxglove_keeps_to_the_schema_of_scene_updates(run: Run, tmp_path: Path) -> None:
+    count = write_foxglove(run[1], tmp_path / "a.foxglove.mcap")
+    schema = json.loads(SCENE_SCHEMA.read_text(encoding="utf-8"))
+    scenes, scores = [], []
+    with (tmp_path / "a.foxglove.mcap").open("rb") as file:
+        for found, channel, message in make_reader(file).iter_messages():
+            assert found is not None
+            assert channel.message_encoding == "json"
+            (scenes if found.name == "foxglove.SceneUpdate" else scores).append(json.loads(message.data))
+    assert len(scenes) == count == 19
+    assert all(fits(scene, schema) for scene in scenes)
+    assert scores[-1]["ospa"] == run[0].scorer.scores[scores[-1]["tick"]].ospa
+    entities = {entity["id"]: entity for entity in scenes[10]["entities"]}
+    assert {"arena", "targets", "estimates", "agent s1"} <= set(entities)
+    assert len(entities["targets"]["spheres"]) == 3
+    assert [gone["id"] for gone in scenes[-1]["deletions"]] == ["agent s2"]
+
+
+def test_the_drawing_is_never_taken_for_the_recording(run: Run) -> None:
+    write_foxglove(run[1], run[1].path.with_suffix(".foxglove.mcap"))
+    assert find_recording(str(run[1].path.parent)) == run[1].path
+
+
+def test_figures_are_drawn_tick_by_tick_from_what_had_been_heard(run: Run) -> None:
+    ways = Ways()
+    ticks = []
+    for picture in pictures(run[1]):
+        assert picture.shown is not None
+        ways.add(picture.shown)
+        ticks.append(picture.shown.tick)
+        said = [picture.said(known)[1] for known in picture.agents.values() if known.alive]
+        assert {estimate.tick for estimate in said if estimate} <= {picture.shown.tick}
+    assert ticks == list(range(20))
+    assert {len(way) for way in ways.bodies.values()} == {20}
+    assert picture.agents["s1"].alive
+    assert not picture.agents["s2"].alive
+
+
+def test_a_figure_is_a_pdf_with_real_fonts_and_a_png(run: Run, tmp_path: Path) -> None:
+    pdf, png = write_figure(run[1], tmp_path)
+    assert pdf.read_bytes().startswith(b"%PDF")
+    assert b"/TrueType" in pdf.read_bytes() or b"/CIDFontType2" in pdf.read_bytes()
+    with Image.open(png) as image:
+        assert image.size[0] > 2000
+
+
+@pytest.mark.slow
+def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.which", lambda name: None)  # as where there is no ffmpeg
+    file = write_animation(run[1], tmp_path)
+    with Image.open(file) as image:
+        assert (file.suffix, image.n_frames) == (".gif", 10)  # type: ignore[attr-defined]

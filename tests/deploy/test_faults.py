@@ -1,0 +1,114 @@
+"""Who is meant, and when it happens."""
+
+import pytest
+
+from deploy.faults import Action, Schedule, check_faults, choose
+from deploy.scenario import FaultSettings
+from protocol.settings import BadSetting
+from protocol.streams import stream
+
+TEAM = [f"s{number}" for number in range(1, 17)]
+
+
+def test_names_are_taken_as_they_stand_and_once() -> None:
+    assert choose("s3, s1,s3", TEAM[:2], TEAM, stream(1, "t")) == ["s3", "s1"]
+
+
+@pytest.mark.parametrize(("who", "number"), [("4", 4), ("0", 0), ("30%", 5), ("1%", 1), ("0%", 0), ("100%", 16), ("12.5 %", 2)])
+def test_a_number_or_a_share_is_drawn_from_the_candidates_without_repetition(who: str, number: int) -> None:
+    chosen = choose(who, TEAM, TEAM, stream(1, "t"))
+    assert len(chosen) == len(set(chosen)) == number
+    assert set(chosen) <= set(TEAM)
+
+
+def test_the_same_dice_choose_the_same_and_other_dice_others() -> None:
+    draws = [choose("4", TEAM, TEAM, stream(seed, "faults", 0)) for seed in (1, 1, 2, 3, 4)]
+    assert draws[0] == draws[1]
+    assert len({tuple(draw) for draw in draws}) > 1
+
+
+@pytest.mark.parametrize(
+    ("who", "complaint"),
+    [("s99", "s99.*no such process.*s1"), ("", "who is missing"), ("17", "only 16"), ("120%", "at most 100%"), ("-3", "no such process")],
+)
+def test_whoever_cannot_be_meant_is_refused_in_one_line(who: str, complaint: str) -> None:
+    with pytest.raises(BadSetting, match=complaint) as caught:
+        choose(who, TEAM, TEAM, stream(1, "t"))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_share_of_nobody_is_nobody() -> None:
+    assert choose("50%", [], TEAM, stream(1, "t")) == []
+
+
+def test_faults_come_once_each_in_the_order_of_their_time_and_those_with_an_end_are_undone() -> None:
+    faults = (
+        FaultSettings(at=20.0, verb="kill", who="s1"),
+        FaultSettings(at=10.0, verb="pause", who="s2,s3", seconds=5.0),
+        FaultSettings(at=12.0, verb="kill", who="s4", seconds=100.0),
+    )
+    schedule = Schedule(1, faults)
+    heard = {time: schedule.due(float(time), TEAM, [], TEAM) for time in range(120)}
+    assert {time: actions for time, actions in heard.items() if actions} == {
+        10: [Action("pause", ["s2", "s3"])],
+        12: [Action("kill", ["s4"])],
+        15: [Action("resume", ["s2", "s3"])],
+        20: [Action("kill", ["s1"])],
+        112: [Action("restart", ["s4"])],
+    }
+
+
+def test_a_random_restart_is_drawn_from_the_dead_and_everything_else_from_the_living() -> None:
+    schedule = Schedule(3, (FaultSettings(at=1.0, verb="restart", who="2"), FaultSettings(at=2.0, verb="kill", who="100%")))
+    assert schedule.due(1.0, TEAM[4:], TEAM[:2], TEAM) == [Action("restart", TEAM[:2])]
+    assert schedule.due(2.0, TEAM[4:], TEAM[:2], TEAM) == [Action("kill", TEAM[4:])]
+
+
+@pytest.mark.parametrize(
+    ("fault", "complaint"),
+    [
+        (FaultSettings(at=1.0, verb="explode", who="s1"), r"faults\[0\]\.verb = 'explode'.*kill"),
+        (FaultSettings(at=1.0, verb="kill", who="s77"), r"faults\[0\]\.who = 's77'"),
+    ],
+)
+def test_a_fault_that_nobody_can_carry_out_is_refused_before_the_run(fault: FaultSettings, complaint: str) -> None:
+    with pytest.raises(BadSetting, match=complaint):
+        check_faults([fault], TEAM)
+
+
+@pytest.mark.parametrize(
+    ("fault", "complaint"),
+    [
+        (FaultSettings(at=1.0, verb="drop"), r"value is missing: drop needs a share"),
+        (FaultSettings(at=1.0, verb="loss", value=1.5), r"value = 1\.5: should be a share"),
+        (FaultSettings(at=1.0, verb="delay"), r"value is missing: delay needs a number of seconds"),
+        (FaultSettings(at=1.0, verb="partition", who="s1", options={"kind": "three"}), r"options\.kind = 'three'.*bridge"),
+        (
+            FaultSettings(at=1.0, verb="drop", value=0.1, options={"bursts": 3}),
+            r"options\.bursts: drop has no such option; known are burst",
+        ),
+        (FaultSettings(at=1.0, verb="drop", value=0.1, options={"burst": "3"}), r"options\.burst = '3': should be a number"),
+        (FaultSettings(at=1.0, verb="join"), r"options\.class is missing"),
+        (FaultSettings(at=1.0, verb="partition"), r"who = who is missing"),
+    ],
+)
+def test_a_fault_that_says_too_little_or_too_much_is_refused_by_field(fault: FaultSettings, complaint: str) -> None:
+    with pytest.raises(BadSetting, match=r"faults\[0\]\." + complaint):
+        check_faults([fault], TEAM)
+
+
+def test_live_there_are_no_newcomers_or_jumping_clocks_and_link_faults_must_be_allowed() -> None:
+    drop = FaultSettings(at=1.0, verb="drop", value=0.1)
+    check_faults([drop], TEAM, live=True, link_faults=True)
+    with pytest.raises(BadSetting, match=r"network\.link_faults = true"):
+        check_faults([drop], TEAM, live=True, link_faults=False)
+    with pytest.raises(BadSetting, match="works in a simulation only"):
+        check_faults([FaultSettings(at=1.0, verb="jump", who="1", value=9.0)], TEAM, live=True)
+
+
+def test_link_faults_end_with_a_share_of_zero_and_a_partition_heals() -> None:
+    faults = (FaultSettings(at=1.0, verb="loss", value=0.2, seconds=2.0), FaultSettings(at=2.0, verb="partition", who="s1", seconds=2.0))
+    schedule = Schedule(1, faults)
+    heard = [schedule.due(float(time), TEAM[:2], [], TEAM) for time in range(5)]
+    assert heard[1] == [Action("drop", TEAM[:2], 0.2)] and heard[3] == [Action("drop", TEAM[:2], 0.0)]
+    assert heard[2] == [Action("partition", ["s1"])] and heard[4] == [Action("heal", ["s1"])]

@@ -1,0 +1,67 @@
+"""The links of a swarm: who hears whom after each verb."""
+
+from deploy.faults import Action
+from deploy.links import Links, describe
+
+TEAM = ["s1", "s2", "s3", "s4"]
+
+
+def hears(links: Links) -> set[tuple[str, str]]:
+    """(sender, receiver) of all directions that carry something."""
+    return {(a, b) for a in [*TEAM, "world"] for b in [*TEAM, "world"] if a != b and links.carry(a, b, "key", b"x", 0.0)}
+
+
+ALL = hears(Links(1, TEAM))
+
+
+def test_without_faults_everybody_hears_everybody() -> None:
+    assert len(ALL) == 20
+
+
+def test_a_partition_cuts_both_ways_between_those_meant_and_the_rest_and_spares_the_world() -> None:
+    links = Links(1, TEAM)
+    links.act(Action("partition", ["s1", "s2"]))
+    assert ALL - hears(links) == {(a, b) for a, b in ALL if {a, b} <= set(TEAM) and (a in ("s1", "s2")) != (b in ("s1", "s2"))}
+    assert links.torn("s1", "s3") and links.torn("s3", "s1") and not links.torn("s1", "s2")
+    links.act(Action("heal", []))
+    assert hears(links) == ALL and not links.torn("s1", "s3")
+
+
+def test_one_way_the_rest_hear_nothing_and_a_bridge_hears_both_sides() -> None:
+    links = Links(1, TEAM)
+    links.act(Action("partition", ["s1"], None, {"kind": "one-way", "tokens": False}))
+    assert ALL - hears(links) == {("s1", "s2"), ("s1", "s3"), ("s1", "s4")} and not links.torn("s1", "s2")
+    links.act(Action("heal", []))
+    links.act(Action("partition", ["s1"], None, {"kind": "bridge"}))
+    assert ALL - hears(links) == {("s1", "s3"), ("s1", "s4"), ("s3", "s1"), ("s4", "s1")}
+
+
+def test_the_world_is_cut_off_only_by_name() -> None:
+    links = Links(1, TEAM)
+    links.act(Action("partition", ["world"]))
+    assert ALL - hears(links) == {(a, b) for a, b in ALL if "world" in (a, b)}
+
+
+def test_conditions_add_up_and_zero_clears_them() -> None:
+    links = Links(1, TEAM)
+    links.act(Action("delay", ["s1"], 0.5, {"jitter": 0.0}))
+    links.act(Action("drop", ["s2"], 1.0))
+    assert links.carry("s1", "s3", "key", b"x", 0.0) == [(0.5, b"x")] and links.carry("s3", "s1", "key", b"x", 0.0) == [(0.5, b"x")]
+    assert ALL - hears(links) == {(a, b) for a, b in ALL if "s2" in (a, b) and "world" not in (a, b)}
+    assert set(links.reception("s2").conditions) == {"s1", "s3", "s4"}
+    links.act(Action("drop", ["s2"], 0.0))
+    links.act(Action("delay", ["s1"], 0.0))
+    assert hears(links) == ALL and links.reception("s2").conditions == {}
+
+
+def test_a_newcomer_is_cut_off_like_all_others() -> None:
+    links = Links(1, TEAM)
+    links.add("s9")
+    links.act(Action("partition", ["s9"]))
+    assert links.carry("s1", "s9", "key", b"x", 0.0) == [] and links.carry("s9", "s2", "key", b"x", 0.0) == []
+
+
+def test_a_verb_says_what_it_did() -> None:
+    assert describe(Action("drop", ["s1", "s2"], 0.25)) == "drop 25 % of the messages from and to s1, s2"
+    assert describe(Action("delay", ["s1"], 0.5)) == "delay 0.5 s from and to s1"
+    assert describe(Action("partition", ["s1"], None, {"kind": "one-way"})) == "nobody hears s1"

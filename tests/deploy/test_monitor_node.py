@@ -1,0 +1,205 @@
+"""The scorer, fed by hand: two agents halve a 10 x 10 m arena in which one target stands."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.monitor_node import Scorer, hole_and_overlap
+from deploy.scenario import Scenario, resolve
+from protocol.geometry import polygon_area
+from protocol.messages import Estimate, Gossip, Truth, pack
+from protocol.node import Alive, Gone, Received, Started, Subscribe
+
+LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])
+RIGHT = np.add(LEFT, [5.0, 0.0])
+WHOLE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+EMPTY = np.empty((0, 2))
+TARGET = np.array([[2.0, 3.0]])
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Scenario:
+    file = tmp_path / "halves.toml"
+    file.write_text(
+        '[run]\nseconds = 10.0\ndt = 1.0\nclock = "lockstep"\n[arena]\nwidth = 10.0\nheight = 10.0\n[members]\na = "A"\nb = "B"\n'
+    )
+    return resolve(str(file))
+
+
+def truth(tick: int, alive: tuple[str, ...] = ("a", "b")) -> Received:
+    return Received(
+        Truth(
+            sender="world",
+            incarnation=1,
+            tick=tick,
+            time=float(tick),
+            targets_bytes=pack(TARGET, "<f8"),
+            ids_bytes=pack(np.array([1]), "<u8"),
+            bodies=("a", "b"),
+            poses_bytes=pack(np.full((2, 3), float(tick)), "<f8"),
+            in_view=1,
+            alive=alive,
+        ),
+        100,
+    )
+
+
+def estimate(name: str, tick: int, cell: np.ndarray, targets: np.ndarray | None = None, mass: float = 0.5) -> Received:
+    targets = np.empty((0, 2)) if targets is None else targets
+    return Received(
+        Estimate(
+            sender=name,
+            incarnation=1,
+            tick=tick,
+            pose=(0.0, 0.0, 0.0),
+            cod=(0.0, 0.0),
+            power_radius=1.0,
+            unused=1.0,
+            mass=mass,
+            cell_bytes=pack(cell, "<f8"),
+            targets_bytes=pack(targets, "<f8"),
+            counters={"rounds": tick + 1},
+        ),
+        50,
+    )
+
+
+def started(scenario: Scenario) -> Scorer:
+    scorer = Scorer(scenario)
+    effects = scorer.handle(Started(), 0.0)
+    assert Subscribe(f"covey/{scorer.run}/truth") in effects
+    scorer.handle(Alive("agent", "a", 1), 0.0)
+    scorer.handle(Alive("agent", "b", 1), 0.0)
+    return scorer
+
+
+def test_a_tick_is_scored_when_all_have_spoken_in_whatever_order(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    scorer.handle(estimate("b", 0, RIGHT), 1.0)
+    scorer.handle(truth(0), 1.0)
+    assert scorer.scores == []
+    scorer.handle(estimate("a", 0, LEFT, np.add(TARGET, [3.0, 4.0])), 1.0)
+    (score,) = scorer.scores
+    assert (score.tick, score.ospa, score.gospa, score.in_view, score.estimated) == (0, 5.0, 5.0, 1, 1)
+    assert (score.mass, score.hole, score.overlap) == pytest.approx((1.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_the_transcript_hashes_poses_then_targets_in_the_order_of_the_team(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    wanted = hashlib.blake2b(digest_size=16)
+    for tick in (0, 1):
+        scorer.handle(truth(tick), 1.0)
+        scorer.handle(estimate("b", tick, RIGHT, TARGET + 1.0), 1.0)
+        scorer.handle(estimate("a", tick, LEFT, TARGET), 1.0)
+        for array in (np.full((2, 3), float(tick)), TARGET, TARGET + 1.0):
+            wanted.update(pack(array, "<f8"))
+    assert scorer.result(1.0).transcript == wanted.hexdigest()
+
+
+def test_a_lost_agent_leaves_a_hole_that_closes_when_the_cells_of_the_rest_cover_the_arena(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in (0, 1):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("a", tick, LEFT, TARGET), float(tick))
+        if tick == 0:
+            scorer.handle(estimate("b", tick, RIGHT), float(tick))
+    scorer.handle(Gone("agent", "b", 1), 1.25)
+    assert scorer.scores[-1].hole == pytest.approx(0.5, abs=1e-12)
+    scorer.handle(truth(2, ("a",)), 2.0)
+    scorer.handle(estimate("a", 2, WHOLE, TARGET), 2.0)
+    result = scorer.result(2.0)
+    (kill,) = result.kills
+    assert (kill.name, kill.tick, kill.time, kill.closed_seconds, kill.closed_ticks) == ("b", 1, 1.0, 0.75, 1)
+    assert result.hole_area == pytest.approx(0.5, abs=1e-12)
+    rows = {agent.name: agent for agent in scorer.status().agents}
+    assert not rows["b"].alive and rows["b"].gone_at == 1.0
+    assert rows["a"].alive and rows["a"].cell == 1.0 and rows["a"].pose == (2.0, 2.0, 2.0)
+
+
+def test_a_silent_agent_is_not_waited_for_without_end(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(25):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("a", tick, LEFT), float(tick))
+    assert [score.tick for score in scorer.scores] == [0, 1, 2, 3, 4]
+    scorer.finish(25.0)
+    assert len(scorer.scores) == 25
+    assert all(score.hole == pytest.approx(0.5) for score in scorer.scores)
+
+
+def test_after_the_finish_nobody_who_leaves_counts_as_lost(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    scorer.handle(truth(0), 0.0)
+    scorer.finish(1.0)
+    scorer.handle(Gone("agent", "a", 1), 1.0)
+    assert scorer.result(1.0).kills == ()
+
+
+def test_the_loss_of_an_old_incarnation_is_no_loss(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    scorer.handle(truth(0), 0.0)
+    scorer.handle(Alive("agent", "a", 2), 0.0)
+    scorer.handle(Gone("agent", "a", 1), 0.0)
+    assert scorer.alive() == {"a": 2, "b": 1}
+    assert scorer.result(1.0).kills == ()
+
+
+def test_the_mass_residual_compares_what_an_agent_says_with_the_particles_it_publishes(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    scorer.handle(estimate("a", 4, LEFT, mass=1.0), 0.0)
+    gossip = Gossip(
+        sender="a",
+        incarnation=1,
+        tick=5,
+        pose=(0.0, 0.0, 0.0),
+        cod=(0.0, 0.0),
+        power_radius=1.0,
+        unused=1.0,
+        claim_tick=4,
+        claim_names=("a",),
+        claim_bytes=pack(np.zeros((1, 3)), "<f8"),
+        weight=0.25,
+        states_bytes=pack(np.zeros((3, 4)), "<f4"),
+        ids_bytes=pack(np.arange(3), "<u8"),
+    )
+    scorer.handle(Received(gossip, 10), 0.0)
+    assert scorer.result(1.0).mass_residual == 0.25
+
+
+def test_result_of_means_and_steady_part_is_what_a_pocket_calculator_says(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(10):
+        scorer.handle(truth(tick), 0.0)
+        scorer.handle(estimate("a", tick, LEFT, np.add(TARGET, [float(tick), 0.0]), mass=0.75), 0.0)
+        scorer.handle(estimate("b", tick, RIGHT), 0.0)
+    result = scorer.result(3.0)
+    assert (result.ticks, result.rounds, result.agents, result.wall_s) == (10, 20, 2, 3.0)
+    assert (result.mean_ospa, result.steady_ospa, result.final_ospa) == (4.5, 5.5, 9.0)
+    assert (result.cardinality_error, result.share_in_view, result.targets_in_view) == (0.25, 1.0, 1)
+    assert (result.messages, result.bytes) == (30, 2000)
+
+
+def test_a_run_of_no_tick_has_a_result_too(scenario: Scenario) -> None:
+    assert Scorer(scenario).result(0.0).ticks == 0
+
+
+@pytest.mark.parametrize(
+    ("cells", "hole", "overlap"),
+    [([LEFT, RIGHT, EMPTY], 0.0, 0.0), ([], 1.0, 0.0), ([LEFT, np.add(LEFT, [2.0, 0.0])], 0.3, 0.3), ([LEFT, WHOLE], 0.0, 0.5)],
+)
+def test_hole_and_overlap_are_exact_areas_even_where_they_cancel_and_empty_cells_are_normal(
+    cells: list[np.ndarray], hole: float, overlap: float
+) -> None:
+    assert hole_and_overlap(cells, 100.0) == pytest.approx((hole, overlap), abs=1e-12)
+
+
+def test_two_cells_whose_common_border_differs_in_the_last_digit_do_not_swallow_each_other() -> None:
+    """From tick 237 of `covey simulate convergence --dt 0.5`: without a grid the geometry engine returns a union without the first."""
+    first = [[29.198632058918548, 21.242347443368615], [28.73734618139099, 21.225474460291274], [18.84009059777672, 10.324987771675342]]
+    first += [[27.241295536131368, 6.961695247874254], [32.103700384724775, 15.08592850779863]]
+    second = [[32.103700384724775, 15.08592850779863], [27.241295536131368, 6.961695247874252], [27.475365874616788, 5.860602448974385]]
+    second += [[33.62261710078804, 0.0], [40.0, 0.0], [40.0, 12.166848100513812]]
+    area = polygon_area(np.array(first)) + polygon_area(np.array(second))
+    assert hole_and_overlap([np.array(first), np.array(second)], area) == pytest.approx((0.0, 0.0), abs=1e-9)

@@ -1,0 +1,218 @@
+"""The page's server in one event loop with its browsers: greetings, frames, clicks, and whom it refuses."""
+
+import asyncio
+import socket
+import struct
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import aiohttp
+import msgspec
+import pytest
+
+from deploy.monitor.picture import Picture
+from deploy.monitor.server import Address, Client, PageServer, address_of
+from deploy.monitor_node import Score
+from deploy.scenario import resolve
+from deploy.simulate import Simulation
+from protocol.endpoints import free_port
+from protocol.settings import BadSetting
+
+
+class Played:
+    """A simulation that has been played for some ticks, as a source; a click moves it on."""
+
+    def __init__(self, ticks: int = 12) -> None:
+        self.simulation = Simulation(resolve("quick", {"run.seconds": 60.0}))
+        self.picture = Picture(self.simulation.scenario)
+        self.jumps = 0
+        self.asked: list[dict[str, Any]] = []
+        self.simulation.scorer.on_event = self.picture.see
+        self.play(ticks)
+
+    def play(self, tick: int) -> None:
+        while (self.picture.truth is None or self.picture.truth.tick < tick) and self.simulation.bus.step():
+            pass
+
+    def scores(self) -> Sequence[Score]:
+        return self.simulation.scorer.scores
+
+    def score(self) -> Score | None:
+        return self.scores()[-2]
+
+    def about(self, may_act: bool) -> dict[str, Any]:
+        return {"source": "live", "verbs": ["kill"] if may_act else []}
+
+    def extra(self) -> dict[str, Any]:
+        return {}
+
+    async def ask(self, request: dict[str, Any]) -> str:
+        self.asked.append(request)
+        if request.get("verb") == "fail":
+            raise BadSetting("nobody to fail")
+        if "to" in request:
+            self.play(request["to"])
+        return "done"
+
+    async def chores(self) -> None:
+        await asyncio.sleep(3600)
+
+
+@asynccontextmanager
+async def served(source: Played, address: Address | None = None) -> AsyncIterator[tuple[PageServer, str, aiohttp.ClientSession]]:
+    server = PageServer(source, address or Address("127.0.0.1", free_port(), True))
+    url = server.bind()
+    await server.open()
+    async with aiohttp.ClientSession() as session:
+        try:
+            yield server, url, session
+        finally:
+            await server.close()
+
+
+async def frame_of(ws: aiohttp.ClientWebSocketResponse) -> dict[str, Any]:
+    """The next frame, whatever texts come before it."""
+    while True:
+        message = await ws.receive(timeout=20.0)
+        if message.type == aiohttp.WSMsgType.BINARY:
+            length = struct.unpack_from("<I", message.data)[0]
+            found: dict[str, Any] = msgspec.json.decode(message.data[4 : 4 + length])
+            return found
+        assert message.type == aiohttp.WSMsgType.TEXT
+
+
+def test_a_browser_is_greeted_and_shown_the_present_moment_even_when_nothing_moves() -> None:
+    async def scene() -> None:
+        async with served(Played()) as (_, url, session), session.ws_connect(f"{url}ws") as ws:
+            hello = await ws.receive_json(timeout=20.0)
+            assert (hello["type"], hello["arena"], hello["verbs"]) == ("hello", [25.0, 25.0], ["kill"])
+            assert len(hello["curves"]["time"]) == 12
+            assert (await frame_of(ws))["tick"] == 10
+
+    asyncio.run(scene())
+
+
+def test_frames_follow_the_picture_and_clicks_are_answered() -> None:
+    async def scene() -> None:
+        source = Played()
+        async with served(source) as (_, url, session), session.ws_connect(f"{url}ws") as ws:
+            assert (await frame_of(ws))["tick"] == 10
+            await ws.send_json({"verb": "go", "to": 20})
+            assert await ws.receive_json(timeout=20.0) == {"type": "answer", "ok": True, "text": "done"}
+            assert (await frame_of(ws))["tick"] == 18
+            await ws.send_json({"verb": "fail"})
+            assert await ws.receive_json(timeout=20.0) == {"type": "answer", "ok": False, "text": "nobody to fail"}
+            for garbage in ("no json", "[1]"):
+                await ws.send_str(garbage)
+                assert not (await ws.receive_json(timeout=20.0))["ok"]
+
+    asyncio.run(scene())
+
+
+def test_a_jump_of_the_source_greets_everybody_again() -> None:
+    async def scene() -> None:
+        source = Played()
+        async with served(source) as (_, url, session), session.ws_connect(f"{url}ws") as ws:
+            await frame_of(ws)
+            source.jumps += 1
+            while (message := await ws.receive(timeout=20.0)).type != aiohttp.WSMsgType.TEXT:
+                pass
+            assert msgspec.json.decode(message.data)["type"] == "hello"
+
+    asyncio.run(scene())
+
+
+def test_a_browser_that_takes_nothing_has_one_frame_waiting_and_counts_the_others() -> None:
+    client = Client(None, asyncio.Event())  # type: ignore[arg-type]
+    for number in range(5):
+        client.offer(bytes([number]))
+    assert (client.frame, client.dropped) == (b"\x04", 4)
+
+
+def test_the_page_its_parts_the_moment_one_agent_and_the_metrics_can_be_fetched() -> None:
+    async def scene() -> None:
+        async with served(Played()) as (_, url, session):
+            for path, kind in (("", "text/html"), ("page.css", "text/css"), ("main.js", "text/javascript"), ("icon.svg", "image/svg+xml")):
+                async with session.get(url + path) as answer:
+                    assert (answer.status, answer.content_type) == (200, kind)
+                    assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+            async with session.get(f"{url}api/frame") as answer:
+                assert (await answer.json())["tick"] == 10
+            async with session.get(f"{url}api/agent/s1") as answer:
+                assert (await answer.json())["name"] == "s1"
+            async with session.get(f"{url}metrics") as answer:
+                assert 'covey_tick{run="covey"} 12.0' in await answer.text()
+            for path in ("api/agent/nobody", "no.html", "..%2fserver.py", "server.py"):
+                async with session.get(url + path) as answer:
+                    assert answer.status == 404, path
+
+    asyncio.run(scene())
+
+
+def test_the_page_loads_nothing_from_elsewhere() -> None:
+    from deploy.monitor.server import STATIC
+
+    texts = {file.name: file.read_text(encoding="utf-8") for file in STATIC.iterdir() if file.suffix in (".html", ".css", ".js")}
+    assert {"index.html", "page.css", "main.js"} <= set(texts)
+    assert [name for name, text in texts.items() if "://" in text.replace('"wss" : "ws"}://${location.host}', "")] == []
+
+
+def test_foreign_host_names_and_foreign_pages_are_refused() -> None:
+    async def scene() -> None:
+        async with served(Played()) as (_, url, session):
+            for headers in ({"Host": "evil.example"}, {"Host": "evil.example:80"}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
+                async with session.get(url, headers=headers) as answer:
+                    assert answer.status == 403, headers
+                with pytest.raises(aiohttp.WSServerHandshakeError):
+                    await session.ws_connect(f"{url}ws", headers=headers)
+            async with session.get(url, headers={"Origin": url.rstrip("/")}) as answer:
+                assert answer.status == 200
+
+    asyncio.run(scene())
+
+
+def test_a_page_that_others_can_reach_only_shows() -> None:
+    async def scene() -> None:
+        source = Played()
+        address = Address("0.0.0.0", free_port(), True)
+        near = f"http://127.0.0.1:{address.port}/ws"
+        async with served(source, address) as (_, _, session), session.ws_connect(near) as ws:
+            assert (await ws.receive_json(timeout=20.0))["verbs"] == []
+            await frame_of(ws)
+            await ws.send_json({"verb": "kill", "who": "s1"})
+            assert "only shows" in (await ws.receive_json(timeout=20.0))["text"]
+        assert source.asked == []
+
+    asyncio.run(scene())
+
+
+def test_browsers_are_told_when_the_run_is_over() -> None:
+    async def scene() -> None:
+        async with served(Played()) as (server, url, session), session.ws_connect(f"{url}ws") as ws:
+            await frame_of(ws)
+            await server.close()
+            assert await ws.receive_json(timeout=20.0) == {"type": "bye"}
+
+    asyncio.run(scene())
+
+
+def test_a_port_that_is_taken_is_an_error_when_it_was_asked_for_and_otherwise_another_is_found() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(BadSetting, match=f"--page 127.0.0.1:{port}: .* take another port"):
+            PageServer(Played(3), Address("127.0.0.1", port, True)).bind()
+        server = PageServer(Played(3), Address("127.0.0.1", port, False))
+        assert f":{port}/" not in server.bind()
+        asyncio.run(server.close())
+
+
+def test_page_is_a_port_or_host_and_port() -> None:
+    assert address_of(False) is None
+    assert address_of(True) == Address("127.0.0.1", 8737, False)
+    assert address_of("8080") == Address("127.0.0.1", 8080, True)
+    assert address_of("0.0.0.0:80") == Address("0.0.0.0", 80, True)
+    assert address_of("8080").is_loopback  # type: ignore[union-attr]
+    for wrong in ("quick", "80000", "host:", ""):
+        with pytest.raises(BadSetting, match="should be a port"):
+            address_of(wrong)

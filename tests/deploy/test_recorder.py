@@ -1,0 +1,248 @@
+"""Recordings: the bytes as they were on the wire, readable after a kill and on a full disk, and scored to the same figures."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import msgpack
+import msgspec
+import pytest
+from mcap.reader import make_reader
+
+from deploy.onlookers import Onlookers, open_recorder, recording_path
+from deploy.recorder import Recorder, message_schema
+from deploy.recording import Recording, event_of, find_recording
+from deploy.rescore import difference, rescore, write_scores
+from deploy.result import Result
+from deploy.scenario import FaultSettings, Scenario, resolve
+from deploy.simulate import Simulation
+from protocol import codec
+from protocol.keys import message_key
+from protocol.messages import KINDS, Command
+from protocol.node import Alive, Gone, Received, Rejected
+from protocol.settings import BadSetting
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = {"run.seconds": 6.0, "run.name": "short"}
+
+
+def scenario(**more: object) -> Scenario:
+    return resolve("quick", {**SHORT, **more})
+
+
+def command(tick: int) -> Command:
+    return Command(sender="s1", incarnation=1, tick=tick, velocity=(1.0, 0.0), turn_rate=0.0)
+
+
+def received(message: Command) -> Received:
+    payload = codec.encode(message)
+    return Received(message, len(payload), payload)
+
+
+def recorded_run(path: Path, of: Scenario) -> tuple[Simulation, Result]:
+    simulation = Simulation(of)
+    Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    return simulation, simulation.run()
+
+
+def test_payloads_come_back_byte_for_byte_in_order_under_their_keys(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", scenario())
+    sent = [received(command(tick)) for tick in range(300)]
+    for event in sent:
+        recorder.see(event, 0.0)
+    recorder.close()
+    entries = list(Recording(tmp_path / "a.mcap").entries())
+    assert [entry.payload for entry in entries] == [event.payload for event in sent]
+    assert {entry.key for entry in entries} == {message_key("short", command(0))}
+    assert [event_of(entry) for entry in entries] == sent
+
+
+def test_tokens_and_what_was_rejected_come_back_as_the_same_events(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", scenario())
+    seen = [
+        Alive("agent", "s1", 7),
+        Rejected("s1", "format", "covey/short/command/s1", b"\xc1"),
+        Rejected("s1", "quarantine", "covey/short/command/s1", b"\xc1"),
+        Gone("agent", "s1", 7),
+    ]
+    for event in seen:
+        recorder.see(event, 0.0)
+    recorder.close()
+    assert [event_of(entry) for entry in Recording(tmp_path / "a.mcap").entries()] == [seen[0], seen[1], seen[3]]
+
+
+def test_a_stranger_reads_channels_schemas_and_scenario_with_the_mcap_library_and_msgpack_alone(tmp_path: Path) -> None:
+    recorded_run(tmp_path / "a.mcap", scenario())
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file)
+        seen = {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            assert (channel.message_encoding, schema.encoding) == ("msgpack", "jsonschema")
+            seen[channel.topic.split("/")[2]] = schema.name, set(msgpack.unpackb(message.data))
+        names = [metadata.name for metadata in reader.iter_metadata()]
+    assert names == ["covey"]
+    assert seen["gossip"][0] == "covey.Gossip"
+    assert seen["alive"] == ("covey.Token", {"alive"})
+    for kind, (_, fields) in seen.items():
+        if kind in KINDS:
+            assert fields <= set(message_schema(kind)["properties"])
+
+
+def test_a_recording_alone_gives_the_figures_of_the_run_to_the_last_digit(tmp_path: Path) -> None:
+    with_kill = msgspec.structs.replace(scenario(), faults=(FaultSettings(at=3.0, verb="kill", who="2"),))
+    simulation, result = recorded_run(tmp_path / "a.mcap", with_kill)
+    (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
+    scorer = rescore(Recording(tmp_path / "a.mcap"))
+    assert scorer.scores == simulation.scorer.scores
+    assert len(scorer.scores) == 24
+    again = scorer.result(0.0)
+    assert [kill.name for kill in again.kills] == [kill.name for kill in result.kills]
+    assert difference(tmp_path / "a.mcap", again) == 0.0
+
+
+def test_the_difference_to_another_run_is_not_stated(tmp_path: Path) -> None:
+    _, other = recorded_run(tmp_path / "b.mcap", scenario(**{"run.seed": 2}))
+    _, result = recorded_run(tmp_path / "a.mcap", scenario())
+    assert difference(tmp_path / "a.mcap", result) is None
+    (tmp_path / "result.json").write_text(other.to_json(), encoding="utf-8")
+    assert difference(tmp_path / "a.mcap", result) is None
+
+
+def test_scores_are_written_with_every_digit(tmp_path: Path) -> None:
+    simulation, _ = recorded_run(tmp_path / "a.mcap", scenario())
+    write_scores(tmp_path / "scores.csv", simulation.scorer.scores)
+    head, *lines = (tmp_path / "scores.csv").read_text(encoding="utf-8").splitlines()
+    column = head.split(",").index("ospa")
+    assert [float(line.split(",")[column]) for line in lines] == [score.ospa for score in simulation.scorer.scores]
+
+
+@pytest.mark.parametrize("cut", [1, 9, 100, 2000])
+def test_a_file_that_lost_its_end_is_read_as_far_as_it_is_whole(tmp_path: Path, cut: int) -> None:
+    recorded_run(tmp_path / "a.mcap", scenario())
+    whole = list(Recording(tmp_path / "a.mcap").entries())
+    data = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "b.mcap").write_bytes(data[:-cut])
+    broken = Recording(tmp_path / "b.mcap")
+    entries = list(broken.entries())
+    assert not broken.is_whole
+    assert entries == whole[: len(entries)]
+    assert broken.scenario == Recording(tmp_path / "a.mcap").scenario
+
+
+def test_a_chunk_that_was_cut_through_costs_only_itself(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", scenario())
+    for tick in range(40):
+        recorder.see(received(command(tick)), 0.0)
+        if tick % 10 == 9:
+            recorder.flush()
+    size = recorder.file_bytes
+    recorder.close()
+    data = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "b.mcap").write_bytes(data[: size - 30])
+    spans = Recording(tmp_path / "b.mcap").spans
+    assert len(spans) in (3, 4)  # 4 where the cut went through the index behind the chunk
+    assert len(list(Recording(tmp_path / "b.mcap").entries())) == 10 * len(spans)
+
+
+KILLED = """
+import sys, time
+from pathlib import Path
+from tests.deploy.test_recorder import Recorder, command, received, scenario
+recorder = Recorder(Path(sys.argv[1]), scenario())
+for tick in range(50):
+    recorder.see(received(command(tick)), 0.0)
+recorder.flush()
+for tick in range(50, 60):
+    recorder.see(received(command(tick)), 0.0)
+print("ready", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_recorder_that_is_killed_leaves_all_that_it_had_flushed(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path / "a.mcap")], stdout=subprocess.PIPE, cwd=ROOT) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGKILL)
+    recording = Recording(tmp_path / "a.mcap")
+    ticks = [event.message.tick for entry in recording.entries() if isinstance(event := event_of(entry), Received)]
+    assert not recording.is_whole
+    assert ticks[:50] == list(range(50))
+
+
+FULL = """
+import resource, signal, sys
+from pathlib import Path
+from tests.deploy.test_recorder import Recorder, command, received, scenario
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+recorder = Recorder(Path(sys.argv[1]), scenario())
+room = recorder.file_bytes + 3000
+resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+for tick in range(3000):
+    recorder.see(received(command(tick)), 0.0)
+    if tick % 50 == 49:
+        recorder.flush()
+recorder.close()
+print(recorder.messages, recorder.lost, recorder.stopped)
+"""
+
+
+def test_a_full_disk_ends_the_recording_with_a_counter_and_what_was_written_opens(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path / "a.mcap")], capture_output=True, text=True, timeout=60, check=False, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    messages, lost, *why = done.stdout.split()
+    assert int(messages) + int(lost) == 3000
+    assert int(lost) > 0
+    assert why
+    entries = list(Recording(tmp_path / "a.mcap").entries())
+    assert 0 < len(entries) <= int(messages)
+    assert len(entries) % 50 == 0
+
+
+def test_what_is_no_recording_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"nothing of the kind")
+    with pytest.raises(BadSetting, match=r"a\.mcap: no recording of Covey"):
+        Recording(tmp_path / "a.mcap")
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    with pytest.raises(BadSetting, match=r"empty\.mcap: no recording"):
+        Recording(tmp_path / "empty.mcap")
+    with pytest.raises(BadSetting, match="no such file, and no run of this name"):
+        find_recording("never-run")
+
+
+def test_a_recording_is_found_by_file_folder_and_run_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COVEY_RUNS", str(tmp_path))
+    (tmp_path / "one").mkdir()
+    file = tmp_path / "one" / "recording.mcap"
+    with pytest.raises(BadSetting, match="no recording in it"):
+        find_recording("one")
+    Recorder(file, scenario()).close()
+    assert find_recording("one") == find_recording(str(tmp_path / "one")) == find_recording(str(file)) == file
+
+
+def test_record_names_an_mcap_file_or_means_the_run_directory(tmp_path: Path) -> None:
+    assert recording_path(False, tmp_path) is None
+    assert recording_path(True, tmp_path) == tmp_path / "recording.mcap"
+    assert recording_path(Path("x.mcap"), tmp_path) == Path("x.mcap")
+    with pytest.raises(BadSetting, match=r"--record quick: should be a file that ends in \.mcap"):
+        recording_path(Path("quick"), tmp_path)
+    with pytest.raises(BadSetting, match="--record"):
+        open_recorder(Path("/dev/null/x.mcap"), scenario())
+
+
+def test_an_onlooker_that_fails_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:
+    simulation = Simulation(scenario())
+    onlookers = Onlookers(simulation.scorer, None)
+    heard: list[object] = []
+
+    def faulty(event: object, now: float) -> None:
+        heard.append(event)
+        raise RuntimeError("planted")
+
+    onlookers._listeners.append(faulty)
+    assert simulation.run().ticks == 24
+    assert len(heard) == 1

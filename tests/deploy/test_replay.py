@@ -1,0 +1,125 @@
+"""A recording on the page: what is played, jumped to and found out about the whole, against the run that was recorded."""
+
+import asyncio
+from collections import deque
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from deploy.monitor.frames import moment
+from deploy.onlookers import Onlookers, open_recorder
+from deploy.recording import Recording
+from deploy.replay import ReplayNode, ReplaySource
+from deploy.scenario import FaultSettings, resolve
+from deploy.simulate import Simulation
+from protocol.messages import Command, Message
+from protocol.node import Started, Timer
+from protocol.settings import BadSetting
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Simulation, Recording]:
+    """A run of 20 s in which s2 dies at 10 s, and its recording."""
+    scenario = resolve("quick", {"run.seconds": 20.0})
+    simulation = Simulation(msgspec.structs.replace(scenario, faults=(FaultSettings(at=10.0, verb="kill", who="s2"),)))
+    path = tmp_path_factory.mktemp("replay") / "a.mcap"
+    Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    simulation.run()
+    return simulation, Recording(path)
+
+
+def source(run: tuple[Simulation, Recording], speed: float = 1.0) -> ReplaySource:
+    return ReplaySource(run[1], speed)
+
+
+def test_playing_follows_the_clock_at_the_chosen_speed(run: tuple[Simulation, Recording]) -> None:
+    replay = source(run, 4.0)
+    replay.advance(0.5)
+    assert replay.picture.time == 2.0
+    asyncio.run(replay.ask({"speed": 10}))
+    replay.advance(0.5)
+    assert replay.picture.time == 7.0
+    asyncio.run(replay.ask({"play": False}))
+    replay.advance(5.0)
+    assert replay.picture.time == 7.0
+
+
+def test_the_end_stops_the_play_and_playing_again_begins_anew(run: tuple[Simulation, Recording]) -> None:
+    replay = source(run, 100.0)
+    replay.advance(10.0)
+    assert (replay.playing, replay.clock) == (False, run[1].seconds)
+    asyncio.run(replay.ask({"play": True}))
+    assert (replay.playing, replay.clock) == (True, 0.0)
+
+
+@pytest.mark.parametrize("to", [15.0, 3.0, 10.0, 0.0, 19.75])
+def test_a_jump_shows_what_playing_up_to_there_would_have_shown(run: tuple[Simulation, Recording], to: float) -> None:
+    played, jumped = source(run), source(run)
+    played.advance(0.0)
+    for replay in (played, jumped):
+        replay.scan(60.0)
+    played.playing, played.clock = True, 0.0
+    played.advance(to)
+    jumped.seek(7.0)
+    jumped.seek(to)
+    one, other = (moment(replay.picture, replay.score()) for replay in (played, jumped))
+    for data in (one, other):
+        del data["messages"]  # counts what was read
+        for agent in data["agents"]:
+            if agent["state"] in ("waiting", "dead"):  # a jump does not know what the dead had said, nor under which incarnation
+                for name in set(agent) - {"name", "state", "pose"}:
+                    del agent[name]
+    assert one == other
+
+
+def test_the_look_through_the_whole_file_finds_the_scores_of_the_run_and_who_was_lost(run: tuple[Simulation, Recording]) -> None:
+    replay = source(run)
+    assert not replay.is_scanned
+    replay.scan(60.0)
+    assert replay.is_scanned
+    assert list(replay.scores()) == run[0].scorer.scores
+    assert [(one.kind, one.who) for one in replay.picture.happenings if one.kind == "lost"] == [("lost", "s2")]
+    replay.seek(12.0)
+    score = replay.score()
+    assert score is not None
+    assert score.tick == 47
+    assert replay.picture.agents["s2"].state == "dead"
+
+
+def test_playing_through_a_death_does_not_write_the_time_line_twice(run: tuple[Simulation, Recording]) -> None:
+    replay = source(run)
+    replay.scan(60.0)
+    replay.advance(15.0)
+    replay.seek(5.0)
+    replay.advance(10.0)
+    assert len([one for one in replay.picture.happenings if one.kind == "lost"]) == 1
+
+
+@pytest.mark.parametrize("request_", [{"seek": "x"}, {"seek": -1}, {"speed": 0}, {"speed": True}, {"verb": "kill"}, {}])
+def test_senseless_requests_are_refused(run: tuple[Simulation, Recording], request_: dict[str, object]) -> None:
+    with pytest.raises(BadSetting):
+        asyncio.run(source(run).ask(request_))
+
+
+def test_what_is_played_is_said_again_message_for_message(run: tuple[Simulation, Recording]) -> None:
+    replay = source(run)
+    replay.outbox = deque()
+    node = ReplayNode("covey", replay.outbox)
+    assert node.handle(Started(), 0.0) == []
+    replay.advance(2.0)
+    said = node.handle(Timer(), 0.05)
+    assert len(said) > 100
+    assert all(isinstance(effect, Message) for effect in said)
+    assert [effect.tick for effect in said if isinstance(effect, Command) and effect.sender == "s1"] == list(range(9))
+    assert node.handle(Timer(), 0.1) == []
+
+
+def test_a_cut_recording_is_replayed_as_far_as_it_goes(run: tuple[Simulation, Recording], tmp_path: Path) -> None:
+    data = run[1].path.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[:-4000])
+    replay = ReplaySource(Recording(tmp_path / "cut.mcap"), 100.0)
+    replay.scan(60.0)
+    replay.advance(10.0)
+    assert replay.is_scanned
+    assert not replay.playing

@@ -1,0 +1,212 @@
+"""Scenarios: the teams of Table II, compositions, options laid over files, and what is said when they are wrong."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.config import AgentConfig
+from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, team_counts
+from protocol.settings import BadSetting, Common, convert
+from world.config import WorldConfig
+
+SHIPPED = ["anisotropic", "convergence", "efficacy", "heterogeneity", "quick"]
+
+
+def counts(composition: str, triple: str = "ACD") -> dict[str, int]:
+    return team_counts(TeamSettings(composition=composition, triple=triple))
+
+
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        ("1", {"A": 4, "B": 12}),
+        ("2", {"A": 3, "C": 12, "D": 9}),
+        ("3", {"A": 4, "C": 16, "D": 12}),
+        ("4", {"A": 5, "C": 20, "D": 15}),
+        ("5", {"A": 6, "C": 24, "D": 18}),
+        ("6", {"E": 20, "H": 4}),
+        ("7", {"E": 20, "G": 10}),
+        ("8", {"E": 20, "F": 20}),
+    ],
+)
+def test_the_teams_of_table_ii(number: str, expected: dict[str, int]) -> None:
+    assert counts(number) == expected
+
+
+def test_teams_2_to_5_have_24_32_40_and_48_sensors_in_the_ratio_1_4_3() -> None:
+    """Table II prints 8 for the third class of team 2, which makes 23; figure 4 says 24."""
+    for number, size in zip("2345", (24, 32, 40, 48)):
+        first, second, third = counts(number).values()
+        assert (first + second + third, second, third) == (size, 4 * first, 3 * first)
+
+
+def test_the_lost_column_of_table_ii_is_an_option() -> None:
+    assert counts("3", "ABC") == {"A": 4, "B": 16, "C": 12}
+    assert counts("2", "BCD") == {"B": 3, "C": 12, "D": 9}
+
+
+@pytest.mark.parametrize("triple", ["", "AC", "AAC", "ACA"])
+def test_a_triple_that_is_not_three_different_classes_is_refused(triple: str) -> None:
+    with pytest.raises(BadSetting, match=f"team.triple = '{triple}': should be three different sensor classes"):
+        counts("3", triple)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("20E+4H", {"E": 20, "H": 4}),
+        ("A4,B12", {"A": 4, "B": 12}),
+        ("A4 B12", {"A": 4, "B": 12}),
+        ("4A, 12B", {"A": 4, "B": 12}),
+        ("  2A ", {"A": 2}),
+        ("1A+1B+2A", {"A": 3, "B": 1}),
+        ("3wide+2narrow", {"wide": 3, "narrow": 2}),
+        ("10000A", {"A": 10000}),
+    ],
+)
+def test_a_composition_counts_its_classes_in_order(text: str, expected: dict[str, int]) -> None:
+    assert counts(text) == expected
+    assert list(counts(text)) == list(expected)
+
+
+@given(st.dictionaries(st.sampled_from("ABCDEFGH"), st.integers(1, 50), min_size=1), st.sampled_from(["+", ",", " ", ", "]), st.booleans())
+def test_any_composition_reads_back_in_both_spellings(team: dict[str, int], separator: str, number_first: bool) -> None:
+    text = separator.join(f"{number}{name}" if number_first else f"{name}{number}" for name, number in team.items())
+    assert counts(text) == team
+
+
+@pytest.mark.parametrize("text", ["", "9", "0", "A", "20", "20E-4H", "20E+", "4 A", "A4;B12", "-4A", "1.5A"])
+def test_a_composition_that_cannot_be_read_shows_how_one_looks(text: str) -> None:
+    with pytest.raises(BadSetting, match=r"team\.composition = .*: should be a team 1-8, or such as 20E\+4H or A4,B12"):
+        counts(text)
+
+
+@pytest.mark.parametrize("text", ["0A", "10001A", "5001A+5000B"])
+def test_a_team_of_no_sensors_or_of_too_many_is_refused(text: str) -> None:
+    with pytest.raises(BadSetting, match=r"team\.composition = .*: a team has 1 to 10000 sensors"):
+        counts(text)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_scenario_resolves_and_its_team_is_spelled_out(name: str) -> None:
+    scenario = resolve(name)
+    assert Counter(scenario.members.values()) == counts(scenario.team.composition, scenario.team.triple)
+    assert list(scenario.members) == [f"s{number}" for number in range(1, len(scenario.members) + 1)]
+    assert scenario.run.scenario == name
+
+
+def test_the_shipped_scenarios_are_these() -> None:
+    assert sorted(path.stem for path in FOLDER.glob("*.toml")) == SHIPPED
+
+
+def test_the_scenarios_of_the_paper_have_the_numbers_of_section_iv() -> None:
+    first, second = resolve("convergence"), resolve("efficacy")
+    assert (first.arena.width, first.arena.height, first.run.seconds, first.targets.count) == (40.0, 40.0, 200.0, 8)
+    assert (first.targets.border, first.targets.heading_noise, len(first.members)) == ("reflect", 0.0, 16)
+    assert (second.arena.width, second.arena.height, second.run.seconds, second.targets.border) == (100.0, 100.0, 1000.0, "cross")
+    assert (first.limits.speed, first.limits.turn_rate, first.targets.speed) == (2.0, 5.0, 2.0)
+
+
+def test_agents_and_world_read_the_same_file_each_its_own_sections() -> None:
+    data = {"run": {"seed": 4}, "targets": {"count": 3}, "filter": {"gate": 5.0}, "team": {"composition": "2"}}
+    assert convert(data, AgentConfig, "x").filter.gate == 5.0
+    assert convert(data, WorldConfig, "x").targets.count == 3
+    assert convert(data, Common, "x").run.seed == 4
+
+
+def test_options_are_laid_over_the_file() -> None:
+    scenario = resolve("convergence", {"run.seed": 9, "team.composition": "2A+1B", "capacity.mode": "static", "birth.background": False})
+    assert (scenario.run.seed, scenario.capacity.mode, scenario.birth.background) == (9, "static", False)
+    assert scenario.members == {"s1": "A", "s2": "A", "s3": "B"}
+    assert scenario.arena.width == 40.0
+
+
+def test_a_scenario_that_spells_out_its_members_is_not_asked_for_a_team(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        '[team]\ncomposition = "5"\n[members]\nlefty = "C"\nrighty = "wide"\n[sensors.wide]\nangle = 180.0\nradius = 4.0\n',
+        encoding="utf-8",
+    )
+    scenario = resolve(str(path))
+    assert scenario.members == {"lefty": "C", "righty": "wide"}
+    assert scenario.run.scenario == str(path)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "complaint"),
+    [
+        ({"run.sead": 1}, "run.sead: there is no such field; did you mean seed?"),
+        ({"tagrets.count": 1}, "tagrets: there is no such field; did you mean targets?"),
+        ({"targets.count": -1}, "targets.count = -1: should be a whole number >= 0"),
+        ({"partition.kind": "vornoi"}, "partition.kind = 'vornoi': should be one of power, voronoi, voronoi-cod"),
+        ({"capacity.mode": "full"}, "capacity.mode = 'full': should be one of literal, expected, static, saturating"),
+        ({"filter.most_particles": 9000}, "filter.most_particles = 9000: should be a whole number <= 8000"),
+        ({"timing.deadline": 1.5}, "timing.deadline = 1.5: should be a number <= 1.0"),
+        ({"bodies.poses": {"s1": [1.0, 2.0]}}, "bodies.poses.s1 = [1.0, 2.0]: should be a list of length 3, got 2"),
+        ({"team.composition": "3Z"}, "team.composition: sensor class 'Z' does not exist; known are A, B, C, D, E, F, G, H"),
+        (
+            {"team.composition": "3", "team.triple": "acd"},
+            "team.composition: sensor class 'a' does not exist; known are A, B, C, D, E, F, G, H",
+        ),
+        ({"sensors.X.angle": 90.0, "team.composition": "3X"}, "sensors.X: a wedge needs an angle (degrees) and a radius (m)"),
+    ],
+    ids=str,
+)
+def test_a_wrong_option_is_told_in_one_line_with_the_file(overrides: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(BadSetting) as caught:
+        resolve("quick", overrides)
+    assert str(caught.value) == f"{FOLDER / 'quick.toml'} with options: {complaint}"
+
+
+def test_an_option_inside_something_that_is_no_section_is_refused() -> None:
+    with pytest.raises(BadSetting, match=r"--set run\.seed\.x: seed is not a section"):
+        resolve("quick", {"run.seed": 1, "run.seed.x": 2})
+
+
+def test_a_wrong_file_is_told_with_its_path_and_without_options(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("[[faults]]\nat = 5.0\nverb = 'kill'\nwhom = '30%'\n", encoding="utf-8")
+    with pytest.raises(BadSetting) as caught:
+        resolve(str(path))
+    assert str(caught.value) == f"{path}: faults.0.whom: there is no such field; did you mean who?"
+
+
+def test_an_unknown_scenario_lists_the_known_ones() -> None:
+    with pytest.raises(
+        BadSetting, match="scenario 'quik' does not exist; known are anisotropic, convergence, efficacy, heterogeneity, quick, or"
+    ):
+        find("quik")
+
+
+def test_a_path_is_taken_as_a_path() -> None:
+    assert find("here/it.is") == Path("here/it.is")
+    assert find("mine.toml") == Path("mine.toml")
+    assert find("quick") == FOLDER / "quick.toml"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("run.seed=3", ("run.seed", 3)),
+        ("run.dt = 0.5", ("run.dt", 0.5)),
+        ("birth.background=false", ("birth.background", False)),
+        ("capacity.mode=static", ("capacity.mode", "static")),
+        ('run.name="a b"', ("run.name", "a b")),
+        ("team.composition=20E+4H", ("team.composition", "20E+4H")),
+        ('network.seeds=["tcp/127.0.0.1:7447"]', ("network.seeds", ["tcp/127.0.0.1:7447"])),
+        ("run.scenario=a=b", ("run.scenario", "a=b")),
+        ("run.scenario=", ("run.scenario", "")),
+    ],
+)
+def test_set_reads_a_toml_value_and_bare_words_as_text(text: str, expected: tuple[str, Any]) -> None:
+    assert parse_set(text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "run.seed", "seed=3", "=3"])
+def test_set_without_a_section_a_key_or_a_value_is_refused(text: str) -> None:
+    with pytest.raises(BadSetting, match=r"should read section\.key=value"):
+        parse_set(text)

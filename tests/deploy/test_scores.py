@@ -1,0 +1,68 @@
+"""What the scores of a run come to, by pocket calculator."""
+
+import numpy as np
+import pytest
+
+from deploy.scenario import Scenario, resolve
+from deploy.scores import Coverage, Score, hole_and_overlap, share_in_view, steady_part, why
+from protocol.messages import Truth, pack
+
+
+@pytest.fixture
+def scenario() -> Scenario:
+    """10 s of 0.5 s in 20 x 20 m with one full disc of 5 m: ticks 4 to 19 are steady."""
+    options = {"run.dt": 0.5, "run.seconds": 10.0, "arena.width": 20.0, "arena.height": 20.0, "team.composition": "1E"}
+    disc = {"angle": 360.0, "radius": 5.0}
+    return resolve("quick", {**options, "sensors.E.angle": disc["angle"], "sensors.E.radius": disc["radius"]})
+
+
+def score(tick: int, **figures: float) -> Score:
+    """A tick with 4 targets."""
+    known = {"ospa": 1.0, "gospa": 8.0, "targets": 4, "in_view": 3, "estimated": 5, "mass": 4.5, "hole": 0.0, "overlap": 0.0}
+    return Score(tick=tick, time=0.5 * tick, **{**known, **figures})  # type: ignore[arg-type]
+
+
+def truth(tick: int, pose: tuple[float, float, float], alive: tuple[str, ...] = ("s1",)) -> Truth:
+    """The world with one body."""
+    poses = pack(np.array([pose]), "<f8")
+    return Truth(sender="world", incarnation=1, tick=tick, time=0.5 * tick, bodies=("s1",), poses_bytes=poses, alive=alive)
+
+
+def test_means_are_over_the_steady_part(scenario: Scenario) -> None:
+    scores = [score(tick, localisation=float(tick), missed=2.0, false=1.0, coverage=0.5) for tick in range(20)]
+    assert [each.tick for each in steady_part(scores, scenario)] == list(range(4, 20))
+    found = why(scores, scenario)
+    assert found["steady_localisation"] == 11.5  # mean of 4 .. 19
+    assert (found["steady_missed"], found["steady_false"], found["steady_coverage"]) == (2.0, 1.0, 0.5)
+    assert (found["steady_targets"], found["steady_estimated"], found["steady_mass"]) == (4.0, 5.0, 4.5)
+
+
+def test_the_share_in_view_of_the_last_five_seconds(scenario: Scenario) -> None:
+    scores = [score(tick, in_view=4 if tick >= 10 else 0) for tick in range(20)]
+    assert why(scores, scenario)["end_in_view"] == 1.0 and share_in_view(scores) == 0.5
+    scores = [score(tick, in_view=2 if tick >= 11 else 0) for tick in range(20)]
+    assert why(scores, scenario)["end_in_view"] == pytest.approx(9 * 2 / 40)
+
+
+def test_a_run_that_ended_before_its_steady_part_and_one_without_a_tick(scenario: Scenario) -> None:
+    assert why([score(0), score(1, mass=6.5)], scenario)["steady_mass"] == 5.5
+    assert share_in_view([]) == 0.0
+
+
+def test_coverage_is_the_area_of_the_footprints_of_the_living(scenario: Scenario) -> None:
+    assert Coverage(scenario).share(truth(0, (10.0, 10.0, 0.0))) == pytest.approx(np.pi * 25.0 / 400.0, abs=0.01)
+    assert Coverage(scenario).share(truth(0, (0.0, 0.0, 0.0))) == pytest.approx(np.pi * 25.0 / 1600.0, abs=0.01)
+    assert Coverage(scenario).share(truth(0, (10.0, 10.0, 0.0), ())) == 0.0
+
+
+def test_coverage_is_read_every_ten_ticks(scenario: Scenario) -> None:
+    coverage = Coverage(scenario)
+    inside = coverage.share(truth(0, (10.0, 10.0, 0.0)))
+    assert coverage.share(truth(9, (50.0, 50.0, 0.0))) == inside
+    assert coverage.share(truth(10, (50.0, 50.0, 0.0))) == 0.0
+
+
+def test_cells_of_one_view_tile_when_their_areas_add_up() -> None:
+    left, right = np.array([[0, 0], [4, 0], [4, 10], [0, 10.0]]), np.array([[4, 0], [10, 0], [10, 10], [4, 10.0]])
+    assert hole_and_overlap([left, right], 100.0, one_view=True) == (0.0, 0.0)
+    assert hole_and_overlap([left], 100.0, one_view=True) == pytest.approx((0.6, 0.0))

@@ -1,0 +1,103 @@
+"""Studies: their plan, the folder that survives being killed, and tables that do not depend on how often it was."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from deploy.study import STUDIES, Design, Folder, design, methods_of, plan, read_results
+from deploy.trials import Row
+from protocol.settings import BadSetting
+
+
+def row(seed: int, method: str = "power", ospa: float = 1.0, **more: object) -> Row:
+    """A row as a trial gives it, in short."""
+    head = {"scenario": "efficacy", "seed": seed, "team": "2", "start_targets": 30, "method": method, "steady_ospa": ospa}
+    return {**head, "steady_gospa": 9.0, "end_in_view": 0.9, **more, "wall_s": 3.5 * seed, "key": f"{method}-{seed}"}
+
+
+def test_the_papers_studies() -> None:
+    """IV-B: four teams, three numbers of targets, ten trials; IV-C: three teams, 30 targets."""
+    assert (STUDIES["efficacy"].teams, STUDIES["efficacy"].targets, STUDIES["efficacy"].trials) == (("2", "3", "4", "5"), (30, 40, 50), 10)
+    assert (len(plan(STUDIES["efficacy"])), len(plan(STUDIES["heterogeneity"])), len(plan(STUDIES["convergence"]))) == (360, 90, 40)
+
+
+def test_a_plan_goes_seed_by_seed_and_pairs_the_methods() -> None:
+    trials = plan(Design(scenario="efficacy", teams=("2", "3"), targets=(30,), methods=("power", "voronoi"), trials=2))
+    assert [(trial.seed, trial.team, trial.method) for trial in trials] == [
+        (seed, team, method) for seed in (100, 101) for team in ("2", "3") for method in ("power", "voronoi")
+    ]
+
+
+def test_a_quick_study_is_the_same_study_with_fewer_and_shorter_trials() -> None:
+    quick, full = design("efficacy", quick=True), design("efficacy")
+    assert (quick.teams, quick.targets, quick.methods) == (full.teams, full.targets, full.methods)
+    assert quick.trials < full.trials
+
+
+def test_what_cannot_be_run_is_refused_before_anything_runs() -> None:
+    with pytest.raises(BadSetting, match="study 'eficacy' does not exist; known are convergence, efficacy, heterogeneity"):
+        design("eficacy")
+    with pytest.raises(BadSetting, match="--methods lloyd"):
+        plan(Design(scenario="efficacy", teams=("2",), targets=(30,), methods=("lloyd",)))
+    with pytest.raises(BadSetting, match=r"team\.composition = '9'"):
+        plan(Design(scenario="efficacy", teams=("9",), targets=(30,), methods=("power",)))
+    with pytest.raises(BadSetting, match=r"run\.dt"):
+        plan(Design(scenario="efficacy", teams=("2",), targets=(30,), methods=("power",), options={"run.dt": -1.0}))
+
+
+def test_a_torn_line_is_cut_off_and_the_rest_counts(tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "study")
+    with folder.claimed():
+        folder.add(row(1))
+        folder.add(row(2))
+    with folder.trials.open("a") as file:
+        file.write('{"seed": 3, "key": "power-')
+    with folder.claimed():
+        folder.add(row(4))
+    assert sorted(folder.finished()) == ["power-1", "power-2", "power-4"]
+
+
+def test_a_folder_is_held_by_one_study(tmp_path: Path) -> None:
+    with Folder(tmp_path).claimed(), pytest.raises(BadSetting, match="a study is running there"), Folder(tmp_path).claimed():
+        pass
+    with Folder(tmp_path).claimed():
+        pass
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadSetting, match=r"--into .*file/study"), Folder(tmp_path / "file" / "study").claimed():
+        pass
+
+
+def test_tables_do_not_tell_how_long_a_trial_took(tmp_path: Path) -> None:
+    first, second = Folder(tmp_path / "a"), Folder(tmp_path / "b")
+    for folder, slowness in ((first, 1.0), (second, 7.0)):
+        with folder.claimed():
+            folder.publish([{**row(1), "wall_s": slowness}, {**row(2), "wall_s": slowness}])
+    assert first.csv.read_bytes() == second.csv.read_bytes()
+    assert first.parquet.read_bytes() == second.parquet.read_bytes()
+
+
+def test_results_are_read_back_from_either_file_or_the_folder(tmp_path: Path) -> None:
+    folder = Folder(tmp_path)
+    rows = [row(1, sensors="{}", control="lloyd"), row(2, "voronoi", 2.5, sensors="{}", control="lloyd")]
+    folder.path.mkdir(exist_ok=True)
+    folder.publish(rows)
+    expected = [{name: value for name, value in one.items() if name not in ("wall_s", "key")} for one in rows]
+    assert read_results(folder.parquet) == read_results(folder.csv) == read_results(tmp_path) == expected
+    assert methods_of(expected) == ["power", "voronoi"]
+
+
+def test_files_that_are_no_results_are_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(BadSetting, match=r"results\.parquet: no results of a study"):
+        read_results(tmp_path)
+    other = tmp_path / "other.csv"
+    other.write_text("a,b\n1,2\n")
+    with pytest.raises(BadSetting, match="the column method is missing"):
+        read_results(other)
+    broken = tmp_path / "broken.parquet"
+    broken.write_text(json.dumps({}))
+    with pytest.raises(BadSetting, match=r"broken\.parquet: no results of a study"):
+        read_results(broken)

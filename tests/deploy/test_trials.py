@@ -1,0 +1,94 @@
+"""Trials: pairing, rows that repeat themselves, and keys that tell trials apart."""
+
+import shlex
+
+import msgspec
+import pytest
+
+from agents.control import control_law
+from deploy.scenario import parse_set, resolve
+from deploy.simulate import Simulation, simulate
+from deploy.trials import FLAGS, METHODS, Trial, check_method, cost, fingerprint, run_trial
+from protocol.messages import Truth
+from protocol.settings import BadSetting
+
+SHORT = {"run.seconds": 5.0, "run.dt": 0.5}
+
+
+def trial(method: str = "power", seed: int = 3, **options: object) -> Trial:
+    """Six agents for 5 s."""
+    return Trial(scenario="quick", seed=seed, team="A2,B4", targets=3, method=method, options={**SHORT, **options})
+
+
+def tracks(which: Trial) -> list[bytes]:
+    """The truth of every tick, and where the bodies start."""
+    simulation = Simulation(which.resolve(), use_codec=False)
+    found: list[bytes] = []
+
+    def hear(truth: Truth) -> None:
+        found.append(truth.targets_bytes if found else truth.targets_bytes + truth.poses_bytes)
+
+    simulation.on_truth = hear
+    simulation.run()
+    return found
+
+
+def test_trials_of_one_seed_share_targets_and_starts_whatever_the_method() -> None:
+    assert len(tracks(trial("power"))) == 10
+    assert tracks(trial("power")) == tracks(trial("voronoi")) == tracks(trial("static"))
+    assert tracks(trial("power")) != tracks(trial("power", seed=4))
+
+
+def test_without_the_codec_the_transcript_is_the_same_to_the_last_bit() -> None:
+    scenario = trial().resolve()
+    assert simulate(scenario, use_codec=True).transcript == simulate(scenario, use_codec=False).transcript
+
+
+def test_a_trial_is_repeated_by_the_command_in_its_row() -> None:
+    """The words of the command, read as `covey simulate` reads them, resolve to the same scenario."""
+    one = trial("voronoi-cod", **{"team.triple": "ABC", "detection.clutter": 0.25, "filter.border": "reflect"})
+    row = run_trial(one)
+    words = shlex.split(row["command"])
+    assert words[:3] == ["covey", "simulate", "quick"] and words[-1] == "--json"
+    dotted = {flag: name for name, flag in FLAGS.items()}
+    overrides = {}
+    for flag, value in zip(words[3:-1:2], words[4:-1:2]):
+        name, parsed = parse_set(value) if flag == "--set" else (dotted[flag], one.overrides()[dotted[flag]])
+        overrides[name] = parsed
+        assert flag == "--set" or value == str(parsed)
+    assert msgspec.to_builtins(resolve("quick", overrides)) == msgspec.to_builtins(one.resolve())
+    assert simulate(resolve("quick", overrides)).transcript == row["transcript"]
+
+
+def test_a_row_holds_the_result_and_every_setting() -> None:
+    row = run_trial(trial())
+    assert (row["method"], row["seed"], row["team"], row["start_targets"], row["ticks"]) == ("power", 3, "A2,B4", 3, 10)
+    assert (row["filter.lifetime"], row["detection.noise"], row["partition.kind"], row["run.seed"]) == (1000.0, 0.25, "power", 3)
+    assert row["code"] == fingerprint() and {"steady_ospa", "steady_missed", "end_in_view", "version"} <= row.keys()
+    assert all(isinstance(value, str | int | float | None) for value in row.values())
+
+
+def test_progress_is_told_tick_by_tick() -> None:
+    told: list[float] = []
+    run_trial(trial(), told.append)
+    assert told == pytest.approx([tick / 10.0 for tick in range(1, 11)])
+
+
+def test_keys_differ_in_every_setting_and_in_nothing_else() -> None:
+    others = [trial("voronoi"), trial(seed=4), trial(**{"run.dt": 0.25}), msgspec.structs.replace(trial(), team="A2,B3")]
+    assert len({other.key() for other in [trial(), *others]}) == 5
+    assert trial().key() == trial().key()
+
+
+def test_methods_are_partitions_and_control_laws_that_exist() -> None:
+    for overrides in METHODS.values():
+        control_law(resolve("quick", overrides))
+    check_method("power")
+    with pytest.raises(BadSetting, match="--methods voroni: should be one or more of power, voronoi"):
+        check_method("voroni")
+
+
+def test_cost_grows_with_ticks_and_faster_than_the_team() -> None:
+    base = cost(resolve("quick", {"run.seconds": 10.0}))
+    assert cost(resolve("quick", {"run.seconds": 20.0})) == pytest.approx(2.0 * base)
+    assert cost(resolve("quick", {"run.seconds": 10.0, "team.composition": "A4,B8"})) > 2.0 * base

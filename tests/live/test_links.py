@@ -1,0 +1,39 @@
+"""Bad links between real processes: cut and healed from another terminal, spoilt by a scenario, and out of reach unless it allows them."""
+
+import pytest
+
+from tests.live.harness import Covey
+
+pytestmark = pytest.mark.live
+ALLOWED = ("--set", "network.link_faults=true")
+
+
+def test_a_partition_covers_the_arena_twice_and_heals_to_one_claim_per_place(covey: Covey) -> None:
+    covey.start("up", "quick", "--seconds", "100000", "--rate", "2", *ALLOWED)
+    covey.running()
+    code, said, _ = covey.run("partition", "s1,s2,s3")
+    assert (code, said) == (0, "cut off s1, s2, s3\n")
+    apart = covey.wait(lambda data: data["swarm"]["overlap"] > 0.99)
+    assert apart["swarm"]["hole"] <= 1e-6
+    assert covey.run("heal")[1] == "all links are clear again\n"
+    covey.wait(lambda data: data["swarm"]["tick"] > apart["swarm"]["tick"] and data["swarm"]["overlap"] <= 1e-6 >= data["swarm"]["hole"])
+    assert covey.run("drop", "0.3")[1].startswith("drop 30 % of the messages")
+    covey.wait(lambda data: data["swarm"]["overlap"] > 1e-6)
+    assert covey.run("down")[0] == 0
+    covey.wait_until_gone()
+
+
+def test_link_faults_are_out_of_reach_unless_the_scenario_allows_them(covey: Covey) -> None:
+    covey.start("up", "quick", "--seconds", "100000", "--rate", "2")
+    covey.running()
+    code, _, complaints = covey.run("partition", "s1")
+    assert code == 2 and complaints == "covey: verb = 'partition': link faults need network.link_faults = true in the scenario\n"
+    assert covey.run("drop", "1.5", "s1")[0] == 2
+    assert covey.run("down")[0] == 0
+    covey.wait_until_gone()
+
+
+def test_loss_asked_for_on_the_command_line_is_there_from_the_start(covey: Covey) -> None:
+    result = covey.result("up", "quick", "--seconds", "10", "--rate", "2", "--loss", "0.3")
+    assert result["ticks"] == 40
+    assert 0.0 < result["hole_area"] < 1.0 and result["overlap_area"] > 0.0

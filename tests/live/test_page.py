@@ -1,0 +1,155 @@
+"""The page in a real Chromium: it comes alive, a click kills, a replay is scrubbed; the browser has nothing to complain of."""
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy.recording import Recording, event_of
+from protocol.messages import Estimate, Truth
+from protocol.node import Received
+from tests.live.harness import Covey, rows
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs the Python package playwright")
+CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
+
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine: apt-get install chromium"),
+]
+LONG = ("up", "quick", "--seconds", "1000", "--rate", "2", "--page", "127.0.0.1:0")
+PATIENCE = 60_000.0  # ms; reached only when something hangs
+
+
+@pytest.fixture
+def page() -> Iterator[Any]:
+    """A window; at the end nothing may stand on its console, and no page may have raised an error."""
+    complaints: list[str] = []
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        window = browser.new_page(viewport={"width": 1400, "height": 900})
+        window.set_default_timeout(PATIENCE)
+        window.on("console", lambda message: complaints.append(message.text) if message.type in ("error", "warning") else None)
+        window.on("pageerror", lambda error: complaints.append(str(error)))
+        yield window
+        browser.close()
+    assert complaints == []
+
+
+def address(process: Any) -> str:
+    """The page's address, which is the first thing that a command says."""
+    line = process.stdout.readline()
+    assert line.startswith("page: http://127.0.0.1:"), line
+    return str(line.split()[1])
+
+
+def until(page: Any, expression: str) -> None:
+    """Wait until an expression holds in the page; by asking again and again, for the page forbids itself to evaluate texts."""
+    end = time.monotonic() + PATIENCE / 1000.0
+    while not page.evaluate(f"Boolean({expression})"):
+        assert time.monotonic() < end, f"never: {expression}"
+        page.wait_for_timeout(50)
+
+
+def alive(page: Any, url: str) -> None:
+    """Open the page and wait until it shows a tick."""
+    page.goto(url)
+    until(page, "covey.frame && covey.frame.tick >= 2")
+
+
+def test_bodies_move_and_a_click_kills(covey: Covey, page: Any) -> None:
+    process = covey.start(*LONG, "--record")
+    alive(page, address(process))
+    covey.running()
+    places = page.evaluate("JSON.stringify(covey.frame.agents.map((agent) => agent.pose))")
+    until(page, f"JSON.stringify(covey.frame.agents.map((agent) => agent.pose)) !== {json.dumps(places)}")
+
+    page.click("#row-s2 button")
+    until(page, "covey.belief && covey.belief.name === 's2' && covey.belief.claim.length > 0")
+    page.click("#belief [data-verb=kill]")
+    page.wait_for_selector("#row-s2.dead")
+    until(page, "[...covey.happenings.values()].some(([, , kind, who]) => kind === 'lost' && who === 's2')")
+    until(page, "document.querySelector('#log').textContent.includes('s2 is gone')")
+    until(page, "covey.frame.agents.find((agent) => agent.name === 's2').cell.length === 0 && covey.frame.score[6] < 1e-6")
+    assert rows(covey.wait(lambda data: rows(data)["s2"]["state"] == "dead"))["s2"]["end"] == "killed by SIGKILL"
+
+    page.click("#belief [data-verb=restart]")
+    until(page, "covey.frame.agents.find((agent) => agent.name === 's2').state === 'alive'")
+    page.click("#belief [data-verb=pause]")
+    page.wait_for_selector("#row-s2.paused")
+    page.click("#belief [data-verb=resume]")
+    page.wait_for_selector("#row-s2.alive")
+
+
+def test_everything_can_be_reached_by_keyboard(covey: Covey, page: Any) -> None:
+    alive(page, address(covey.start(*LONG)))
+    covey.running()
+    page.keyboard.press("ArrowRight")
+    until(page, "covey.chosen === 's1' && covey.belief")
+    page.keyboard.press("ArrowLeft")
+    until(page, "covey.chosen === 's6'")
+    page.keyboard.press("Escape")
+    assert page.evaluate("covey.chosen") is None
+    page.keyboard.press("t")
+    assert page.get_attribute("#switch-truth", "aria-pressed") == "false"
+    theme = page.evaluate("document.documentElement.dataset.theme")
+    page.keyboard.press("x")
+    assert page.evaluate("document.documentElement.dataset.theme") != theme
+    page.keyboard.press("?")
+    assert page.is_visible("#help")
+    page.keyboard.press("Escape")
+    for _ in range(40):  # Tab leads to the roster, Enter chooses
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.closest('tbody') !== null"):
+            break
+    page.keyboard.press("Enter")
+    until(page, "covey.chosen === 's1'")
+
+
+def test_what_the_page_shows_is_what_was_recorded(covey: Covey, page: Any) -> None:
+    """At mid-run: targets, estimates and cells of one tick, against the recording of the same run."""
+    process = covey.start(*LONG, "--record")
+    alive(page, address(process))
+    covey.running()
+    until(page, "covey.frame.tick >= 20 && covey.frame.score")
+    shown = page.evaluate("({tick: covey.frame.tick, targets: covey.frame.targets, agents: covey.frame.agents})")
+    assert covey.run("down")[0] == 0
+    process.wait(timeout=60)
+    events = map(event_of, Recording(covey.folder / "runs" / "covey" / "recording.mcap").entries())
+    messages = [event.message for event in events if isinstance(event, Received)]
+    truth = next(message for message in messages if isinstance(message, Truth) and message.tick == shown["tick"])
+    assert shown["targets"] == pytest.approx(truth.targets.ravel(), abs=0.006)
+    drawn = {agent["name"]: agent for agent in shown["agents"]}
+    estimates = [message for message in messages if isinstance(message, Estimate) and message.tick == shown["tick"]]
+    assert len(estimates) > 0
+    for estimate in estimates:
+        assert drawn[estimate.sender]["cell"] == pytest.approx(estimate.cell.ravel(), abs=0.006)
+        assert drawn[estimate.sender]["targets"] == pytest.approx(estimate.targets.ravel(), abs=0.006)
+
+
+def test_a_replay_plays_pauses_is_scrubbed_and_changes_its_speed(covey: Covey, page: Any, tmp_path: Path) -> None:
+    file = tmp_path / "some.mcap"
+    assert covey.run("simulate", "quick", "--kill", "s3@10", "--record", str(file))[0] == 0
+    process = covey.start("replay", str(file), "--page", "127.0.0.1:0")
+    alive(page, address(process))
+    until(page, "covey.frame.play.scanned && covey.history.time.length >= 118")
+    assert page.evaluate("[...covey.happenings.values()].some(([, time, kind, who]) => kind === 'lost' && who === 's3' && time >= 10)")
+    page.select_option("#speed", "10")
+    until(page, "covey.frame.time > 12 || !covey.frame.play.playing")
+    until(page, "covey.frame.agents[2].state === 'dead'")
+    page.keyboard.press("Escape")
+    page.focus("#scrub")
+    page.fill("#scrub", "5")
+    until(page, "Math.abs(covey.frame.time - 5) < 4 && covey.frame.agents[2].state === 'alive'")
+    page.evaluate("covey.frame.play.playing") and page.click("#play")
+    until(page, "!covey.frame.play.playing")
+    page.fill("#scrub", "20")
+    until(page, "Math.abs(covey.frame.time - 20) < 0.6 && covey.frame.agents[2].state === 'dead'")
+    assert page.evaluate("covey.frame.score[0]") == pytest.approx(page.evaluate("covey.frame.time"))
+    page.click("#play")
+    until(page, "covey.frame.time > 21")

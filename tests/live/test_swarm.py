@@ -1,0 +1,94 @@
+"""The live swarm as promised: what is simulated is what is deployed, deaths close within three ticks, garbage changes a counter."""
+
+import asyncio
+import json
+import os
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from deploy.scenario import resolve
+from deploy.simulate import simulate
+from protocol import keys, live
+from protocol.settings import NetworkSettings
+from tests.live.harness import Covey, rows
+
+pytestmark = pytest.mark.live
+
+
+def test_sixteen_processes_in_lockstep_follow_the_simulation_to_the_last_bit(covey: Covey) -> None:
+    result = covey.result("up", "convergence", "--lockstep", "--seconds", "10", "--seed", "3")
+    simulated = simulate(resolve("convergence", {"run.seconds": 10.0, "run.seed": 3}))
+    assert result["transcript"] == simulated.transcript
+    assert result["ticks"] == simulated.ticks == 40
+    assert result["mean_ospa"] == simulated.mean_ospa
+    assert max(result["hole_area"], result["overlap_area"]) <= 1e-6
+    assert result["kills"] == []
+
+
+def test_the_cells_of_the_rest_cover_the_arena_again_after_one_and_after_five_deaths(covey: Covey) -> None:
+    words = ("--seconds", "15", "--kill", "1@4", "--kill", "5@8")
+    result = covey.result("up", "convergence", "--lockstep", *words)
+    kills = result["kills"]
+    assert [kill["time"] for kill in kills] == [4.0, 8.0, 8.0, 8.0, 8.0, 8.0]
+    assert all(kill["closed_ticks"] is not None and kill["closed_ticks"] <= 3 for kill in kills)
+    assert result["ticks"] == 60
+    logs = Path(covey.folder / "runs" / "covey" / "logs").glob("s*.jsonl")
+    assert not any('"level": "error"' in log.read_text() for log in logs)
+
+
+def test_in_real_time_a_dead_body_stands_still_and_a_restarted_agent_finds_it_there(covey: Covey) -> None:
+    covey.start("up", "quick", "--seconds", "100000", "--rate", "4")
+    covey.running()
+    assert covey.run("kill", "s4")[0] == 0
+    first = rows(covey.wait(lambda data: not rows(data)["s4"]["alive"]))["s4"]
+    tick = first["tick"]
+    dead = covey.wait(lambda data: data["swarm"]["tick"] > tick + 12)
+    there = rows(dead)["s4"]["pose"]
+    assert rows(covey.wait(lambda data: data["swarm"]["tick"] > dead["swarm"]["tick"] + 4))["s4"]["pose"] == there
+    assert dead["swarm"]["hole"] <= 1e-6
+    assert covey.run("restart", "s4")[0] == 0
+    back = covey.wait(lambda data: rows(data)["s4"]["alive"] and rows(data)["s4"]["tick"] > tick)
+    moved = [abs(now - then) for now, then in zip(rows(back)["s4"]["pose"][:2], there[:2])]
+    assert max(moved) <= 2.0 * (back["swarm"]["time"] - dead["swarm"]["time"])
+    assert rows(back)["s4"]["incarnation"] == 2
+    assert covey.run("down")[0] == 0
+    covey.wait_until_gone()
+
+
+def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> None:
+    supervisor = covey.start("up", "quick", "--lockstep", "--json", "--seconds", "60")
+
+    async def vandal() -> int:
+        config = covey.folder / "runs" / "covey" / "run.toml"
+        while not config.is_file() or not config.read_text():
+            await asyncio.sleep(0.02)
+        seeds = tuple(tomllib.loads(config.read_text())["network"]["seeds"])
+        session = await asyncio.to_thread(live.open_session, NetworkSettings(seeds=seeds))
+        kinds = ("hello", "beacon", "gossip", "observation", "command", "estimate")
+        targets = [keys.one_of("covey", kind, name) for kind in kinds for name in ("world", "s1", "s2", "s3", "s4", "s5", "s6")]
+        thrown = 0
+        while supervisor.poll() is None:
+            for key in [*targets, keys.all_of("covey", "truth")]:
+                session.put(key, os.urandom(1 + thrown % 300))
+                thrown += 1
+            await asyncio.sleep(0.05)
+        await asyncio.to_thread(session.close)
+        return thrown
+
+    thrown = asyncio.run(vandal())
+    assert supervisor.stdout is not None
+    result = json.loads(supervisor.stdout.read().splitlines()[-1])
+    simulated = simulate(resolve("quick", {"run.seconds": 60.0}))
+    assert thrown > 100
+    assert result["transcript"] == simulated.transcript
+    logs = list((covey.folder / "runs" / "covey" / "logs").glob("s*.jsonl"))
+    assert any('"rejected"' in log.read_text() for log in logs)
+
+
+@pytest.mark.slow
+def test_forty_eight_agents_start_and_close_their_first_round(covey: Covey) -> None:
+    result = covey.result("up", "efficacy", "--team", "5", "--lockstep", "--seconds", "1")
+    assert result["agents"] == 48
+    assert result["rounds"] >= 48

@@ -1,0 +1,49 @@
+"""Agents that are forked from the zygote are processes of their own and end with whoever asked for them."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from deploy.processes import child_environment
+from deploy.zygote import Zygote
+
+pytestmark = pytest.mark.live
+
+
+def ended(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+@pytest.fixture
+def zygote(tmp_path: Path) -> Zygote:
+    made = Zygote(child_environment(), tmp_path / "zygote.log")
+    made.wait_until_ready()
+    return made
+
+
+def test_bad_input_ends_the_child_with_code_2_and_one_line(zygote: Zygote, tmp_path: Path) -> None:
+    child = zygote.fork(["--name", "s1", "--config", str(tmp_path / "none.toml"), "--supervised"], tmp_path / "s1.log")
+    assert child.wait() == 2
+    assert "none.toml: there is no such file" in (tmp_path / "s1.log").read_text(encoding="utf-8")
+    zygote.close()
+
+
+def test_a_killed_child_is_reported_and_the_others_live_until_the_zygote_goes(zygote: Zygote, tmp_path: Path) -> None:
+    config = tmp_path / "run.toml"
+    config.write_text('[members]\ns1 = "A"\ns2 = "A"\n', encoding="utf-8")
+    one, other = (zygote.fork(["--name", name, "--config", str(config), "--supervised"], tmp_path / f"{name}.log") for name in ("s1", "s2"))
+    assert one.pid != other.pid and os.getpgid(one.pid) == one.pid
+    one.kill()
+    assert one.wait() == -signal.SIGKILL
+    assert other.poll() is None
+    zygote.close()
+    end = time.monotonic() + 20.0
+    while not ended(other.pid) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert ended(other.pid)

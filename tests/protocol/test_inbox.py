@@ -1,0 +1,70 @@
+"""The inbox keeps the newest when it overflows; the quarantine shuts a source out and lets it in again."""
+
+from protocol.inbox import Arrival, Inbox, Quarantine
+
+
+def payloads(batch: list[Arrival]) -> list[bytes]:
+    return [arrival.payload for arrival in batch]
+
+
+def test_the_loop_is_called_once_until_it_finds_the_inbox_empty() -> None:
+    inbox = Inbox()
+    assert inbox.add(Arrival("a", b"1"))
+    assert not inbox.add(Arrival("a", b"2"))
+    assert payloads(inbox.take(1)) == [b"1"]
+    assert not inbox.add(Arrival("a", b"3"))
+    assert payloads(inbox.take(9)) == [b"2", b"3"]
+    assert inbox.take(9) == []
+    assert inbox.add(Arrival("a", b"4"))
+
+
+def test_an_overflowing_inbox_keeps_the_newest_message_of_every_key_in_order_of_arrival() -> None:
+    inbox = Inbox(most_entries=4)
+    for key, payload in [("a", b"a1"), ("b", b"b1"), ("a", b"a2"), ("a", b"a3"), ("a", b"a4")]:
+        inbox.add(Arrival(key, payload))
+    assert payloads(inbox.take(9)) == [b"b1", b"a4"]
+    assert inbox.dropped == 3
+
+
+def test_with_too_many_keys_the_older_half_goes_but_no_token() -> None:
+    inbox = Inbox(most_entries=4)
+    inbox.add(Arrival("token", token=True))
+    for number in range(4):
+        inbox.add(Arrival(f"k{number}", bytes([number])))
+    kept = inbox.take(9)
+    assert kept[0].token is True
+    assert payloads(kept[1:]) == [b"\x01", b"\x02", b"\x03"]
+
+
+def test_the_inbox_never_holds_more_bytes_than_allowed() -> None:
+    inbox = Inbox(most_entries=1000, most_bytes=100)
+    for number in range(200):
+        inbox.add(Arrival(f"k{number}", bytes(10)))
+        assert 10 * len(inbox) <= 100
+    assert inbox.dropped == 200 - len(inbox)
+
+
+def test_twenty_bad_messages_in_ten_seconds_shut_a_source_out_for_ten_seconds() -> None:
+    quarantine = Quarantine(most=20, window=10.0)
+    for number in range(19):
+        quarantine.offend("x", 0.1 * number)
+    assert not quarantine.holds("x", 2.0)
+    quarantine.offend("x", 2.0)
+    assert quarantine.holds("x", 11.9)
+    assert not quarantine.holds("y", 11.9)
+    assert not quarantine.holds("x", 12.0)
+
+
+def test_rare_bad_messages_never_shut_a_source_out() -> None:
+    quarantine = Quarantine(most=20, window=10.0)
+    for number in range(100):
+        quarantine.offend("x", float(number))
+        assert not quarantine.holds("x", float(number))
+
+
+def test_the_quarantine_remembers_a_bounded_number_of_sources() -> None:
+    quarantine = Quarantine(most=1, window=10.0)
+    for number in range(Quarantine.MOST_SOURCES + 5):
+        quarantine.offend(f"x{number}", 0.0)
+    assert not quarantine.holds("x0", 1.0)
+    assert quarantine.holds("x5", 1.0)

@@ -1,0 +1,245 @@
+"""The live driver over real Zenoh sessions on loopback: two nodes talk, tokens come and go, garbage is counted, codes are kept."""
+
+import asyncio
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from protocol import keys, live
+from protocol.endpoints import free_port
+from protocol.messages import Command, Message
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.settings import BadSetting, NetworkSettings
+
+pytestmark = pytest.mark.live
+ROOT = Path(__file__).parents[2]
+
+
+class Scribe:
+    """A node that writes down every event and does what it is told at the start."""
+
+    role = "agent"
+
+    def __init__(self, name: str, *first: Effect, incarnation: int = 1) -> None:
+        self.run = f"t{free_port()}"
+        self.name = name
+        self.incarnation = incarnation
+        self.events: list[Event] = []
+        self.first = list(first)
+        self.next: float | None = None
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        self.events.append(event)
+        return self.first if isinstance(event, Started) else []
+
+    def deadline(self) -> float | None:
+        return self.next
+
+    def texts(self) -> list[Message]:
+        return [event.message for event in self.events if isinstance(event, Received)]
+
+
+def command(sender: str, tick: int) -> Command:
+    return Command(sender=sender, incarnation=1, tick=tick, velocity=(1.0, 2.0), turn_rate=0.5)
+
+
+async def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait for a condition; fails after `seconds`, a bound that only a broken driver reaches."""
+    async with asyncio.timeout(seconds):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+class Pair:
+    """Two drivers in one loop, the second dialling the first; both gone at the end."""
+
+    def __init__(self, left: Scribe, right: Scribe) -> None:
+        right.run = left.run
+        port = free_port()
+        listen = f"tcp/127.0.0.1:{port}"
+        self.endpoint = listen
+        self.drivers = [
+            live.Driver(left, NetworkSettings(listen=(listen,))),
+            live.Driver(right, NetworkSettings(seeds=(listen,))),
+        ]
+
+    async def __aenter__(self) -> "Pair":
+        self.tasks = [asyncio.create_task(driver.serve()) for driver in self.drivers]
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        for driver in self.drivers:
+            driver.stop(0, "the test is over")
+        await asyncio.gather(*self.tasks, return_exceptions=True)
+
+
+def test_two_nodes_hear_each_other_but_not_themselves_and_see_each_others_token() -> None:
+    async def scene() -> None:
+        left = Scribe("a")
+        left.first = [Subscribe(keys.all_of(left.run, "command"))]
+        right = Scribe("b")
+        right.first = [Subscribe(keys.all_of(left.run, "command"))]
+        async with Pair(left, right) as pair:
+            await until(lambda: Alive("agent", "b", 1) in left.events and Alive("agent", "a", 1) in right.events)
+            for tick in range(1, 200):
+                for driver, name in zip(pair.drivers, "ab"):
+                    driver._carry_out(command(name, tick))
+                await asyncio.sleep(0.005)
+                if left.texts() and right.texts():
+                    break
+            pair.drivers[1].stop(0, "leaves")
+            await until(lambda: Gone("agent", "b", 1) in left.events)
+            assert await pair.tasks[1] == 0
+        assert {message.sender for message in left.texts()} == {"b"}
+        assert {message.sender for message in right.texts()} == {"a"}
+        assert left.texts()[0] == command("b", left.texts()[0].tick)  # type: ignore[attr-defined]
+        assert left.events.count(Alive("agent", "b", 1)) == 1
+
+    asyncio.run(scene())
+
+
+def test_garbage_is_rejected_counted_and_quarantined_without_silencing_the_agent_under_whose_key_it_comes() -> None:
+    async def scene() -> None:
+        left, right = Scribe("a"), Scribe("b")
+        left.first = [Subscribe(keys.all_of(left.run, "command"))]
+        async with Pair(left, right) as pair:
+            await until(lambda: Alive("agent", "b", 1) in left.events)
+            stranger = await asyncio.to_thread(live.open_session, NetworkSettings(seeds=(pair.endpoint,)))
+            key = keys.one_of(left.run, "command", "b")
+
+            def quarantined() -> bool:
+                stranger.put(key, b"\xc1 garbage")
+                pair.drivers[1]._carry_out(command("b", 7))
+                return Rejected("b", "quarantine") in left.events
+
+            await until(quarantined)
+            before = len(left.texts())
+            await until(lambda: bool(pair.drivers[1]._carry_out(command("b", 8))) or len(left.texts()) > before)
+            await asyncio.to_thread(stranger.close)
+        assert left.events.count(Rejected("b", "format")) == 20
+        assert pair.drivers[0].counts["rejected"] == 20
+        assert pair.drivers[0].counts["quarantined"] == left.events.count(Rejected("b", "quarantine"))
+
+    asyncio.run(scene())
+
+
+def test_a_node_that_stops_gives_the_exit_code_and_an_error_in_a_node_ends_the_driver() -> None:
+    async def scene() -> None:
+        assert await live.serve(Scribe("a", Stop(3, "fenced off")), NetworkSettings()) == 3
+
+        class Broken(Scribe):
+            def handle(self, event: Event, now: float) -> list[Effect]:
+                raise ZeroDivisionError("in the node")
+
+        with pytest.raises(ZeroDivisionError, match="in the node"):
+            await live.serve(Broken("a"), NetworkSettings())
+
+    asyncio.run(scene())
+
+
+def test_a_timer_comes_at_the_deadline_and_not_before() -> None:
+    class Clock(Scribe):
+        def handle(self, event: Event, now: float) -> list[Effect]:
+            self.events.append(event)
+            if isinstance(event, Timer):
+                assert self.next is not None and now >= self.next
+                return [Stop(0, "three rounds")] if len(self.events) == 4 else self.again(now)
+            return self.again(now)
+
+        def again(self, now: float) -> list[Effect]:
+            self.next = now + 0.01
+            return []
+
+    node = Clock("a")
+    assert live.run(node, NetworkSettings()) == 0
+    assert node.events == [Started(), Timer(), Timer(), Timer()]
+
+
+def test_unsubscribing_ends_delivery_only_after_as_many_times_as_subscribing() -> None:
+    async def scene() -> None:
+        left, right = Scribe("a"), Scribe("b")
+        expression = keys.all_of(left.run, "command")
+        left.first = [Subscribe(expression), Subscribe(expression), Unsubscribe(expression)]
+        async with Pair(left, right) as pair:
+            await until(lambda: bool(pair.drivers[1]._carry_out(command("b", 1))) or bool(left.texts()))
+            pair.drivers[0]._carry_out(Unsubscribe(expression))
+            assert not pair.drivers[0]._subscribers
+
+    asyncio.run(scene())
+
+
+def test_link_faults_drop_copy_and_delay_on_both_ways() -> None:
+    class Faults:
+        def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+            return [(0.0, payload), (0.01, payload)]
+
+        def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+            return [(0.0, payload[:3]), (0.02, payload)]
+
+    async def scene() -> None:
+        left, right = Scribe("a"), Scribe("b")
+        left.first = [Subscribe(keys.all_of(left.run, "command"))]
+        async with Pair(left, right) as pair:
+            for driver in pair.drivers:
+                driver._link = Faults()
+            await until(lambda: Alive("agent", "a", 1) in right.events)
+            await until(lambda: bool(pair.drivers[1]._carry_out(command("b", 1))) or len(left.texts()) >= 2)
+        assert Rejected("b", "format") in left.events
+
+    asyncio.run(scene())
+
+
+def test_a_port_in_use_is_one_clear_error() -> None:
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        endpoint = f"tcp/127.0.0.1:{holder.getsockname()[1]}"
+        with pytest.raises(BadSetting, match=rf"network\.listen = {endpoint}: the port is in use") as caught:
+            live.run(Scribe("a"), NetworkSettings(listen=(endpoint,)))
+    assert "\n" not in str(caught.value)
+
+
+CHILD = """
+import sys
+from protocol import live
+from protocol.node import Started
+from protocol.settings import NetworkSettings
+class Idle:
+    run, role, name, incarnation = "t", "agent", "a", 1
+    def handle(self, event, now):
+        print("started", flush=True)
+        return []
+    def deadline(self):
+        return None
+sys.exit(live.run(Idle(), NetworkSettings(), watch_stdin=True, on_line=lambda text: print("line", text, flush=True)))
+"""
+
+
+def child() -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", CHILD], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "started\n"
+    return process
+
+
+@pytest.mark.parametrize(("number", "code"), [(15, 143), (2, 130)])
+def test_a_signal_ends_the_process_with_its_code(number: int, code: int) -> None:
+    process = child()
+    process.send_signal(number)
+    assert process.wait(20) == code
+
+
+def test_lines_on_stdin_are_handed_on_and_its_end_stops_the_process() -> None:
+    process = child()
+    assert process.stdin is not None and process.stdout is not None
+    process.stdin.write("hello\n")
+    process.stdin.flush()
+    assert process.stdout.readline() == "line hello\n"
+    process.stdin.close()
+    assert process.wait(20) == 143

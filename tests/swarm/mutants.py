@@ -1,0 +1,116 @@
+"""Planted mutants: rules of the swarm left out one at a time, to see that the fuzzer notices."""
+
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+
+from agents.agent import Agent
+from agents.arithmetic import PLAIN, Arithmetic
+from agents.neighbours import Neighbours, Peer
+from agents.particles import Particles, select
+from deploy import fuzz
+from deploy.fuzz import Case
+from deploy.scenario import Scenario
+from protocol.streams import key, scramble
+
+Mutant = Callable[[Case, pytest.MonkeyPatch], str | None]  # plays a case with the rule left out
+
+
+def sorted_only(particles: Particles) -> Particles:
+    return select(particles, np.argsort(particles.ids, kind="stable"))
+
+
+def no_dedupe_by_id(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    for module in ("agents.belief", "agents.arithmetic", "agents.phd"):
+        patch.setattr(f"{module}.canonical", sorted_only)
+    return fuzz.play(case, arithmetic=PLAIN)
+
+
+def no_keyed_noise(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    calls = iter(range(10**9))
+
+    def gather(particles, births, polygon, eye, reach, step):  # type: ignore[no-untyped-def]
+        run = msgspec.structs.replace(step.config.run, seed=next(calls))
+        return PLAIN.gather(particles, births, polygon, eye, reach, step._replace(config=msgspec.structs.replace(step.config, run=run)))
+
+    return fuzz.play(case, arithmetic=PLAIN._replace(gather=gather))
+
+
+def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    def build(scenario: Scenario, name: str, incarnation: int, arithmetic: Arithmetic) -> Agent:
+        def update(particles, words, polygon, step):  # type: ignore[no-untyped-def]
+            updated = PLAIN.update(particles, words, polygon, step)
+            salt = key(scenario.run.seed, "birth", step.tick, key("sensor", name))
+            mine = scramble(np.arange(10000, dtype=np.uint64), salt)
+            return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
+
+        return Agent(scenario, name, incarnation, PLAIN._replace(update=update))
+
+    return fuzz.play(case, build=build)
+
+
+def timing(case: Case, **changes: int) -> Case:
+    scenario = msgspec.structs.replace(case.scenario, timing=msgspec.structs.replace(case.scenario.timing, **changes))
+    return case._replace(scenario=scenario)
+
+
+def no_listening_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    return fuzz.play(timing(case, listening_rounds=0))
+
+
+def generator_dropped_after_one_silent_round(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    return fuzz.play(timing(case, silent_rounds=1))
+
+
+def latest_heard_view(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    patch.setattr(Neighbours, "missing", lambda self, tick, *, newcomer=False: set())
+    return fuzz.play(case)
+
+
+def nan_let_through(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    for check in ("_check_array", "_check_vector", "_check_number"):
+        patch.setattr(f"protocol.messages.{check}", lambda *values, **limits: None)
+    patch.setattr("agents.neighbours._plausible", lambda gossip, outfit: True)
+    return fuzz.play(case)
+
+
+def old_incarnation_kept(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    right = Neighbours._peer
+
+    def lenient(self: Neighbours, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
+        return right(self, name, incarnation, token=token) or self.peers.get(name)
+
+    patch.setattr(Neighbours, "_peer", lenient)
+    return fuzz.play(case)
+
+
+def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    patch.setattr("agents.belief._uncontested", lambda share, claims, overlap: share.particles)
+    return fuzz.play(case)
+
+
+def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    right = Agent._say
+
+    def say(self: Agent, observation):  # type: ignore[no-untyped-def]
+        self.outcome.belief.stamp = observation.tick - 1
+        return right(self, observation)
+
+    patch.setattr(Agent, "_say", say)
+    return fuzz.play(case)
+
+
+MUTANTS: list[Mutant] = [
+    no_dedupe_by_id,
+    no_keyed_noise,
+    births_by_the_owner_only,
+    no_listening_rule,
+    generator_dropped_after_one_silent_round,
+    latest_heard_view,
+    nan_let_through,
+    old_incarnation_kept,
+    no_overlap_rule,
+    stale_claim_wins,
+]

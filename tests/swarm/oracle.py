@@ -1,0 +1,67 @@
+"""A virtual run beside the central filter: after every tick, how far the agents' own particles are from it."""
+
+from dataclasses import dataclass, field
+
+from agents.agent import Agent
+from agents.arithmetic import PLAIN, Arithmetic
+from agents.cells import Claim
+from agents.particles import Particles
+from deploy.oracle import Distance, Oracle, distance, united
+from deploy.scenario import Scenario
+from deploy.simulate import Simulation
+from protocol.keys import all_of
+from protocol.messages import Gossip, Truth
+from protocol.node import Effect, Event, Received, Started, Subscribe
+from protocol.virtual import Link
+
+
+@dataclass
+class Eavesdropper:
+    """A Node that keeps all gossip by tick and sender."""
+
+    run: str
+    name: str = "eavesdropper"
+    role: str = "recorder"
+    incarnation: int = 1
+    gossips: dict[int, dict[str, Gossip]] = field(default_factory=dict)
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        if isinstance(event, Started):
+            return [Subscribe(all_of(self.run, "gossip"))]
+        if isinstance(event, Received) and isinstance(event.message, Gossip):
+            self.gossips.setdefault(event.message.tick, {})[event.message.sender] = event.message
+        return []
+
+    def deadline(self) -> float | None:
+        return None
+
+
+def owned_by_all(agents: dict[str, Agent], tick: int) -> tuple[dict[str, Particles], dict[str, Claim]]:
+    """What the agents own after round `tick`, and the claims in which they own it, by name."""
+    shares = {name: agent.outcome.belief.mine for name, agent in agents.items() if agent.outcome.belief.stamp == tick}
+    return {name: share.particles for name, share in shares.items()}, {name: share.claim for name, share in shares.items()}
+
+
+def compare(scenario: Scenario, *, arithmetic: Arithmetic = PLAIN, use_codec: bool = True, link: Link | None = None) -> list[Distance]:
+    """The distance of the swarm from the oracle after every tick of a run."""
+    simulation = Simulation(scenario, use_codec=use_codec, link=link, arithmetic=arithmetic)
+    ear = Eavesdropper(scenario.run.name)
+    simulation.bus.add(ear)
+    agents = simulation.agents
+    prior = next(iter(agents.values())).outcome.belief.copies.all()
+    oracle = Oracle(simulation.scenario, prior, arithmetic=arithmetic)
+    distances: list[Distance] = []
+
+    def after(tick: int) -> None:
+        particles, claims = owned_by_all(agents, tick)
+        oracle.play(ear.gossips.pop(tick), claims)
+        distances.append(distance(united(particles), oracle.particles))
+
+    def on_truth(truth: Truth) -> None:
+        if truth.tick > 0:
+            after(truth.tick - 1)
+
+    simulation.on_truth = on_truth
+    simulation.run()
+    after(scenario.run.ticks - 1)
+    return distances

@@ -1,0 +1,54 @@
+"""The same scenario and seed give the same run, whatever carries it: bytes or objects, plain loops or compiled ones, any hash seed."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agents.arithmetic import PLAIN
+from deploy.simulate import compiled
+from tests.swarm.scene import fault, tracking, watch
+
+ROOT = Path(__file__).resolve().parents[2]
+ROUGH = (fault(1.0, "drop", "100%", 0.2), fault(2.0, "kill", "25%", seconds=2.0), fault(4.0, "partition", "3", seconds=2.0))
+
+
+def transcript(**options: object) -> str:
+    result = watch(tracking(*ROUGH, run__seconds=8.0), **options).result
+    assert result.ticks == 32
+    return result.transcript
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_the_same_seed_gives_the_same_run_under_faults_too(clock: str) -> None:
+    assert transcript(clock=clock) == transcript(clock=clock)
+
+
+def test_another_seed_gives_another_run() -> None:
+    runs = [watch(tracking(*ROUGH, run__seconds=8.0, run__seed=seed)).result for seed in (1, 2)]
+    assert runs[0].transcript != runs[1].transcript
+
+
+def test_bytes_on_the_wire_change_nothing() -> None:
+    assert transcript(use_codec=True) == transcript(use_codec=False)
+
+
+def test_compiled_loops_change_nothing() -> None:
+    assert compiled() is not PLAIN
+    assert transcript(arithmetic=PLAIN) == transcript(arithmetic=compiled())
+
+
+def test_the_order_of_hashes_changes_nothing() -> None:
+    program = (
+        "from tests.swarm.test_determinism import transcript; from agents.arithmetic import PLAIN; print(transcript(arithmetic=PLAIN))"
+    )
+    seen = set()
+    for hash_seed in ("0", "1", "4711"):
+        environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(
+            [sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=100, check=True
+        )
+        seen.add(done.stdout)
+    assert seen == {transcript(arithmetic=PLAIN) + "\n"}

@@ -1,0 +1,68 @@
+"""The fuzzer: the kept seeds pass, many seeds pass, cases repeat themselves, and mutants are caught."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from deploy import fuzz
+from deploy.fuzz import HEAL_AT, KINDS, Failure, draw, healing, play, shrink
+from deploy.scenario import FaultSettings
+from tests.swarm.mutants import MUTANTS, Mutant
+
+KEPT = [int(line.split()[0]) for line in (Path(__file__).parent / "seeds.txt").read_text().splitlines() if not line.startswith("#")]
+
+
+@pytest.mark.parametrize("seed", KEPT)
+def test_what_once_broke_holds(seed: int) -> None:
+    assert play(draw(seed)) is None
+
+
+@pytest.mark.parametrize("seed", range(1, 13))
+def test_the_first_dozen_seeds_hold(seed: int) -> None:
+    assert play(draw(seed)) is None
+
+
+@pytest.mark.slow
+def test_three_hundred_seeds_hold() -> None:
+    assert [str(failure) for failure in fuzz.run(range(1, 301))] == []
+
+
+def test_a_seed_is_a_case_for_ever_and_all_kinds_of_faults_occur() -> None:
+    cases = [draw(seed) for seed in range(60)]
+    assert cases == [draw(seed) for seed in range(60)]
+    assert {kind for case in cases for kind in case.kinds} == set(KINDS)
+    assert {case.is_ledger for case in cases} == {True, False}
+    assert any(len(case.kinds) == 1 for case in cases) and any(len(case.kinds) > 5 for case in cases)
+    for case in cases:
+        assert case.scenario.faults[-len(healing()) :] == healing()
+        assert all(fault.at <= HEAL_AT for fault in case.scenario.faults)
+
+
+def test_shrinking_keeps_the_faults_that_matter_and_the_healing() -> None:
+    case = draw(1)
+    extra = FaultSettings(at=3.0, verb="kill", who="1")
+    case = case._replace(scenario=msgspec.structs.replace(case.scenario, faults=(extra, *case.scenario.faults)))
+    smaller, what = shrink(case, "broken", lambda tried: "broken" if extra in tried.scenario.faults else None)
+    assert smaller.scenario.faults == (extra, *healing()) and what == "broken"
+
+
+def test_a_failure_says_how_to_replay_it() -> None:
+    text = str(Failure(7, "a hole", (FaultSettings(at=3.0, verb="drop", who="100%", value=0.5, options={"burst": 2.0}),)))
+    assert text.splitlines() == [
+        "seed 7: a hole",
+        "  replay: covey fuzz --seeds 1 --first 7",
+        '  {at = 3.0, verb = "drop", who = "100%", value = 0.5, options = {\'burst\': 2.0}}',
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.__name__)
+def test_a_rule_left_out_is_noticed_within_a_hundred_seeds(mutant: Mutant) -> None:
+    def caught(seed: int) -> bool:
+        with pytest.MonkeyPatch.context() as patch:
+            return mutant(draw(seed), patch) is not None
+
+    assert any(caught(seed) for seed in range(1, 101))

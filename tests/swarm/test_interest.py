@@ -1,0 +1,59 @@
+"""Who hears its neighbours only does what it would do if it heard everybody, to the last bit, and survives what all survive."""
+
+import msgspec
+import pytest
+
+from deploy.scenario import FaultSettings, Scenario, resolve
+from deploy.simulate import Simulation
+from tests.swarm.scene import ledger, tracking, watch
+
+
+def large(seed: int, team: str, interest: str, *faults: FaultSettings, seconds: float = 30.0) -> Scenario:
+    options = {"team.composition": team, "run.dt": 0.5, "run.seconds": seconds, "run.seed": seed, "timing.interest": interest}
+    return msgspec.structs.replace(resolve("efficacy", options), faults=faults)
+
+
+@pytest.mark.parametrize("team, seed", [("4", 1), ("20E+10G", 2), ("A24,B24", 3)])
+def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, seed: int) -> None:
+    print(f"seed {seed}")
+    everybody = Simulation(large(seed, team, "all"), use_codec=False)
+    neighbours = Simulation(large(seed, team, "neighbours"), use_codec=False)
+    assert everybody.run().transcript == neighbours.run().transcript
+    assert neighbours.bus.deliveries < everybody.bus.deliveries
+    heard = [len(agent.neighbours.circle) for agent in neighbours.agents.values()]
+    assert sum(heard) < 0.8 * len(heard) * (len(heard) - 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4, 12))
+def test_it_does_so_for_many_seeds(seed: int) -> None:
+    runs = [Simulation(large(seed, "4", interest, seconds=100.0), use_codec=False).run() for interest in ("all", "neighbours")]
+    assert runs[0].transcript == runs[1].transcript
+
+
+def test_the_dead_are_taken_over_and_a_restarted_agent_gets_a_cell() -> None:
+    faults = (FaultSettings(at=5.0, verb="kill", who="s3,s7,s11"), FaultSettings(at=10.0, verb="restart", who="s3,s7,s11"))
+    simulation = Simulation(large(5, "20E+10G", "neighbours", *faults, seconds=25.0), use_codec=False)
+    result = simulation.run()
+    assert [kill.closed_ticks is not None and kill.closed_ticks <= 2 for kill in result.kills] == [True] * 3
+    assert all(score.hole < 1e-6 and score.overlap < 1e-6 for score in simulation.scorer.scores[-10:])
+    assert len(simulation.agents) == 30
+
+
+def test_mass_is_kept_when_agents_die() -> None:
+    """In a swarm that sees nothing the mass of 16 targets is only moved about."""
+    faults = (FaultSettings(at=6.0, verb="kill", who="s2,s9,s17"),)
+    seen = watch(ledger(*faults, agents=24, side=120.0, run__seconds=15.0, timing__interest="neighbours"), use_codec=False)
+    assert seen.masses[-1] == pytest.approx(seen.masses[5], rel=0.01)
+
+
+@pytest.mark.slow
+def test_with_loss_the_mass_stays() -> None:
+    faults = (FaultSettings(at=2.0, verb="loss", value=0.2),)
+    seen = watch(ledger(*faults, agents=24, side=120.0, run__seconds=15.0, timing__interest="neighbours"))
+    assert seen.masses[-1] == pytest.approx(seen.masses[3], rel=0.03)
+
+
+def test_small_teams_hear_all_they_need() -> None:
+    alike = [watch(tracking(timing__interest=interest), use_codec=False).result for interest in ("all", "neighbours")]
+    assert alike[0] is not None and alike[1] is not None and alike[0].transcript == alike[1].transcript

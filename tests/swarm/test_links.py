@@ -1,0 +1,79 @@
+"""Bad links: loss, copies, overtaking, delay and partitions, and what is left of them once the links have healed."""
+
+import numpy as np
+import pytest
+
+from deploy.simulate import Simulation
+from tests.swarm.scene import Watched, fault, ledger, tracking, watch
+
+
+def relative(seen: Watched, start: float = 0.0) -> np.ndarray:
+    """The mass from the time `start` on, in shares of that at the start."""
+    return np.array(seen.masses[seen.at(start) :]) / seen.masses[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("loss", "mass", "hole", "overlap"), [(0.1, 0.01, 0.01, 0.01), (0.3, 0.02, 0.03, 0.04)])
+def test_loss_moves_the_mean_mass_hole_and_overlap_by_little(loss: float, mass: float, hole: float, overlap: float) -> None:
+    seen = watch(ledger(fault(0.0, "drop", "100%", loss), run__seconds=60.0, agents=12, side=60.0), clock="realtime")
+    assert abs(relative(seen).mean() - 1.0) <= mass
+    assert np.mean(seen.holes) <= hole and np.mean(seen.overlaps) <= overlap
+
+
+def test_at_ten_per_cent_loss_nobody_is_taken_for_dead() -> None:
+    worst: list[int] = []
+
+    def look(tick: int, simulation: Simulation) -> None:
+        worst.append(max(peer.missed for agent in simulation.agents.values() for peer in agent.neighbours.peers.values()))
+
+    watch(ledger(fault(0.0, "drop", "100%", 0.1), run__seconds=60.0), clock="realtime", at_tick=look)
+    assert 0 < max(worst) < 4 + 1
+
+
+def test_copies_and_overtaking_change_nothing_when_nothing_comes_too_late() -> None:
+    faults = (fault(0.0, "duplicate", "100%", 0.5, spread=0.1), fault(0.0, "reorder", "100%", 0.5, spread=0.1))
+    scenes = [watch(tracking(*some, run__seconds=10.0)).result for some in ((), faults)]
+    assert scenes[0].transcript == scenes[1].transcript
+
+
+@pytest.mark.parametrize("delay", [0.1, 0.5])
+def test_delay_without_loss_changes_nothing_in_lockstep(delay: float) -> None:
+    scenes = [watch(tracking(*some, run__seconds=10.0)).result for some in ((), (fault(0.0, "delay", "100%", delay, jitter=0.1),))]
+    assert scenes[0].transcript == scenes[1].transcript
+
+
+def test_messages_half_a_second_late_in_real_time_keep_the_ledger_within_two_per_cent_in_the_mean() -> None:
+    seen = watch(ledger(fault(2.0, "delay", "100%", 0.5), run__seconds=30.0), clock="realtime")
+    assert abs(relative(seen, 3.0).mean() - 1.0) < 0.02
+
+
+@pytest.mark.parametrize("tokens", [True, False], ids=["sessions lost", "sessions up"])
+@pytest.mark.parametrize("kind", ["both", "one-way", "bridge"])
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_a_partition_heals_to_one_claim_per_place(kind: str, tokens: bool, clock: str) -> None:
+    seen = watch(ledger(fault(5.0, "partition", "50%", seconds=6.0, kind=kind, tokens=tokens), run__seconds=18.0), clock=clock)
+    healed = seen.at(11.0 + 3.0)
+    assert set(seen.views[healed:]) == {1}
+    assert max(seen.holes[healed:]) == 0.0 and max(seen.overlaps[healed:]) == 0.0
+    assert relative(seen, 14.0).min() >= 0.99 and relative(seen, 14.0).max() <= 1.01
+
+
+def test_each_side_of_a_partition_covers_the_whole_arena() -> None:
+    seen = watch(ledger(fault(5.0, "partition", "s1,s2,s3,s4", seconds=6.0)))
+    apart = slice(seen.at(8.0), seen.at(10.5))
+    assert max(seen.holes[apart]) == 0.0
+    assert np.allclose(seen.overlaps[apart], 1.0, atol=1e-9)
+    assert np.allclose(np.array(seen.masses[apart]) / seen.masses[0], 2.0, atol=0.02)
+
+
+def test_wrong_bits_never_stop_an_agent_and_are_counted() -> None:
+    seen = watch(tracking(fault(1.0, "flip", "100%", 0.3, seconds=5.0), run__seconds=12.0), clock="realtime")
+    assert len(seen.agents) == 7
+    refused = sum(count for agent in seen.agents.values() for name, count in agent.counters.items() if name.startswith("rejected."))
+    assert refused > 50
+    assert set(seen.views[seen.at(9.0) :]) == {1}
+
+
+def test_a_partition_by_name_leaves_the_world_within_reach() -> None:
+    seen = watch(ledger(fault(5.0, "partition", "s1,s2", seconds=6.0)))
+    assert all(agent.tick == 79 and agent.counters["skipped"] == 0 for agent in seen.agents.values())

@@ -1,0 +1,58 @@
+"""What the agents own together is what one central filter with all detections would hold: particle by particle, bit by bit."""
+
+import numpy as np
+import pytest
+
+from agents.arithmetic import PLAIN
+from agents.particles import Particles
+from deploy.oracle import distance
+from deploy.scenario import Scenario, resolve
+from deploy.simulate import compiled
+from tests.swarm.oracle import compare
+
+
+def swarm(team: str, side: float, targets: int, seconds: float, seed: int = 1, dt: float = 0.25) -> Scenario:
+    options = {"run.seed": seed, "run.seconds": seconds, "run.dt": dt, "team.composition": team, "targets.count": targets}
+    return resolve("efficacy", {**options, "arena.width": side, "arena.height": side})
+
+
+SMALL = {
+    "wide and narrow sensors": ("A2,C4,D2", 50.0, 12),
+    "mostly narrow sensors": ("E6,G3", 55.0, 10),
+    "short sensors": ("A2,B3,C2", 35.0, 6),
+}
+
+
+@pytest.mark.parametrize("team, side, targets", SMALL.values(), ids=SMALL)
+def test_without_loss_the_swarm_is_the_central_filter_to_the_last_bit(team: str, side: float, targets: int) -> None:
+    apart = compare(swarm(team, side, targets, seconds=30.0), arithmetic=compiled())
+    assert len(apart) == 120
+    assert [found for found in apart if found != (0, 0, 0.0, 0.0)] == []
+
+
+def test_without_loss_the_plain_arithmetic_is_the_central_filter_too() -> None:
+    apart = compare(swarm("A2,B3,C2", 30.0, 5, seconds=25.0, seed=7), arithmetic=PLAIN)
+    assert len(apart) == 100 and all(found.exact for found in apart)
+
+
+def test_long_ticks_are_exact_too() -> None:
+    apart = compare(swarm("E5,H2", 60.0, 12, seconds=50.0, seed=3, dt=0.5), arithmetic=compiled())
+    assert len(apart) == 100 and all(found.exact for found in apart)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("team, targets", [("4", 30), ("20E+10G", 30), ("A10,B20,C15", 30)], ids=["4ACD", "20E+10G", "ABC"])
+def test_the_large_teams_of_the_paper_are_exact_over_300_ticks(team: str, targets: int) -> None:
+    apart = compare(swarm(team, 100.0, targets, seconds=150.0, dt=0.5), arithmetic=compiled())
+    assert len(apart) == 300 and all(found.exact for found in apart)
+
+
+def test_the_distance_counts_what_differs() -> None:
+    states = np.arange(12.0).reshape(3, 4)
+    ids = np.array([1, 5, 9], dtype=np.uint64)
+    one = Particles(states, np.array([0.5, 0.5, 0.5]), ids)
+    moved = states.copy()
+    moved[1, 0] += 1.0
+    other = Particles(moved, np.array([0.5, 0.25, 0.5]), np.array([1, 5, 8], dtype=np.uint64))
+    assert distance(one, one).exact
+    assert distance(one, other) == (2, 1, 0.25, 0.25)

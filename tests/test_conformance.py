@@ -1,0 +1,365 @@
+"""docs/protocol.md against the bytes: every kind is read with plain msgpack and struct, and the tables of the page are the schema.
+
+Nothing of ours is used to read a message; the encoder writes it. A second group of tests holds the limits, defaults and required
+fields of the page against our decoder, so that the page cannot go stale.
+"""
+
+import json
+import math
+import re
+import struct
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+import pytest
+
+from protocol.codec import decode, encode
+from protocol.keys import message_key
+from protocol.live import session_config
+from protocol.messages import KINDS, WIRE_VERSION, Beacon, Command, Estimate, Gossip, Hello, Malformed, Message, Observation, Truth
+from protocol.sensing import WedgeSensor
+from protocol.settings import NetworkSettings
+
+PAGE = (Path(__file__).parents[1] / "docs" / "protocol.md").read_text(encoding="utf-8")
+LETTERS = {"float32": "f", "float64": "d", "uint64": "Q"}
+
+
+class Row(NamedTuple):
+    """One line of a field table."""
+
+    field: str
+    type: str
+    unit: str
+    default: str
+    limits: str
+    meaning: str
+
+
+def tables(heading: str) -> list[list[Row]]:
+    """The field tables under a heading of the page."""
+    section = re.search(rf"^### {re.escape(heading)}\n(.*?)(?=^##|\Z)", PAGE, re.MULTILINE | re.DOTALL)
+    assert section, f"docs/protocol.md has no section {heading!r}"
+    found: list[list[Row]] = []
+    for line in section[1].splitlines():
+        if line.startswith("| field |"):
+            found.append([])
+        elif line.startswith("| `"):
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            assert len(cells) == len(Row._fields), f"{heading}: {line}"
+            found[-1].append(Row(cells[0].strip("`"), *cells[1:]))
+    return found
+
+
+COMMON = tables("Fields of every message")[0]
+FIELDS = {kind: [*COMMON, *tables(kind)[0]] for kind in KINDS}
+SENSOR = tables("hello")[1]
+CASES = [(kind, row) for kind, rows in FIELDS.items() for row in rows]
+
+FULL: dict[str, Message] = {
+    "hello": Hello(
+        sender="s1",
+        incarnation=7,
+        role="agent",
+        software="x 1",
+        sensor_class="A",
+        sensor=WedgeSensor(1.5, 8.0, 0.9),
+        max_speed=2.0,
+        max_turn_rate=5.0,
+        heard=("s2",),
+    ),
+    "beacon": Beacon(sender="s1", incarnation=7, tick=3, position=(1.0, 2.0), cod=(1.5, 2.5), power_radius=2.0, reach=8.0),
+    "gossip": Gossip(
+        sender="s1",
+        incarnation=7,
+        tick=3,
+        pose=(1.0, 2.0, 0.5),
+        cod=(1.5, 2.5),
+        power_radius=2.0,
+        unused=12.0,
+        detections_bytes=struct.pack("<2f", 1.25, -2.5),
+        scanned=True,
+        listening=True,
+        claim_tick=2,
+        claim_names=("s1", "s2"),
+        claim_bytes=struct.pack("<6d", 1.5, 2.5, 2.0, 9.1, 8.1, 1.0),
+        view=2**62 + 1,
+        weight=0.25,
+        states_bytes=struct.pack("<8f", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
+        ids_bytes=struct.pack("<2Q", 5, 2**64 - 1),
+    ),
+    "observation": Observation(
+        sender="world",
+        incarnation=7,
+        recipient="s1",
+        tick=3,
+        time=0.75,
+        pose=(1.0, 2.0, 0.5),
+        detections_bytes=struct.pack("<2f", 1.25, -2.5),
+    ),
+    "command": Command(sender="s1", incarnation=7, tick=3, velocity=(1.5, -0.5), turn_rate=0.25),
+    "estimate": Estimate(
+        sender="s1",
+        incarnation=7,
+        tick=3,
+        pose=(1.0, 2.0, 0.5),
+        cod=(1.5, 2.5),
+        power_radius=2.0,
+        unused=12.0,
+        load=0.5,
+        mass=1.5,
+        cell_bytes=struct.pack("<6d", 0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
+        targets_bytes=struct.pack("<2d", 0.1, 0.2),
+        view=2**62 + 1,
+        neighbours=("s2",),
+        counters={"rounds": 4},
+        round_seconds=0.001,
+    ),
+    "truth": Truth(
+        sender="world",
+        incarnation=7,
+        tick=3,
+        time=0.75,
+        targets_bytes=struct.pack("<2d", 0.1, 0.2),
+        ids_bytes=struct.pack("<Q", 9),
+        bodies=("s1",),
+        poses_bytes=struct.pack("<3d", 1.0, 2.0, 0.5),
+        in_view=1,
+        alive=("s1",),
+    ),
+}
+
+
+def plain(kind: str) -> dict[str, Any]:
+    """The full message of a kind, as a stranger reads it."""
+    found = msgpack.unpackb(encode(FULL[kind]))
+    assert isinstance(found, dict)
+    return found
+
+
+def columns(row: Row) -> tuple[int, str] | None:
+    """Columns and struct letter of an array, None for other types."""
+    match = re.fullmatch(r"rows of (\d) (float32|float64|uint64)", row.type)
+    return (int(match[1]), LETTERS[match[2]]) if match else None
+
+
+def is_of_type(value: Any, row: Row) -> bool:
+    """Whether a value that msgpack has read is what the page says."""
+    array = columns(row)
+    if array:
+        return type(value) is bytes and len(value) % struct.calcsize(f"<{array[0]}{array[1]}") == 0
+    several = re.fullmatch(r"(\d) numbers", row.type)
+    if several:
+        return type(value) is list and len(value) == int(several[1]) and all(type(part) is float for part in value)
+    plain_types = {"text": str, "integer": int, "number": float, "boolean": bool}
+    if row.type in plain_types:
+        return type(value) is plain_types[row.type]
+    if row.type == "name":
+        return type(value) is str and re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", value) is not None
+    if row.type == "list of texts":
+        return type(value) is list and all(type(part) is str for part in value)
+    if row.type == "map of texts to integers":
+        return type(value) is dict and all(type(name) is str and type(count) is int for name, count in value.items())
+    if row.type == "wedge or nil":
+        return value is None or (
+            list(value) == [part.field for part in SENSOR] and all(is_of_type(value[part.field], part) for part in SENSOR)
+        )
+    raise AssertionError(f"the page knows no type {row.type!r}")
+
+
+def refusal(kind: str, fields: dict[str, Any]) -> str | None:
+    """The reason for which our decoder refuses a map that plain msgpack has written; None when it takes it."""
+    try:
+        decode(message_key("demo", FULL[kind]), msgpack.packb(fields))
+    except Malformed as error:
+        return error.reason
+    return None
+
+
+def same_length(kind: str, field: str, rows: int) -> dict[str, Any]:
+    """The full message with `rows` rows in an array, and just as many in the field that must be as long."""
+    partners = {"states": "ids", "ids": "states", "claim": "claim_names", "claim_names": "claim"}
+    if kind == "truth":
+        partners = {"targets": "ids", "ids": "targets", "poses": "bodies", "bodies": "poses"}
+    message = plain(kind)
+    for name in (field, partners.get(field, field)):
+        row = next(row for row in FIELDS[kind] if row.field == name)
+        array = columns(row)
+        if name == "ids":
+            message[name] = struct.pack(f"<{rows}Q", *range(rows))
+        elif array:
+            message[name] = bytes(struct.calcsize(f"<{array[0]}{array[1]}") * rows)
+        else:
+            message[name] = ["s1"] * rows
+    return message
+
+
+def test_the_page_describes_every_kind_and_no_other() -> None:
+    assert re.findall(r"^### ([a-z]+)$", PAGE, re.MULTILINE) == list(KINDS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_message_holds_just_the_fields_of_the_page_in_its_order(kind: str) -> None:
+    assert list(plain(kind)) == [row.field for row in FIELDS[kind]]
+
+
+@pytest.mark.parametrize(("kind", "row"), CASES, ids=[f"{kind}-{row.field}" for kind, row in CASES])
+def test_every_field_has_the_type_of_the_page(kind: str, row: Row) -> None:
+    value = plain(kind)[row.field]
+    assert is_of_type(value, row), f"{row.field} = {value!r} is no {row.type}"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_example_differs_from_the_defaults_so_that_each_field_is_really_written(kind: str) -> None:
+    by_default = {"type", "wire", "role", "scanned"}
+    for row in FIELDS[kind]:
+        if row.default != "required" and row.field not in by_default:
+            assert plain(kind)[row.field] not in ("", 0, 0.0, False, None, [], {}, b"")
+
+
+def test_arrays_are_little_endian_row_by_row_to_anybody_with_a_struct_module() -> None:
+    message = plain("gossip")
+    assert struct.unpack("<2f", message["detections"]) == (1.25, -2.5)
+    assert struct.unpack("<6d", message["claim"]) == (1.5, 2.5, 2.0, 9.1, 8.1, 1.0)
+    assert struct.unpack("<8f", message["states"]) == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
+    assert struct.unpack("<2Q", message["ids"]) == (5, 2**64 - 1)
+    assert message["detections"] == bytes.fromhex("0000a03f000020c0")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_plain_msgpack_writes_is_taken_in_any_order_of_fields(kind: str) -> None:
+    message = plain(kind)
+    assert refusal(kind, dict(reversed(message.items()))) is None
+
+
+@pytest.mark.parametrize(("kind", "row"), CASES, ids=[f"{kind}-{row.field}" for kind, row in CASES])
+def test_a_required_field_must_be_there_and_any_other_may_be_left_out_for_its_default(kind: str, row: Row) -> None:
+    if row.default == "required":
+        assert refusal(kind, {name: value for name, value in plain(kind).items() if name != row.field}) == "format"
+        return
+    needed = {other.field: plain(kind)[other.field] for other in FIELDS[kind] if other.default == "required"}
+    spoken = {
+        "the kind of the key": kind,
+        "empty": {} if row.type.startswith("map") else b"" if columns(row) else [],
+        "nil": None,
+        "true": True,
+        "false": False,
+        '""': "",
+    }
+    default = spoken[row.default] if row.default in spoken else row.default.strip('"') if row.type == "name" else float(row.default)
+    bare = decode(message_key("demo", FULL[kind]), msgpack.packb(needed))
+    assert bare == decode(
+        message_key("demo", FULL[kind]), msgpack.packb({**needed, row.field: int(default) if row.type == "integer" else default})
+    )
+
+
+@pytest.mark.parametrize(("kind", "row"), CASES, ids=[f"{kind}-{row.field}" for kind, row in CASES])
+def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) -> None:
+    low_high = re.search(r"([\de.+-]+) to ([\de.+-]+)", row.limits)
+    around = re.search(r"±([\de.+-]+)", row.limits)
+    most = re.search(r"at most (\d+)", row.limits)
+    if row.type == "integer" and low_high:
+        low, high = int(low_high[1]), int(low_high[2])
+        assert refusal(kind, {**plain(kind), row.field: low - 1}) == refusal(kind, {**plain(kind), row.field: high + 1}) == "format"
+        assert refusal(kind, {**plain(kind), row.field: high}) in (None, "range")  # a claim may not be later than its tick
+    elif row.type == "number":
+        low, high = (
+            (float(low_high[1]), float(low_high[2]))
+            if low_high
+            else (-float(around[1]), float(around[1]))
+            if around
+            else (math.nan, math.nan)
+        )
+        assert [refusal(kind, {**plain(kind), row.field: value}) for value in (low, high)] == [None, None]
+        outside = [math.nextafter(low, -math.inf), math.nextafter(high, math.inf), math.nan, math.inf, -math.inf]
+        assert [refusal(kind, {**plain(kind), row.field: value}) for value in outside] == ["range"] * 5
+    elif re.fullmatch(r"\d numbers", row.type):
+        assert around is not None
+        bound, count = float(around[1]), int(row.type[0])
+        assert refusal(kind, {**plain(kind), row.field: [bound] * count}) is None
+        for place in range(count):
+            for value in (math.nextafter(bound, math.inf), math.nan, -math.inf):
+                assert refusal(kind, {**plain(kind), row.field: [0.0] * place + [value] + [0.0] * (count - place - 1)}) == "range"
+        assert refusal(kind, {**plain(kind), row.field: [0.0] * (count + 1)}) == "format"
+    elif columns(row):
+        width, letter = columns(row) or (0, "")
+        assert most is not None and (around is not None) == (letter != "Q")
+        assert refusal(kind, same_length(kind, row.field, int(most[1]))) is None
+        too_many = plain(kind)
+        too_many[row.field] = bytes(struct.calcsize(f"<{width}{letter}") * (int(most[1]) + 1))
+        assert refusal(kind, too_many) == "size"
+        assert refusal(kind, {**plain(kind), row.field: plain(kind)[row.field][:-1]}) == "shape"
+        if around:
+            bad = struct.pack(f"<{width}{letter}", *[2.0 * float(around[1])] * width)
+            assert refusal(kind, {**plain(kind), row.field: bad}) == "range"
+    elif row.type == "name":
+        assert [refusal(kind, {**plain(kind), row.field: value}) for value in ("", "a b", "x" * 65, "x\n", "a/b")] == ["format"] * 5
+    elif row.type == "list of texts" and most:
+        assert refusal(kind, {**plain(kind), row.field: ["s1"] * (int(most[1]) + 1)}) in ("size", "shape")  # shape: the array is shorter
+    else:
+        assert row.type in ("text", "integer", "boolean", "list of texts", "map of texts to integers", "wedge or nil")
+
+
+@pytest.mark.parametrize("row", SENSOR, ids=lambda row: row.field)
+def test_the_limits_of_a_wedge_are_those_of_the_page(row: Row) -> None:
+    low_high = re.fullmatch(r"more than 0 to ([\de.+-]+)", row.limits)
+    assert low_high is not None
+    high = float(low_high[1])
+
+    def with_value(value: float) -> str | None:
+        return refusal("hello", {**plain("hello"), "sensor": {**plain("hello")["sensor"], row.field: value}})
+
+    assert with_value(high) is None
+    assert [with_value(value) for value in (0.0, -1.0, math.nextafter(high, math.inf), math.nan, math.inf)] == ["format"] * 5
+    assert (
+        refusal(
+            "hello", {**plain("hello"), "sensor": {name: value for name, value in plain("hello")["sensor"].items() if name != row.field}}
+        )
+        == "format"
+    )
+
+
+def test_the_version_and_the_size_limit_of_the_page_are_those_of_the_code() -> None:
+    assert f"`wire` is the version of this page: **{WIRE_VERSION}**" in PAGE
+    assert "more than 262144 bytes" in PAGE
+    for kind in KINDS:
+        assert refusal(kind, {**plain(kind), "wire": WIRE_VERSION + 1}) == "version"
+        assert refusal(kind, {**plain(kind), "padding": b"\0" * 262144}) == "size"
+        assert refusal(kind, {**plain(kind), "padding": b"\0" * 250000}) is None
+
+
+def test_the_keys_of_the_page_are_those_of_the_code() -> None:
+    rows = re.findall(r"^\| `(covey/[^`]+)`", PAGE, re.MULTILINE)
+    said = {key.replace("<run>", "demo").replace("<agent>", "s1") for key in rows if "/alive/" not in key}
+    assert said == {message_key("demo", message) for message in FULL.values()}
+    assert "covey/<run>/alive/<role>/<name>/<incarnation>" in rows
+
+
+def test_the_example_in_bytes_is_what_the_encoder_writes() -> None:
+    lines = re.findall(r"^    ([0-9a-f ]+?)(?: {2,}.*)?$", PAGE.partition("## A message in bytes")[2], re.MULTILINE)
+    example = Command(sender="s3", incarnation=7, tick=12, velocity=(1.5, -0.5), turn_rate=0.25)
+    assert bytes.fromhex("".join(lines)) == encode(example)
+
+
+@pytest.mark.parametrize(
+    ("line", "key", "value"),
+    [
+        ("| mode | `peer` |", "mode", "peer"),
+        ("| multicast scouting | off |", "scouting/multicast/enabled", False),
+        ("| gossip scouting | on, `greater-zid` dials |", "scouting/gossip/enabled", True),
+        ("| gossip scouting | on, `greater-zid` dials |", "scouting/gossip/autoconnect_strategy/peer/to_peer", "greater-zid"),
+        ("| connect endpoints | the seeds of `[network] seeds`, for ever, every 0.2 to 1 s |", "connect/timeout_ms", -1),
+        ("| connect endpoints | the seeds of `[network] seeds`, for ever, every 0.2 to 1 s |", "connect/retry/period_init_ms", 200),
+        ("| connect endpoints | the seeds of `[network] seeds`, for ever, every 0.2 to 1 s |", "connect/retry/period_max_ms", 1000),
+        ("| lease | 2 s, 4 keep-alives |", "transport/link/tx/lease", 2000),
+        ("| lease | 2 s, 4 keep-alives |", "transport/link/tx/keep_alive", 4),
+        ("| largest message | 262144 bytes |", "transport/link/rx/max_message_size", 262144),
+        ("| shared memory | off |", "transport/shared_memory/enabled", False),
+    ],
+)
+def test_the_zenoh_settings_of_the_page_are_those_of_our_sessions(line: str, key: str, value: Any) -> None:
+    assert line in PAGE
+    found: Any = json.loads(str(session_config(NetworkSettings())))
+    for part in key.split("/"):
+        found = found[part]
+    assert found == value

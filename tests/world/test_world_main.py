@@ -1,0 +1,94 @@
+"""The world process keeps its newest Truth, starts again from it, and says in one line what is wrong with its input."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol import codec
+from protocol.messages import Truth, pack
+from protocol.node import Alive, Started, Timer
+from protocol.settings import BadSetting, RunSettings
+from world.__main__ import KeptWorld, read_truth
+from world.config import WorldConfig
+from world.world import World
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = WorldConfig(run=RunSettings(start_timeout=1.0), members={"s1": "A"})
+
+
+def run_a_little(node: KeptWorld) -> list[Truth]:
+    """Two ticks of real time with one silent agent."""
+    effects = node.handle(Started(), 0.0) + node.handle(Alive("agent", "s1", 1), 0.0)
+    effects += node.handle(Timer(), 1.0) + node.handle(Timer(), 1.25)
+    return [effect for effect in effects if isinstance(effect, Truth)]
+
+
+def world_process(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "world", *words]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL, check=False)
+
+
+def test_the_newest_truth_is_kept_and_a_world_can_go_on_from_it(tmp_path: Path) -> None:
+    node = KeptWorld(World(CONFIG, 1), tmp_path / "truth")
+    assert (node.run, node.role, node.name, node.incarnation) == ("covey", "world", "world", 1)
+    truths = run_a_little(node)
+    assert node.deadline() == 1.5
+    kept = read_truth(tmp_path / "truth", "covey")
+    assert (kept.tick, truths[-1].tick) == (1, 1)
+    assert kept.targets.tobytes() == truths[-1].targets.tobytes()
+    assert World(CONFIG, 2, kept).tick == 3
+    assert [file.name for file in tmp_path.iterdir()] == ["truth"]
+
+
+def test_a_file_that_cannot_be_written_does_not_stop_the_world(tmp_path: Path) -> None:
+    truths = run_a_little(KeptWorld(World(CONFIG, 1), tmp_path / "no such folder" / "truth"))
+    assert [truth.tick for truth in truths] == [0, 1]
+
+
+def test_a_file_that_is_missing_or_broken_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadSetting, match=r"--restore .*truth: No such file or directory"):
+        read_truth(tmp_path / "truth", "covey")
+    (tmp_path / "truth").write_bytes(b"\xc1 nonsense")
+    with pytest.raises(BadSetting, match="truth: no kept Truth: "):
+        read_truth(tmp_path / "truth", "covey")
+
+
+def test_the_arrays_of_a_kept_truth_are_checked(tmp_path: Path) -> None:
+    bad = Truth(sender="world", incarnation=1, tick=1, time=0.25, targets_bytes=pack(np.array([[np.nan, 0.0]]), "<f8"))
+    (tmp_path / "truth").write_bytes(codec.encode(bad))
+    with pytest.raises(BadSetting, match="targets: every number"):
+        read_truth(tmp_path / "truth", "covey")
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[targets]\ncount = -1\n", "targets.count = -1: "),
+        ("[members]\ns1 = 'Z'\n", "sensor class 'Z' does not exist"),
+        ("[targets]\nmotion = 'wavy'\n", "targets.motion = 'wavy'"),
+    ],
+)
+def test_a_bad_scenario_ends_the_process_with_one_line_and_exit_code_2(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "run.toml").write_text(text)
+    done = world_process("--config", str(tmp_path / "run.toml"))
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_missing_restore_file_ends_the_process_with_exit_code_2(tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text("")
+    done = world_process("--config", str(tmp_path / "run.toml"), "--restore", str(tmp_path / "gone"))
+    assert done.returncode == 2
+    assert done.stderr.startswith("world: --restore ")
+
+
+def test_a_fresh_start_forgets_what_an_earlier_run_has_kept(tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text("[members]\ns1 = 'Z'\n")
+    (tmp_path / "truth").write_bytes(b"of an earlier run")
+    world_process("--config", str(tmp_path / "run.toml"), "--keep", str(tmp_path / "truth"))
+    assert not (tmp_path / "truth").exists()
