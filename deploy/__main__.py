@@ -237,7 +237,7 @@ def version() -> int:
     import json
 
     from deploy.result import VERSION
-    from deploy.rundir import versions
+    from deploy.swarm.rundir import versions
 
     print(f"covey {VERSION}")
     print(json.dumps(versions(), indent=2))

@@ -19,7 +19,7 @@ from matplotlib.markers import MarkerStyle
 
 from deploy.monitor.frames import density_grid
 from deploy.monitor.picture import Picture
-from deploy.recording import Recording, event_of
+from deploy.records.recording import Recording, event_of
 from protocol.messages import Truth
 from protocol.node import Received
 from protocol.settings import BadSetting

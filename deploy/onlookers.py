@@ -9,8 +9,8 @@ from types import TracebackType
 
 from deploy.monitor.server import PageServer
 from deploy.monitor_node import Scorer
-from deploy.recorder import FLUSH_SECONDS, Recorder
-from deploy.recording import NAME
+from deploy.records.recorder import FLUSH_SECONDS, Recorder
+from deploy.records.recording import NAME
 from deploy.scenario import Scenario
 from protocol.node import Event
 from protocol.settings import BadSetting

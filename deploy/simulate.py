@@ -12,9 +12,9 @@ import msgspec
 
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
-from deploy.faults import LINK_VERBS, Schedule, check_faults, plain_verb
-from deploy.injector import Build, Injector
-from deploy.links import Links
+from deploy.chaos.faults import LINK_VERBS, Schedule, check_faults, plain_verb
+from deploy.chaos.injector import Build, Injector
+from deploy.chaos.links import Links
 from deploy.monitor_node import Scorer
 from deploy.result import Result
 from deploy.scenario import Scenario, world_config

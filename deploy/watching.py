@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from deploy.rundir import RunDirectory, find_running
 from deploy.scenario import Scenario
+from deploy.swarm.rundir import RunDirectory, find_running
 from protocol.keys import ROOT, message_key
 from protocol.messages import Message
 from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.bench.timing import Row
-from deploy.processes import ROOT
+from deploy.swarm.processes import ROOT
 
 PAGE_TOTAL = "Pss:"
 START_SECONDS = 120.0
@@ -61,8 +61,8 @@ def _first_tick(log: Path, process: "subprocess.Popen[bytes]", begun: float) -> 
 
 def _pids(folder: Path) -> list[int]:
     """Process ids of the agents of a run."""
-    from deploy.control import ControlClient
-    from deploy.rundir import RunDirectory
+    from deploy.swarm.control import ControlClient
+    from deploy.swarm.rundir import RunDirectory
 
     os.environ["COVEY_RUNS"] = str(folder.parent)
     data: dict[str, Any] = ControlClient(RunDirectory(folder.name)).ask("status")["data"]

@@ -9,9 +9,9 @@ from rich.console import Console, Group
 from rich.live import Live
 
 from deploy.commands.display import process_table, swarm_line
-from deploy.control import ControlClient
 from deploy.field import swarm_map
-from deploy.rundir import find_running
+from deploy.swarm.control import ControlClient
+from deploy.swarm.rundir import find_running
 from protocol.settings import BadSetting
 
 WATCH_PERIOD = 0.5  # s

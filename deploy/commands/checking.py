@@ -3,8 +3,8 @@
 import os
 import sys
 
-from deploy.rundir import runs_folder, versions
 from deploy.scenario import Scenario
+from deploy.swarm.rundir import runs_folder, versions
 from protocol.endpoints import check_endpoints
 from protocol.live import open_session
 from protocol.settings import NetworkSettings

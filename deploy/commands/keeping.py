@@ -13,10 +13,10 @@ from rich.console import Console
 
 from deploy.commands.display import result_table
 from deploy.monitor.server import PageServer, address_of
-from deploy.recording import DRAWING, Recording, find_recording
-from deploy.replay import ReplayNode, ReplaySource
-from deploy.rescore import difference, rescore, write_scores
-from deploy.rundir import RunDirectory
+from deploy.records.recording import DRAWING, Recording, find_recording
+from deploy.records.replay import ReplayNode, ReplaySource
+from deploy.records.rescore import difference, rescore, write_scores
+from deploy.swarm.rundir import RunDirectory
 from protocol.endpoints import free_port
 from protocol.live import Driver
 from protocol.settings import NetworkSettings
@@ -43,8 +43,8 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
 
 def export(name: str, form: str, out: Path | None) -> int:
     """Write a recording in the form of other tools."""
-    from deploy.export import write_tables  # these load slowly
-    from deploy.foxglove import write_foxglove
+    from deploy.records.export import write_tables  # these load slowly
+    from deploy.records.foxglove import write_foxglove
 
     recording = Recording(find_recording(name))
     if form == "foxglove":

@@ -18,7 +18,7 @@ from deploy.monitor.server import PageServer, address_of
 from deploy.monitor.source import LiveSource
 from deploy.monitor_node import Scorer
 from deploy.onlookers import Onlookers, open_recorder, recording_path
-from deploy.recorder import RecorderNode
+from deploy.records.recorder import RecorderNode
 from deploy.watching import Heard, Listener, Rates, block, expression, plain_line, swarm_to_watch
 from protocol import live
 from protocol.keys import order

@@ -79,7 +79,7 @@ class RunOptions:
         """The resolved scenario; raises BadSetting naming what is wrong."""
         import msgspec
 
-        from deploy.faults import check_faults
+        from deploy.chaos.faults import check_faults
         from deploy.scenario import FaultSettings, resolve
 
         scenario = resolve(name, self.overrides())

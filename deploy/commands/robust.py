@@ -10,8 +10,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from deploy.commands.studying import default_folder
-from deploy.robustness import LEVELS, Row, plan, run, summary, table, write
 from deploy.scenario import parse_set
+from deploy.studies.robustness import LEVELS, Row, plan, run, summary, table, write
 from protocol.settings import BadSetting
 
 FAULT_AT, SECONDS, TRIALS = 100.0, 200.0, 10

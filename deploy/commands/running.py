@@ -19,12 +19,12 @@ from deploy.monitor.picture import Picture
 from deploy.monitor.server import PageServer, address_of
 from deploy.monitor.source import LiveSource
 from deploy.onlookers import Onlookers, open_recorder, recording_path
-from deploy.processes import ROOT
 from deploy.result import Result
-from deploy.rundir import RunDirectory, runs_folder
 from deploy.scenario import FaultSettings, Scenario
-from deploy.supervisor import Spawn, Supervisor
-from deploy.warm import announce
+from deploy.swarm.processes import ROOT
+from deploy.swarm.rundir import RunDirectory, runs_folder
+from deploy.swarm.supervisor import Spawn, Supervisor
+from deploy.swarm.warm import announce
 from protocol.messages import Truth
 from protocol.process import JsonLines, leave
 from protocol.settings import BadSetting
@@ -143,8 +143,8 @@ def simulate_here(
     clock: Literal["lockstep", "realtime"] = "lockstep",
 ) -> int:
     """Run the same nodes in this process in virtual time; a recording goes into the run directory unless a file is named."""
+    from deploy.records.trace import Trace, check_trace
     from deploy.simulate import Simulation
-    from deploy.trace import Trace, check_trace
 
     if trace is not None:
         check_trace(trace)

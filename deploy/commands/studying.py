@@ -16,12 +16,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 from rich.table import Table
 
-from deploy.engines import Numbered, Rows, Shares, TrialFailed, on_a_cluster, on_this_machine, shared_shares
-from deploy.paired import compare, groups_of, summarise
-from deploy.rundir import runs_folder
 from deploy.scenario import parse_set
-from deploy.study import Design, Folder, design, methods_of, plan
-from deploy.trials import Row, Trial, cost, fingerprint
+from deploy.studies.engines import Numbered, Rows, Shares, TrialFailed, on_a_cluster, on_this_machine, shared_shares
+from deploy.studies.paired import compare, groups_of, summarise
+from deploy.studies.study import Design, Folder, design, methods_of, plan
+from deploy.studies.trials import Row, Trial, cost, fingerprint
+from deploy.swarm.rundir import runs_folder
 from protocol.settings import BadSetting
 
 PLAIN_WIDTH = 180  # columns where there is no terminal

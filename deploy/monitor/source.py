@@ -6,10 +6,10 @@ import json
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from deploy.faults import LIVE_VERBS
+from deploy.chaos.faults import LIVE_VERBS
 from deploy.monitor.picture import Picture
 from deploy.monitor_node import Score, Scorer
-from deploy.rundir import RunDirectory
+from deploy.swarm.rundir import RunDirectory
 from protocol.settings import BadSetting
 
 STATE_PERIOD = 1.0  # s between two questions who is paused

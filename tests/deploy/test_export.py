@@ -10,12 +10,12 @@ from mcap.reader import make_reader
 from PIL import Image
 from pyarrow import csv, parquet
 
-from deploy.export import tables, write_tables
 from deploy.figures import Ways, pictures, write_animation, write_figure
-from deploy.foxglove import SCENE_SCHEMA, write_foxglove
 from deploy.onlookers import Onlookers, open_recorder
-from deploy.recorder import Recorder
-from deploy.recording import Recording, find_recording
+from deploy.records.export import tables, write_tables
+from deploy.records.foxglove import SCENE_SCHEMA, write_foxglove
+from deploy.records.recorder import Recorder
+from deploy.records.recording import Recording, find_recording
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulate import Simulation
 from protocol.settings import BadSetting

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.faults import Action, Schedule, check_faults, choose
+from deploy.chaos.faults import Action, Schedule, check_faults, choose
 from deploy.scenario import FaultSettings
 from protocol.settings import BadSetting
 from protocol.streams import stream

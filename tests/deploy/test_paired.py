@@ -2,8 +2,8 @@
 
 import pytest
 
-from deploy.paired import Group, compare, groups_of, summarise
-from deploy.trials import Row
+from deploy.studies.paired import Group, compare, groups_of, summarise
+from deploy.studies.trials import Row
 
 GROUP = Group("2", 30)
 

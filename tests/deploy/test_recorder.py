@@ -11,9 +11,9 @@ import pytest
 from mcap.reader import make_reader
 
 from deploy.onlookers import Onlookers, open_recorder, recording_path
-from deploy.recorder import Recorder, message_schema
-from deploy.recording import Recording, event_of, find_recording
-from deploy.rescore import difference, rescore, write_scores
+from deploy.records.recorder import Recorder, message_schema
+from deploy.records.recording import Recording, event_of, find_recording
+from deploy.records.rescore import difference, rescore, write_scores
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation

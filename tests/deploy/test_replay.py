@@ -9,8 +9,8 @@ import pytest
 
 from deploy.monitor.frames import moment
 from deploy.onlookers import Onlookers, open_recorder
-from deploy.recording import Recording
-from deploy.replay import ReplayNode, ReplaySource
+from deploy.records.recording import Recording
+from deploy.records.replay import ReplayNode, ReplaySource
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulate import Simulation
 from protocol.messages import Command, Message

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.robustness import LEVELS, Bout, Played, fault_of, plan, play, recovery, row_of, summary, table, write
+from deploy.studies.robustness import LEVELS, Bout, Played, fault_of, plan, play, recovery, row_of, summary, table, write
 from protocol.settings import BadSetting
 
 SMALL = {"team.composition": "A2,B3", "arena.width": 25.0, "arena.height": 25.0, "targets.count": 3, "run.dt": 0.5}

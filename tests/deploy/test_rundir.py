@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.rundir import RunDirectory, find_running, running_runs, runs_folder
 from deploy.scenario import Scenario, resolve
+from deploy.swarm.rundir import RunDirectory, find_running, running_runs, runs_folder
 from protocol.settings import BadSetting, load
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.study import STUDIES, Design, Folder, design, methods_of, plan, read_results
-from deploy.trials import Row
+from deploy.studies.study import STUDIES, Design, Folder, design, methods_of, plan, read_results
+from deploy.studies.trials import Row
 from protocol.settings import BadSetting
 
 

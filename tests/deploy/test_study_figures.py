@@ -6,9 +6,9 @@ import matplotlib.pyplot as plt
 import pytest
 
 from deploy.commands.figuring import figures_of_study, is_study
-from deploy.study import Folder
-from deploy.study_figures import boxes, differences, draw, level_of
-from deploy.trials import Row
+from deploy.studies.study import Folder
+from deploy.studies.study_figures import boxes, differences, draw, level_of
+from deploy.studies.trials import Row
 from protocol.settings import BadSetting
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from deploy.commands import studying
-from deploy.engines import TrialFailed, on_a_cluster, on_this_machine, shared_shares
-from deploy.study import Design, Folder
-from deploy.trials import Trial, run_trial
+from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_shares
+from deploy.studies.study import Design, Folder
+from deploy.studies.trials import Trial, run_trial
 from protocol.settings import BadSetting
 
 SMALL = Design(
@@ -51,7 +51,7 @@ def test_workers_give_the_rows_that_this_process_gives(run: Callable[..., dict[s
 
 def test_rows_of_another_program_are_not_mixed_in(run: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
     """This process believes in other sources than its workers read."""
-    monkeypatch.setattr("deploy.trials.fingerprint", lambda: "0123456789ab")
+    monkeypatch.setattr("deploy.studies.trials.fingerprint", lambda: "0123456789ab")
     with pytest.raises(BadSetting, match=r"a worker runs another program \([0-9a-f]{12}\)"):
         run()
 

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deploy.control import ControlClient
-from deploy.rundir import find_running
+from deploy.swarm.control import ControlClient
+from deploy.swarm.rundir import find_running
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).parents[2]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.processes import child_environment
-from deploy.zygote import Zygote
+from deploy.swarm.processes import child_environment
+from deploy.swarm.zygote import Zygote
 
 pytestmark = pytest.mark.live
 

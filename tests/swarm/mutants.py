@@ -10,8 +10,8 @@ from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.neighbours import Neighbours, Peer
 from agents.particles import Particles, select
-from deploy import fuzz
-from deploy.fuzz import Case
+from deploy.chaos import fuzz
+from deploy.chaos.fuzz import Case
 from deploy.scenario import Scenario
 from protocol.streams import key, scramble
 

@@ -6,7 +6,7 @@ from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.cells import Claim
 from agents.particles import Particles
-from deploy.oracle import Distance, Oracle, distance, united
+from deploy.chaos.oracle import Distance, Oracle, distance, united
 from deploy.scenario import Scenario
 from deploy.simulate import Simulation
 from protocol.keys import all_of

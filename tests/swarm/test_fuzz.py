@@ -5,8 +5,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from deploy import fuzz
-from deploy.fuzz import HEAL_AT, KINDS, Failure, draw, healing, play, shrink
+from deploy.chaos import fuzz
+from deploy.chaos.fuzz import HEAL_AT, KINDS, Failure, draw, healing, play, shrink
 from deploy.scenario import FaultSettings
 from tests.swarm.mutants import MUTANTS, Mutant
 

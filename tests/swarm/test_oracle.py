@@ -5,7 +5,7 @@ import pytest
 
 from agents.arithmetic import PLAIN
 from agents.particles import Particles
-from deploy.oracle import distance
+from deploy.chaos.oracle import distance
 from deploy.scenario import Scenario, resolve
 from deploy.simulate import compiled
 from tests.swarm.oracle import compare

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 ANSWER_SECONDS = 120.0  # that the zygote may take to import, and on the very first start to compile
 
 
@@ -63,7 +63,7 @@ class Zygote:
         self._ready = False
         with log.open("ab") as output:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "deploy.zygote", str(theirs.fileno())],
+                [sys.executable, "-m", "deploy.swarm.zygote", str(theirs.fileno())],
                 cwd=ROOT,
                 env=environment,
                 stdin=subprocess.DEVNULL,
@@ -204,7 +204,7 @@ def main() -> None:
 
     channel = socket.socket(fileno=int(sys.argv[1]))
     die_with_parent()
-    from deploy.warm import warm
+    from deploy.swarm.warm import warm
 
     warm()
     serve(channel)

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from deploy.monitor_node import Score, Scorer
-from deploy.recording import Recording, event_of
+from deploy.records.recording import Recording, event_of
 from deploy.result import Result
 
 FIGURES = (

@@ -20,7 +20,7 @@ from deploy.simulate import Simulation
 from protocol.settings import BadSetting
 
 Row = dict[str, Any]
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 CORE = ("protocol", "agents", "world", "deploy/simulate.py", "deploy/scenario.py", "deploy/monitor_node.py", "deploy/scores.py")
 LEFT_OUT = ("wall_s", "bytes", "kills")  # of a result: what another machine or the codec changes, and lists
 FLAGS = {  # options of `covey simulate`

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from deploy.robustness import LEVELS, NONE, Played
-from deploy.study_figures import STYLE, _write, plt
+from deploy.studies.robustness import LEVELS, NONE, Played
+from deploy.studies.study_figures import STYLE, _write, plt
 
 COLOURS = ("#fdae61", "#d7191c", "#5e0b15")  # from the least to the worst level
 TITLES = {

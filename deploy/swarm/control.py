@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
-from deploy.rundir import RunDirectory
+from deploy.swarm.rundir import RunDirectory
 from protocol.settings import BadSetting
 
 Answer = dict[str, Any]

@@ -11,8 +11,8 @@ import msgspec
 
 from agents.agent import Agent
 from agents.arithmetic import Arithmetic
-from deploy.faults import LINK_VERBS, Action
-from deploy.links import Links
+from deploy.chaos.faults import LINK_VERBS, Action
+from deploy.chaos.links import Links
 from deploy.scenario import Scenario
 from protocol.node import Alive, Gone
 from protocol.virtual import VirtualBus

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from mcap.writer import Writer
 
-from deploy.export import messages
 from deploy.monitor.picture import Picture
 from deploy.monitor_node import Score, Scorer
-from deploy.recording import Recording
-from deploy.rescore import COLUMNS
+from deploy.records.export import messages
+from deploy.records.recording import Recording
+from deploy.records.rescore import COLUMNS
 from protocol.messages import Truth
 from protocol.node import Event
 

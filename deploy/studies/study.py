@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 
 from deploy.scenario import TeamSettings, team_counts
-from deploy.trials import METHODS, Row, Trial, check_method
+from deploy.studies.trials import METHODS, Row, Trial, check_method
 from protocol.settings import BadSetting
 
 

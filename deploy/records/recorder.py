@@ -18,8 +18,8 @@ from typing import IO, Any, cast
 import msgspec
 from mcap.writer import CompressionType, Writer
 
-from deploy.rundir import versions
 from deploy.scenario import Scenario
+from deploy.swarm.rundir import versions
 from deploy.toml_text import toml_text
 from protocol.keys import all_of, message_key, token_key
 from protocol.messages import KINDS, Truth

@@ -15,15 +15,15 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from deploy.control import Answer, ControlServer
-from deploy.faults import LINK_VERBS, Action, Schedule, check_fault, check_faults, choose, plain_verb
-from deploy.links import Links, describe
+from deploy.chaos.faults import LINK_VERBS, Action, Schedule, check_fault, check_faults, choose, plain_verb
+from deploy.chaos.links import Links, describe
 from deploy.monitor_node import Scorer, Status
-from deploy.processes import Child, child_environment
 from deploy.result import Result
-from deploy.rundir import RunDirectory
 from deploy.scenario import FaultSettings, Scenario
-from deploy.zygote import Zygote
+from deploy.swarm.control import Answer, ControlServer
+from deploy.swarm.processes import Child, child_environment
+from deploy.swarm.rundir import RunDirectory
+from deploy.swarm.zygote import Zygote
 from protocol.codec import encode
 from protocol.endpoints import check_endpoints, free_port
 from protocol.links import as_line

@@ -172,7 +172,7 @@ def _medians(rows: Sequence[Row]) -> Row:
 
 def write(played: Sequence[Played], into: Path) -> list[Path]:
     """Write curves and table as CSV, and the figure; the paths."""
-    from deploy.robustness_figure import draw
+    from deploy.studies.robustness_figure import draw
 
     into.mkdir(parents=True, exist_ok=True)
     curves, bouts = into / "curves.csv", into / "robustness.csv"

@@ -10,7 +10,7 @@ from agents.agent import Agent
 from agents.belief import MOST_COPIES, share_of
 from agents.neighbours import MOST_TICKS
 from agents.round import Outcome
-from deploy.oracle import Oracle, distance, united
+from deploy.chaos.oracle import Oracle, distance, united
 from deploy.simulate import Simulation
 from protocol.geometry import polygon_area
 from protocol.keys import all_of

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from statistics import mean, median
 from typing import NamedTuple
 
-from deploy.trials import Row
+from deploy.studies.trials import Row
 
 
 class Group(NamedTuple):

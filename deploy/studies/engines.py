@@ -12,7 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from contextlib import suppress
 from typing import Any, Protocol
 
-from deploy.trials import Row, Trial, run_trial
+from deploy.studies.trials import Row, Trial, run_trial
 from protocol.process import die_with_parent
 from protocol.settings import BadSetting
 

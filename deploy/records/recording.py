@@ -18,8 +18,8 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from deploy.rundir import runs_folder
 from deploy.scenario import Scenario
+from deploy.swarm.rundir import runs_folder
 from protocol import codec
 from protocol.keys import parse_token
 from protocol.messages import Malformed

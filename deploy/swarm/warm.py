@@ -14,7 +14,7 @@ ROUNDS = 4
 
 def compiled_before() -> bool:
     """Whether compiled loops lie on disk beside the sources."""
-    return any((Path(__file__).resolve().parents[1] / "agents" / "__pycache__").glob("update_kernels.update-*.nbi"))
+    return any((Path(__file__).resolve().parents[2] / "agents" / "__pycache__").glob("update_kernels.update-*.nbi"))
 
 
 def announce() -> None:

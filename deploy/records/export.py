@@ -1,7 +1,7 @@
 """A recording in the forms of other tools: tables as CSV or Parquet.
 
 Five tables: `scores` (a row per tick), `agents` (per agent and tick), `targets` (true), `estimates`, `detections`. Lengths in m,
-times in s, angles in rad. The drawing for Foxglove is in `deploy.foxglove`.
+times in s, angles in rad. The drawing for Foxglove is in `deploy.records.foxglove`.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,8 +12,8 @@ import pyarrow
 from pyarrow import csv, parquet
 
 from deploy.monitor_node import Scorer
-from deploy.recording import Recording, event_of
-from deploy.rescore import COLUMNS
+from deploy.records.recording import Recording, event_of
+from deploy.records.rescore import COLUMNS
 from protocol.geometry import polygon_area
 from protocol.messages import Estimate, Gossip, Message, Truth
 from protocol.node import Received

@@ -13,8 +13,8 @@ from typing import Any
 
 from deploy.monitor.picture import TRAIL, Picture
 from deploy.monitor_node import Score, Scorer
-from deploy.recording import Entry, Recording, event_of
-from deploy.rescore import rescore_slowly
+from deploy.records.recording import Entry, Recording, event_of
+from deploy.records.rescore import rescore_slowly
 from protocol.keys import parse_message_key
 from protocol.messages import Message
 from protocol.node import Effect, Event, Received, Started, Timer

@@ -13,10 +13,10 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deploy.rundir import RunDirectory
-from deploy.zygote import Forked, Zygote
+from deploy.swarm.rundir import RunDirectory
+from deploy.swarm.zygote import Forked, Zygote
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass

@@ -1,0 +1,1 @@
+"""Studies: paired trials, their tables, figures and tests, and the robustness study."""
