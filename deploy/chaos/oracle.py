@@ -24,11 +24,12 @@ from protocol.settings import ArenaSettings, sensor_of
 
 
 class Oracle:
-    """A PHD over the whole arena; `particles` holds after the tick `stamp`."""
+    """A PHD over the whole arena; `particles` holds after the tick `stamp`, `updated` is what the new ones were drawn from."""
 
     def __init__(self, config: AgentConfig, particles: Particles, stamp: int = -1, arithmetic: Arithmetic = PLAIN) -> None:
         self.config, self.arithmetic = config, arithmetic
         self.particles, self.stamp = particles, stamp
+        self.updated = particles
 
     def play(self, gossips: Mapping[str, Gossip], claims: Mapping[str, Claim]) -> None:
         """One tick on: predict, correct with the scans of all `gossips`, draw new particles in each of the `claims`."""
@@ -40,8 +41,8 @@ class Oracle:
             learn(gossip, sensor_of(config, config.members[gossip.sender]), config)
         all_over = _widely(config.arena)
         everything, _ = self.arithmetic.gather(self.particles, born, all_over, (0.0, 0.0), 0.0, step)
-        updated = self.arithmetic.update(everything, side_by_side(said), all_over, step)
-        self.particles = canonical(join([self._drawn(updated, owner, claim, step) for owner, claim in claims.items()]))
+        self.updated = self.arithmetic.update(everything, side_by_side(said), all_over, step)
+        self.particles = canonical(join([self._drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))
 
     @property
     def mass(self) -> float:

@@ -13,6 +13,7 @@ from protocol.keys import all_of
 from protocol.messages import Gossip, Truth
 from protocol.node import Effect, Event, Received, Started, Subscribe
 from protocol.virtual import Link
+from world.score import ospa
 
 
 @dataclass
@@ -42,26 +43,47 @@ def owned_by_all(agents: dict[str, Agent], tick: int) -> tuple[dict[str, Particl
     return {name: share.particles for name, share in shares.items()}, {name: share.claim for name, share in shares.items()}
 
 
+@dataclass
+class Beside:
+    """A virtual run with the central filter beside it; `run` plays it."""
+
+    scenario: Scenario
+    arithmetic: Arithmetic = PLAIN
+    use_codec: bool = True
+    link: Link | None = None
+    distances: list[Distance] = field(default_factory=list)  # of the agents' own particles from the filter's, after each tick
+    swarm: list[float] = field(default_factory=list)  # OSPA of what the agents report, m, by tick
+    central: list[float] = field(default_factory=list)  # OSPA of what is extracted from the whole filter at once, m, by tick
+
+    def run(self) -> "Beside":
+        """Play all ticks; returns itself."""
+        simulation = Simulation(self.scenario, use_codec=self.use_codec, link=self.link, arithmetic=self.arithmetic)
+        ear = Eavesdropper(self.scenario.run.name)
+        simulation.bus.add(ear)
+        agents = simulation.agents
+        heard: list[Truth] = []
+        prior = next(iter(agents.values())).outcome.belief.copies.all()
+        oracle = Oracle(simulation.scenario, prior, arithmetic=self.arithmetic)
+
+        def after(truth: Truth) -> None:
+            particles, claims = owned_by_all(agents, truth.tick)
+            oracle.play(ear.gossips.pop(truth.tick), claims)
+            self.distances.append(distance(united(particles), oracle.particles))
+            estimates = self.arithmetic.estimate_targets(oracle.updated, self.scenario.extraction)
+            self.central.append(ospa(truth.targets, estimates))
+
+        def on_truth(truth: Truth) -> None:
+            if heard:
+                after(heard.pop())
+            heard.append(truth)
+
+        simulation.on_truth = on_truth
+        simulation.run()
+        after(heard.pop())
+        self.swarm = [score.ospa for score in simulation.scorer.scores]
+        return self
+
+
 def compare(scenario: Scenario, *, arithmetic: Arithmetic = PLAIN, use_codec: bool = True, link: Link | None = None) -> list[Distance]:
     """The distance of the swarm from the oracle after every tick of a run."""
-    simulation = Simulation(scenario, use_codec=use_codec, link=link, arithmetic=arithmetic)
-    ear = Eavesdropper(scenario.run.name)
-    simulation.bus.add(ear)
-    agents = simulation.agents
-    prior = next(iter(agents.values())).outcome.belief.copies.all()
-    oracle = Oracle(simulation.scenario, prior, arithmetic=arithmetic)
-    distances: list[Distance] = []
-
-    def after(tick: int) -> None:
-        particles, claims = owned_by_all(agents, tick)
-        oracle.play(ear.gossips.pop(tick), claims)
-        distances.append(distance(united(particles), oracle.particles))
-
-    def on_truth(truth: Truth) -> None:
-        if truth.tick > 0:
-            after(truth.tick - 1)
-
-    simulation.on_truth = on_truth
-    simulation.run()
-    after(scenario.run.ticks - 1)
-    return distances
+    return Beside(scenario, arithmetic, use_codec, link).run().distances
