@@ -232,6 +232,21 @@ def fuzz(*, seeds: int = 300, first: int = 1, jobs: int | None = None) -> int:
 
 
 @app.command
+def keys(
+    *names: str,
+    into: Path = Path("keys"),
+    scenario: str | None = None,
+    host: tuple[str, ...] = (),
+    days: int = 730,
+    force: Annotated[bool, FLAG] = False,
+) -> int:
+    """An authority and certificates for mutual TLS: for these names, or for all of a scenario; `up --keys DIR` uses them."""
+    from deploy.commands import keys as making
+
+    return making.keys(list(names), scenario, into, host, days, force)
+
+
+@app.command
 def version() -> int:
     """Versions of Covey, of its wire format and of what it stands on."""
     import json

@@ -1,4 +1,4 @@
-"""Which endpoints a process may listen on or dial: anything on this machine, beyond it only with TLS."""
+"""Which endpoints a process may listen on or dial: anything on this machine, beyond it only with TLS; and are the certificates there?"""
 
 import os
 import re
@@ -6,12 +6,15 @@ import socket
 
 from protocol.settings import BadSetting, NetworkSettings
 
+ENCRYPTED = ("tls/", "quic/")
 FORM = re.compile(r"^[a-z-]+/\S+$")
 GUARDED = re.compile(r"^(tls/|quic/|unixsock-stream/|[a-z]+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+)")
 
 
 def check_endpoints(settings: NetworkSettings) -> None:
-    """Raise BadSetting for an endpoint that cannot be read, or that leaves this machine without TLS unless the settings say insecure."""
+    """Raise BadSetting for an endpoint that cannot be read, that leaves this machine without TLS unless the settings say insecure, or
+    that is not encrypted where certificates are given, or the other way round."""
+    default = NetworkSettings().listen
     for field in ("listen", "seeds"):
         for endpoint in getattr(settings, field):
             said = f"network.{field} = {endpoint!r}"
@@ -19,6 +22,30 @@ def check_endpoints(settings: NetworkSettings) -> None:
                 raise BadSetting(f"{said}: should read protocol/address:port, such as tcp/127.0.0.1:0")
             if not settings.insecure and not GUARDED.match(endpoint):
                 raise BadSetting(f"{said}: leaves this machine without TLS; use tls/..., a loopback address, or network.insecure = true")
+            if endpoint.startswith(ENCRYPTED) and not settings.encrypted:
+                raise BadSetting(f"{said}: needs certificates; `covey keys` makes them, --keys DIR uses them")
+            if settings.encrypted and not endpoint.startswith(ENCRYPTED) and (field, (endpoint,)) != ("listen", default):
+                raise BadSetting(f"{said}: should be tls/address:port, for network.ca asks for certificates")
+
+
+def check_files(settings: NetworkSettings, name: str) -> None:
+    """Raise BadSetting for a file of mutual TLS that is missing, for the owner of that common name."""
+    if not settings.encrypted:
+        return
+    for field, file in settings.files(name).items():
+        try:
+            with open(file, "rb"):
+                pass
+        except OSError as error:
+            reason = "is not given; ca, certificate and key go together" if not file else error.strerror
+            raise BadSetting(f"network.{field} = {file!r}: {reason}; `covey keys` makes the certificates of a swarm") from None
+
+
+def own_endpoints(settings: NetworkSettings) -> tuple[str, ...]:
+    """Where to listen: as set, the default one encrypted where certificates are given."""
+    if settings.encrypted and settings.listen == NetworkSettings().listen:
+        return (f"tls/{settings.listen[0].partition('/')[2]}",)
+    return settings.listen
 
 
 def free_port(lowest: int = 20000, highest: int = 32000) -> int:

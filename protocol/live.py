@@ -23,7 +23,8 @@ os.environ.setdefault(  # read by zenoh when it is imported: fewer threads, less
 import zenoh
 
 from protocol import codec, keys
-from protocol.endpoints import check_endpoints
+from protocol.access import common_name, secured
+from protocol.endpoints import check_endpoints, check_files
 from protocol.inbox import Arrival, Inbox, Quarantine
 from protocol.messages import Malformed, Message
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
@@ -45,10 +46,10 @@ class LinkFaults(Protocol):
         """Of what arrives at this process."""
 
 
-def session_config(settings: NetworkSettings) -> zenoh.Config:
-    """The Zenoh configuration of a peer; why each value is what it is stands in docs/protocol.md."""
+def session_config(settings: NetworkSettings, own: keys.Token | None = None) -> zenoh.Config:
+    """The Zenoh configuration of the peer with that token; why each value is what it is stands in docs/protocol.md."""
     config = zenoh.Config()
-    for key, value in _session_values(settings).items():
+    for key, value in {**_session_values(settings), **secured(settings, own)}.items():
         config.insert_json5(key, json.dumps(value))
     return config
 
@@ -76,11 +77,12 @@ def _session_values(settings: NetworkSettings) -> dict[str, Any]:
     }
 
 
-def open_session(settings: NetworkSettings) -> zenoh.Session:
-    """A Zenoh session; raises BadSetting in one line when the endpoints cannot be used. Blocks."""
+def open_session(settings: NetworkSettings, own: keys.Token | None = None) -> zenoh.Session:
+    """A Zenoh session; raises BadSetting in one line when the endpoints or certificates cannot be used. Blocks."""
     check_endpoints(settings)
+    check_files(settings, common_name(own))
     try:
-        return zenoh.open(session_config(settings))
+        return zenoh.open(session_config(settings, own))
     except zenoh.ZError as error:
         text = re.sub(r" at \S+\.rs:\d+\.?", "", str(error)).strip()
         used = "already in use" in text
@@ -112,7 +114,7 @@ class Driver:
 
     async def open(self) -> None:
         """Open the session; raises BadSetting when the endpoints cannot be used."""
-        self._session = await asyncio.to_thread(open_session, self._settings)
+        self._session = await asyncio.to_thread(open_session, self._settings, self._own)
 
     async def serve(self) -> int:
         """Run until the node or `stop` ends it; returns the exit code. Raises what `open` and the node raise."""

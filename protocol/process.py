@@ -85,10 +85,10 @@ def arguments(role: str, words: list[str] | None = None) -> argparse.Namespace:
 
 
 def network_of(config: Common, options: argparse.Namespace) -> NetworkSettings:
-    """The network settings with the endpoints of the command line laid over them."""
+    """The network settings with the endpoints of the command line laid over them, and the members admitted."""
     listen = tuple(options.listen) if options.listen else config.network.listen
     seeds = tuple(options.seed_endpoint) if options.seed_endpoint else config.network.seeds
-    return msgspec.structs.replace(config.network, listen=listen, seeds=seeds)
+    return msgspec.structs.replace(config.network, listen=listen, seeds=seeds, admit=config.network.admit or tuple(config.members))
 
 
 def main(role: str, into: type[Config], build: Callable[[Config, str, int], Node]) -> NoReturn:

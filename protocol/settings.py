@@ -99,7 +99,20 @@ class NetworkSettings(Section, frozen=True, kw_only=True):
     seeds: tuple[str, ...] = ()  # endpoints to dial
     lease: Positive = 2.0  # s
     insecure: bool = False  # allow endpoints beyond loopback without TLS
+    ca: str = ""  # mutual TLS: the file of the authority that all trust; in the next two, {name} stands for the process's name
+    certificate: str = ""
+    key: str = ""
+    admit: tuple[Name, ...] = ()  # agents whose certificates count; none: the members
     link_faults: bool = False  # let the supervisor cut and spoil the links between agents
+
+    @property
+    def encrypted(self) -> bool:
+        """Whether mutual TLS is asked for."""
+        return bool(self.ca or self.certificate or self.key)
+
+    def files(self, name: str) -> dict[str, str]:
+        """The files of mutual TLS by field, for the owner of that common name."""
+        return {"ca": self.ca, "certificate": self.certificate.replace("{name}", name), "key": self.key.replace("{name}", name)}
 
 
 class Common(msgspec.Struct, frozen=True, kw_only=True):

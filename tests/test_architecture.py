@@ -19,7 +19,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "agents", "world", "deploy")
 MAY_IMPORT = {"protocol": {"protocol"}, "agents": {"agents", "protocol"}, "world": {"world", "protocol"}, "deploy": set(ROOMS)}
-ONLY_DEPLOY = {"cyclopts", "rich", "aiohttp", "matplotlib", "mcap", "pyarrow", "dask", "distributed", "rerun"}
+ONLY_DEPLOY = {"cyclopts", "cryptography", "rich", "aiohttp", "matplotlib", "mcap", "pyarrow", "dask", "distributed", "rerun"}
 SHELL = {  # the files where time, sockets and threads live; all others are core
     "protocol/live.py",
     "protocol/process.py",

@@ -1,6 +1,7 @@
 """The options that every command which runs a scenario shares. Imports little: it is read before every command."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
@@ -49,6 +50,8 @@ class RunOptions:
     """How agent processes start: forked from a prepared process, or each executed anew. Of demo and up only."""
     insecure: Annotated[bool, FLAG] = False
     """Allow endpoints beyond this machine without TLS."""
+    keys: Path | None = None
+    """Mutual TLS with the certificates in this folder; `covey keys` makes them."""
     json: Annotated[bool, FLAG] = False
     """The last line of standard output is the result as one JSON object."""
 
@@ -70,10 +73,16 @@ class RunOptions:
             "run.rate": self.rate,
             "run.clock": "lockstep" if self.lockstep else "realtime" if self.rate is not None else None,
             "network.insecure": self.insecure or None,
+            **self._certificates(),
             "network.link_faults": True if self.loss is not None or self.delay is not None else None,
         }
         given = {dotted: value for dotted, value in named.items() if value is not None}
         return {**given, **dict(parse_set(text) for text in self.settings)}
+
+    def _certificates(self) -> dict[str, str | None]:
+        """Where `covey keys` has put them."""
+        files = {"ca": "ca.pem", "certificate": "{name}.pem", "key": "{name}.key"}
+        return {f"network.{field}": str(self.keys.absolute() / file) if self.keys else None for field, file in files.items()}
 
     def scenario(self, name: str) -> "Scenario":
         """The resolved scenario; raises BadSetting naming what is wrong."""

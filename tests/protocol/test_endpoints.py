@@ -8,7 +8,8 @@ from protocol.settings import BadSetting, NetworkSettings
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:0", "tcp/localhost:7447", "tcp/[::1]:7447", "tls/10.0.0.1:7447", "quic/example.org:1"])
 def test_loopback_and_encrypted_endpoints_are_accepted(endpoint: str) -> None:
-    check_endpoints(NetworkSettings(listen=(endpoint,), seeds=(endpoint,)))
+    files = {"ca": "ca.pem", "certificate": "{name}.pem", "key": "{name}.key"} if endpoint.startswith(("tls", "quic")) else {}
+    check_endpoints(NetworkSettings(listen=(endpoint,), seeds=(endpoint,), **files))
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "udp/192.168.1.2:7447", "tcp/127.0.0.1.example.org:1"])

@@ -1,0 +1,94 @@
+"""Who may say and hear what, by the common name of the certificate: the access control that every peer enforces for itself.
+
+An agent writes the keys that end in its own name, the world those of the world, a watcher nothing; each of them is sent only what it
+may subscribe to. Who has no certificate, or one of another name, is sent nothing and heard of nothing.
+
+Zenoh knows the neighbour at the other end of a link, and judges what comes over that link. Peers never relay for peers, so the
+neighbour is the sender; behind a router it would be the router.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+from protocol.endpoints import own_endpoints
+from protocol.keys import ROOT, Token, all_of, all_tokens, one_of
+from protocol.settings import NetworkSettings
+
+WORLD, WATCHER = "world", "monitor"  # common names of the world and of everybody who only listens
+FILES = (("certificate", "certificate"), ("private_key", "key"))  # in Zenoh's words, in ours
+LOOKS = ["declare_liveliness_subscriber", "liveliness_query"]
+DECLARATIONS = ["declare_subscriber", "liveliness_token", "reply", *LOOKS]
+
+
+def common_name(own: Token | None) -> str:
+    """The name in the certificate of a participant: its own, or that of all watchers."""
+    return own.name if own is not None and own.role in ("agent", "world") else WATCHER
+
+
+def secured(settings: NetworkSettings, own: Token | None) -> dict[str, Any]:
+    """What mutual TLS adds to the Zenoh configuration of a participant; nothing without certificates.
+
+    Whose certificate it is counts, not from which address it comes: host names are not compared, so robots may roam.
+    """
+    if not settings.encrypted:
+        return {}
+    files = settings.files(common_name(own))
+    sides = {f"{side}_{what}": files[field] for side in ("listen", "connect") for what, field in FILES}
+    return {
+        "listen/endpoints": own_endpoints(settings),
+        "transport/link/protocols": ["tls", "quic"],
+        "transport/link/tls": {"root_ca_certificate": files["ca"], **sides, "enable_mtls": True, "verify_name_on_connect": False},
+        "access_control": access_control(own.run if own else "*", settings.admit),
+    }
+
+
+def access_control(run: str, agents: Iterable[str]) -> dict[str, Any]:
+    """Zenoh's `access_control` for a run with these agents: nothing but what is listed here passes."""
+    rules: list[dict[str, Any]] = []
+    policies: list[dict[str, Any]] = []
+    names = [WORLD, WATCHER, *agents]
+    for name in names:
+        own = [
+            _rule(f"{name} says", ["put"], ["ingress"], _said(run, name)),
+            _rule(f"{name} is there", ["liveliness_token", "reply"], ["ingress"], _tokens(run, name)),
+            _rule(f"{name} asks", ["declare_subscriber"], ["ingress"], _heard(run, name)),
+            _rule(f"{name} hears", ["put"], ["egress"], _heard(run, name)),
+        ]
+        own = [rule for rule in own if rule["key_exprs"]]
+        rules += own
+        policies.append({"rules": [rule["id"] for rule in own], "subjects": [name]})
+    rules.append(_rule("all look who is there", ["declare_liveliness_subscriber", "liveliness_query"], ["ingress"], [all_tokens(run)]))
+    rules.append(_rule("what I declare goes out", DECLARATIONS, ["egress"], [f"{ROOT}/{run}/**"]))
+    policies.append({"rules": [rule["id"] for rule in rules[-2:]], "subjects": names})
+    subjects = [{"id": name, "cert_common_names": [name]} for name in names]
+    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
+
+
+def _rule(name: str, messages: list[str], flows: list[str], expressions: list[str]) -> dict[str, Any]:
+    return {"id": name, "messages": messages, "flows": flows, "permission": "allow", "key_exprs": expressions}
+
+
+def _said(run: str, name: str) -> list[str]:
+    """The keys that the owner of a certificate writes."""
+    if name == WATCHER:
+        return []
+    if name == WORLD:
+        return [one_of(run, "hello", name), all_of(run, "observation"), all_of(run, "truth")]
+    return [one_of(run, kind, name) for kind in ("hello", "beacon", "gossip", "command", "estimate")]
+
+
+def _heard(run: str, name: str) -> list[str]:
+    """What the owner of a certificate may subscribe to."""
+    if name == WATCHER:
+        return [f"{ROOT}/{run}/**"]
+    if name == WORLD:
+        return [all_of(run, "hello"), all_of(run, "command")]
+    return [*(all_of(run, kind) for kind in ("hello", "beacon", "gossip")), one_of(run, "observation", name)]
+
+
+def _tokens(run: str, name: str) -> list[str]:
+    """The liveliness tokens of the owner of a certificate."""
+    if name == WATCHER:
+        return [f"{ROOT}/{run}/alive/monitor/**", f"{ROOT}/{run}/alive/recorder/**"]
+    role = WORLD if name == WORLD else "agent"
+    return [f"{ROOT}/{run}/alive/{role}/{name}/*"]
