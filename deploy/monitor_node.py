@@ -94,6 +94,7 @@ class Scorer:
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick of the world
         self.on_event: Callable[[Event, float], None] = lambda event, now: None  # called first with all that is heard: recorder, page
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
+        self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
         self.greeted: set[str] = set()  # who has been heard at all
         self._scenario = scenario
         self._area = scenario.arena.width * scenario.arena.height
@@ -129,6 +130,8 @@ class Scorer:
                 if not isinstance(message, Truth | Estimate):
                     return []  # nothing that could complete a tick
             case Alive(role="agent"):
+                if self._alive.get(event.name, event.incarnation) != event.incarnation:
+                    self.on_twin(event.name, self._alive[event.name], event.incarnation)
                 self._alive[event.name] = max(event.incarnation, self._alive.get(event.name, 0))
                 if event.name not in self._names:
                     self._names = sorted([*self._names, event.name], key=order)

@@ -29,7 +29,7 @@ class Happening(NamedTuple):
 
     number: int
     time: float  # of the world, s
-    kind: str  # lost, back, joined, silent, paused, heard, asked, world
+    kind: str  # lost, back, joined, twin, silent, paused, heard, asked, world
     who: str
     text: str
 
@@ -246,6 +246,8 @@ class Picture:
 
     def _appear(self, name: str, incarnation: int) -> None:
         known = self._known(name)
+        if known.alive and incarnation != known.incarnation:
+            self.note("twin", name, f"two processes are called {name}; the older one stops itself")
         if incarnation < known.incarnation or known.alive:
             known.incarnation = max(incarnation, known.incarnation)
             return

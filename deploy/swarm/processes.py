@@ -13,10 +13,13 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from deploy.scenario import Scenario
 from deploy.swarm.rundir import RunDirectory
 from deploy.swarm.zygote import Forked, Zygote
+from protocol.settings import BadSetting
 
 ROOT = Path(__file__).resolve().parents[2]
+EXIT_FENCED = 3  # of an agent that has met a younger process of its name
 
 
 @dataclass
@@ -97,7 +100,7 @@ class Child:
             return ""
         if self.returncode < 0:
             return f"killed by {signal.Signals(-self.returncode).name}"
-        return f"exit code {self.returncode}"
+        return f"exit code {self.returncode}{': a younger process of this name has taken over' if self.returncode == EXIT_FENCED else ''}"
 
     def last_words(self) -> str:
         """The last line of its log that is no JSON, where complaints about bad input stand; else its last line; empty when silent."""
@@ -107,6 +110,13 @@ class Child:
             return ""
         plain = [line for line in lines if line.strip() and not line.startswith("{")]
         return (plain or lines or [""])[-1]
+
+
+def check_names(scenario: Scenario) -> None:
+    """Raise BadSetting for an agent that bears the name of another process."""
+    for name in ("world", "monitor", "supervisor"):
+        if name in scenario.members:
+            raise BadSetting(f"members.{name}: this name belongs to the {name}; call the agent otherwise")
 
 
 def child_environment() -> dict[str, str]:

@@ -10,11 +10,14 @@
 `runs` lies in the current directory unless COVEY_RUNS names another place.
 """
 
+import contextlib
+import errno
 import fcntl
 import json
 import os
 import platform
 import shutil
+import socket
 import sys
 import tempfile
 from importlib import metadata
@@ -102,7 +105,27 @@ class RunDirectory:
         folder.mkdir(mode=0o700, exist_ok=True)
         if folder.stat().st_uid != os.getuid() or folder.is_symlink():
             raise BadSetting(f"{folder}: belongs to somebody else; set TMPDIR to a folder of your own")
+        _sweep(folder)
         return folder / f"{self.name[:40]}-{os.getpid()}.sock"
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the sockets of supervisors that were killed: their process is gone, and nobody answers."""
+    for path in folder.glob("*.sock"):
+        pid = path.stem.rpartition("-")[2]
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as probe:
+            if pid.isdecimal() and not _exists(int(pid)) and probe.connect_ex(str(path)) == errno.ECONNREFUSED:
+                path.unlink()
+
+
+def _exists(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass
+    return True
 
 
 def find_running(name: str | None) -> RunDirectory:

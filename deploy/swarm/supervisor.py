@@ -21,7 +21,7 @@ from deploy.monitor_node import Scorer, Status
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario
 from deploy.swarm.control import Answer, ControlServer
-from deploy.swarm.processes import Child, child_environment
+from deploy.swarm.processes import Child, check_names, child_environment
 from deploy.swarm.rundir import RunDirectory
 from deploy.swarm.zygote import Zygote
 from protocol.codec import encode
@@ -55,7 +55,7 @@ class Supervisor:
     ) -> None:
         check_faults(scenario.faults, list(scenario.members), live=True, link_faults=scenario.network.link_faults)
         check_endpoints(scenario.network)
-        _check_names(scenario)
+        check_names(scenario)
         self.directory = directory
         self.result: Result | None = None
         self._listens = _seed_listeners(scenario)
@@ -67,6 +67,7 @@ class Supervisor:
         self.scenario = msgspec.structs.replace(scenario, network=network)
         self.scorer = Scorer(self.scenario, incarnation=time.time_ns() // 1_000_000)
         self.scorer.on_truth = self._on_truth
+        self.scorer.on_twin = self._on_twin
         self.children = {name: Child(name, room, directory, self._endpoints(name)) for name, room in self._rooms().items()}
         self._zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
         for name in scenario.members:
@@ -152,7 +153,10 @@ class Supervisor:
         now = asyncio.get_running_loop().time()
         self.scorer.finish(now)
         self.result = self.scorer.result(now - (self._first_truth_at or now))
-        self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
+        try:
+            self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
+        except OSError as error:
+            self._tell(f"{self.directory.result}: {error.strerror}; the result is not kept")
 
     async def _wind_down(self) -> None:
         """End all children: politely, then not; at the end none is left."""
@@ -214,6 +218,14 @@ class Supervisor:
                 self._act(action)
         except BadSetting as error:
             self._tell(f"a fault of the scenario could not be carried out: {error}")
+
+    def _on_twin(self, name: str, known: int, other: int) -> None:
+        """Two processes have one name: an alarm, unless the younger one was started here in place of one that has just been killed."""
+        child = self.children.get(name)
+        if child is None or child.incarnation != max(known, other):
+            text = f"two processes are called {name}, incarnations {known} and {other}: the older one stops itself"
+            log.warning(text)
+            self._tell(text)
 
     # ------------------------------------------------------------------ verbs
 
@@ -318,12 +330,6 @@ class Supervisor:
         for endpoint in self.scenario.network.seeds:
             words += ["--seed-endpoint", endpoint] if endpoint != own else []
         return words
-
-
-def _check_names(scenario: Scenario) -> None:
-    for name in ("world", "monitor", "supervisor"):
-        if name in scenario.members:
-            raise BadSetting(f"members.{name}: this name belongs to the {name}; call the agent otherwise")
 
 
 def _seed_listeners(scenario: Scenario) -> dict[str, str]:

@@ -143,7 +143,7 @@ export function drawStrip(canvas, state) {
     const at = Math.round(x(time) / (0.6 * em)), key = `${at} ${kind}`;
     if (room.has(key)) continue;
     room.set(key, true);
-    pen.fillStyle = { lost: css("warn"), silent: css("warn"), paused: css("warn"), world: css("soft"), asked: css("accent") }[kind] || css("good");
+    pen.fillStyle = { lost: css("warn"), twin: css("warn"), silent: css("warn"), paused: css("warn"), world: css("soft"), asked: css("accent") }[kind] || css("good");
     pen.fillText(GLYPHS[kind] || "•", x(time), middle);
   }
 }
