@@ -31,7 +31,7 @@ def study(
     """Run a study of the paper: convergence (IV-A), efficacy (IV-B, figure 4) or heterogeneity (IV-C, figure 5); or robustness.
 
     Every method gets the same seeds. What is finished is kept: after Ctrl-C the same command goes on.
-    robustness: OSPA around a fault (10, 30, 50 % killed; loss; delay; partitions), against no fault and a fresh team of the survivors.
+    robustness: OSPA around a fault (10 to 90 % killed; loss; delay; partitions), against no fault and a fresh team of the survivors.
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ def study(
     if name == "robustness":
         from deploy.commands import robust
 
-        refused = {"--triple": triple, "--capacity": capacity, "--methods": methods, "--scheduler": scheduler}
-        return robust.study(quick, trials, seed, teams, targets, dt, seconds, settings or [], into, workers, json, refused)
+        fixed = {**studying.options_of(triple, capacity, dt, seconds, settings or []), **robust.settings_of(teams, targets, methods)}
+        return robust.study(quick, trials, seed, fixed, into or studying.default_folder(name, quick), workers, scheduler, json)
     options = studying.options_of(triple, capacity, dt, seconds, settings or [])
     given = studying.given(trials, seed, teams, targets, methods)
     found = studying.chosen(name, quick, given, options)

@@ -17,10 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from deploy.scenario import parse_set
-from deploy.studies.engines import Numbered, Rows, Shares, TrialFailed, on_a_cluster, on_this_machine, shared_shares
+from deploy.studies.engines import Job, Numbered, Play, Rows, Shares, TrialFailed, on_a_cluster, on_this_machine, shared_shares
 from deploy.studies.paired import compare, groups_of, summarise
 from deploy.studies.study import Design, Folder, design, methods_of, plan
-from deploy.studies.trials import Row, Trial, cost, fingerprint
+from deploy.studies.trials import Row, cost, run_trial
 from deploy.swarm.rundir import runs_folder
 from protocol.settings import BadSetting
 
@@ -30,25 +30,36 @@ PLAIN_PERIOD = 20.0  # s between two lines where there is no terminal
 
 def study(found: Design, into: Path, workers: int | None, scheduler: str | None, as_json: bool) -> int:
     """Run a study to its end; what is finished already is not run again."""
-    console = Console(stderr=as_json, highlight=False)
-    if not console.is_terminal:
-        console = Console(stderr=as_json, highlight=False, width=PLAIN_WIDTH)
+    console = console_of(as_json)
     trials, folder = plan(found), Folder(into)
     with folder.claimed():
-        done = folder.finished()
-        open_trials = [(number, trial) for number, trial in enumerate(trials) if trial.key() not in done]
-        count = len(trials) - len(open_trials)
-        console.print(f"{found.scenario}: {len(trials)} trials" + (f", {count} of them done already" if count else "") + f"; {into}")
-        if open_trials:
-            _run(folder, trials, open_trials, workers or os.cpu_count() or 1, scheduler, console)
-        finished = folder.finished()
-        rows = [finished[trial.key()] for trial in trials]
+        rows = play_open(found.scenario, folder, trials, workers, scheduler, console, run_trial)
         folder.publish(rows)
     show(rows, console)
     console.print(f"{_short(folder.csv)} and .parquet; covey figures {_short(into)}", soft_wrap=True)
     if as_json:
         print(json.dumps({"study": found.scenario, "trials": len(rows), "folder": str(into), "groups": summaries(rows)}))
     return 0
+
+
+def console_of(as_json: bool) -> Console:
+    """For people: standard output, or standard error where that is for programs."""
+    console = Console(stderr=as_json, highlight=False)
+    return console if console.is_terminal else Console(stderr=as_json, highlight=False, width=PLAIN_WIDTH)
+
+
+def play_open(
+    name: str, folder: Folder, trials: Sequence[Job], workers: int | None, scheduler: str | None, console: Console, play: Play
+) -> list[Row]:
+    """The rows of all trials in their order: those that the folder has not are played first."""
+    done = folder.finished()
+    open_trials = [(number, trial) for number, trial in enumerate(trials) if trial.key() not in done]
+    count = len(trials) - len(open_trials)
+    console.print(f"{name}: {len(trials)} trials" + (f", {count} of them done already" if count else "") + f"; {folder.path}")
+    if open_trials:
+        _run(folder, trials, open_trials, workers or os.cpu_count() or 1, scheduler, console, play)
+    finished = folder.finished()
+    return [finished[trial.key()] for trial in trials]
 
 
 def _short(path: Path) -> str:
@@ -93,10 +104,12 @@ def default_folder(name: str, quick: bool) -> Path:
     return runs_folder() / f"study-{name}{'-quick' if quick else ''}"
 
 
-def _run(folder: Folder, trials: list[Trial], todo: list[Numbered], workers: int, scheduler: str | None, console: Console) -> None:
+def _run(
+    folder: Folder, trials: Sequence[Job], todo: Sequence[Numbered], workers: int, scheduler: str | None, console: Console, play: Play
+) -> None:
     """Run what is to do, row by row into the folder."""
     shares = shared_shares(len(trials))
-    engine = on_a_cluster(todo, scheduler) if scheduler else on_this_machine(todo, min(workers, len(todo)), shares)
+    engine = on_a_cluster(todo, scheduler, play) if scheduler else on_this_machine(todo, min(workers, len(todo)), shares, play)
     ahead = Ahead(trials, todo, shares)
     previous = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that workers are ended on the way out
     try:
@@ -111,13 +124,11 @@ def _run(folder: Folder, trials: list[Trial], todo: list[Numbered], workers: int
         signal.signal(signal.SIGTERM, previous)
 
 
-def _follow(engine: Rows, folder: Folder, trials: list[Trial], ahead: "Ahead", tell: "Bar") -> None:
+def _follow(engine: Rows, folder: Folder, trials: Sequence[Job], ahead: "Ahead", tell: "Bar") -> None:
     for rows in engine:
         for number, row in rows:
             if row["key"] != trials[number].key():
-                raise BadSetting(
-                    f"a worker runs another program ({row['code']}) than this one ({fingerprint()}); start again with one version"
-                )
+                raise BadSetting(f"a worker runs another program ({row['code']}) than this one; start again with one version")
             folder.add(row)
             ahead.finish(number)
         tell.show()
@@ -126,7 +137,7 @@ def _follow(engine: Rows, folder: Folder, trials: list[Trial], ahead: "Ahead", t
 class Ahead:
     """How much of a study is left: work is measured by the cost of a trial, speed by what this start has done in its time."""
 
-    def __init__(self, trials: list[Trial], todo: list[Numbered], shares: Shares) -> None:
+    def __init__(self, trials: Sequence[Job], todo: Sequence[Numbered], shares: Shares) -> None:
         self._costs = {number: cost(trial.resolve()) for number, trial in todo}
         self._shares = shares
         self._open = set(self._costs)

@@ -1,24 +1,42 @@
 """Engines: they run the trials of a study somewhere and hand the rows back as they come.
 
 `on_this_machine` has one worker process per core, `on_a_cluster` the workers of a dask.distributed scheduler. Both yield
-(number of the trial, its row) in the order in which trials finish, and end what they started when they are closed early.
+(number of the trial, its row) in the order in which trials finish, and end what they started when they are closed early. What a trial
+is, and the function that plays one, is the study's (`Job`, `Play`).
 """
 
 import multiprocessing
 import signal
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import suppress
 from typing import Any, Protocol
 
-from deploy.studies.trials import Row, Trial, run_trial
+from deploy.scenario import Scenario
+from deploy.studies.trials import Row, run_trial
 from protocol.process import die_with_parent
 from protocol.settings import BadSetting
 
 TICK = 0.25  # s between two looks at what is running
-Numbered = tuple[int, Trial]
 Rows = Generator[list[tuple[int, Row]], None, None]
+Play = Callable[..., Row]  # of a trial and, where it is asked how far it is, a function that is told the share of its ticks
+
+
+class Job(Protocol):
+    """A trial as the machinery of studies knows it."""
+
+    def key(self) -> str:
+        """What tells it from all others, the program included; its row has the same."""
+
+    def command(self) -> str:
+        """What repeats it, or what it is."""
+
+    def resolve(self) -> Scenario:
+        """What is run."""
+
+
+Numbered = tuple[int, Job]
 
 
 class Shares(Protocol):
@@ -45,19 +63,19 @@ def _start_worker(shares: Shares) -> None:
     die_with_parent()
 
 
-def _work(number: int, trial: Trial) -> Row:
+def _work(play: Play, number: int, trial: Job) -> Row:
     def tell(share: float) -> None:
         _shares[number] = share
 
-    return run_trial(trial, tell)
+    return play(trial, tell)
 
 
-def on_this_machine(trials: list[Numbered], workers: int, shares: Shares) -> Rows:
+def on_this_machine(trials: Sequence[Numbered], workers: int, shares: Shares, play: Play = run_trial) -> Rows:
     """What has finished since the last look, every `TICK` s; `shares` tells how far each running trial is."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, _start_worker, (shares,))
     try:
-        futures = {pool.submit(_work, number, trial): (number, trial) for number, trial in trials}
+        futures = {pool.submit(_work, play, number, trial): (number, trial) for number, trial in trials}
         while futures:
             done, _ = wait(futures, TICK, FIRST_COMPLETED)
             yield [_harvest(future, *futures.pop(future)) for future in done]
@@ -67,7 +85,7 @@ def on_this_machine(trials: list[Numbered], workers: int, shares: Shares) -> Row
             process.terminate()
 
 
-def _harvest(future: "Future[Row]", number: int, trial: Trial) -> tuple[int, Row]:
+def _harvest(future: "Future[Row]", number: int, trial: Job) -> tuple[int, Row]:
     try:
         return number, future.result()
     except Exception as error:
@@ -80,7 +98,7 @@ def shared_shares(count: int) -> Shares:
     return shares
 
 
-def on_a_cluster(trials: list[Numbered], address: str) -> Rows:
+def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_trial) -> Rows:
     """What has finished since the last look; the workers of the scheduler at `address` need Covey on their path."""
     try:
         from distributed import Client
@@ -91,14 +109,14 @@ def on_a_cluster(trials: list[Numbered], address: str) -> Rows:
     except (OSError, ValueError, TimeoutError) as error:
         raise BadSetting(f"--scheduler {address}: no scheduler answers there ({type(error).__name__})") from None
     try:
-        yield from _from_cluster(client, trials)
+        yield from _from_cluster(client, trials, play)
     finally:
         with suppress(OSError, TimeoutError):
             client.close(timeout=2)
 
 
-def _from_cluster(client: Any, trials: list[Numbered]) -> Rows:
-    futures = {client.submit(run_trial, trial, key=f"covey-{trial.key()}"): (number, trial) for number, trial in trials}
+def _from_cluster(client: Any, trials: Sequence[Numbered], play: Play) -> Rows:
+    futures = {client.submit(play, trial, key=f"covey-{trial.key()}"): (number, trial) for number, trial in trials}
     try:
         while futures:
             time.sleep(TICK)

@@ -1,40 +1,42 @@
 """The robustness study: how the error runs around a fault, against the same run without it and against a fresh team of the survivors.
 
-A *bout* is one run with one fault at one time. All bouts of a seed share tracks, starts and dice. The world does not wait (`realtime` in
-virtual time), so that what is late is lost. Written: `curves.csv`, one row per bout and tick; `robustness.csv`, one row per bout;
-`robustness.pdf` and `.png`, OSPA over time around the fault with the band from the lower to the upper quartile of the seeds.
+A *bout* is one run with one fault at one time; it is a job of the study's machinery (`deploy.studies.engines`). All bouts of a seed share
+tracks, starts and dice. Beside each bout with deaths goes a *fresh* one: the same world with the survivors alone from its start. The
+world does not wait (`realtime` in virtual time), so that what is late is lost.
 """
 
-import csv
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
+import hashlib
+import json
+import time
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from deploy.monitor_node import Score
+from deploy.chaos.faults import Schedule
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
+from deploy.studies.trials import CORE, Row, source_hash
 from protocol.settings import BadSetting
 
+SCENARIO = "efficacy"
 LEVELS: dict[str, tuple[float, ...]] = {
-    "kill": (0.1, 0.3, 0.5),  # share of the agents
-    "loss": (0.1, 0.3, 0.5),  # share of the messages, from the fault on
-    "delay": (0.1, 0.5, 2.0),  # s, from the fault on
+    "kill": (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),  # share of the agents
+    "loss": (0.1, 0.3, 0.5),  # share of the messages between agents, from the fault on
+    "delay": (0.1, 0.5, 2.0),  # s, of the messages between agents, from the fault on
     "partition": (3.0, 6.0, 12.0),  # s that two halves do not hear each other
 }
-NONE = "none"  # the kind of the undisturbed bout
+NONE, FRESH = "none", "fresh"  # kinds of bouts without a fault: the whole team, and the survivors of the level of "kill"
+LEAST_AGENTS = 6  # of which nine tenths leave one
 SETTLED = 30.0  # s after the fault from which on the swarm should be as good as it can be
 FIRST = 10.0  # s after the fault that are averaged as its first effect
 RECOVERED = 1.1  # times the reference
 SMOOTH = 5.0  # s of the running mean that recovery is judged by
-Row = dict[str, Any]
+LATE = 0.5  # s after the fault from which on the uncovered area is read
 
 
-class Bout(NamedTuple):
+class Bout(msgspec.Struct, frozen=True, kw_only=True):
     """One run: which fault, how bad, which seed, when, and for how long the run goes on."""
 
     kind: str
@@ -42,148 +44,156 @@ class Bout(NamedTuple):
     seed: int
     at: float  # s
     seconds: float
-    options: tuple[tuple[str, Any], ...] = ()  # dotted settings
+    options: dict[str, Any] = {}  # dotted settings
+
+    def resolve(self) -> Scenario:
+        """The scenario to run; raises BadSetting naming what is wrong."""
+        scenario = resolve(SCENARIO, {**self.options, "run.seed": self.seed, "run.seconds": self.seconds})
+        if self.kind != FRESH:
+            return msgspec.structs.replace(scenario, faults=self.faults())
+        everyone = list(scenario.members)
+        [deaths] = Schedule(self.seed, self.faults()).due(self.at, everyone, [], everyone)
+        survivors = {name: kind for name, kind in scenario.members.items() if name not in deaths.names}
+        return msgspec.structs.replace(scenario, members=survivors)
+
+    def faults(self) -> tuple[FaultSettings, ...]:
+        """The fault of the bout; of a fresh team that by which the others died."""
+        match self.kind:
+            case "kill" | "fresh":
+                return (FaultSettings(at=self.at, verb="kill", who=f"{100.0 * self.level:g}%"),)
+            case "loss":
+                return (FaultSettings(at=self.at, verb="drop", value=self.level),)
+            case "delay":
+                return (FaultSettings(at=self.at, verb="delay", value=self.level),)
+            case "partition":
+                return (FaultSettings(at=self.at, verb="partition", who="50%", seconds=self.level),)
+        return ()
+
+    def key(self) -> str:
+        """What tells this bout from all others, the program that runs it included."""
+        return hashlib.blake2b(json.dumps([msgspec.to_builtins(self), code()]).encode(), digest_size=8).hexdigest()
+
+    def command(self) -> str:
+        """What this bout is, for people."""
+        return f"robustness, seed {self.seed}, {self.kind} {self.level:g}"
 
 
-class Played(NamedTuple):
-    """What a bout gave: OSPA, cardinality and uncovered area after every tick; and, after deaths, OSPA of a fresh team of the survivors."""
-
-    bout: Bout
-    times: list[float]
-    ospa: list[float]
-    fresh: float | None  # mean from `SETTLED` after the fault on, m
-    hole: float  # the largest from half a second after the fault on, share of the arena
-    survivors: int
+def code() -> str:
+    """A hash of the source that decides what a bout gives."""
+    return source_hash((*CORE, "deploy/chaos", "deploy/studies/robustness.py"))
 
 
-def fault_of(bout: Bout) -> tuple[FaultSettings, ...]:
-    """The fault of a bout."""
-    if bout.kind == "kill":
-        return (FaultSettings(at=bout.at, verb="kill", who=f"{100.0 * bout.level:g}%"),)
-    if bout.kind == "loss":
-        return (FaultSettings(at=bout.at, verb="drop", value=bout.level),)
-    if bout.kind == "delay":
-        return (FaultSettings(at=bout.at, verb="delay", value=bout.level),)
-    if bout.kind == "partition":
-        return (FaultSettings(at=bout.at, verb="partition", who="50%", seconds=bout.level),)
-    return ()
+def plan(trials: int, seed: int, at: float, seconds: float, options: dict[str, Any]) -> list[Bout]:
+    """All bouts of a study, seed by seed; raises BadSetting for a run that ends too early or a team that is too small."""
+    least = at + SETTLED + FIRST
+    if trials < 1 or seconds < least:
+        raise BadSetting(f"--trials {trials} --seconds {seconds:g}: should be at least one trial, and at least {least:g} s")
+    cells = [(NONE, 0.0), *((kind, level) for kind, levels in LEVELS.items() for level in levels)]
+    cells += [(FRESH, level) for level in LEVELS["kill"]]
+    bouts = [
+        Bout(kind=kind, level=level, seed=seed + trial, at=at, seconds=seconds, options=options)
+        for trial in range(trials)
+        for kind, level in cells
+    ]
+    agents = len(bouts[0].resolve().members)
+    if agents < LEAST_AGENTS:
+        raise BadSetting(f"--team: has {agents} agents; should have at least {LEAST_AGENTS}, for nine in ten of them die")
+    return bouts
 
 
-def play(bout: Bout) -> Played:
-    """Play a bout, and after deaths the same world with the survivors alone."""
-    options = {"run.seed": bout.seed, "run.seconds": bout.seconds, **dict(bout.options)}
-    scenario = msgspec.structs.replace(resolve("efficacy", options), faults=fault_of(bout))
-    scores, alive = _run(scenario)
-    fresh = None
-    if bout.kind == "kill":
-        members = {name: scenario.members[name] for name in alive}
-        fresh = _after(_run(msgspec.structs.replace(scenario, members=members, faults=()))[0], bout.at + SETTLED)
-    late = [score.hole for score in scores if score.time >= bout.at + 0.5]
-    return Played(bout, [score.time for score in scores], [score.ospa for score in scores], fresh, max(late, default=0.0), len(alive))
-
-
-def _run(scenario: Scenario) -> tuple[list[Score], list[str]]:
+def play(bout: Bout, progress: Callable[[float], None] = lambda share: None) -> Row:
+    """The row of a bout: what it is, and OSPA in m after every tick; `progress` is told the share of the ticks that are done."""
+    started = time.perf_counter()
+    scenario = bout.resolve()
     simulation = Simulation(scenario, use_codec=False, clock="realtime")
+    simulation.on_truth = lambda truth: progress((truth.tick + 1) / scenario.run.ticks)
     simulation.run()
-    return simulation.scorer.scores, simulation.injector.alive()
-
-
-def _after(scores: Iterable[Score], start: float) -> float:
-    return float(np.mean([score.ospa for score in scores if score.time >= start]))
-
-
-def plan(trials: int, seed: int, at: float, seconds: float, kinds: Sequence[str], options: dict[str, Any]) -> list[Bout]:
-    """All bouts of a study; raises BadSetting for an unknown kind or a run that ends too early."""
-    unknown = [kind for kind in kinds if kind not in LEVELS]
-    if unknown:
-        raise BadSetting(f"--kinds {','.join(kinds)}: {unknown[0]!r} is unknown; known are {', '.join(LEVELS)}")
-    if trials < 1 or seconds < at + SETTLED + FIRST:
-        raise BadSetting(f"--trials {trials} --seconds {seconds:g}: at least one trial, and at least {at + SETTLED + FIRST:g} s")
-    cells = [(NONE, 0.0), *((kind, level) for kind in kinds for level in LEVELS[kind])]
-    fixed = tuple(sorted(options.items()))
-    return [Bout(kind, level, seed + trial, at, seconds, fixed) for trial in range(trials) for kind, level in cells]
-
-
-def run(bouts: Sequence[Bout], jobs: int | None = None, progress: Callable[[int], None] = lambda done: None) -> list[Played]:
-    """Play all bouts on all cores; `progress` is called with how many are done."""
-    played = []
-    with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
-        for done, found in enumerate(pool.map(play, bouts), start=1):
-            played.append(found)
-            progress(done)
-    return played
-
-
-def table(played: Sequence[Played]) -> list[Row]:
-    """One row per bout: OSPA before, in the first seconds after, and settled; the reference; their ratio; the time to recover, s.
-
-    The reference is the fresh team of the survivors after deaths, else the same seed without the fault.
-    """
-    calm = {found.bout.seed: found for found in played if found.bout.kind == NONE}
-    return [row_of(found, calm[found.bout.seed]) for found in played]
-
-
-def row_of(found: Played, calm: Played) -> Row:
-    """One row of `table`."""
-    bout, times, ospa = found.bout, np.array(found.times), np.array(found.ospa)
-    reference = found.fresh if found.fresh is not None else float(np.mean(np.array(calm.ospa)[np.array(calm.times) >= bout.at + SETTLED]))
-    settled = float(np.mean(ospa[times >= bout.at + SETTLED]))
+    scores = simulation.scorer.scores
     return {
         "kind": bout.kind,
         "level": bout.level,
         "seed": bout.seed,
-        "survivors": found.survivors,
-        "before": float(np.mean(ospa[(times >= bout.at - SETTLED) & (times < bout.at)])),
-        "first": float(np.mean(ospa[(times >= bout.at) & (times < bout.at + FIRST)])),
-        "settled": settled,
-        "reference": reference,
-        "ratio": settled / reference,
-        "recovery_s": recovery(times, ospa, bout, reference),
-        "largest_hole": found.hole,
+        "at": bout.at,
+        "agents": len(simulation.injector.alive()),  # at the end
+        "hole": max(score.hole for score in scores if score.time >= bout.at + LATE),  # share of the arena
+        "times": [score.time for score in scores],
+        "ospa": [score.ospa for score in scores],
+        "wall_s": round(time.perf_counter() - started, 3),
+        "code": code(),
+        "key": bout.key(),
     }
 
 
-def recovery(times: np.ndarray, ospa: np.ndarray, bout: Bout, reference: float) -> float | None:
-    """How long after the fault (a partition: after its end) the running mean of OSPA is back at 1.1 x reference, s; None: never."""
-    over = bout.at + (bout.level if bout.kind == "partition" else 0.0)
-    for time in times[times >= over]:
-        window = ospa[(times >= time) & (times < time + SMOOTH)]
-        if window.mean() <= RECOVERED * reference:
-            return float(time - over)
+class Curve(NamedTuple):
+    """OSPA (T,) in m at the times (T,) in s around the fault at 0 s."""
+
+    times: np.ndarray
+    ospa: np.ndarray
+
+    def mean(self, start: float, end: float = np.inf) -> float:
+        """The mean from `start` s to before `end` s."""
+        return float(self.ospa[(self.times >= start) & (self.times < end)].mean())
+
+
+def curve(row: Row) -> Curve:
+    """The curve of a bout."""
+    return Curve(np.array(row["times"]) - row["at"], np.array(row["ospa"]))
+
+
+def table(rows: Sequence[Row]) -> list[Row]:
+    """One line per bout but the fresh ones: OSPA before, in the first seconds after, and settled; the reference; their ratio; the time to
+    recover, s, None where it does not.
+
+    The reference is the settled OSPA of the fresh team of the survivors after deaths, else of the same seed without the fault.
+    """
+    references = {(row["seed"], row["kind"], row["level"]): curve(row).mean(SETTLED) for row in rows if row["kind"] in (NONE, FRESH)}
+    return [line(row, references[reference_of(row)]) for row in rows if row["kind"] != FRESH]
+
+
+def reference_of(row: Row) -> tuple[int, str, float]:
+    """Seed, kind and level of the bout with which a bout is compared."""
+    return (row["seed"], FRESH, row["level"]) if row["kind"] == "kill" else (row["seed"], NONE, 0.0)
+
+
+def line(row: Row, reference: float) -> Row:
+    """One line of `table`."""
+    found = curve(row)
+    settled = found.mean(SETTLED)
+    return {
+        **{name: row[name] for name in ("kind", "level", "seed", "agents")},
+        "before": found.mean(-SETTLED, 0.0),
+        "first": found.mean(0.0, FIRST),
+        "settled": settled,
+        "reference": reference,
+        "ratio": settled / reference,
+        "recovery_s": recovery(found, row["level"] if row["kind"] == "partition" else 0.0, reference),
+        "largest_hole": row["hole"],
+    }
+
+
+def recovery(found: Curve, over: float, reference: float) -> float | None:
+    """How long after `over` s, when the fault has ended, the running mean of OSPA is back at 1.1 x reference, s; None: never."""
+    for start in found.times[(found.times >= over) & (found.times <= found.times[-1] - SMOOTH)]:
+        if found.mean(start, start + SMOOTH) <= RECOVERED * reference:
+            return float(start - over)
     return None
 
 
-def summary(rows: Sequence[Row]) -> list[Row]:
-    """Medians over the seeds for every kind and level."""
-    cells = list(dict.fromkeys((row["kind"], row["level"]) for row in rows))
+def summary(lines: Sequence[Row]) -> list[Row]:
+    """For every kind and level medians over the seeds, with the quartiles of what is settled and of its ratio to the reference."""
+    cells = list(dict.fromkeys((found["kind"], found["level"]) for found in lines))
     return [
-        {"kind": kind, "level": level, **_medians([row for row in rows if (row["kind"], row["level"]) == (kind, level)])}
+        {"kind": kind, "level": level, **_medians([found for found in lines if (found["kind"], found["level"]) == (kind, level)])}
         for kind, level in cells
     ]
 
 
-def _medians(rows: Sequence[Row]) -> Row:
-    names = ("before", "first", "settled", "reference", "ratio")
-    found: Row = {name: float(np.median([row[name] for row in rows])) for name in names}
-    times = [row["recovery_s"] for row in rows]
-    found["recovery_s"] = float(np.median([np.inf if time is None else time for time in times]))
-    return {**found, "largest_hole": max(row["largest_hole"] for row in rows), "seeds": len(rows)}
-
-
-def write(played: Sequence[Played], into: Path) -> list[Path]:
-    """Write curves and table as CSV, and the figure; the paths."""
-    from deploy.studies.robustness_figure import draw
-
-    into.mkdir(parents=True, exist_ok=True)
-    curves, bouts = into / "curves.csv", into / "robustness.csv"
-    with curves.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["kind", "level", "seed", "time", "ospa"])
-        for found in played:
-            writer.writerows([*found.bout[:3], time, ospa] for time, ospa in zip(found.times, found.ospa))
-    rows = table(played)
-    with bouts.open("w", newline="", encoding="utf-8") as file:
-        table_writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        table_writer.writeheader()
-        table_writer.writerows(rows)
-    return [curves, bouts, *draw(played, into / "robustness")]
+def _medians(lines: Sequence[Row]) -> Row:
+    found: Row = {"seeds": len(lines), "agents": int(np.median([one["agents"] for one in lines]))}
+    for name in ("before", "first", "settled", "reference", "ratio"):
+        values = [one[name] for one in lines]
+        found[name] = float(np.median(values))
+        if name in ("settled", "reference", "ratio"):
+            found[f"{name}_low"], found[f"{name}_high"] = map(float, np.quantile(values, [0.25, 0.75]))
+    times = [np.inf if one["recovery_s"] is None else one["recovery_s"] for one in lines]
+    return {**found, "recovery_s": float(np.median(times)), "largest_hole": max(one["largest_hole"] for one in lines)}

@@ -1,66 +1,106 @@
-"""The robustness study: which runs it plays, and what it reads from their curves."""
+"""The robustness study: which runs it plays, what it reads from their curves, and that it goes on where it was."""
 
 import csv
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from deploy.studies.robustness import LEVELS, Bout, Played, fault_of, plan, play, recovery, row_of, summary, table, write
+from deploy.commands import robust
+from deploy.scenario import resolve
+from deploy.studies import robustness
+from deploy.studies.robustness import FRESH, LEVELS, NONE, Bout, Curve, line, plan, play, recovery, summary, table
 from protocol.settings import BadSetting
 
-SMALL = {"team.composition": "A2,B3", "arena.width": 25.0, "arena.height": 25.0, "targets.count": 3, "run.dt": 0.5}
+SMALL = {"team.composition": "A2,B4", "arena.width": 25.0, "arena.height": 25.0, "targets.count": 3, "run.dt": 0.5}
 
 
-def played(kind: str, level: float, ospa: list[float], fresh: float | None = None, seed: int = 1) -> Played:
+def bout(kind: str, level: float, seed: int = 3, at: float = 5.0, seconds: float = 50.0, options: dict[str, Any] = SMALL) -> Bout:
+    return Bout(kind=kind, level=level, seed=seed, at=at, seconds=seconds, options=options)
+
+
+def row(kind: str, level: float, ospa: list[float], seed: int = 1) -> dict[str, Any]:
     """A bout with a tick each second, the fault at 40 s."""
-    return Played(Bout(kind, level, seed, 40.0, 100.0), [float(second) for second in range(len(ospa))], ospa, fresh, 0.0, 5)
+    times = [float(second) for second in range(len(ospa))]
+    return {"kind": kind, "level": level, "seed": seed, "at": 40.0, "agents": 5, "hole": 0.0, "times": times, "ospa": ospa}
 
 
-def test_all_kinds_and_levels_are_played_with_the_same_seeds() -> None:
-    bouts = plan(2, 7, 100.0, 200.0, list(LEVELS), {})
-    assert len(bouts) == 2 * (1 + sum(map(len, LEVELS.values())))
-    assert {bout.seed for bout in bouts} == {7, 8} and bouts[0].kind == "none"
-    assert fault_of(Bout("kill", 0.3, 1, 50.0, 100.0))[0].who == "30%" and fault_of(bouts[0]) == ()
+def test_all_kinds_and_levels_are_played_with_the_same_seeds_and_every_death_beside_a_fresh_team() -> None:
+    bouts = plan(2, 7, 100.0, 200.0, {})
+    assert len(bouts) == 2 * (1 + sum(map(len, LEVELS.values())) + len(LEVELS["kill"])) == len({bout.key() for bout in bouts})
+    assert [bout.seed for bout in bouts] == sorted(bout.seed for bout in bouts) and {bout.seed for bout in bouts} == {7, 8}
+    deaths = [{bout.level for bout in bouts if bout.kind == kind} for kind in ("kill", FRESH)]
+    assert deaths[0] == deaths[1] == set(LEVELS["kill"])
 
 
-@pytest.mark.parametrize(("kinds", "seconds"), [(["flood"], 200.0), (["kill"], 120.0)])
-def test_unknown_faults_and_runs_that_end_too_early_are_refused(kinds: list[str], seconds: float) -> None:
+@pytest.mark.parametrize(("trials", "seconds", "options"), [(0, 200.0, {}), (1, 120.0, {}), (1, 200.0, {"team.composition": "A2,B3"})])
+def test_no_trials_runs_that_end_too_early_and_teams_that_would_die_out_are_refused(trials: int, seconds: float, options: Any) -> None:
     with pytest.raises(BadSetting):
-        plan(1, 1, 100.0, seconds, kinds, {})
+        plan(trials, 1, 100.0, seconds, options)
 
 
-def test_a_row_compares_with_the_same_seed_without_the_fault_and_after_deaths_with_the_fresh_team() -> None:
-    calm = played("none", 0.0, [2.0] * 100)
-    loss = row_of(played("loss", 0.3, [2.0] * 40 + [5.0] * 10 + [3.0] * 50), calm)
+def test_a_fresh_team_is_the_one_that_the_kill_leaves_alive() -> None:
+    killed, fresh = play(bout("kill", 0.5)), bout(FRESH, 0.5)
+    assert killed["agents"] == len(fresh.resolve().members) == 3
+    assert fresh.resolve().faults == () and play(fresh)["agents"] == 3
+    assert set(fresh.resolve().members.items()) < set(resolve("efficacy", SMALL).members.items())
+
+
+def test_the_bouts_of_a_seed_are_the_same_until_the_fault_strikes() -> None:
+    calm, *others = [play(bout(*cell)) for cell in ((NONE, 0.0), ("kill", 0.5), ("loss", 0.5), ("delay", 2.0), ("partition", 12.0))]
+    for other in others:
+        assert other["ospa"][:10] == calm["ospa"][:10] and other["ospa"] != calm["ospa"]
+
+
+def test_a_line_compares_with_the_same_seed_without_the_fault_and_after_deaths_with_the_fresh_team() -> None:
+    disturbed = [2.0] * 40 + [5.0] * 10 + [3.0] * 50
+    rows = [row(NONE, 0.0, [2.0] * 100), row("loss", 0.3, disturbed), row("kill", 0.3, disturbed), row(FRESH, 0.3, [3.0] * 100)]
+    _, loss, killed = table(rows)
     assert (loss["before"], loss["first"], loss["settled"], loss["reference"], loss["ratio"]) == (2.0, 5.0, 3.0, 2.0, 1.5)
-    killed = row_of(played("kill", 0.3, [2.0] * 40 + [5.0] * 10 + [3.0] * 50, fresh=3.0), calm)
     assert (killed["reference"], killed["ratio"]) == (3.0, 1.0)
 
 
 def test_recovery_is_the_first_time_from_which_five_seconds_are_good_in_the_mean() -> None:
-    times, bout = np.arange(100.0), Bout("kill", 0.3, 1, 40.0, 100.0)
-    ospa = np.where(times < 40.0, 1.0, np.where(times < 52.0, 4.0, 1.0))
-    assert recovery(times, ospa, bout, 1.0) == 12.0
-    assert recovery(times, ospa, Bout("partition", 6.0, 1, 40.0, 100.0), 1.0) == 6.0  # counted from its end at 46 s
-    assert recovery(times, np.full(100, 4.0), bout, 1.0) is None
+    times = np.arange(100.0) - 40.0
+    found = Curve(times, np.where(times < 0.0, 1.0, np.where(times < 12.0, 4.0, 1.0)))
+    assert recovery(found, 0.0, 1.0) == 12.0
+    assert recovery(found, 6.0, 1.0) == 6.0  # a partition that ends after 6 s
+    assert recovery(Curve(times, np.full(100, 4.0)), 0.0, 1.0) is None
 
 
-def test_the_summary_takes_medians_over_the_seeds() -> None:
-    cells = [played("none", 0.0, [1.0] * 100, seed=seed) for seed in (1, 2, 3)]
-    cells += [played("loss", 0.3, [float(seed)] * 100, seed=seed) for seed in (1, 2, 3)]
-    [calm, loss] = summary(table(cells))
-    assert (calm["ratio"], loss["ratio"], loss["seeds"], loss["recovery_s"]) == (1.0, 2.0, 3, float("inf"))
+def test_the_summary_takes_medians_and_quartiles_over_the_seeds() -> None:
+    lines = [line(row("loss", 0.3, [float(seed)] * 100, seed=seed), 1.0) for seed in (1, 2, 3)]
+    [loss] = summary(lines)
+    assert (loss["ratio"], loss["ratio_low"], loss["ratio_high"], loss["seeds"]) == (2.0, 1.5, 2.5, 3)
+    assert loss["recovery_s"] == float("inf")  # one of three recovers
 
 
-def test_a_small_study_gives_curves_a_table_and_a_figure(tmp_path: Path) -> None:
-    fixed = tuple(SMALL.items())
-    bouts = [Bout(kind, level, 3, 5.0, 50.0, fixed) for kind, level in [("none", 0.0), ("kill", 0.5), ("partition", 3.0)]]
-    found = [play(bout) for bout in bouts]
-    assert found[1].survivors == 2 and found[1].fresh is not None and found[2].survivors == 5
-    paths = write(found, tmp_path)
-    assert [path.name for path in paths] == ["curves.csv", "robustness.csv", "robustness.pdf", "robustness.png"]
-    rows = list(csv.DictReader((tmp_path / "robustness.csv").open()))
-    assert [(row["kind"], row["level"]) for row in rows] == [("none", "0.0"), ("kill", "0.5"), ("partition", "3.0")]
-    assert len((tmp_path / "curves.csv").read_text().splitlines()) == 1 + 3 * 100
-    assert all(path.stat().st_size > 1000 for path in (paths[0], *paths[2:]))
+def test_a_study_that_was_stopped_goes_on_and_writes_tables_and_a_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(robustness, "LEVELS", {"kill": (0.5,), "loss": (0.5,), "delay": (), "partition": (3.0,)})
+    monkeypatch.setattr(robust, "QUICK", {"at": 5.0, "seconds": 46.0, "trials": 1})
+    monkeypatch.setattr(robustness, "SETTLED", 20.0)
+    assert robust.study(True, None, 3, SMALL, tmp_path, 2, None, True) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (found["study"], found["bouts"]) == ("robustness", 5)
+    assert [(cell["kind"], cell["level"]) for cell in found["cells"]] == [("none", 0.0), ("kill", 0.5), ("loss", 0.5), ("partition", 3.0)]
+    first = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(first) == {"trials.jsonl", "lock", "curves.csv", "bouts.csv", "robustness.csv", "robustness.pdf", "robustness.png"}
+    assert len(first["curves.csv"].splitlines()) == 1 + 5 * 92 and first["robustness.png"].startswith(b"\x89PNG")
+    assert [line["kind"] for line in csv.DictReader((tmp_path / "bouts.csv").open())] == ["none", "kill", "loss", "partition"]
+
+    kept = first["trials.jsonl"].splitlines(keepends=True)
+    (tmp_path / "trials.jsonl").write_bytes(b"".join(kept[:3]) + kept[3][:100])  # as if killed in the middle of a line
+    assert robust.study(True, None, 3, SMALL, tmp_path, 1, None, False) == 0
+    assert "3 of them done already" in capsys.readouterr().out
+    again = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != "trials.jsonl"}
+    assert again == {name: data for name, data in first.items() if name != "trials.jsonl"}
+
+
+@pytest.mark.parametrize(("targets", "methods"), [("30,40", None), (None, "power")])
+def test_what_the_study_does_not_know_is_refused(targets: str | None, methods: str | None) -> None:
+    with pytest.raises(BadSetting):
+        robust.settings_of(None, targets, methods)
