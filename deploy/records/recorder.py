@@ -2,22 +2,25 @@
 
 One channel per key expression, its schema attached; the resolved scenario stands at the head of the file. The log time of a message
 is the world's time in ns when it was heard, so that a recording has one clock whatever the run's pace was; the publish time is the
-wall clock's (Unix time). A liveliness token is recorded under its key as the map {"alive": true or false}.
+wall clock's (Unix time, whole ms). A liveliness token is recorded under its key as the map {"alive": true or false}. A fault that does
+not show by itself, such as a cut between agents, is a metadata record of its own.
 
-A chunk is closed after 0.9 s at the latest and reaches the file in one piece: a recorder that is killed loses less than a second.
+What is heard reaches the file after 0.9 s at the latest, as a small chunk: a recorder that is killed loses less than a second. When 5 s
+of the world have passed, one large chunk takes the place of the small ones: it is a fifth smaller, and the index is short.
 """
 
 import json
 import logging
-import os
 import time
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, cast
 
 import msgspec
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
+from deploy.records.growing import GrowingFile
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import versions
 from deploy.toml_text import toml_text
@@ -26,48 +29,34 @@ from protocol.messages import KINDS, Truth
 from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Subscribe
 
 FLUSH_SECONDS = 0.9
-CHUNK_BYTES = 1 << 22  # larger ones are smaller in all: every chunk has an index of its own
+CHUNK_SECONDS = 5.0  # of the world; larger chunks save nothing more
+CHUNK_BYTES = 1 << 22  # of payload
+WRITER_BYTES = 1 << 40  # the writers are never to close a chunk by themselves
 PROFILE = "covey"
+ABOUT, FAULT = "covey", "covey.fault"  # names of metadata records
 TOKEN_SCHEMA = {"title": "Token", "type": "object", "properties": {"alive": {"type": "boolean"}}, "required": ["alive"]}
 
 log = logging.getLogger(__name__)
 
 
-class WholeFile:
-    """A stream whose writes reach the file together at `flush`; when the disk is full the file ends with the last whole part."""
+class Tail:
+    """A second writer, that gives what has been added as chunks for the tail of a file; it keeps neither index nor statistics."""
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("wb", buffering=0)
-        self._parts: list[bytes] = []
-        self._staged = 0
-        self.size = 0  # bytes in the file
+    def __init__(self) -> None:
+        self._stream = BytesIO()
+        self.writer = Writer(
+            self._stream, WRITER_BYTES, CompressionType.ZSTD, index_types=IndexType.NONE, repeat_channels=False, use_statistics=False
+        )
+        self.writer.start(PROFILE)
+        self.take()
 
-    def write(self, data: bytes) -> int:
-        """Keep the bytes for the next flush."""
-        self._parts.append(bytes(data))
-        self._staged += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        """Where the next byte will stand."""
-        return self.size + self._staged
-
-    def flush(self) -> None:
-        """Write what has been kept; raises OSError when it does not fit, the file being as before."""
-        data = memoryview(b"".join(self._parts))
-        self._parts, self._staged = [], 0
-        written = 0
-        try:
-            while written < len(data):
-                written += self._file.write(data[written:])
-        except OSError:
-            os.ftruncate(self._file.fileno(), self.size)
-            raise
-        self.size += written
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+    def take(self) -> bytes:
+        """The chunk of what has been added since the last time."""
+        self.writer.flush()
+        data = self._stream.getvalue()
+        self._stream.seek(0)
+        self._stream.truncate()
+        return data
 
 
 class Recorder:
@@ -82,17 +71,19 @@ class Recorder:
         self._wall = wall
         self._closed = False
         self._now = 0  # the world's time, ns
+        self._settled_now = 0
+        self._pending = 0  # bytes of payload that have not been settled
         self._flushed_at = time.monotonic()
         self._run = scenario.run.name
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._file = WholeFile(path)
-        self._writer = Writer(cast(IO[bytes], self._file), CHUNK_BYTES, CompressionType.ZSTD)
+        self._file = GrowingFile(path)
+        self._tail = Tail()
+        self._writer = Writer(cast(IO[bytes], self._file), WRITER_BYTES, CompressionType.ZSTD)
         self._writer.start(PROFILE)
-        self._writer.add_metadata(
-            "covey", {"run.toml": toml_text(msgspec.to_builtins(scenario)), "versions.json": json.dumps(versions()), "run": self._run}
-        )
-        self._writer.flush()
+        about = {"run.toml": toml_text(msgspec.to_builtins(scenario)), "versions.json": json.dumps(versions()), "run": self._run}
+        self._writer.add_metadata(ABOUT, about)
+        self._file.settle()
 
     @property
     def file_bytes(self) -> int:
@@ -111,11 +102,17 @@ class Recorder:
         elif isinstance(event, Rejected) and event.reason != "quarantine":
             self._record(event.key, event.payload)
 
+    def note_fault(self, time: float, verb: str, text: str) -> None:
+        """Record a fault that was ordered at the world's time `time`, s."""
+        if not self._closed:
+            self._writer.add_metadata(FAULT, {"time": repr(time), "verb": verb, "text": text})
+            self._guarded(self._settle)
+
     def flush(self, after: float = 0.0) -> None:
-        """Close the chunk and write it, if the last one is `after` s old."""
+        """Let everything reach the file, if the last time is `after` s ago."""
         if not self._closed and time.monotonic() - self._flushed_at >= after:
             self._flushed_at = time.monotonic()
-            self._guarded(self._writer.flush)
+            self._guarded(self._extend)
 
     def close(self) -> None:
         """Write the index and close the file."""
@@ -124,32 +121,50 @@ class Recorder:
             self._closed = True
             self._file.close()
 
+    def _extend(self) -> None:
+        self._file.extend(self._tail.take())
+
+    def _settle(self) -> None:
+        """Close the chunk; it takes the place of the tail."""
+        self._settled_now, self._pending, self._flushed_at = self._now, 0, time.monotonic()
+        self._tail.take()
+        self._writer.flush()
+        self._file.settle()
+
     def _finish(self) -> None:
         self._writer.finish()
-        self._file.flush()
+        self._file.settle()
 
     def _record(self, key: str, payload: bytes) -> None:
+        if not self._closed and (self._now - self._settled_now >= 1e9 * CHUNK_SECONDS or self._pending >= CHUNK_BYTES):
+            self._guarded(self._settle)  # by what was heard, not by the clock: a simulation's file is the same every time
         if self._closed:
             self.lost += self.stopped is not None
             return
-        published = self._now if self._wall is None else round(1e9 * self._wall())
+        published = self._now if self._wall is None else 1_000_000 * round(1e3 * self._wall())
+        channel = self._channel(key)
         self.messages += 1
-        self._writer.add_message(self._channel(key), self._now, payload, published)
+        self._pending += len(payload)
+        for writer in (self._writer, self._tail.writer):
+            writer.add_message(channel, self._now, payload, published)
         self.flush(FLUSH_SECONDS)
 
     def _channel(self, key: str) -> int:
+        """The channel of a key; both writers number channels and schemas alike."""
         if key not in self._channels:
             parts = key.split("/")
             kind = parts[2] if len(parts) > 2 else ""
             known = kind in KINDS or kind == "alive"
             schema = self._schema(kind) if known else 0
-            self._channels[key] = self._writer.register_channel(key, "msgpack" if known else "", schema)
+            for writer in (self._writer, self._tail.writer):
+                self._channels[key] = writer.register_channel(key, "msgpack" if known else "", schema)
         return self._channels[key]
 
     def _schema(self, kind: str) -> int:
         if kind not in self._schemas:
             schema = TOKEN_SCHEMA if kind == "alive" else message_schema(kind)
-            self._schemas[kind] = self._writer.register_schema(f"covey.{schema['title']}", "jsonschema", json.dumps(schema).encode())
+            for writer in (self._writer, self._tail.writer):
+                self._schemas[kind] = writer.register_schema(f"covey.{schema['title']}", "jsonschema", json.dumps(schema).encode())
         return self._schemas[kind]
 
     def _guarded(self, write: Callable[[], None]) -> None:

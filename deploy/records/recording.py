@@ -6,7 +6,7 @@ beginning as far as it is whole.
 
 import struct
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from deploy.records.recorder import ABOUT, FAULT
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import runs_folder
 from protocol import codec
@@ -49,12 +50,21 @@ class Span(NamedTuple):
     end: float
 
 
+class Fault(NamedTuple):
+    """A fault that was ordered and does not show by itself."""
+
+    time: float  # the world's, s
+    verb: str
+    text: str
+
+
 class Recording:
     """One recording; raises BadSetting when the file is none."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.spans: list[Span] = []
+        self.faults: list[Fault] = []
         self.is_whole = False  # closed as it should be, with an index
         self._topics: dict[int, str] = {}
         try:
@@ -100,7 +110,7 @@ class Recording:
         try:
             reader = make_reader(file)
             summary = reader.get_summary()
-            metadata = next((found.metadata for found in reader.iter_metadata() if found.name == "covey"), None)
+            metadata = self._note_metadata(reader.iter_metadata())
         except BROKEN:
             return None
         if summary is None or metadata is None:
@@ -120,13 +130,23 @@ class Recording:
             while True:
                 offset = file.tell() or 8  # the magic bytes have not been read before the first record
                 record = next(records)
-                if isinstance(record, Metadata) and record.name == "covey":
-                    metadata = record.metadata
+                if isinstance(record, Metadata):
+                    metadata = self._note_metadata([record]) or metadata
                 elif isinstance(record, Chunk):
                     self._note_channels(record)
                     self.spans.append(Span(offset, record.message_start_time / 1e9, record.message_end_time / 1e9))
         except (StopIteration, *BROKEN):
             return metadata
+
+    def _note_metadata(self, records: Iterable[Metadata]) -> dict[str, str] | None:
+        """Keep the faults; what the recording says about itself, if that is among the records."""
+        about = None
+        for record in records:
+            if record.name == ABOUT:
+                about = record.metadata
+            elif record.name == FAULT:
+                self.faults.append(Fault(float(record.metadata["time"]), record.metadata["verb"], record.metadata["text"]))
+        return about
 
     def _note_channels(self, chunk: Chunk) -> None:
         self._topics |= {record.id: record.topic for record in breakup_chunk(chunk, validate_crc=True) if isinstance(record, Channel)}

@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from deploy.onlookers import Onlookers, open_recorder, recording_path
-from deploy.records.recorder import Recorder, message_schema
+from deploy.records.recorder import CHUNK_SECONDS, Recorder, message_schema
 from deploy.records.recording import Recording, event_of, find_recording
 from deploy.records.rescore import difference, rescore, write_scores
 from deploy.result import Result
@@ -19,7 +19,7 @@ from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
 from protocol import codec
 from protocol.keys import message_key
-from protocol.messages import KINDS, Command
+from protocol.messages import KINDS, Command, Truth
 from protocol.node import Alive, Gone, Received, Rejected
 from protocol.settings import BadSetting
 
@@ -44,6 +44,14 @@ def recorded_run(path: Path, of: Scenario) -> tuple[Simulation, Result]:
     simulation = Simulation(of)
     Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     return simulation, simulation.run()
+
+
+def heard_truths(of: Scenario) -> list[Received]:
+    """What the world says in a run of 6 s."""
+    simulation, found = Simulation(of), []
+    simulation.scorer.on_event = lambda event, now: found.append(event)
+    simulation.run()
+    return [event for event in found if isinstance(event, Received) and isinstance(event.message, Truth)]
 
 
 def test_payloads_come_back_byte_for_byte_in_order_under_their_keys(tmp_path: Path) -> None:
@@ -137,13 +145,53 @@ def test_a_chunk_that_was_cut_through_costs_only_itself(tmp_path: Path) -> None:
         recorder.see(received(command(tick)), 0.0)
         if tick % 10 == 9:
             recorder.flush()
-    size = recorder.file_bytes
-    recorder.close()
     data = (tmp_path / "a.mcap").read_bytes()
-    (tmp_path / "b.mcap").write_bytes(data[: size - 30])
-    spans = Recording(tmp_path / "b.mcap").spans
-    assert len(spans) in (3, 4)  # 4 where the cut went through the index behind the chunk
-    assert len(list(Recording(tmp_path / "b.mcap").entries())) == 10 * len(spans)
+    recorder.close()
+    (tmp_path / "b.mcap").write_bytes(data[:-30])
+    assert len(Recording(tmp_path / "b.mcap").spans) == 3
+    assert len(list(Recording(tmp_path / "b.mcap").entries())) == 30
+
+
+def test_one_large_chunk_takes_the_place_of_the_small_ones_and_what_is_read_stays_the_same(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", scenario())
+    truths, spans = heard_truths(scenario()), []
+    for number, truth in enumerate(truths, 1):
+        recorder.see(truth, 0.0)
+        recorder.flush()
+        recording = Recording(tmp_path / "a.mcap")
+        assert not recording.is_whole
+        assert [entry.payload for entry in recording.entries()] == [event.payload for event in truths[:number]]
+        spans.append(len(recording.spans))
+    recorder.close()
+    recording = Recording(tmp_path / "a.mcap")
+    small = round(CHUNK_SECONDS / recording.scenario.run.dt)
+    assert spans == [*range(1, small + 1), *range(2, len(truths) - small + 2)]
+    assert len(recording.spans) == 2
+    assert recording.is_whole
+    assert [entry.payload for entry in recording.entries()] == [event.payload for event in truths]
+
+
+def test_the_recording_of_a_simulation_is_the_same_to_the_last_byte_every_time(tmp_path: Path) -> None:
+    for name in ("a.mcap", "b.mcap"):
+        recorded_run(tmp_path / name, scenario())
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_faults_that_do_not_show_by_themselves_stand_in_the_recording(tmp_path: Path, whole: bool) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", scenario())
+    recorder.see(received(command(1)), 0.0)
+    recorder.note_fault(12.25, "partition", "cut off s1")
+    recorder.see(received(command(2)), 0.0)
+    recorder.note_fault(14.0, "heal", "all links are clear again")
+    data = (tmp_path / "a.mcap").read_bytes()  # as a kill would leave it
+    recorder.close()
+    if not whole:
+        (tmp_path / "a.mcap").write_bytes(data)
+    recording = Recording(tmp_path / "a.mcap")
+    assert recording.faults == [(12.25, "partition", "cut off s1"), (14.0, "heal", "all links are clear again")]
+    assert len(list(recording.entries())) == 2
+    assert recording.is_whole == whole
 
 
 KILLED = """
