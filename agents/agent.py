@@ -22,7 +22,8 @@ from agents.words import learn
 from protocol.geometry import rectangle
 from protocol.keys import all_of, one_of, order
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, pack
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.presence import Presence
 from protocol.sensing import WedgeSensor
 from protocol.settings import sensor_of
 
@@ -50,7 +51,7 @@ class Agent:
         )
         everywhere = prior(config.run.seed, self._prior_count(), config.filter, config.arena)
         self.outcome = Outcome(start(everywhere, name), self.self.facts.capability)
-        self._heard: set[str] = set()
+        self._presence = Presence(name, [*config.members, "world"])
         self._world = 0  # incarnation of the world
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # mine, of the open round
@@ -80,6 +81,7 @@ class Agent:
                     self.neighbours.alive(event.name, event.incarnation)
                 self._greet_soon(now)
             case Gone(role="agent"):
+                self._presence.leave(event.name)
                 self.neighbours.gone(event.name, event.incarnation, self.tick)
                 self._awaited.discard(event.name)
                 return self._close_if_complete(now)
@@ -88,7 +90,7 @@ class Agent:
                 kinds = [all_of(self.run, "hello"), all_of(self.run, "gossip"), one_of(self.run, "observation", self.name)]
                 if self._lighthouse:
                     kinds.append(all_of(self.run, "beacon"))
-                return [*map(Subscribe, kinds), self._hello()]
+                return [*map(Subscribe, kinds), self._hello(now)]
             case Rejected(reason=reason):
                 self.counters[f"rejected.{reason}"] += 1
         return []
@@ -99,6 +101,7 @@ class Agent:
         if isinstance(message, Hello):
             return self._on_hello(message, now)
         if isinstance(message, Beacon) and message.sender != self.name:
+            self._presence.speak(message.sender, now)
             self.neighbours.see(message)
         return []
 
@@ -114,6 +117,7 @@ class Agent:
             self.counters["rejected.stale"] += 1
             return []
         self._world = observation.incarnation
+        self._presence.speak(observation.sender, now)
         effects = self._close(now) if self._observation else []
         if self.tick < 0:
             self._first = observation.tick
@@ -132,6 +136,7 @@ class Agent:
     def _on_gossip(self, gossip: Gossip, now: float) -> list[Effect]:
         if gossip.sender == self.name:
             return self._fence(gossip.incarnation)
+        self._presence.speak(gossip.sender, now)
         reason = self.neighbours.hear(gossip)
         if reason:
             if reason != "unasked":
@@ -151,10 +156,13 @@ class Agent:
         if reason:
             self.counters[f"rejected.{reason}"] += 1
             return []
-        if hello.sender not in self._heard:
-            self._heard.add(hello.sender)
+        if self._presence.greet(hello.sender, now):
             self._greet_soon(now)
-        return []
+        unheard = self._presence.split(hello, now) if hello.role == "agent" else ""
+        if not unheard:
+            return []
+        self.counters["reopened"] += 1
+        return [Reopen(f"the others hear {unheard}, I do not")]
 
     def _greet_soon(self, now: float) -> None:
         """Somebody is new: say Hello, but once for all who appear within a moment."""
@@ -165,7 +173,7 @@ class Agent:
         effects: list[Effect] = []
         if self._greet_at is not None and now >= self._greet_at:
             self._greet_at = now + (HELLO_EARLY if self.tick < 0 or self.neighbours.strangers() else HELLO_LATE)
-            effects.append(self._hello())
+            effects.append(self._hello(now))
         if self._close_at is not None and now >= self._close_at:
             self.counters["late"] += 1
             effects += self._close(now)
@@ -282,7 +290,7 @@ class Agent:
             round_seconds=max(0.0, now - self._opened_at),  # a clock may have jumped
         )
 
-    def _hello(self) -> Hello:
+    def _hello(self, now: float) -> Hello:
         sensor = self.self.sensor
         return Hello(
             sender=self.name,
@@ -292,7 +300,7 @@ class Agent:
             sensor=sensor if isinstance(sensor, WedgeSensor) else None,
             max_speed=self.config.limits.speed,
             max_turn_rate=self.config.limits.turn_rate,
-            heard=tuple(sorted(self._heard)),
+            heard=self._presence.heard(now if self.tick >= 0 else None),
         )
 
     def _fence(self, incarnation: int) -> list[Effect]:

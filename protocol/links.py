@@ -7,12 +7,23 @@ lost at 10 % is lost at 30 % too.
 
 import json
 from collections.abc import Callable
+from typing import Protocol
 
 import msgspec
 
 from protocol.keys import parse_message_key
 from protocol.settings import NotNegative, Section, Share, convert
 from protocol.streams import key, stream
+
+
+class LinkFaults(Protocol):
+    """A hook on one process's traffic: what happens to a payload on its way, as (delay s, payload) of every copy."""
+
+    def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+        """Of what this process publishes."""
+
+    def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+        """Of what arrives at this process."""
 
 
 class Condition(Section, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 os.environ.setdefault(  # read by zenoh when it is imported: fewer threads, less CPU
     "ZENOH_RUNTIME", "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), app: (worker_threads: 1))"
@@ -26,55 +26,28 @@ from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files
 from protocol.inbox import Arrival, Inbox, Quarantine
+from protocol.links import LinkFaults
 from protocol.messages import Malformed, Message
-from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.settings import BadSetting, NetworkSettings
+from protocol.stdin import follow_stdin
+from protocol.tokens import Tokens
+from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
+RETRY_SECONDS = 0.5  # between attempts to open a session anew
+SETTLE_SECONDS = 2.0  # in which a new session sees again whom the old one saw
 SLICE = 64  # messages between two looks at the timers
 
 log = logging.getLogger(__name__)
 
 
-class LinkFaults(Protocol):
-    """A hook on one process's traffic: what happens to a payload on its way, as (delay s, payload) of every copy."""
-
-    def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """Of what this process publishes."""
-
-    def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """Of what arrives at this process."""
-
-
 def session_config(settings: NetworkSettings, own: keys.Token | None = None) -> zenoh.Config:
-    """The Zenoh configuration of the peer with that token; why each value is what it is stands in docs/protocol.md."""
+    """The Zenoh configuration of the peer with that token."""
     config = zenoh.Config()
-    for key, value in {**_session_values(settings), **secured(settings, own)}.items():
+    for key, value in {**session_values(settings), **secured(settings, own)}.items():
         config.insert_json5(key, json.dumps(value))
     return config
-
-
-def _session_values(settings: NetworkSettings) -> dict[str, Any]:
-    return {
-        "mode": "peer",
-        "listen/endpoints": settings.listen,
-        "listen/exit_on_failure": True,
-        "connect/endpoints": settings.seeds,
-        "connect/timeout_ms": -1,  # 0 would miss a seed that restarts
-        "connect/exit_on_failure": False,
-        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": True,
-        "scouting/gossip/autoconnect_strategy": {"peer": {"to_peer": "greater-zid", "to_router": "always"}},
-        "transport/link/tx/lease": round(1000.0 * settings.lease),
-        "transport/link/tx/keep_alive": 4,
-        "transport/link/rx/max_message_size": codec.MAX_BYTES,
-        "transport/unicast/open_timeout": 60000,
-        "transport/unicast/accept_timeout": 60000,
-        "transport/unicast/accept_pending": 1000,
-        "transport/unicast/max_sessions": 1000,
-        "transport/shared_memory/enabled": False,
-    }
 
 
 def open_session(settings: NetworkSettings, own: keys.Token | None = None) -> zenoh.Session:
@@ -100,8 +73,9 @@ class Driver:
         self._link = link
         self._inbox = Inbox()
         self._quarantine = Quarantine()
-        self._tokens: set[keys.Token] = set()
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
+        self._tokens = Tokens(self._own)
+        self._reopening: asyncio.Task[None] | None = None
         self._wanted: Counter[str] = Counter()  # expression -> how often the node subscribed
         self._subscribers: dict[str, Any] = {}
         self._publishers: dict[str, tuple[Any, Any]] = {}
@@ -185,15 +159,9 @@ class Driver:
 
     def _token(self, arrival: Arrival) -> None:
         """Report a token once when it appears and once when it vanishes; the own one never."""
-        token = keys.parse_token(arrival.key)
-        if token is None or token == self._own or (token in self._tokens) == arrival.token:
-            return
-        if arrival.token:
-            self._tokens.add(token)
-            self._handle(Alive(token.role, token.name, token.incarnation))
-        else:
-            self._tokens.remove(token)
-            self._handle(Gone(token.role, token.name, token.incarnation))
+        event = self._tokens.see(arrival.key, bool(arrival.token))
+        if event is not None:
+            self._handle(event)
 
     def _pass(self, arrival: Arrival) -> None:
         if self._link is None:
@@ -240,6 +208,32 @@ class Driver:
             self._unsubscribe(effect.expression)
         elif isinstance(effect, Stop):
             self.stop(effect.code, effect.reason)
+        elif isinstance(effect, Reopen) and self._link is None:  # where links are spoilt on purpose silence proves nothing
+            log.warning("opening the session anew: %s", effect.reason)
+            if self._reopening is None or self._reopening.done():
+                self._reopening = self._loop.create_task(self._reopen())
+
+    async def _reopen(self) -> None:
+        """Leave the network and join it anew, with the same subscriptions; what is sent meanwhile is lost."""
+        old = self._publishers, self._subscribers, self._declared  # nothing of it is undeclared before the session is closed
+        self._publishers, self._subscribers, self._declared = {}, {}, []
+        self._tokens.doubt()
+        await self._close()
+        del old
+        while not self._declared and not self._stopped.done():
+            try:
+                await self.open()
+                for expression in self._wanted:
+                    self._listen(expression)
+                self._declare()
+            except (BadSetting, zenoh.ZError) as error:  # the old session may still hold the port
+                log.warning("could not open the session anew: %s", error)
+                await self._close()
+                await asyncio.sleep(RETRY_SECONDS)
+        self.counts["reopened"] += 1
+        await asyncio.sleep(SETTLE_SECONDS)
+        for gone in self._tokens.lost():
+            self._handle(gone)
 
     def _send(self, key: str, payload: bytes) -> None:
         if self._link is None:
@@ -266,6 +260,9 @@ class Driver:
 
     def _subscribe(self, expression: str) -> None:
         self._wanted[expression] += 1
+        self._listen(expression)
+
+    def _listen(self, expression: str) -> None:
         if self._session is not None and expression not in self._subscribers:
             declare = self._session.declare_subscriber
             self._subscribers[expression] = declare(expression, self._on_sample, allowed_origin=zenoh.Locality.REMOTE)
@@ -274,7 +271,8 @@ class Driver:
         self._wanted[expression] -= 1
         if self._wanted[expression] <= 0:
             del self._wanted[expression]
-            self._subscribers.pop(expression).undeclare()
+            if expression in self._subscribers:
+                self._subscribers.pop(expression).undeclare()
 
     def _arm(self) -> None:
         """Set the timer to the node's deadline, in the past: as soon as the loop is free."""
@@ -321,23 +319,5 @@ async def _run(
     loop.add_signal_handler(signal.SIGTERM, driver.stop, 143, "SIGTERM")
     loop.add_signal_handler(signal.SIGINT, driver.stop, 130, "SIGINT")
     if watch_stdin:
-        _watch_stdin(loop, driver, on_line)
+        follow_stdin(driver.stop, on_line)
     return await driver.serve()
-
-
-def _watch_stdin(loop: asyncio.AbstractEventLoop, driver: Driver, on_line: Callable[[str], None] | None) -> None:
-    """Stop when stdin ends, for then the parent is gone; hand its lines to `on_line`."""
-    pending = b""
-
-    def read() -> None:
-        nonlocal pending
-        data = os.read(0, 65536)
-        if not data:
-            loop.remove_reader(0)
-            driver.stop(143, "stdin ended: the parent is gone")
-        *lines, pending = (pending + data).split(b"\n")
-        for line in lines:
-            if on_line is not None:
-                on_line(line.decode(errors="replace"))
-
-    loop.add_reader(0, read)

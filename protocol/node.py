@@ -89,7 +89,14 @@ class Stop:
     reason: str
 
 
-Effect = Message | Subscribe | Unsubscribe | Stop
+@dataclass(frozen=True, slots=True)
+class Reopen:
+    """Leave the network and join it anew: others hear somebody whom this node does not."""
+
+    reason: str
+
+
+Effect = Message | Subscribe | Unsubscribe | Stop | Reopen
 
 
 class Node(Protocol):

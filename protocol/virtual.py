@@ -239,7 +239,7 @@ class VirtualBus:
             self._subscribe(seat, effect.expression)
         elif isinstance(effect, Unsubscribe):
             self._unsubscribe(seat, effect.expression)
-        else:
+        elif isinstance(effect, Stop):  # a Reopen is nothing here: no session of ours is ever half open
             for label in [label for label, other in self._seats.items() if other is seat]:
                 self.stopped[label] = effect
                 self.remove(label)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 
-from protocol.keys import order
 from protocol.messages import MAX_NAMES, Hello
 
 
@@ -51,10 +50,6 @@ class Roster:
     def speaks(self, name: str) -> bool:
         """Whether the incarnation that counts has been heard of."""
         return name in self._tokens and self._spoken.get(name) == self.live(name)
-
-    def heard(self) -> tuple[str, ...]:
-        """Names of those whose Hello has arrived, s2 before s10."""
-        return tuple(sorted(self.hellos, key=order))
 
     def is_complete(self, expected: Iterable[str], world: str) -> bool:
         """Whether all the expected are alive, heard here, and say that they hear each other and the world."""

@@ -6,9 +6,10 @@ A tick k: publish Observation(k) to every agent that is alive, and Truth(k); the
 
 import numpy as np
 
-from protocol.keys import all_of
+from protocol.keys import all_of, order
 from protocol.messages import MAX_NAMES, Command, Hello, Observation, Truth, pack
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.presence import Presence
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import Bodies, check_given, start_pose
@@ -42,6 +43,7 @@ class World:
         self.rejected_messages = 0
         self.re_anchored = 0  # real time: how often the world was too late to catch up
         self._config, self._roster = config, Roster()
+        self._presence = Presence(self.name, config.members)
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
         self._detector = Detector(config.detection, config.run.seed)
@@ -100,6 +102,10 @@ class World:
     def _hear(self, hello: Hello, now: float) -> list[Effect]:
         """Take a Hello; whoever speaks for the first time after the start is answered."""
         is_new = self._roster.hear(hello)
+        self._presence.greet(hello.sender, now)
+        unheard = self._presence.split(hello, now)
+        if unheard:
+            return [Reopen(f"the agents hear {unheard}, the world does not")]
         self._embody_guest(hello.sender)
         if self.started:
             return [self._hello()] if is_new else []
@@ -118,6 +124,7 @@ class World:
 
     def _bury(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has gone; its body stands still at once and nobody waits for it."""
+        self._presence.leave(name)
         if not self._roster.vanish(name, incarnation):
             return []
         self._commands.pop(name, None)
@@ -125,6 +132,7 @@ class World:
 
     def _obey(self, command: Command, now: float) -> list[Effect]:
         """Keep a command until the tick ends."""
+        self._presence.speak(command.sender, now)
         if not self._is_valid(command):
             self.ignored_commands += 1
             return []
@@ -229,7 +237,7 @@ class World:
         self._expected, self._patience = truth.alive, min(self._patience, RESTORE_TIMEOUT)
 
     def _hello(self) -> Hello:
-        return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=self._roster.heard())
+        return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=tuple(sorted(self._presence.heard(), key=order)))
 
     def _observation(self, name: str, detections: np.ndarray) -> Observation:
         return Observation(

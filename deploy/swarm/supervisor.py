@@ -25,7 +25,7 @@ from deploy.swarm.processes import Child, check_names, child_environment
 from deploy.swarm.rundir import RunDirectory
 from deploy.swarm.zygote import Zygote
 from protocol.codec import encode
-from protocol.endpoints import check_endpoints, free_port
+from protocol.endpoints import check_endpoints, check_files, free_port
 from protocol.links import as_line
 from protocol.live import Driver
 from protocol.messages import Truth
@@ -56,11 +56,14 @@ class Supervisor:
         check_faults(scenario.faults, list(scenario.members), live=True, link_faults=scenario.network.link_faults)
         check_endpoints(scenario.network)
         check_names(scenario)
+        for name in ("monitor", "world", *scenario.members):
+            check_files(scenario.network, name)
         self.directory = directory
         self.result: Result | None = None
         self._listens = _seed_listeners(scenario)
         seeds = tuple(dict.fromkeys([*self._listens.values(), *scenario.network.seeds]))
-        network = msgspec.structs.replace(scenario.network, seeds=seeds, listen=NetworkSettings().listen)
+        admit = scenario.network.admit or tuple(scenario.members)
+        network = msgspec.structs.replace(scenario.network, seeds=seeds, listen=NetworkSettings().listen, admit=admit)
         own = self._listens["monitor"]
         others = tuple(seed for seed in seeds if seed != own)
         self._own_network = msgspec.structs.replace(network, listen=(own,), seeds=others)
@@ -270,6 +273,7 @@ class Supervisor:
         for name in self.scenario.members:
             self._tell_links(name)
         text = describe(action)
+        self.scorer.note_fault(action.verb, text)
         log.info(text)
         self._tell(text)
         return text
@@ -316,7 +320,7 @@ class Supervisor:
             row |= {"incarnation": child.incarnation, "end": child.end(), "ended_at": child.ended_at}
             rows.append({**scored.get(name, {}), **row})
         head = {"run": self.directory.name, "scenario": self.scenario.run.scenario, "endpoint": self._own_network.listen[0]}
-        return {**head, "swarm": swarm, "processes": rows}
+        return {**head, "swarm": swarm, "processes": rows, "faults": self.scorer.faults}
 
     # ------------------------------------------------------------------ endpoints
 
@@ -340,4 +344,5 @@ def _seed_listeners(scenario: Scenario) -> dict[str, str]:
     ports: set[int] = set()
     while len(ports) < len(names):
         ports.add(free_port())
-    return {name: f"tcp/127.0.0.1:{port}" for name, port in zip(names, sorted(ports))}
+    link = "tls" if scenario.network.encrypted else "tcp"
+    return {name: f"{link}/127.0.0.1:{port}" for name, port in zip(names, sorted(ports))}

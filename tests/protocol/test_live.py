@@ -9,11 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from agents.agent import Agent
+from agents.config import AgentConfig
 from protocol import keys, live
 from protocol.endpoints import free_port
 from protocol.messages import Command, Message
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
-from protocol.settings import BadSetting, NetworkSettings
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.settings import BadSetting, NetworkSettings, RunSettings
 
 pytestmark = pytest.mark.live
 ROOT = Path(__file__).parents[2]
@@ -168,6 +170,72 @@ def test_unsubscribing_ends_delivery_only_after_as_many_times_as_subscribing() -
             await until(lambda: bool(pair.drivers[1]._carry_out(command("b", 1))) or bool(left.texts()))
             pair.drivers[0]._carry_out(Unsubscribe(expression))
             assert not pair.drivers[0]._subscribers
+
+    asyncio.run(scene())
+
+
+def test_a_session_that_is_opened_anew_keeps_its_subscriptions_and_reports_nobody_who_is_still_there() -> None:
+    async def scene() -> None:
+        left, right = Scribe("a"), Scribe("b")
+        expression = keys.all_of(left.run, "command")
+        left.first, right.first = [Subscribe(expression)], [Subscribe(expression)]
+        async with Pair(left, right) as pair:
+            await until(lambda: Alive("agent", "b", 1) in left.events and Alive("agent", "a", 1) in right.events)
+            for number, driver in enumerate(pair.drivers):  # the first listens on a port of its own, and so must do again
+                before = list(left.events), list(right.events)
+                driver._carry_out(Reopen("for the test"))
+                other = (right, left)[number]
+                token = Alive("agent", "ab"[number], 1)
+                await until(lambda: other.events.count(token) == 2)  # noqa: B023
+                for sender, hearer in ((0, right), (1, left)):
+                    heard = len(hearer.texts())
+                    say = command("ab"[sender], 1)
+                    await until(lambda: bool(pair.drivers[sender]._carry_out(say)) or len(hearer.texts()) > heard)  # noqa: B023
+                await until(lambda: driver._reopening is not None and driver._reopening.done())  # noqa: B023
+                assert driver.counts["reopened"] == 1
+                mine = (left, right)[number].events[len(before[number]) :]
+                assert not [event for event in mine if isinstance(event, Gone)]
+
+    asyncio.run(scene())
+
+
+def test_who_is_not_there_any_more_after_the_session_was_opened_anew_is_reported_gone() -> None:
+    async def scene() -> None:
+        left, right = Scribe("a"), Scribe("b")
+        async with Pair(left, right) as pair:
+            await until(lambda: Alive("agent", "b", 1) in left.events)
+            pair.drivers[0]._tokens.see(keys.token_key(left.run, "agent", "ghost", 1), True)
+            pair.drivers[0]._carry_out(Reopen("for the test"))
+            await until(lambda: Gone("agent", "ghost", 1) in left.events)
+
+    asyncio.run(scene())
+
+
+def test_three_agents_of_whom_two_cannot_find_each_other_are_brought_together_by_their_watchdogs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A split that is made by settings: the first sessions of s1 and s2 dial s3 alone and do not listen to its gossip of peers."""
+
+    async def scene() -> None:
+        config = AgentConfig(run=RunSettings(name=f"t{free_port()}"), members=dict.fromkeys(("s1", "s2", "s3"), "A"))
+        agents = [Agent(config, name) for name in config.members]
+        meeting = f"tcp/127.0.0.1:{free_port()}"
+        networks = [NetworkSettings(seeds=(meeting,))] * 2 + [NetworkSettings(listen=(meeting,))]
+        drivers = [live.Driver(agent, network) for agent, network in zip(agents, networks)]
+        values = live.session_values
+        deaf = {**values(networks[0]), "scouting/gossip/enabled": False}
+        monkeypatch.setattr(live, "session_values", lambda settings: deaf if settings.seeds else values(settings))
+        for driver in drivers:
+            await driver.open()
+        monkeypatch.setattr(live, "session_values", values)
+        tasks = [asyncio.create_task(driver.serve()) for driver in drivers]
+        await until(lambda: all(agent._presence.heard() for agent in agents))
+        assert "s2" not in agents[0]._presence.heard() and "s1" not in agents[1]._presence.heard()
+        everybody = set(config.members)
+        await until(lambda: all({*agent._presence.heard(), agent.name} == everybody for agent in agents), 60.0)
+        assert drivers[0].counts["reopened"] + drivers[1].counts["reopened"] >= 1
+        assert drivers[2].counts["reopened"] == 0
+        for driver in drivers:
+            driver.stop(0, "the test is over")
+        await asyncio.gather(*tasks)
 
     asyncio.run(scene())
 

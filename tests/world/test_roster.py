@@ -43,13 +43,6 @@ def test_an_agent_speaks_when_its_own_incarnation_has_been_heard() -> None:
     assert roster.speaks("s1")
 
 
-def test_names_are_heard_in_team_order() -> None:
-    roster = Roster()
-    for name in ("s10", "s2", "s1"):
-        roster.hear(hello(name))
-    assert roster.heard() == ("s1", "s2", "s10")
-
-
 def test_the_team_is_complete_when_everybody_hears_everybody() -> None:
     roster, team = Roster(), ("s1", "s2")
     roster.appear("s1", 1)

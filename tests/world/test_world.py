@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocol.messages import Command, Hello, Message, Observation, Truth
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, BadSetting, DetectionSettings, RunSettings
 from protocol.virtual import VirtualBus
@@ -72,6 +72,17 @@ def test_it_repeats_its_hello_with_the_names_that_it_has_heard() -> None:
     (again,) = of_kind(Hello, feed(world, Timer(), now=7.25))
     assert again.heard == ("s2",)
     assert world.deadline() == 7.5
+
+
+def test_it_asks_for_a_new_session_when_the_agents_hear_one_whom_it_does_not() -> None:
+    world = World(config(start_timeout=1000.0), incarnation=1)
+    feed(world, Started(), Alive("agent", "s1", 1))
+    found = [(now, effect) for now in range(0, 20, 2) for effect in feed(world, hello("s1", heard=("s2", "world")), now=float(now))]
+    assert [effect for _, effect in found if isinstance(effect, Reopen)] == [Reopen("the agents hear s2, the world does not")]
+    feed(world, hello("s2"), now=20.0)
+    feed(world, Gone("agent", "s1", 1), now=20.0)
+    (again,) = of_kind(Hello, feed(world, Timer(), now=21.0))
+    assert again.heard == ("s2",)
 
 
 def test_it_starts_when_everybody_hears_everybody() -> None:

@@ -1,0 +1,83 @@
+"""Who is within my hearing, and whom others hear though I do not: the sign of a session that has stayed split.
+
+Two Zenoh peers that lose each other and come back can be left with half a session, through which one or both hear nothing for ever
+(zenoh issue 2806). Nobody can tell this from a death by himself; the others can: their Hellos list whom they hear. When most of those
+whom I hear go on listing somebody of whom I have heard nothing for long, my session is to be opened anew.
+"""
+
+from collections.abc import Iterable
+
+from protocol.messages import Hello
+
+WITHIN_HEARING = 3.0  # s since the last word; everybody says Hello every 2 s
+PATIENCE = 5.0  # s for which others say otherwise before the session is opened anew
+FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two openings, doubled each time: nobody shall be kept busy by a false Hello
+
+
+class Presence:
+    """Whose words arrive at one node. Times are `now` of that node, s; a clock that jumps delays an alarm, it raises none."""
+
+    def __init__(self, name: str, expected: Iterable[str]) -> None:
+        """`expected`: names that count when others claim to hear them."""
+        self._name, self._expected = name, tuple(expected)
+        self._words: dict[str, float] = {}  # when the last word of each came
+        self._greeted: set[str] = set()  # whose Hello has come
+        self._claims: dict[str, dict[str, float]] = {}  # silent name -> who claims to hear it, and when that was last said
+        self._since: dict[str, float] = {}  # silent name -> since when somebody has been claiming so
+        self._voters: set[str] = set()  # whose Hellos `split` has been shown
+        self._rest, self._not_before = FIRST_REST, -float("inf")
+
+    def speak(self, name: str, now: float) -> None:
+        """A message of somebody has come."""
+        self._words[name] = now
+
+    def greet(self, name: str, now: float) -> bool:
+        """A Hello of somebody has come; whether it is the first."""
+        self._words[name] = now
+        first = name not in self._greeted
+        self._greeted.add(name)
+        return first
+
+    def leave(self, name: str) -> None:
+        """The token of somebody has vanished: out of hearing until the next word."""
+        self._words.pop(name, None)
+
+    def heard(self, now: float | None = None) -> tuple[str, ...]:
+        """Names for my Hello: who has greeted me, has not left, and has spoken lately; `now` None: however long ago."""
+        return tuple(sorted(name for name in self._greeted if name in self._words and (now is None or self._hears(name, now))))
+
+    def split(self, hello: Hello, now: float) -> str:
+        """Take a peer's Hello: of whom I hear nothing though most of my peers do, if that has gone on for too long; else empty."""
+        alarm = ""
+        self._voters.add(hello.sender)
+        for name in self._expected:
+            if name in (self._name, hello.sender):
+                continue
+            if self._hears(name, now):
+                self._claims.pop(name, None)
+                self._since.pop(name, None)
+            elif self._is_split(name, hello, now):
+                alarm = name
+        if alarm:
+            self._claims.clear()
+            self._since.clear()
+            self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
+        return alarm
+
+    def _is_split(self, name: str, hello: Hello, now: float) -> bool:
+        """Note what a peer says of somebody of whom I hear nothing; whether that is enough."""
+        claims = {other: when for other, when in self._claims.get(name, {}).items() if now - when <= PATIENCE}
+        if not claims:
+            self._since[name] = now  # nobody has been saying so
+        if name in hello.heard:
+            claims[hello.sender] = now
+        else:
+            claims.pop(hello.sender, None)
+        self._claims[name] = claims
+        if not claims or now - self._since[name] < PATIENCE or now < self._not_before:
+            return False
+        voters = sum(self._hears(other, now) for other in self._voters if other != name)
+        return 2 * len(claims) >= voters
+
+    def _hears(self, name: str, now: float) -> bool:
+        return name in self._words and now - self._words[name] <= WITHIN_HEARING

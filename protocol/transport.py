@@ -1,0 +1,30 @@
+"""The Zenoh configuration of a peer, as data."""
+
+from typing import Any
+
+from protocol.codec import MAX_BYTES
+from protocol.settings import NetworkSettings
+
+
+def session_values(settings: NetworkSettings) -> dict[str, Any]:
+    """Zenoh's settings for a peer, by key; why each value is what it is stands in docs/protocol.md."""
+    return {
+        "mode": "peer",
+        "listen/endpoints": settings.listen,
+        "listen/exit_on_failure": True,
+        "connect/endpoints": settings.seeds,
+        "connect/timeout_ms": -1,  # 0 would miss a seed that restarts
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "scouting/gossip/autoconnect_strategy": {"peer": {"to_peer": "greater-zid", "to_router": "always"}},
+        "transport/link/tx/lease": round(1000.0 * settings.lease),
+        "transport/link/tx/keep_alive": 4,
+        "transport/link/rx/max_message_size": MAX_BYTES,
+        "transport/unicast/open_timeout": 60000,
+        "transport/unicast/accept_timeout": 60000,
+        "transport/unicast/accept_pending": 1000,
+        "transport/unicast/max_sessions": 1000,
+        "transport/shared_memory/enabled": False,
+    }

@@ -1,0 +1,45 @@
+"""A node is told of a token once when it appears and once when it vanishes, also across two sessions."""
+
+from protocol.keys import Token, token_key
+from protocol.node import Alive, Gone
+from protocol.tokens import Tokens
+
+OWN = Token("t", "agent", "s1", 1)
+
+
+def key(name: str, incarnation: int = 1) -> str:
+    return token_key("t", "agent", name, incarnation)
+
+
+def test_each_change_is_told_once_and_the_own_token_never() -> None:
+    tokens = Tokens(OWN)
+    assert tokens.see(key("s2"), False) is None
+    assert tokens.see(key("s2"), True) == Alive("agent", "s2", 1)
+    assert tokens.see(key("s2"), True) is None
+    assert tokens.see(key("s2", 2), True) == Alive("agent", "s2", 2)
+    assert tokens.see(key("s2"), False) == Gone("agent", "s2", 1)
+    assert tokens.see(key("s2"), False) is None
+    assert tokens.see(key("s1"), True) is None
+    assert tokens.see("covey/t/alive/agent/s2/x", True) is None
+
+
+def test_what_a_new_session_does_not_see_again_is_lost_and_what_it_sees_again_is_not_told_twice() -> None:
+    tokens = Tokens(OWN)
+    for name in ("s2", "s3", "s4"):
+        tokens.see(key(name), True)
+    assert tokens.lost() == []
+    tokens.doubt()
+    assert tokens.see(key("s3"), True) is None
+    assert tokens.see(key("s4"), False) == Gone("agent", "s4", 1)
+    assert tokens.lost() == [Gone("agent", "s2", 1)]
+    assert tokens.see(key("s2"), True) == Alive("agent", "s2", 1)
+    assert tokens.lost() == []
+
+
+def test_forgotten_tokens_are_told_again() -> None:
+    tokens = Tokens(OWN)
+    tokens.see(key("s2"), True)
+    tokens.see(key("s3"), True)
+    tokens.forget("covey/t/alive/agent/s2/*")
+    assert tokens.see(key("s2"), True) == Alive("agent", "s2", 1)
+    assert tokens.see(key("s3"), True) is None
