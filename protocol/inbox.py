@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 MOST_ENTRIES = 4096
 MOST_BYTES = 16 * 1024 * 1024
+MOST_PER_SECOND = 1000  # of one session under one key; a swarm that runs as fast as it goes says some 250 a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +22,36 @@ class Arrival:
     token: bool | None = None  # True: the liveliness token appeared, False: it vanished
 
 
-class Inbox:
-    """A queue that any thread fills and the event loop empties; when it overflows, the newest per key stays."""
+class Flow:
+    """How much one session may say under one key: `most` messages at once, and as many a second in the long run."""
 
-    def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES) -> None:
+    MOST_KEYS = 4096
+
+    def __init__(self, most: int = MOST_PER_SECOND) -> None:
+        self._most = float(most)
+        self._lock = threading.Lock()
+        self._left: dict[tuple[str, str], tuple[float, float]] = {}  # messages that may still come, and when that was so, s
+
+    def admits(self, key: str, source: str, now: float) -> bool:
+        """Count one message; whether it is within the limit. The keys that were quiet for longest are forgotten beyond a fixed number."""
+        with self._lock:
+            left, then = self._left.pop((key, source), (self._most, now))
+            left = min(self._most, left + (now - then) * self._most)
+            self._left[key, source] = (left - 1.0 if left >= 1.0 else left), now
+            if len(self._left) > self.MOST_KEYS:
+                del self._left[next(iter(self._left))]
+            return left >= 1.0
+
+
+class Inbox:
+    """A queue that any thread fills and the event loop empties; when it overflows, the newest per key stays.
+
+    `newest` is a part of those keys of which only the newest message counts: who is slow never works off a queue of them.
+    """
+
+    def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, newest: str = "") -> None:
         self.dropped = 0  # messages that gave way to newer ones
+        self._newest = newest
         self._lock = threading.Lock()
         self._queue: deque[Arrival] = deque()
         self._bytes = 0
@@ -52,7 +78,16 @@ class Inbox:
             batch = [self._queue.popleft() for _ in range(min(most, len(self._queue)))]
             self._bytes -= sum(len(arrival.payload) for arrival in batch)
             self._called = bool(batch)
+            return self._without_old(batch) if self._newest else batch
+
+    def _without_old(self, batch: list[Arrival]) -> list[Arrival]:
+        """The batch without what a newer message of the same key, in it or in the queue, has made void."""
+        last = {arrival.key: arrival for arrival in (*batch, *self._queue) if self._newest in arrival.key}
+        if not last:
             return batch
+        kept = [arrival for arrival in batch if last.get(arrival.key, arrival) is arrival]
+        self.dropped += len(batch) - len(kept)
+        return kept
 
     def _thin_out(self) -> None:
         """Keep the newest per key; if that frees less than half, also give up the older half of the messages, never a token."""

@@ -25,10 +25,10 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files
-from protocol.inbox import Arrival, Inbox, Quarantine
+from protocol.inbox import Arrival, Flow, Inbox, Quarantine
 from protocol.links import LinkFaults
 from protocol.messages import Malformed, Message
-from protocol.node import Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, sees_all_tokens
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin
 from protocol.tokens import Tokens
@@ -67,11 +67,12 @@ class Driver:
     """Drives one node over one Zenoh session inside a running event loop."""
 
     def __init__(self, node: Node, settings: NetworkSettings, link: LinkFaults | None = None) -> None:
-        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, failed_puts
+        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts
         self._node = node
         self._settings = settings
         self._link = link
-        self._inbox = Inbox()
+        self._inbox = Inbox(newest="/observation/" if node.role == "agent" else "")
+        self._flow = Flow()
         self._quarantine = Quarantine()
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
@@ -112,9 +113,9 @@ class Driver:
     def _declare(self) -> None:
         """Announce the own token and watch everybody's, in this order so that a follower of the token finds us ready."""
         assert self._session is not None
-        liveliness = self._session.liveliness()
+        liveliness, everybody = self._session.liveliness(), sees_all_tokens(self._node)
         self._declared = [
-            liveliness.declare_subscriber(keys.all_tokens(self._node.run), self._on_token, history=True),
+            *([liveliness.declare_subscriber(keys.all_tokens(self._node.run), self._on_token, history=True)] if everybody else []),
             liveliness.declare_token(keys.token_key(*self._own)),
         ]
 
@@ -137,8 +138,12 @@ class Driver:
     # ------------------------------------------------------------------ Zenoh's threads
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        source = sample.source_info
-        self._arrive(Arrival(str(sample.key_expr), sample.payload.to_bytes(), str(source.source_id.zid) if source else ""))
+        key, info = str(sample.key_expr), sample.source_info
+        source = str(info.source_id.zid) if info else ""
+        if self._flow.admits(key, source, self._loop.time()):
+            self._arrive(Arrival(key, sample.payload.to_bytes(), source))
+        else:
+            self.counts["flooded"] += 1
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         self._arrive(Arrival(str(sample.key_expr), token=sample.kind == zenoh.SampleKind.PUT))
@@ -263,7 +268,11 @@ class Driver:
         self._listen(expression)
 
     def _listen(self, expression: str) -> None:
-        if self._session is not None and expression not in self._subscribers:
+        if self._session is None or expression in self._subscribers:
+            return
+        if keys.is_of_tokens(expression):
+            self._subscribers[expression] = self._session.liveliness().declare_subscriber(expression, self._on_token, history=True)
+        else:
             declare = self._session.declare_subscriber
             self._subscribers[expression] = declare(expression, self._on_sample, allowed_origin=zenoh.Locality.REMOTE)
 
@@ -273,6 +282,8 @@ class Driver:
             del self._wanted[expression]
             if expression in self._subscribers:
                 self._subscribers.pop(expression).undeclare()
+            if keys.is_of_tokens(expression):  # who is asked for again is reported again
+                self._tokens.forget(expression)
 
     def _arm(self) -> None:
         """Set the timer to the node's deadline, in the past: as soon as the loop is free."""

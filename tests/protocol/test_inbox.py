@@ -1,6 +1,6 @@
-"""The inbox keeps the newest when it overflows; the quarantine shuts a source out and lets it in again."""
+"""The inbox keeps the newest when it overflows; a flood is thinned out; the quarantine shuts a source out and lets it in again."""
 
-from protocol.inbox import Arrival, Inbox, Quarantine
+from protocol.inbox import Arrival, Flow, Inbox, Quarantine
 
 
 def payloads(batch: list[Arrival]) -> list[bytes]:
@@ -68,3 +68,27 @@ def test_the_quarantine_remembers_a_bounded_number_of_sources() -> None:
         quarantine.offend(f"x{number}", 0.0)
     assert not quarantine.holds("x0", 1.0)
     assert quarantine.holds("x5", 1.0)
+
+
+def test_of_keys_of_which_only_the_newest_counts_nothing_older_is_handed_out() -> None:
+    inbox = Inbox(newest="/observation/")
+    for key, payload in [("c/r/observation/s1", b"1"), ("c/r/gossip/s2", b"a"), ("c/r/observation/s1", b"2"), ("c/r/gossip/s2", b"b")]:
+        inbox.add(Arrival(key, payload))
+    assert payloads(inbox.take(2)) == [b"a"]  # the observation of the first half is void, for there is one in the second
+    assert payloads(inbox.take(9)) == [b"2", b"b"]
+    assert inbox.dropped == 1
+
+
+def test_a_session_may_say_a_burst_under_one_key_and_then_so_much_a_second_but_others_are_not_limited_by_it() -> None:
+    flow = Flow(most=100)
+    assert sum(flow.admits("k", "one", 0.0) for _ in range(1000)) == 100
+    assert sum(flow.admits("k", "one", 0.001 * step) for step in range(1, 1001)) == 100
+    assert sum(flow.admits("k", "one", 9.0) for _ in range(1000)) == 100
+    assert flow.admits("k", "other", 9.0) and flow.admits("l", "one", 9.0)
+
+
+def test_the_flow_remembers_a_bounded_number_of_keys() -> None:
+    flow = Flow()
+    for number in range(3 * Flow.MOST_KEYS):
+        assert flow.admits(f"k{number}", "x", 0.0)
+    assert len(flow._left) == Flow.MOST_KEYS
