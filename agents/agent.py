@@ -215,6 +215,8 @@ class Agent:
             cod=gossip.cod,
             power_radius=gossip.power_radius,
             reach=self.self.sensor.reach,
+            column=0,
+            row=0,
         )
         return [beacon]
 

@@ -3,7 +3,7 @@
 import msgspec
 
 from protocol.keys import Key, parse_message_key
-from protocol.messages import KINDS, WIRE_VERSION, Malformed, Message, Observation
+from protocol.messages import KINDS, WIRE_VERSION, Beacon, Malformed, Message, Observation
 
 MAX_BYTES = 256 * 1024
 
@@ -58,5 +58,7 @@ def _check_version(payload: bytes) -> None:
 
 def _check_name(parts: Key, message: Message) -> None:
     named = message.recipient if isinstance(message, Observation) else message.sender
+    if isinstance(message, Beacon) and message.tile != parts.tile:
+        raise Malformed("sender", f"tile = {message.tile}: was said in the tile {parts.tile}")
     if parts.kind != "truth" and named != parts.name:
         raise Malformed("sender", f"{named!r} speaks under the key of {parts.name!r}")

@@ -1,29 +1,34 @@
 """Key expressions: the only file that builds or parses them.
 
-    covey/<run>/hello/<agent>          covey/<run>/beacon/<agent>        covey/<run>/gossip/<agent>
+    covey/<run>/hello/<agent>          covey/<run>/gossip/<agent>        covey/<run>/beacon/<column>/<row>/<agent>
     covey/<run>/observation/<agent>    covey/<run>/command/<agent>       covey/<run>/estimate/<agent>
     covey/<run>/truth                  covey/<run>/alive/<role>/<name>/<incarnation>   (a liveliness token)
 
-In an expression `*` stands for one part and `**` for any number of parts.
+In an expression `*` stands for one part and `**` for any number of parts. <column>/<row> is the tile of the arena in which
+a beacon is said.
 """
 
 import re
 from typing import NamedTuple
 
-from protocol.messages import Message, Observation
+from protocol.messages import Beacon, Message, Observation
 
 ROOT = "covey"
 NAME = re.compile(r"^[A-Za-z0-9_.-]{1,64}\Z")
 
 INCARNATION = re.compile(r"^(0|[1-9][0-9]{0,18})\Z")
+TILE = re.compile(r"^(0|[1-9][0-9]{0,6})\Z")
+
+Tile = tuple[int, int]  # column from the west, row from the south
 
 
 class Key(NamedTuple):
-    """The parts of a message's key; `name` is the agent, empty for truth."""
+    """The parts of a message's key; `name` is the agent, empty for truth; `tile` is that of a beacon."""
 
     run: str
     kind: str
     name: str
+    tile: Tile | None = None
 
 
 class Token(NamedTuple):
@@ -45,23 +50,40 @@ def message_key(run: str, message: Message) -> str:
     kind = type(message).__struct_config__.tag
     if kind == "truth":
         return f"{ROOT}/{run}/truth"
+    if isinstance(message, Beacon):
+        return f"{ROOT}/{run}/beacon/{message.column}/{message.row}/{message.sender}"
     name = message.recipient if isinstance(message, Observation) else message.sender
     return f"{ROOT}/{run}/{kind}/{name}"
 
 
 def all_of(run: str, kind: str) -> str:
     """The expression for every key of one kind."""
-    return f"{ROOT}/{run}/truth" if kind == "truth" else f"{ROOT}/{run}/{kind}/*"
+    return f"{ROOT}/{run}/truth" if kind == "truth" else one_of(run, kind, "*")
 
 
 def one_of(run: str, kind: str, name: str) -> str:
-    """The key of one agent's messages of one kind."""
-    return f"{ROOT}/{run}/{kind}/{name}"
+    """The key of one agent's messages of one kind; the expression for its beacons, wherever it says them."""
+    return f"{ROOT}/{run}/beacon/*/*/{name}" if kind == "beacon" else f"{ROOT}/{run}/{kind}/{name}"
+
+
+def beacons_in(run: str, tile: Tile) -> str:
+    """The expression for the beacons that are said in a tile."""
+    return f"{ROOT}/{run}/beacon/{tile[0]}/{tile[1]}/*"
 
 
 def token_key(run: str, role: str, name: str, incarnation: int) -> str:
     """The key of a liveliness token."""
     return f"{ROOT}/{run}/alive/{role}/{name}/{incarnation}"
+
+
+def tokens_of(run: str, role: str, name: str) -> str:
+    """The expression for the liveliness tokens of one participant, whatever its incarnation."""
+    return f"{ROOT}/{run}/alive/{role}/{name}/*"
+
+
+def is_of_tokens(expression: str) -> bool:
+    """Whether an expression is about liveliness tokens, not messages."""
+    return expression.split("/", 3)[2:3] == ["alive"]
 
 
 def all_tokens(run: str) -> str:
@@ -74,8 +96,10 @@ def parse_message_key(text: str) -> Key | None:
     parts = text.split("/")
     if len(parts) == 3 and parts[0] == ROOT and parts[2] == "truth":
         return Key(parts[1], "truth", "")
-    if len(parts) == 4 and parts[0] == ROOT and parts[2] != "alive":
+    if len(parts) == 4 and parts[0] == ROOT and parts[2] not in ("alive", "beacon"):
         return Key(parts[1], parts[2], parts[3])
+    if len(parts) == 6 and parts[0] == ROOT and parts[2] == "beacon" and TILE.match(parts[3]) and TILE.match(parts[4]):
+        return Key(parts[1], "beacon", parts[5], (int(parts[3]), int(parts[4])))
     return None
 
 

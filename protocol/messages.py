@@ -26,6 +26,7 @@ _F4, _F8, _U8 = np.dtype("<f4"), np.dtype("<f8"), np.dtype("<u8")
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
 Vector = tuple[float, float]
 Triple = tuple[float, float, float]
 
@@ -101,6 +102,7 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     max_speed: float = 0.0  # m/s
     max_turn_rate: float = 0.0  # rad/s
     heard: tuple[str, ...] = ()
+    local: bool = False  # True: I hear the world's Hello alone and know my peers by their beacons
 
     def check(self) -> None:
         _check_number("max_speed", self.max_speed, least=0.0)
@@ -119,8 +121,20 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
     cod: Vector  # centroid of detection
     power_radius: float
     reach: float  # of the footprint, from the position
+    column: TileNumber  # of the tile in which this is said: that of the position, or one whose inhabitants are asked
+    row: TileNumber
+    sensor_class: str = ""  # as in Hello
+    sensor: WedgeSensor | None = None  # as in Hello
+    asks: bool = False  # True: whoever hears this, say a beacon soon
+
+    @property
+    def tile(self) -> tuple[int, int]:
+        """Column from the west, row from the south."""
+        return self.column, self.row
 
     def check(self) -> None:
+        if self.sensor is not None:
+            _check_number("sensor.radius", self.sensor.radius)
         _check_vector("position", self.position)
         _check_vector("cod", self.cod)
         _check_number("power_radius", self.power_radius, least=0.0)

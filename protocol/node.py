@@ -69,7 +69,8 @@ Event = Started | Received | Rejected | Alive | Gone | Timer
 
 @dataclass(frozen=True, slots=True)
 class Subscribe:
-    """From now on deliver messages whose key lies in `expression`."""
+    """From now on deliver messages whose key lies in `expression`; or `Alive` and `Gone` of the tokens that lie in it (`keys.tokens_of`),
+    first of all those that are there. Only a node that does not see all tokens anyway asks for some."""
 
     expression: str
 
@@ -123,3 +124,8 @@ class Node(Protocol):
 
     def deadline(self) -> float | None:
         """When to be called with `Timer` at the latest, in the time of `now`; None: not at all."""
+
+
+def sees_all_tokens(node: Node) -> bool:
+    """Whether a node is shown every liveliness token; one that says `local = True` sees only those to which it subscribes."""
+    return not getattr(node, "local", False)

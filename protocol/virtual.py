@@ -12,9 +12,11 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from protocol import codec
-from protocol.keys import matches, message_key
+from protocol.keys import is_of_tokens, message_key, token_key, tokens_of
 from protocol.messages import Command, Malformed, Message, Observation
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import sees_all_tokens as sees_all
+from protocol.routes import Routes
 
 
 class Link(Protocol):
@@ -41,6 +43,11 @@ class _Seat:
 
     def __post_init__(self) -> None:
         self.handle, self.deadline = self.node.handle, self.node.deadline  # looked up once
+        self.sees_all = sees_all(self.node)
+
+    @property
+    def token(self) -> str:
+        return token_key(self.node.run, self.node.role, self.node.name, self.node.incarnation)
 
 
 class _Done:
@@ -84,8 +91,10 @@ class VirtualBus:
         self._ready: deque[_Entry] = deque()
         self._later: list[tuple[float, int, _Entry]] = []
         self._sequence = 0
-        self._subscribers: dict[str, dict[_Seat, None]] = {}  # by expression
-        self._routes: dict[str, list[_Seat]] = {}  # by key
+        self._routes: Routes[_Seat] = Routes(_place)  # of messages
+        self._all_seeing: dict[_Seat, None] = {}  # who sees every token
+        self._holders: dict[str, dict[_Seat, None]] = {}  # of tokens, by role and name
+        self._watchers: Routes[_Seat] = Routes(_place)  # of tokens, by those who do not see all of them
 
     def nodes(self) -> list[str]:
         """Labels of the nodes on the bus, paused ones included."""
@@ -99,27 +108,35 @@ class VirtualBus:
         self._sequence += 1
         seat = self._seats[label] = _Seat(node, self._sequence)
         self._ready.append((seat, Started()))
-        for other in self._seats.values():
+        self._holders.setdefault(_parent(seat.token), {})[seat] = None
+        if seat.sees_all:
+            self._all_seeing[seat] = None
+        watching = self._watching(seat.token)
+        for other in self._seats.values() if seat.sees_all else watching:
             if other is not seat:
-                self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
-                self._ready.append((other, Alive(node.role, node.name, node.incarnation)))
+                if seat.sees_all:
+                    self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
+                if other in watching:
+                    self._ready.append((other, Alive(node.role, node.name, node.incarnation)))
 
     def remove(self, name: str, *, notice_after: float | None = 0.0) -> Node:
         """Kill a node: it vanishes; the others see its token go after `notice_after` s (None: never)."""
         seat = self._seats.pop(name)
         seat.paused, seat.waiting = True, []
-        self._routes.clear()
+        self._all_seeing.pop(seat, None)
+        del self._holders[_parent(seat.token)][seat]
         for expression in seat.expressions:
-            del self._subscribers[expression][seat]
+            (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, seat)
         if notice_after is not None:
             self.announce(Gone(seat.node.role, seat.node.name, seat.node.incarnation), notice_after)
         return seat.node
 
     def announce(self, event: Alive | Gone, delay: float = 0.0, to: Iterable[str] | None = None) -> None:
-        """Let nodes (all but the subject, or those named) see a token appear or vanish."""
-        for name, seat in self._seats.items():
+        """Let nodes (all but the subject, or those named) see a token appear or vanish, if they look for it."""
+        named = {self._seats[label] for label in to if label in self._seats} if to is not None else self._seats.values()
+        for seat in sorted(named, key=_place):
             subject = (seat.node.name, seat.node.incarnation) == (event.name, event.incarnation)
-            if not subject and (to is None or name in to):
+            if not subject and (seat.sees_all or tokens_of(seat.node.run, event.role, event.name) in seat.expressions):
                 self._schedule(seat, event, delay)
 
     def pause(self, name: str) -> None:
@@ -246,34 +263,30 @@ class VirtualBus:
 
     def _subscribe(self, seat: _Seat, expression: str) -> None:
         seat.expressions[expression] += 1
-        if "*" in expression:
-            self._routes.clear()
-        else:
-            self._routes.pop(expression, None)
-        self._subscribers.setdefault(expression, {})[seat] = None
+        if seat.expressions[expression] > 1:
+            return
+        if not is_of_tokens(expression):
+            self._routes.add(expression, seat)
+            return
+        self._watchers.add(expression, seat)
+        for other in self._holders.get(_parent(expression), {}):
+            if other is not seat:
+                self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
 
     def _unsubscribe(self, seat: _Seat, expression: str) -> None:
         seat.expressions[expression] -= 1
-        if seat.expressions[expression] > 0:
-            return
-        del seat.expressions[expression], self._subscribers[expression][seat]
-        if "*" in expression:
-            self._routes.clear()
-        else:
-            self._routes.pop(expression, None)
+        if seat.expressions[expression] == 0:
+            del seat.expressions[expression]
+            (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, seat)
 
-    def _listeners(self, key: str) -> list[_Seat]:
-        """Who has subscribed to a key, in the order in which they came to the bus."""
-        listeners = self._routes.get(key)
-        if listeners is None:
-            fitting = [e for e in self._subscribers if e == key or ("*" in e and matches(e, key))]
-            found = {seat for expression in fitting for seat in self._subscribers[expression]}
-            listeners = self._routes[key] = sorted(found, key=_place)
-        return listeners
+    def _watching(self, token: str) -> dict[_Seat, None]:
+        """Who sees a token come and go, in the order in which they came to the bus."""
+        watching = self._watchers.listeners(token)
+        return dict.fromkeys(sorted([*self._all_seeing, *watching], key=_place)) if watching else self._all_seeing
 
     def _publish(self, seat: _Seat, message: Message) -> None:
         key = message_key(seat.node.run, message)
-        listeners = self._listeners(key)
+        listeners = self._routes.listeners(key)
         payload = codec.encode(message) if self._use_codec else b""
         self.messages += 1
         self.bytes += len(payload)
@@ -301,6 +314,10 @@ class VirtualBus:
             return Received(codec.decode(key, payload), len(payload), payload)
         except Malformed as error:
             return Rejected(seat.node.name, error.reason, key, payload)
+
+
+def _parent(key: str) -> str:
+    return key.rpartition("/")[0]
 
 
 def _place(seat: _Seat) -> int:

@@ -67,8 +67,22 @@ FULL: dict[str, Message] = {
         max_speed=2.0,
         max_turn_rate=5.0,
         heard=("s2",),
+        local=True,
     ),
-    "beacon": Beacon(sender="s1", incarnation=7, tick=3, position=(1.0, 2.0), cod=(1.5, 2.5), power_radius=2.0, reach=8.0),
+    "beacon": Beacon(
+        sender="s1",
+        incarnation=7,
+        tick=3,
+        position=(1.0, 2.0),
+        cod=(1.5, 2.5),
+        power_radius=2.0,
+        reach=8.0,
+        column=4,
+        row=5,
+        sensor_class="A",
+        sensor=WedgeSensor(1.5, 8.0, 0.9),
+        asks=True,
+    ),
     "gossip": Gossip(
         sender="s1",
         incarnation=7,
@@ -261,7 +275,11 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
     if row.type == "integer" and low_high:
         low, high = int(low_high[1]), int(low_high[2])
         assert refusal(kind, {**plain(kind), row.field: low - 1}) == refusal(kind, {**plain(kind), row.field: high + 1}) == "format"
-        assert refusal(kind, {**plain(kind), row.field: high}) in (None, "range")  # a claim may not be later than its tick
+        assert refusal(kind, {**plain(kind), row.field: high}) in (
+            None,
+            "range",
+            "sender",
+        )  # a claim later than its tick; a tile not of the key
     elif row.type == "number":
         low, high = (
             (float(low_high[1]), float(low_high[2]))
@@ -330,7 +348,7 @@ def test_the_version_and_the_size_limit_of_the_page_are_those_of_the_code() -> N
 
 def test_the_keys_of_the_page_are_those_of_the_code() -> None:
     rows = re.findall(r"^\| `(covey/[^`]+)`", PAGE, re.MULTILINE)
-    said = {key.replace("<run>", "demo").replace("<agent>", "s1") for key in rows if "/alive/" not in key}
+    said = {key.replace("<run>", "demo").replace("<agent>", "s1").replace("<column>/<row>", "4/5") for key in rows if "/alive/" not in key}
     assert said == {message_key("demo", message) for message in FULL.values()}
     assert "covey/<run>/alive/<role>/<name>/<incarnation>" in rows
 

@@ -209,7 +209,7 @@ def test_rejected_bytes_are_counted_by_reason_and_foreign_kinds_are_ignored() ->
     agent = Agent(CONFIG, "s1")
     agent.handle(Rejected("s2", "format"), 0.0)
     agent.handle(Rejected("s2", "format"), 0.0)
-    beacon = Beacon(sender="s2", incarnation=1, tick=0, position=(0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, reach=1.0)
+    beacon = Beacon(sender="s2", incarnation=1, tick=0, position=(0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, reach=1.0, column=0, row=0)
     assert agent.handle(Received(beacon), 0.0) == []
     assert agent.counters == {"rejected.format": 2}
 

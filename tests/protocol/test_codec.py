@@ -37,7 +37,7 @@ def samples() -> list[Message]:
             heard=("s2", "s3"),
             software="0.1",
         ),
-        Beacon(sender="s1", incarnation=9, tick=4, position=(1.0, 2.0), cod=(2.0, 2.0), power_radius=6.5, reach=8.0),
+        Beacon(sender="s1", incarnation=9, tick=4, position=(1.0, 2.0), cod=(2.0, 2.0), power_radius=6.5, reach=8.0, column=1, row=0),
         Gossip(
             sender="s1",
             incarnation=9,

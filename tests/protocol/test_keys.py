@@ -1,11 +1,27 @@
 """Key expressions: built and parsed back, and matched as Zenoh matches them."""
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.keys import Key, Token, all_of, all_tokens, matches, message_key, one_of, order, parse_message_key, parse_token, token_key
-from protocol.messages import KINDS, Command, Hello, Observation, Truth
+from protocol.keys import (
+    Key,
+    Token,
+    all_of,
+    all_tokens,
+    beacons_in,
+    is_of_tokens,
+    matches,
+    message_key,
+    one_of,
+    order,
+    parse_message_key,
+    parse_token,
+    token_key,
+    tokens_of,
+)
+from protocol.messages import KINDS, Beacon, Command, Hello, Observation, Truth
 
 names = st.from_regex(r"\A[A-Za-z0-9_.-]{1,64}\Z")
 incarnations = st.integers(0, 2**63 - 1)
@@ -21,7 +37,7 @@ def test_every_kind_has_the_key_of_the_table() -> None:
     assert token_key("demo", "agent", "s3", 17) == "covey/demo/alive/agent/s3/17"
 
 
-@given(names, st.sampled_from(sorted(set(KINDS) - {"truth"})), names)
+@given(names, st.sampled_from(sorted(set(KINDS) - {"truth", "beacon"})), names)
 def test_a_message_key_parses_back_and_lies_in_its_expressions(run: str, kind: str, name: str) -> None:
     text = one_of(run, kind, name)
     assert parse_message_key(text) == Key(run, kind, name)
@@ -31,12 +47,25 @@ def test_a_message_key_parses_back_and_lies_in_its_expressions(run: str, kind: s
     assert parse_token(text) is None
 
 
+@given(names, st.integers(0, 9_999_999), st.integers(0, 9_999_999), names)
+def test_the_key_of_a_beacon_tells_its_tile(run: str, column: int, row: int, name: str) -> None:
+    where = {"position": (0.0, 0.0), "cod": (0.0, 0.0), "power_radius": 0.0, "reach": 1.0, "column": column, "row": row}
+    beacon = msgspec.convert({"sender": name, "incarnation": 1, "tick": 0, **where}, Beacon)
+    text = message_key(run, beacon)
+    assert parse_message_key(text) == Key(run, "beacon", name, (column, row))
+    for expression in (beacons_in(run, (column, row)), one_of(run, "beacon", name), all_of(run, "beacon")):
+        assert matches(expression, text)
+    assert not matches(beacons_in(run, (column + 1, row)), text) and not matches(all_tokens(run), text)
+    assert parse_message_key(f"covey/{run}/beacon/01/0/{name}") is None and parse_message_key(f"covey/{run}/beacon/{name}") is None
+
+
 @given(names, names, names, incarnations)
 def test_a_token_parses_back_and_lies_in_the_expression_of_its_run_only(run: str, role: str, name: str, incarnation: int) -> None:
     text = token_key(run, role, name, incarnation)
     assert parse_token(text) == Token(run, role, name, incarnation)
     assert parse_message_key(text) is None
-    assert matches(all_tokens(run), text)
+    assert matches(all_tokens(run), text) and matches(tokens_of(run, role, name), text)
+    assert is_of_tokens(all_tokens(run)) and is_of_tokens(tokens_of(run, role, name)) and not is_of_tokens(all_of(run, "gossip"))
     assert not matches(all_tokens(run + "x"), text)
 
 

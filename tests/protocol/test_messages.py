@@ -29,7 +29,7 @@ GOSSIP = Gossip(
     states_bytes=pack(np.array([[1.0, 2.0, 0.1, 0.2], [3.0, 4.0, 0.3, 0.4]]), "<f4"),
     ids_bytes=pack(np.array([5, 2**64 - 1], dtype=np.uint64), "<u8"),
 )
-BEACON = Beacon(sender="s1", incarnation=1, tick=1, position=(0.0, 0.0), cod=(1.0, 1.0), power_radius=1.0, reach=8.0)
+BEACON = Beacon(sender="s1", incarnation=1, tick=1, position=(0.0, 0.0), cod=(1.0, 1.0), power_radius=1.0, reach=8.0, column=0, row=0)
 HELLO = Hello(sender="s1", incarnation=1, sensor_class="A", sensor=SENSOR_CLASSES["A"], max_speed=2.0, max_turn_rate=5.0)
 OBSERVATION = Observation(sender="world", incarnation=1, recipient="s1", tick=1, time=0.25, pose=(0.0, 0.0, 0.0))
 COMMAND = Command(sender="s1", incarnation=1, tick=1, velocity=(1.0, 0.0), turn_rate=0.5)

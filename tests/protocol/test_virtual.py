@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from protocol.keys import all_of, one_of
+from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Command, Observation
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.virtual import VirtualBus
 
 
@@ -37,6 +37,16 @@ class Scribe:
     def heard(self) -> list[tuple[float, int]]:
         """(time, tick) of every message."""
         return [(now, event.message.tick) for now, event in self.events if isinstance(event, Received)]
+
+
+class Local(Scribe):
+    """Sees the tokens of `b` alone."""
+
+    local = True
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        effects = super().handle(event, now)
+        return [*effects, Subscribe(tokens_of(self.run, "agent", "b"))] if isinstance(event, Started) else effects
 
 
 def command(sender: str, tick: int) -> Command:
@@ -82,6 +92,27 @@ def test_tokens_are_seen_by_all_others_when_a_node_comes_and_when_it_goes() -> N
     ]
     with pytest.raises(ValueError, match="already"):
         bus.add(Scribe("a"))
+
+
+def test_a_local_node_sees_the_tokens_that_it_asks_for_and_everybody_else_sees_its_own() -> None:
+    early, other, late = Local("a"), Scribe("c"), Local("d")
+    bus = bus_of(early, other)
+    bus.add(Scribe("b", incarnation=4))
+    bus.add(late)
+    bus.run(1.0)
+    bus.remove("c")
+    bus.remove("b")
+    bus.run(2.0)
+    seen = [(now, event) for now, event in early.events if isinstance(event, Alive | Gone)]
+    assert seen == [(0.0, Alive("agent", "b", 4)), (1.0, Gone("agent", "b", 4))]
+    assert [event for _, event in late.events if isinstance(event, Alive | Gone)] == [Alive("agent", "b", 4), Gone("agent", "b", 4)]
+    assert [event.name for _, event in other.events if isinstance(event, Alive)] == ["a", "b", "d"]
+    early.answers, early.due = [Unsubscribe(tokens_of("r", "agent", "b"))], bus.now
+    bus._rearm(bus._seats["a"])
+    bus.run(2.0)
+    bus.add(Scribe("b", incarnation=5))
+    bus.run(3.0)
+    assert [event for _, event in early.events if isinstance(event, Alive)] == [Alive("agent", "b", 4)]
 
 
 def test_a_stopped_node_finds_all_that_arrived_but_of_observations_the_newest_only() -> None:

@@ -1,0 +1,61 @@
+"""Who has subscribed to a key: an index of expressions, so that a message costs what its listeners cost, however many others there are."""
+
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from protocol.keys import matches
+
+T = TypeVar("T")
+
+
+class Routes(Generic[T]):
+    """Listeners by key expression; `order` sorts the listeners of one key.
+
+    Most expressions are a key, or a parent and one `*` behind it; these are looked up. The few others are compared with every new key.
+    """
+
+    def __init__(self, order: Callable[[T], int]) -> None:
+        self._order = order
+        self._exact: dict[str, dict[T, None]] = {}  # by key
+        self._below: dict[str, dict[T, None]] = {}  # by parent
+        self._other: dict[str, dict[T, None]] = {}  # by expression
+        self._found: dict[str, dict[str, list[T]]] = {}  # what has been looked up, by parent and key
+
+    def add(self, expression: str, listener: T) -> None:
+        """Someone listens to an expression."""
+        table, place = self._table(expression)
+        table.setdefault(place, {})[listener] = None
+        self._forget(table, place)
+
+    def remove(self, expression: str, listener: T) -> None:
+        """Someone listens to it no longer."""
+        table, place = self._table(expression)
+        del table[place][listener]
+        if not table[place]:
+            del table[place]
+        self._forget(table, place)
+
+    def listeners(self, key: str) -> list[T]:
+        """Who listens to a key, in order; not to be changed."""
+        parent = key.rpartition("/")[0]
+        known = self._found.setdefault(parent, {})
+        listeners = known.get(key)
+        if listeners is None:
+            groups = [self._exact.get(key, {}), self._below.get(parent, {})]
+            groups += [group for expression, group in self._other.items() if matches(expression, key)]
+            listeners = known[key] = sorted({listener for group in groups for listener in group}, key=self._order)
+        return listeners
+
+    def _table(self, expression: str) -> tuple[dict[str, dict[T, None]], str]:
+        if "*" not in expression:
+            return self._exact, expression
+        parent, _, last = expression.rpartition("/")
+        return (self._below, parent) if last == "*" and "*" not in parent else (self._other, expression)
+
+    def _forget(self, table: dict[str, dict[T, None]], place: str) -> None:
+        if table is self._other:
+            self._found.clear()
+        elif table is self._below:
+            self._found.pop(place, None)
+        else:
+            self._found.get(place.rpartition("/")[0], {}).pop(place, None)

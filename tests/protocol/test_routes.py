@@ -1,0 +1,25 @@
+"""The index of listeners finds whom a comparison with every expression finds."""
+
+import random
+
+from protocol.keys import matches
+from protocol.routes import Routes
+
+
+def test_it_finds_the_listeners_that_a_comparison_with_every_expression_finds() -> None:
+    expressions = ["covey/r/a/1", "covey/r/a/2", "covey/r/b/1", "covey/r/a/*", "covey/r/b/*", "covey/r/**", "covey/*/a/1", "covey/r/b/*/1"]
+    keys = ["covey/r/a/1", "covey/r/a/2", "covey/r/b/1", "covey/r/b/7/1", "covey/r/b/8/1", "covey/q/a/1"]
+    for seed in range(20):
+        print(f"seed {seed}")
+        dice, routes = random.Random(seed), Routes[int](lambda number: number)
+        wanted: set[tuple[str, int]] = set()
+        for _ in range(200):
+            expression, listener = dice.choice(expressions), dice.randrange(5)
+            if (expression, listener) in wanted:
+                wanted.remove((expression, listener))
+                routes.remove(expression, listener)
+            else:
+                wanted.add((expression, listener))
+                routes.add(expression, listener)
+            for key in keys:
+                assert routes.listeners(key) == sorted({number for words, number in wanted if matches(words, key)})
