@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
-from deploy.result import Kill, Result
+from deploy.result import Fault, Kill, Result
 from deploy.scenario import Scenario
 from deploy.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
 from protocol.geometry import polygon_area
@@ -93,6 +93,8 @@ class Scorer:
         self.truth: Truth | None = None  # the newest
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick of the world
         self.on_event: Callable[[Event, float], None] = lambda event, now: None  # called first with all that is heard: recorder, page
+        self.faults: list[Fault] = []  # that were ordered and do not show by themselves
+        self.on_fault: Callable[[Fault], None] = lambda fault: None
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
         self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
         self.greeted: set[str] = set()  # who has been heard at all
@@ -245,6 +247,11 @@ class Scorer:
             self._forget(tick)
         self._finished = True
         self.on_finish()
+
+    def note_fault(self, verb: str, text: str) -> None:
+        """A fault has been ordered that nobody can hear, such as a cut between agents."""
+        self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text))
+        self.on_fault(self.faults[-1])
 
     def is_up_to_date(self) -> bool:
         """Whether every truth that was heard has been scored."""

@@ -48,6 +48,7 @@ class Onlookers:
         self._chores: asyncio.Task[None] | None = None
         scorer.on_event = self._see
         scorer.on_finish = self._finish
+        scorer.on_fault = recorder.note_fault if recorder else scorer.on_fault
 
     async def __aenter__(self) -> "Onlookers":
         if self._recorder is not None:

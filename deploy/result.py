@@ -1,10 +1,19 @@
 """The result of a run: one record, one JSON object, one table."""
 
 import json
+from typing import NamedTuple
 
 import msgspec
 
 VERSION = "0.1.0"
+
+
+class Fault(NamedTuple):
+    """A fault that was ordered, and does not show in what is said."""
+
+    time: float  # of the world, s
+    verb: str
+    text: str
 
 
 class Kill(msgspec.Struct, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
 from deploy.chaos.faults import LINK_VERBS, Schedule, check_faults, plain_verb
 from deploy.chaos.injector import Build, Injector
-from deploy.chaos.links import Links
+from deploy.chaos.links import Links, describe
 from deploy.monitor_node import Scorer
 from deploy.result import Result
 from deploy.scenario import Scenario, world_config
@@ -92,6 +92,8 @@ class Simulation:
         alive, dead = self.injector.alive(), self.injector.dead()
         for action in self._schedule.due(truth.time, alive, dead, [*alive, *dead, "world"]):
             self.injector.strike(action)
+            if action.verb in LINK_VERBS:
+                self.scorer.note_fault(action.verb, describe(action))
         self.on_truth(truth)
 
 

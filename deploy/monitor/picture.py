@@ -11,6 +11,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from deploy.result import Fault
 from deploy.scenario import Scenario
 from protocol.keys import order
 from protocol.messages import Estimate, Gossip, Hello, Observation, Truth
@@ -29,7 +30,7 @@ class Happening(NamedTuple):
 
     number: int
     time: float  # of the world, s
-    kind: str  # lost, back, joined, twin, silent, paused, heard, asked, world
+    kind: str  # lost, back, joined, twin, silent, paused, heard, asked, world; of the links partition, heal, links
     who: str
     text: str
 
@@ -129,13 +130,17 @@ class Picture:
             case Rejected():
                 self._reject(event)
 
-    def note(self, kind: str, who: str, text: str) -> None:
-        """Put something on the time line, unless somebody else keeps it."""
+    def note(self, kind: str, who: str, text: str, time: float | None = None) -> None:
+        """Put something on the time line, unless somebody else keeps it; at this moment, or at another time of the world, s."""
         if self._keeps_no_diary:
             return
         self._numbered += 1
         self.version += 1
-        self.happenings.append(Happening(self._numbered, self.time, kind, who, text))
+        self.happenings.append(Happening(self._numbered, self.time if time is None else time, kind, who, text))
+
+    def note_fault(self, fault: Fault) -> None:
+        """Put a fault on the time line that was ordered and that no message shows."""
+        self.note(fault.verb if fault.verb in ("partition", "heal") else "links", "", fault.text, fault.time)
 
     def take_happenings(self, other: "Picture") -> None:
         """Show the time line of another picture instead of an own one: that of a whole recording, while this one jumps about in it."""

@@ -6,9 +6,10 @@ import json
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from deploy.chaos.faults import LIVE_VERBS
+from deploy.chaos.faults import LINK_VERBS
 from deploy.monitor.picture import Picture
 from deploy.monitor_node import Score, Scorer
+from deploy.result import Fault
 from deploy.swarm.rundir import RunDirectory
 from protocol.settings import BadSetting
 
@@ -51,6 +52,7 @@ class LiveSource:
         self._scorer = scorer
         self._directory = directory
         self._look_again = asyncio.Event()
+        self._faults = 0  # of the supervisor's list that stand on the time line
 
     def scores(self) -> Sequence[Score]:
         return self._scorer.scores
@@ -60,8 +62,8 @@ class LiveSource:
         return self._scorer.scores[-2] if len(self._scorer.scores) > 1 else None
 
     def about(self, may_act: bool) -> dict[str, Any]:
-        allowed = [verb for verb in BUTTONS if verb in LIVE_VERBS] if may_act and self._directory else []
-        return {"source": "live", "verbs": allowed}
+        possible = [verb for verb in BUTTONS if verb not in LINK_VERBS or self.picture.scenario.network.link_faults]
+        return {"source": "live", "verbs": possible if may_act and self._directory else []}
 
     def extra(self) -> dict[str, Any]:
         return {}
@@ -77,11 +79,14 @@ class LiveSource:
         return text
 
     async def chores(self) -> None:
-        """Ask the supervisor now and then who is paused: from outside, a paused agent is only a silent one."""
+        """Ask the supervisor now and then what cannot be heard: who is paused and not only silent, and which links have been cut."""
         while True:
             with contextlib.suppress(BadSetting, OSError, KeyError, TypeError):
-                rows = (await self._control("status", ""))["data"]["processes"]
-                self.picture.pause(frozenset(row["name"] for row in rows if row["state"] == "paused"))
+                status = (await self._control("status", ""))["data"]
+                self.picture.pause(frozenset(row["name"] for row in status["processes"] if row["state"] == "paused"))
+                for fault in status["faults"][self._faults :]:
+                    self.picture.note_fault(Fault(*fault))
+                self._faults = len(status["faults"])
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._look_again.wait(), STATE_PERIOD)
             self._look_again.clear()

@@ -21,6 +21,7 @@ import msgspec
 from mcap.writer import CompressionType, IndexType, Writer
 
 from deploy.records.growing import GrowingFile
+from deploy.result import Fault
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import versions
 from deploy.toml_text import toml_text
@@ -102,10 +103,10 @@ class Recorder:
         elif isinstance(event, Rejected) and event.reason != "quarantine":
             self._record(event.key, event.payload)
 
-    def note_fault(self, time: float, verb: str, text: str) -> None:
-        """Record a fault that was ordered at the world's time `time`, s."""
+    def note_fault(self, fault: Fault) -> None:
+        """Record a fault that was ordered."""
         if not self._closed:
-            self._writer.add_metadata(FAULT, {"time": repr(time), "verb": verb, "text": text})
+            self._writer.add_metadata(FAULT, {"time": repr(fault.time), "verb": fault.verb, "text": fault.text})
             self._guarded(self._settle)
 
     def flush(self, after: float = 0.0) -> None:

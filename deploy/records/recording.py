@@ -19,6 +19,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from deploy.records.recorder import ABOUT, FAULT
+from deploy.result import Fault
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import runs_folder
 from protocol import codec
@@ -48,14 +49,6 @@ class Span(NamedTuple):
     offset: int
     start: float
     end: float
-
-
-class Fault(NamedTuple):
-    """A fault that was ordered and does not show by itself."""
-
-    time: float  # the world's, s
-    verb: str
-    text: str
 
 
 class Recording:

@@ -40,6 +40,7 @@ class ReplaySource:
         self._historian = Picture(recording.scenario)
         self._scan: Iterator[float] | None = rescore_slowly(recording, self._scorer)
         self._scorer.on_event = self._historian.see
+        self._faults = deque(recording.faults)  # that do not stand on the time line yet
         self.picture.take_happenings(self._historian)
         self._entries: Iterator[Entry] = recording.entries()
         self._next: Entry | None = None
@@ -105,7 +106,10 @@ class ReplaySource:
             return
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            if next(self._scan, None) is None:
+            reached = next(self._scan, None)
+            while self._faults and (reached is None or self._faults[0].time <= reached):
+                self._historian.note_fault(self._faults.popleft())
+            if reached is None:
                 self._scan = None
                 self.jumps += 1
                 return

@@ -14,7 +14,7 @@ from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.recorder import CHUNK_SECONDS, Recorder, message_schema
 from deploy.records.recording import Recording, event_of, find_recording
 from deploy.records.rescore import difference, rescore, write_scores
-from deploy.result import Result
+from deploy.result import Fault, Result
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
 from protocol import codec
@@ -181,9 +181,9 @@ def test_the_recording_of_a_simulation_is_the_same_to_the_last_byte_every_time(t
 def test_faults_that_do_not_show_by_themselves_stand_in_the_recording(tmp_path: Path, whole: bool) -> None:
     recorder = Recorder(tmp_path / "a.mcap", scenario())
     recorder.see(received(command(1)), 0.0)
-    recorder.note_fault(12.25, "partition", "cut off s1")
+    recorder.note_fault(Fault(12.25, "partition", "cut off s1"))
     recorder.see(received(command(2)), 0.0)
-    recorder.note_fault(14.0, "heal", "all links are clear again")
+    recorder.note_fault(Fault(14.0, "heal", "all links are clear again"))
     data = (tmp_path / "a.mcap").read_bytes()  # as a kill would leave it
     recorder.close()
     if not whole:
