@@ -10,14 +10,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported b
 
 from cyclopts import App, CycloptsError, Parameter
 
-from deploy.commands.options import FLAG, RunOptions
+from deploy.commands.options import FLAG, RunOptions, switch_or_text
 from deploy.commands.study_options import study
 
 Options = Annotated[RunOptions, Parameter(name="*")]
 Run = Annotated[str | None, Parameter(help="Name of the run; default: the newest that is running.")]
 Record = Annotated[bool | Path, Parameter(help="Record everything into this .mcap file; default: the run directory.", negative="")]
 Trace = Annotated[Path | None, Parameter(help="Write the time series into this .npz, .parquet or .csv file.")]
-Page = Annotated[bool | str, Parameter(help="Show the run on a page in the browser: a port, or host:port.")]
+Page = Annotated[
+    bool | str, Parameter(help="Show the run on a page in the browser: a port (0: any free one), or host:port.", converter=switch_or_text)
+]
 
 app = App(
     name="covey", help="A masterless swarm of mobile sensors: every sensor is a process, and any of them may be killed.", version_flags=[]

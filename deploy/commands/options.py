@@ -1,10 +1,11 @@
 """The options that every command which runs a scenario shares. Imports little: it is read before every command."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 if TYPE_CHECKING:
     from deploy.scenario import FaultSettings, Scenario
@@ -106,6 +107,11 @@ class RunOptions:
         if self.delay is not None and not 0.0 <= self.delay < 1e6:
             raise BadSetting(f"--delay {self.delay}: should be a number of seconds, 0 or more")
         return [("drop", self.loss), ("delay", self.delay)]
+
+
+def switch_or_text(kind: object, tokens: Sequence[Token]) -> bool | str:
+    """`--page` alone is True, `--no-page` False; a text stays as it was given, for 0 is a port and not a no."""
+    return tokens[-1].implicit_value if isinstance(tokens[-1].implicit_value, bool) else tokens[-1].value
 
 
 def parse_kill(text: str) -> "FaultSettings":

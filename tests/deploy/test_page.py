@@ -11,11 +11,14 @@ import aiohttp
 import msgspec
 import pytest
 
+from deploy.__main__ import app
 from deploy.monitor.picture import Picture
 from deploy.monitor.server import Address, Client, PageServer, address_of
-from deploy.monitor_node import Score
+from deploy.monitor.source import LiveSource
+from deploy.monitor_node import Score, Scorer
 from deploy.scenario import resolve
 from deploy.simulate import Simulation
+from deploy.swarm.rundir import RunDirectory
 from protocol.endpoints import free_port
 from protocol.settings import BadSetting
 
@@ -216,3 +219,23 @@ def test_page_is_a_port_or_host_and_port() -> None:
     for wrong in ("quick", "80000", "host:", ""):
         with pytest.raises(BadSetting, match="should be a port"):
             address_of(wrong)
+
+
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [([], True), (["--page"], True), (["--no-page"], False), (["--page", "0"], "0"), (["--page", "1"], "1"), (["--page=[::1]:0"], "[::1]:0")],
+)
+def test_zero_is_a_free_port_and_not_a_no(words: list[str], page: bool | str) -> None:
+    _, bound, _ = app.parse_args(["demo", *words])
+    assert bound.arguments.get("page", True) == page
+    address = address_of(page)
+    assert (address is None) == (page is False)
+
+
+def test_links_can_be_cut_from_the_page_where_the_scenario_allows_link_faults() -> None:
+    for allowed in (True, False):
+        scenario = resolve("quick", {"network.link_faults": allowed})
+        source = LiveSource(Scorer(scenario), Picture(scenario), RunDirectory("some"))
+        assert ("partition" in source.about(True)["verbs"], "heal" in source.about(True)["verbs"]) == (allowed, allowed)
+        assert "kill" in source.about(True)["verbs"]
+        assert source.about(False)["verbs"] == []

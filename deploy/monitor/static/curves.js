@@ -68,7 +68,7 @@ export function drawChart(canvas, chart, state) {
 
 function marks(pen, state, x, head, height) {
   pen.fillStyle = alpha(css("warn"), 0.55);
-  for (const [, time, kind] of state.happenings.values()) if (kind === "lost") pen.fillRect(x(time), head, 1, height - head);
+  for (const [, time, kind] of state.happenings.values()) if (kind === "lost" || kind === "partition") pen.fillRect(x(time), head, 1, height - head);
 }
 
 function line(pen, times, values, x, y, colour, dash, ratio) {
@@ -143,7 +143,7 @@ export function drawStrip(canvas, state) {
     const at = Math.round(x(time) / (0.6 * em)), key = `${at} ${kind}`;
     if (room.has(key)) continue;
     room.set(key, true);
-    pen.fillStyle = { lost: css("warn"), twin: css("warn"), silent: css("warn"), paused: css("warn"), world: css("soft"), asked: css("accent") }[kind] || css("good");
+    pen.fillStyle = { lost: css("warn"), twin: css("warn"), silent: css("warn"), paused: css("warn"), partition: css("warn"), links: css("warn"), world: css("soft"), asked: css("accent") }[kind] || css("good");
     pen.fillText(GLYPHS[kind] || "•", x(time), middle);
   }
 }

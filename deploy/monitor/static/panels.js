@@ -91,7 +91,7 @@ export function fillBelief(box, state) {
   set(box.querySelector("#belief-counters"), Object.entries(belief.counters || {}).map(([name, count]) => `${name} ${count}`).join("  ·  "));
   for (const button of box.querySelectorAll("[data-verb]")) {
     const verb = button.dataset.verb, dead = agent.state === "dead" || agent.state === "waiting", paused = agent.state === "paused";
-    button.disabled = { kill: dead, pause: dead || paused, resume: !paused, restart: !dead }[verb] || false;
+    button.disabled = { kill: dead, pause: dead || paused, resume: !paused, restart: !dead, partition: dead }[verb] || false;
   }
 }
 
