@@ -170,8 +170,8 @@ def figures(what: str, /, *, into: Path | None = None, animate: Annotated[bool, 
 
 
 @app.command
-def export(recording: str, /, *, to: Literal["csv", "parquet", "foxglove"] = "csv", out: Path | None = None) -> int:
-    """A recording as tables (csv, parquet) or as an MCAP file that Foxglove draws."""
+def export(recording: str, /, *, to: Literal["csv", "parquet", "foxglove", "rerun"] = "csv", out: Path | None = None) -> int:
+    """A recording as tables (csv, parquet), as an MCAP file that Foxglove draws, or as a file for Rerun (needs its package)."""
     from deploy.commands import keeping
 
     return keeping.export(recording, to, out)

@@ -47,6 +47,12 @@ def export(name: str, form: str, out: Path | None) -> int:
     from deploy.records.foxglove import write_foxglove
 
     recording = Recording(find_recording(name))
+    if form == "rerun":
+        from deploy.records.to_rerun import write_rerun
+
+        file = out or recording.path.with_suffix(".rrd")
+        print(f"{write_rerun(recording, file)} ticks in {file}; look at it with: rerun {file}")
+        return 0
     if form == "foxglove":
         file = out or recording.path.with_suffix(DRAWING)
         print(f"{write_foxglove(recording, file)} scenes in {file}")

@@ -13,15 +13,11 @@ import numpy as np
 from mcap.writer import Writer
 
 from deploy.monitor.picture import Picture
-from deploy.monitor_node import Score, Scorer
-from deploy.records.export import messages
+from deploy.records.moments import colour_of, moments
 from deploy.records.recording import Recording
 from deploy.records.rescore import COLUMNS
-from protocol.messages import Truth
-from protocol.node import Event
 
 Json = dict[str, Any]
-PALETTE = ("77aadd", "ee8866", "44bb99", "eedd88", "ffaabb", "99ddff", "bbcc33", "c9a4e0", "aaaa00")  # Paul Tol's "light"
 SCENE_SCHEMA = Path(__file__).with_name("foxglove_scene.json")  # of the message that Foxglove knows by this name
 FRAME = "arena"
 LIFETIME = {"sec": 5, "nsec": 0}
@@ -29,31 +25,18 @@ LIFETIME = {"sec": 5, "nsec": 0}
 
 def write_foxglove(recording: Recording, path: Path) -> int:
     """Write the drawing; returns the number of scenes."""
-    scorer, picture = Scorer(recording.scenario), Picture(recording.scenario)
-
-    def show(event: Event, now: float) -> None:
-        scorer.handle(event, now)
-        picture.see(event, now)
-
     scenes = 0
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("")
         scene_channel, score_channel = _channels(writer)
-        for message in messages(recording, show):
-            if isinstance(message, Truth) and message.tick > 0:
-                score = _score_of(scorer, message.tick - 1)
-                picture.show(message.tick - 1)
-                _say(writer, scene_channel, message.time, scene(picture, message.time))
-                if score is not None:
-                    _say(writer, score_channel, score.time, {name: getattr(score, name) for name in COLUMNS})
-                scenes += 1
+        for picture, time, score in moments(recording):
+            _say(writer, scene_channel, time, scene(picture, time))
+            if score is not None:
+                _say(writer, score_channel, score.time, {name: getattr(score, name) for name in COLUMNS})
+            scenes += 1
         writer.finish()
     return scenes
-
-
-def _score_of(scorer: Scorer, tick: int) -> Score | None:
-    return next((score for score in reversed(scorer.scores[-3:]) if score.tick == tick), None)
 
 
 def _channels(writer: Writer) -> tuple[int, int]:
@@ -77,7 +60,7 @@ def scene(picture: Picture, time: float) -> Json:
         known = picture.agents[name]
         pose = picture.pose(name)
         if known.alive and pose is not None:
-            entities.append(_agent(picture, name, pose, _colour(PALETTE[index % len(PALETTE)]), stamp))
+            entities.append(_agent(picture, name, pose, (*colour_of(index), 1.0), stamp))
         else:
             gone.append({"timestamp": stamp, "type": 0, "id": f"agent {name}"})
     if picture.shown is not None:
@@ -141,7 +124,3 @@ def _still(place: Any) -> Json:
 
 def _named(colour: tuple[float, ...]) -> Json:
     return dict(zip("rgba", colour))
-
-
-def _colour(text: str) -> tuple[float, ...]:
-    return (*(int(text[at : at + 2], 16) / 255.0 for at in (0, 2, 4)), 1.0)

@@ -1,10 +1,12 @@
 """A run in other tools' forms: tables against the run itself, the drawing for Foxglove against its schema, figures that can be opened."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from PIL import Image
@@ -12,12 +14,14 @@ from pyarrow import csv, parquet
 
 from deploy.figures import Ways, pictures, write_animation, write_figure
 from deploy.onlookers import Onlookers, open_recorder
-from deploy.records.export import tables, write_tables
+from deploy.records.export import messages, tables, write_tables
 from deploy.records.foxglove import SCENE_SCHEMA, write_foxglove
 from deploy.records.recorder import Recorder
 from deploy.records.recording import Recording, find_recording
+from deploy.records.to_rerun import write_rerun
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulate import Simulation
+from protocol.messages import Truth
 from protocol.settings import BadSetting
 
 Run = tuple[Simulation, Recording]
@@ -93,6 +97,32 @@ def test_the_drawing_for_foxglove_keeps_to_the_schema_of_scene_updates(run: Run,
     assert {"arena", "targets", "estimates", "agent s1"} <= set(entities)
     assert len(entities["targets"]["spheres"]) == 3
     assert [gone["id"] for gone in scenes[-1]["deletions"]] == ["agent s2"]
+
+
+def test_the_drawing_for_rerun_holds_every_tick_and_its_scores(run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="needs the extra [rerun]")
+    reading = pytest.importorskip("rerun.chunk", reason="needs a Rerun that reads its own files")
+    assert write_rerun(run[1], tmp_path / "a.rrd") == 19
+    rows: dict[str, dict[float, Any]] = {}
+    for chunk in reading.RrdReader(str(tmp_path / "a.rrd")).stream():
+        batch = chunk.to_record_batch()
+        names = [name for name in batch.schema.names if name.endswith((":scalars", ":positions", ":strips", ":text"))]
+        if names and "world" in batch.schema.names:
+            times = [nanoseconds / 1e9 for nanoseconds in batch.column("world").cast("int64").to_pylist()]
+            rows.setdefault(chunk.entity_path, {}).update(zip(times, batch.column(names[0]).to_pylist()))
+    ospa = rows["/score/ospa"]
+    assert [ospa[time] for time in sorted(ospa)] == [[score.ospa] for score in run[0].scorer.scores[:19]]
+    truth = next(message for message in messages(run[1]) if isinstance(message, Truth) and message.tick == 7)
+    assert np.array(rows["/arena/targets"][8 * 0.25])[:, :2] == pytest.approx(truth.targets, abs=1e-5)
+    assert len(rows["/arena/cells"][8 * 0.25]) == 6
+    assert len(rows["/arena/dead"][19 * 0.25]) == 1
+    assert [text for texts in rows["/happenings"].values() for text in texts] == ["s2 is gone"]
+
+
+def test_without_rerun_its_export_says_what_to_install(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(BadSetting, match="pip install"):
+        write_rerun(run[1], tmp_path / "a.rrd")
 
 
 def test_the_drawing_is_never_taken_for_the_recording(run: Run) -> None:
