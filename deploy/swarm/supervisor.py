@@ -318,7 +318,9 @@ class Supervisor:
             state = "paused" if child.paused else "running" if child.is_running else "dead"
             row: dict[str, Any] = {"name": name, "class": self.scenario.members.get(name, ""), "state": state, "pid": child.pid}
             row |= {"incarnation": child.incarnation, "end": child.end(), "ended_at": child.ended_at}
-            rows.append({**scored.get(name, {}), **row})
+            rows.append({**scored.pop(name, {}), **row})
+        guest = {"class": "", "state": "guest", "pid": None, "end": "", "ended_at": None}  # a process that was not started here
+        rows += [{**agent, **guest} for agent in scored.values() if agent["alive"]]
         head = {"run": self.directory.name, "scenario": self.scenario.run.scenario, "endpoint": self._own_network.listen[0]}
         return {**head, "swarm": swarm, "processes": rows, "faults": self.scorer.faults}
 
