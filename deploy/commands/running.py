@@ -52,6 +52,8 @@ def run_live(
         path = recording_path(record, directory.path)
         recorder = open_recorder(path, supervisor.scenario) if path else None
         code = asyncio.run(_attended(supervisor, Onlookers(supervisor.scorer, recorder, server)))
+        if recorder is not None and recorder.stopped:
+            display.event(f"{path}: {recorder.stopped}; the recording ended early, {recorder.lost} messages are not in it")
     os.close(lock)
     if supervisor.result is not None and code == 0:
         show_result(supervisor.result, directory.path, as_json)
