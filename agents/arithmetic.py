@@ -11,10 +11,38 @@ from agents.cells import Cell, Claim
 from agents.extraction import estimate_targets
 from agents.particles import Particles, canonical, join, select, total
 from agents.step import Step
-from agents.words import Words
+from agents.words import Words, particles_of
 from protocol import geometry
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import ArenaSettings
+
+
+class Task(NamedTuple):
+    """What a round knows once its cell is cut."""
+
+    owner: str
+    sensor: SensorModel
+    pose: Pose
+    told: Words | Particles  # everything that counts, one tick before
+    words: Words  # the scans
+    births: Particles  # of the background
+    polygon: np.ndarray  # the own cell
+    claim: Claim
+    step: Step
+
+
+class Refreshed(NamedTuple):
+    """What a round makes of the particles around the own cell."""
+
+    updated: Particles  # within the halo of the cell, after all scans
+    own: Particles  # of those in the cell
+    kept: Particles  # drawn from the own ones
+    mass: float  # in the cell, expected targets
+    east: float  # the mass-weighted sums of x and y in the cell, m (17)
+    north: float
+    load: float  # the integrals of v and of p_d v over the footprint (10), expected targets
+    detected: float
+    targets: np.ndarray  # estimates in the cell (M, 2), m
 
 
 class Arithmetic(NamedTuple):
@@ -31,6 +59,7 @@ class Arithmetic(NamedTuple):
     estimate_targets: Callable[..., np.ndarray]
     moments: Callable[[Particles], tuple[float, float, float]]
     in_view: Callable[[Particles, SensorModel, Pose], tuple[float, float]]
+    refresh: Callable[[Task], Refreshed]  # all the steps from `gather` on
 
 
 def predict(particles: Particles, step: Step) -> Particles:
@@ -84,6 +113,28 @@ def in_view(particles: Particles, sensor: SensorModel, pose: Pose) -> tuple[floa
     return total(seen), total(seen * probability)
 
 
+def in_steps(arithmetic: Arithmetic, task: Task) -> Refreshed:
+    """What an owner makes of its part of the PHD, step by step: predict, correct with all scans, take what is in the cell, draw."""
+    step, claim, told = task.step, task.claim, particles_of(task.told)
+    near, seen = arithmetic.gather(told, task.births, task.polygon, task.pose[:2], task.sensor.reach, step)
+    updated = arithmetic.update(near, task.words, task.polygon, step)
+    own = arithmetic.take(updated, claim, step.config.arena)
+    mass, east, north = arithmetic.moments(own)
+    near_load, near_detected = arithmetic.in_view(updated, task.sensor, task.pose)
+    far_load, far_detected = arithmetic.in_view(seen, task.sensor, task.pose)
+    kept = arithmetic.resample(own, task.owner, step)
+    targets = np.empty((0, 2))
+    if claim.names:
+        targets = arithmetic.estimate_targets(updated, step.config.extraction)
+        targets = targets[arithmetic.owned(targets, claim, step.config.arena)]
+    return Refreshed(updated, own, kept, mass, east, north, near_load + far_load, near_detected + far_detected, targets)
+
+
+def refresh(task: Task) -> Refreshed:
+    """The plain steps one after the other."""
+    return in_steps(PLAIN, task)
+
+
 PLAIN = Arithmetic(
     cut=cells.cut,
     distances=geometry.distances,
@@ -96,4 +147,5 @@ PLAIN = Arithmetic(
     estimate_targets=estimate_targets,
     moments=moments,
     in_view=in_view,
+    refresh=refresh,
 )

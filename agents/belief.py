@@ -16,7 +16,7 @@ from agents.cells import Claim, depths, in_arena, make_claim, power_distances
 from agents.config import AgentConfig
 from agents.particles import NONE, Particles, canonical, join, select
 from agents.step import Step
-from agents.words import Words
+from agents.words import Words, particles_of
 from protocol.keys import order
 from protocol.messages import Gossip
 
@@ -49,7 +49,7 @@ class Round(NamedTuple):
 
     step: Step
     arithmetic: Arithmetic
-    told: Particles  # everything that counted, one tick before
+    told: Words | Particles  # everything that counted, one tick before
     polygon: np.ndarray  # the own cell
     claim: Claim
     horizon: float = math.inf  # m from the cell: copies farther away are given up
@@ -72,7 +72,7 @@ class Copies:
             step, arithmetic, told, polygon, claim, horizon = self.round
             arena, states = step.config.arena, self.near.states
             others = select(self.near, ~arithmetic.owned(states, claim, arena) & in_arena(states, arena))
-            moved = arithmetic.predict(told, step)
+            moved = arithmetic.predict(particles_of(told), step)
             away = arithmetic.distances(polygon, moved.states)
             apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
             self.near, self.round = _kept(join([others, select(moved, apart & within)])), None
@@ -97,16 +97,17 @@ class Belief:
     copies: Copies
     everyone: frozenset[str] = frozenset()  # whose generators made the diagram that `mine` was cut from
 
-    def merge(self, words: Words, tick: int, arithmetic: Arithmetic, config: AgentConfig) -> Particles:
+    def merge(self, words: Words, tick: int, arithmetic: Arithmetic, config: AgentConfig) -> Words | Particles:
         """Everything at `stamp` that counts, given what all say in the round `tick`, myself included; an id may occur twice.
 
         Copies count where no fresh claim lies. Where two claims overlap (the views differed), both count within `timing.overlap` m
-        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena.
+        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena: then what
+        they say is everything.
         """
         # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
         agreed = self.mine.view != 0 and words.claimed == (tick - 1, self.mine.view)
         if agreed and self.everyone and self.everyone.issubset(words.names):
-            return words.particles
+            return words
         shares = [share_of(gossip) for gossip in words.gossips if gossip.claim_tick == tick - 1 and gossip.sender != self.mine.owner]
         claims = [self.mine, *shares]
         parts = [_uncontested(share, claims, config.timing.overlap) for share in claims]

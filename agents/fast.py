@@ -4,16 +4,17 @@ Importing this file imports numba. Sensors other than wedges are corrected by th
 """
 
 import math
+from collections import deque
 
 import numpy as np
 
-from agents import cell_kernels, extraction_kernels, kernels, phd, update_kernels
-from agents.arithmetic import Arithmetic
+from agents import cell_kernels, extraction_kernels, kernels, phd, round_kernels, update_kernels
+from agents.arithmetic import Arithmetic, Refreshed, Task, in_steps
 from agents.arithmetic import in_view as plain_in_view
 from agents.arithmetic import update as plain_update
 from agents.births import DIRECTIONS, sensor_row
 from agents.cells import NO_CELL, TOUCH, Cell, Claim
-from agents.config import ExtractionSettings
+from agents.config import AgentConfig, ExtractionSettings
 from agents.particles import NONE, Particles
 from agents.step import Step
 from agents.words import Words
@@ -133,6 +134,54 @@ def in_view(particles: Particles, sensor: SensorModel, pose: Pose) -> tuple[floa
     return kernels.in_view(particles.states, particles.weights, np.array(sensor_row(sensor, pose)))  # type: ignore[no-any-return]
 
 
+_PREPARED: deque[tuple[AgentConfig, np.ndarray, np.ndarray]] = deque(maxlen=8)
+_NO_CORNERS = np.empty((0, 2))  # not read-only, for the sake of one compilation
+_NOTHING_SAID = np.empty((0, 4), np.float32), np.empty(0, np.uint64)
+
+
+def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Settings and keys of a run in the order of `round_kernels`; computed once, because all agents of a simulation share them."""
+    for known, settings, keys in _PREPARED:
+        if known is config:
+            return settings, keys
+    filters, birth, noise = config.filter, config.birth, config.detection.noise
+    step = Step(config, 0)
+    numbers = [*motion(step)[3:], filters.halo, step.reach, noise, (filters.gate * noise) ** 2]
+    numbers += [birth.measurement, birth.copies, birth.radius, birth.least_share, birth.most_density]
+    numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
+    numbers += [config.extraction.bin, config.extraction.threshold]
+    words = [key(config.run.seed, word) for word in ("turn", "east", "north", "birth", "split")]
+    _PREPARED.append((config, np.array(numbers, dtype=float), np.array(words, dtype=np.uint64)))
+    return prepared(config)
+
+
+def refresh(task: Task) -> Refreshed:
+    """See `arithmetic.in_steps`."""
+    words, told, claim, config = task.words, task.told, task.claim, task.step.config
+    if not words.all_wedges:
+        return in_steps(FAST, task)
+    settings, keys = prepared(config)
+    said, others = (told.stated, NONE) if isinstance(told, Words) else (_NOTHING_SAID, told)
+    updated, own, kept, *rest = round_kernels.refresh(
+        settings,
+        keys,
+        task.step.tick,
+        words.names.index(task.owner),
+        words.table,
+        words.salts,
+        words.detections,
+        said,
+        tuple(others),
+        tuple(task.births),
+        task.polygon if len(task.polygon) else _NO_CORNERS,
+        claim.generators,
+        claim.first,
+        np.uint64(key(config.run.seed, "resample", task.owner)),
+        DIRECTIONS,
+    )
+    return Refreshed(Particles(*updated), Particles(*own), Particles(*kept), *rest)
+
+
 FAST = Arithmetic(
     cut=cut,
     distances=distances,
@@ -145,4 +194,5 @@ FAST = Arithmetic(
     estimate_targets=estimate_targets,
     moments=moments,
     in_view=in_view,
+    refresh=refresh,
 )

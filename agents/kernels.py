@@ -19,7 +19,7 @@ _NORMAL_SCALE = 3.0**0.5 / 65536.0
 
 
 @njit
-def scramble(word: int, salt: int) -> int:
+def scramble(word: np.uint64, salt: np.uint64) -> np.uint64:
     """Twin of `streams.scramble`."""
     word = (word ^ salt) + _GOLDEN
     word = (word ^ (word >> _S30)) * _MIX1
@@ -28,14 +28,14 @@ def scramble(word: int, salt: int) -> int:
 
 
 @njit
-def normal(bits: int) -> float:
+def normal(bits: np.uint64) -> float:
     """Twin of `streams.normal`."""
     total = (bits & _LOW) + ((bits >> _S16) & _LOW) + ((bits >> _S32) & _LOW) + (bits >> _S48)
     return (np.float64(total) - 131070.0) * _NORMAL_SCALE
 
 
 @njit
-def _moved(x: float, y: float, vx: float, vy: float, name: int, motion: tuple) -> tuple[float, float, float, float, bool]:
+def _moved(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
     """One particle a step on, and whether it is still in the arena; `motion` is `fast.motion`."""
     turn_salt, east_salt, north_salt, dt, half_turn, speed, position_noise, _, reflect, width, height = motion
     turn = normal(scramble(name, turn_salt)) * half_turn
@@ -176,7 +176,7 @@ def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tupl
 
 @njit(cache=True)
 def resample(
-    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, mass: float, count: int, offset: float, salt: int
+    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, mass: float, count: int, offset: float, salt: np.uint64
 ) -> tuple[np.ndarray, np.ndarray]:
     """Twin of the systematic draw of `phd.resample`: states (count, 4) float32-rounded and ids, ascending."""
     chosen, names, parents = np.empty((count, 4)), np.empty(count, np.uint64), np.empty(count, np.int64)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.arithmetic import Arithmetic
+from agents.arithmetic import Arithmetic, Refreshed, Task
 from agents.belief import NO_CLAIM, Belief, Copies, Round, Share
 from agents.births import background_births
 from agents.capacity import SensorFacts, power_radius, unused_capacity
@@ -21,7 +21,7 @@ from agents.interest import wanted
 from agents.neighbours import Far, Neighbours
 from agents.particles import Particles
 from agents.step import Step
-from agents.words import Words, side_by_side
+from agents.words import Eye, Words, side_by_side
 from protocol.geometry import EMPTY, polygon_centroid
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip
@@ -37,6 +37,7 @@ class Self(NamedTuple):
     name: str
     sensor: SensorModel
     facts: SensorFacts
+    eye: Eye
     law: ControlLaw
     arithmetic: Arithmetic
     config: AgentConfig
@@ -70,25 +71,20 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
     cell = _own_cell(me, speaking, neighbours.far)
     claim = _claim(speaking, cell, neighbours.far)
     told = last.belief.awake(step, arithmetic).merge(words, tick, arithmetic, config)
-    near, seen = arithmetic.gather(told, _births(step), cell.polygon, mine.pose[:2], me.sensor.reach, step)
-    updated = arithmetic.update(near, words, cell.polygon, step)
-    own = arithmetic.take(updated, claim, config.arena)
-    mass, east, north = arithmetic.moments(own)
-    load, unused = _capacity(me, mine, updated, seen)
-    kept = arithmetic.resample(own, me.name, step)
+    near = arithmetic.refresh(Task(me.name, me.sensor, mine.pose, told, words, _births(step), cell.polygon, claim, step))
     return Outcome(
         belief=Belief(
             stamp=tick,
-            mine=Share(me.name, claim, kept, _view(neighbours, heard, speaking, claim)),
-            copies=Copies(updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.chosen else math.inf)),
+            mine=Share(me.name, claim, near.kept, _view(neighbours, heard, speaking, claim)),
+            copies=Copies(near.updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.chosen else math.inf)),
             everyone=frozenset(speaking.names),
         ),
-        unused=unused,
-        load=load,
-        mass=mass,
+        unused=unused_capacity(me.facts.capability, near.detected, near.load, config.capacity),
+        load=near.load,
+        mass=near.mass,
         cell=cell.polygon,
-        targets=_own_targets(me, updated, claim),
-        command=me.law.command(_situation(me, mine, cell, _centroid(mass, east, north, cell), own, speaking, words)),
+        targets=near.targets,
+        command=me.law.command(_situation(me, mine, cell, near, speaking, words)),
     )
 
 
@@ -146,35 +142,17 @@ def _births(step: Step) -> Particles:
     return background_births(config.run.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
 
 
-def _capacity(me: Self, mine: Gossip, updated: Particles, seen: Particles) -> tuple[float, float]:
-    """Load (expected targets) and unused capacity U (m^2) of my footprint."""
-    near_load, near_detected = me.arithmetic.in_view(updated, me.sensor, mine.pose)
-    far_load, far_detected = me.arithmetic.in_view(seen, me.sensor, mine.pose)
-    load, detected = near_load + far_load, near_detected + far_detected
-    return load, unused_capacity(me.facts.capability, detected, load, me.config.capacity)
-
-
-def _centroid(mass: float, east: float, north: float, cell: Cell) -> tuple[float, float] | None:
+def _centroid(near: Refreshed, cell: Cell) -> tuple[float, float] | None:
     """Centroid in m of the PHD in the cell (17); of the cell's area when there is no mass; None without a cell."""
-    if mass > 0.0:
-        return east / mass, north / mass
+    if near.mass > 0.0:
+        return near.east / near.mass, near.north / near.mass
     if not len(cell.polygon):
         return None
     x, y = polygon_centroid(cell.polygon)
     return float(x), float(y)
 
 
-def _own_targets(me: Self, updated: Particles, claim: Claim) -> np.ndarray:
-    """Estimates from the cell and its halo that lie in the cell, (M, 2) m."""
-    if not claim.names:
-        return NO_TARGETS
-    targets = me.arithmetic.estimate_targets(updated, me.config.extraction)
-    return targets[me.arithmetic.owned(targets, claim, me.config.arena)]
-
-
-def _situation(
-    me: Self, mine: Gossip, cell: Cell, centroid: tuple[float, float] | None, own: Particles, speaking: Words, words: Words
-) -> Situation:
+def _situation(me: Self, mine: Gossip, cell: Cell, near: Refreshed, speaking: Words, words: Words) -> Situation:
     config = me.config
     return Situation(
         name=me.name,
@@ -184,8 +162,8 @@ def _situation(
         pose=mine.pose,
         driven=mine.pose[:2] if config.partition.kind == "voronoi" else mine.cod,
         cell=cell.polygon,
-        centroid=centroid,
-        particles=own,
+        centroid=_centroid(near, cell),
+        particles=near.own,
         sensor=me.sensor,
         limits=config.limits,
         heading=config.control.heading,

@@ -1,71 +1,68 @@
 """What the gossips of a round say, side by side: one row of numbers each, and their detections and particles end to end.
 
-A row is packed once per gossip (`row`), so that a round over many gossips is a few operations on whole arrays.
+A row is packed once per gossip (`learn`), so that a round over many gossips is a few operations on whole arrays.
 """
 
 import hashlib
-import math
 import struct
 from collections import deque
+from math import cos, sin
+from typing import NamedTuple
 
 import numpy as np
 
 from agents.births import Scan
 from agents.config import AgentConfig
-from agents.particles import NONE, Particles
+from agents.particles import Particles
 from protocol.messages import Gossip
 from protocol.once import once
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 from protocol.streams import key
 
-ROW = struct.Struct("<14dQ")
-X, Y, COS, SIN, REACH, COS_HALF, PROB, KAPPA, KIND, DETECTIONS, WEIGHT, EAST, NORTH, RADIUS, SALT = range(15)  # columns
+ROW = struct.Struct("<15dQ")
+_pack = ROW.pack
+X, Y, COS, SIN, REACH, COS_HALF, PROB, KAPPA, KIND, DETECTIONS, WEIGHT, EAST, NORTH, RADIUS, PARTICLES, SALT = range(16)  # columns
 SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
 
+class Eye(NamedTuple):
+    """What a row says of a sensor in any pose and at any tick."""
+
+    sensor: SensorModel
+    numbers: tuple[float, float, float, float]  # reach m, cos of half the angle, p_d, clutter density per m^2
+    kind: float  # of its scans
+    salt: int  # key of its name
+
+
+def eye_of(name: str, sensor: SensorModel, config: AgentConfig) -> Eye:
+    """The sensor of an agent as its rows say it."""
+    kappa = config.detection.clutter / sensor.area
+    if isinstance(sensor, WedgeSensor):
+        return Eye(sensor, (sensor.reach, sensor.cos_half_angle, sensor.prob_detection, kappa), WEDGE, key("sensor", name))
+    return Eye(sensor, (sensor.reach, 0.0, 0.0, kappa), OTHER, key("sensor", name))
+
+
 def pack_row(
-    name: str,
-    pose: Pose,
-    sensor: SensorModel,
-    clutter: float,
-    detections: int,
-    weight: float,
-    generator: tuple[float, float, float],
-    scanned: bool = True,
+    eye: Eye, pose: Pose, generator: tuple[float, float, float], detections: int, weight: float, particles: int, scanned: bool
 ) -> bytes:
-    """A row: posed sensor, clutter density, kind and size of the scan, weight of the particles, generator, key of the name; in m."""
+    """A row: posed sensor, kind and size of its scan, weight of a particle, generator, number of particles, key of the name; in m."""
     x, y, heading = pose
-    wedge = sensor if isinstance(sensor, WedgeSensor) else None
-    return ROW.pack(
-        x,
-        y,
-        math.cos(heading),
-        math.sin(heading),
-        sensor.reach,
-        wedge.cos_half_angle if wedge else 0.0,
-        wedge.prob_detection if wedge else 0.0,
-        clutter / sensor.area,
-        SILENT if not scanned else WEDGE if wedge else OTHER,
-        detections,
-        weight,
-        *generator,
-        key("sensor", name),
-    )
+    east, north, radius = generator
+    kind = eye.kind if scanned else SILENT
+    return _pack(x, y, cos(heading), sin(heading), *eye.numbers, kind, detections, weight, east, north, radius, particles, eye.salt)
 
 
-def row(gossip: Gossip, sensor: SensorModel, config: AgentConfig) -> bytes:
-    """The row of a gossip; the generator is COD and power radius, COD alone ("voronoi-cod"), or position alone ("voronoi")."""
-    kind = config.partition.kind
-    point = gossip.pose[:2] if kind == "voronoi" else gossip.cod
-    detections, clutter = len(gossip.detections_bytes) // 8, config.detection.clutter
-    generator = (*point, gossip.power_radius if kind == "power" else 0.0)
-    return pack_row(gossip.sender, gossip.pose, sensor, clutter, detections, gossip.weight, generator, gossip.scanned)
+def learn(gossip: Gossip, eye: Eye, config: AgentConfig) -> None:
+    """Note with a gossip what its sender's sensor makes of it: its row, and the sensor.
 
-
-def learn(gossip: Gossip, sensor: SensorModel, config: AgentConfig) -> None:
-    """Note with a gossip what its sender's sensor makes of it."""
-    gossip.memo["row"] = row(gossip, sensor, config)
-    gossip.memo["sensor"] = sensor
+    The generator is COD and power radius, COD alone ("voronoi-cod"), or position alone ("voronoi").
+    """
+    diagram, pose, memo = config.partition.kind, gossip.pose, gossip.memo
+    x, y = pose[:2] if diagram == "voronoi" else gossip.cod
+    generator = (x, y, gossip.power_radius if diagram == "power" else 0.0)
+    detections, particles = len(gossip.detections_bytes) // 8, len(gossip.ids_bytes) // 8
+    memo["row"] = pack_row(eye, pose, generator, detections, gossip.weight, particles, gossip.scanned)
+    memo["sensor"] = eye.sensor
 
 
 class Words:
@@ -129,18 +126,26 @@ class Words:
     @once
     def claimed(self) -> tuple[int, int] | None:
         """The stamp and the view that all these claims share, if they do."""
-        shared = {(gossip.claim_tick, gossip.view) for gossip in self.gossips}
-        return shared.pop() if len(shared) == 1 else None
+        if not self.gossips:
+            return None
+        tick, view = self.gossips[0].claim_tick, self.gossips[0].view
+        for gossip in self.gossips:
+            if gossip.view != view or gossip.claim_tick != tick:
+                return None
+        return tick, view
+
+    @once
+    def stated(self) -> tuple[np.ndarray, np.ndarray]:
+        """States (N, 4) float32 and ids (N,) of all their particles, gossip after gossip, as they were stamped."""
+        states = np.frombuffer(bytearray().join([gossip.states_bytes for gossip in self.gossips]), dtype=np.float32)
+        ids = np.frombuffer(bytearray().join([gossip.ids_bytes for gossip in self.gossips]), dtype=np.uint64)
+        return states.reshape(-1, 4), ids
 
     @once
     def particles(self) -> Particles:
-        """All their particles, gossip after gossip, as they were stamped."""
-        if not self.gossips:
-            return NONE
-        states = np.frombuffer(bytearray().join([gossip.states_bytes for gossip in self.gossips]), dtype="<f4")
-        ids = np.frombuffer(bytearray().join([gossip.ids_bytes for gossip in self.gossips]), dtype="<u8")
-        counts = [len(gossip.ids_bytes) // 8 for gossip in self.gossips]
-        return Particles(states.reshape(-1, 4).astype(float), self.table[:, WEIGHT].repeat(counts), ids)
+        """The same with their weights."""
+        states, ids = self.stated
+        return Particles(states.astype(float), self.table[:, WEIGHT].repeat(self.table[:, PARTICLES].astype(np.int64)), ids)
 
     def scans(self) -> list[Scan]:
         """The scans one by one, those of the silent left out."""
@@ -154,6 +159,11 @@ class Words:
         return found
 
 
+def particles_of(told: Words | Particles) -> Particles:
+    """Particles, whether they stand in gossips or by themselves."""
+    return told.particles if isinstance(told, Words) else told
+
+
 _RECENT: deque[Words] = deque(maxlen=2)  # in a simulation all agents hear the same
 
 
@@ -165,3 +175,8 @@ def side_by_side(gossips: list[Gossip]) -> Words:
             return words
     _RECENT.append(Words(gossips, rows))
     return _RECENT[-1]
+
+
+def forget() -> None:
+    """Share nothing of what was asked for so far, as if in another process."""
+    _RECENT.clear()

@@ -13,7 +13,7 @@ from agents.cells import Cell, Claim
 from agents.control import Lloyd, Situation
 from agents.particles import NONE, Particles, join
 from agents.step import Step
-from agents.words import Words, pack_row
+from agents.words import Eye, Words, eye_of, pack_row
 from deploy.scenario import Scenario, world_config
 from protocol.geometry import rectangle
 from protocol.messages import Command
@@ -31,6 +31,7 @@ class Member(NamedTuple):
     name: str
     sensor: SensorModel
     facts: SensorFacts
+    eye: Eye
 
 
 class Central:
@@ -41,7 +42,7 @@ class Central:
         config = world_config(scenario)
         run, arena = scenario.run, scenario.arena
         sensors = {name: sensor_of(scenario, sensor_class) for name, sensor_class in scenario.members.items()}
-        self._team = [Member(name, sensor, sensor_facts(sensor)) for name, sensor in sensors.items()]
+        self._team = [Member(name, sensor, sensor_facts(sensor), eye_of(name, sensor, scenario)) for name, sensor in sensors.items()]
         self._targets = Targets(config.targets, arena, run.dt, run.seed)
         self._bodies, self._detector = Bodies(run.dt, scenario.limits), Detector(scenario.detection, run.seed)
         for member in self._team:
@@ -84,8 +85,7 @@ class Central:
         rows = bytearray()
         for member, pose, scan, unused in zip(self._team, poses, scans, self._unused):
             point = place(member.facts.cod_offset, pose)
-            generator, clutter = (*point, power_radius(unused)), self._scenario.detection.clutter
-            rows += pack_row(member.name, pose, member.sensor, clutter, len(scan), 0.0, generator)
+            rows += pack_row(member.eye, pose, (*point, power_radius(unused)), len(scan), 0.0, 0, True)
         return Words.of_scans(rows, np.concatenate(scans).astype(float))
 
     def _capacity(self, member: Member, updated: Particles) -> float:

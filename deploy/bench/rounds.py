@@ -5,7 +5,7 @@ from typing import Any
 
 from agents.arithmetic import Arithmetic
 from agents.round import play
-from agents.words import learn
+from agents.words import forget, learn
 from deploy.bench.capture import Captured, capture, cold
 from deploy.bench.timing import Row, median_seconds
 from deploy.scenario import Scenario, resolve
@@ -39,11 +39,13 @@ def recorded(arithmetic: Arithmetic, calls: dict[str, list[Call]]) -> Arithmetic
 
 def replay(captured: Captured) -> None:
     """One round, from the arrival of the decoded gossips to the outcome."""
-    me = captured.me
-    for gossip in (captured.mine, *captured.heard.values()):
-        outfit = captured.neighbours.peers.get(gossip.sender)
-        sensor = outfit.outfit.sensor if outfit and outfit.outfit else me.sensor
-        learn(gossip, sensor, me.config)
+    me, peers = captured.me, captured.neighbours.peers
+    forget()
+    learn(captured.mine, me.eye, me.config)
+    for name, gossip in captured.heard.items():
+        outfit = peers[name].outfit
+        assert outfit is not None
+        learn(gossip, outfit.eye, me.config)
     play(*captured)
 
 

@@ -9,7 +9,7 @@ from agents.cells import make_claim
 from agents.config import AgentConfig, TimingSettings
 from agents.particles import NONE, Particles, canonical, join
 from agents.step import Step
-from agents.words import Words, learn, side_by_side
+from agents.words import Words, eye_of, learn, particles_of, side_by_side
 from protocol.keys import order
 from protocol.messages import Gossip, pack
 from protocol.sensing import SENSOR_CLASSES
@@ -54,14 +54,14 @@ def words(belief: Belief, shares: list[Share], tick: int = 5) -> Words:
             states_bytes=pack(held.particles.states, "<f4"),
             ids_bytes=pack(held.particles.ids, "<u8"),
         )
-        learn(gossip, SENSOR_CLASSES["A"], CONFIG)
+        learn(gossip, eye_of(gossip.sender, SENSOR_CLASSES["A"], CONFIG), CONFIG)
         said.append(gossip)
     return side_by_side(said)
 
 
 def merged(belief: Belief, shares: list[Share]) -> list[int]:
     """Ids of everything that counts, ascending."""
-    return canonical(belief.merge(words(belief, shares), 5, PLAIN, CONFIG)).ids.tolist()
+    return canonical(particles_of(belief.merge(words(belief, shares), 5, PLAIN, CONFIG))).ids.tolist()
 
 
 def test_fresh_claims_replace_the_copies_that_lie_in_them() -> None:

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.arithmetic import PLAIN, Arithmetic
-from agents.cells import make_claim
+from agents.arithmetic import PLAIN, Arithmetic, Task
+from agents.cells import NO_CELL, make_claim
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings
 from agents.particles import NONE, Particles, join, select
 from agents.step import Step
-from agents.words import Words, learn
+from agents.words import Words, eye_of, learn
 from protocol.geometry import EMPTY, rectangle
 from protocol.messages import Gossip, pack
 from protocol.sensing import SENSOR_CLASSES, Pose
@@ -70,7 +70,7 @@ def diagram(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarra
 
 
 def words(rng: np.random.Generator, particles: Particles) -> Words:
-    """Up to five scans of the paper's sensors, detections near particles and elsewhere."""
+    """Up to five scans of the paper's sensors, detections near particles and elsewhere; each says some of the particles."""
     said = []
     for number in range(int(rng.integers(0, 6))):
         sensor = SENSOR_CLASSES["ABCDEFGH"[int(rng.integers(8))]]
@@ -78,7 +78,7 @@ def words(rng: np.random.Generator, particles: Particles) -> Words:
         detections = rng.random((count, 2)) * SIDE
         if count and len(particles.ids):
             detections[0] = particles.states[int(rng.integers(len(particles.ids))), :2] + 0.1
-        posed = pose(rng)
+        posed, held = pose(rng), select(particles, rng.random(len(particles.ids)) < 0.3)
         gossip = Gossip(
             sender=f"s{number}",
             incarnation=1,
@@ -89,8 +89,11 @@ def words(rng: np.random.Generator, particles: Particles) -> Words:
             unused=0.0,
             detections_bytes=pack(np.clip(detections, 0.0, SIDE), "<f4"),
             scanned=bool(rng.random() < 0.9),
+            weight=float(rng.random()) * 0.1,
+            states_bytes=pack(held.states, "<f4"),
+            ids_bytes=pack(held.ids, "<u8"),
         )
-        learn(gossip, sensor, AgentConfig())
+        learn(gossip, eye_of(gossip.sender, sensor, AgentConfig()), AgentConfig())
         said.append(gossip)
     return Words(said, bytearray().join([gossip.memo["row"] for gossip in said]))
 
@@ -195,6 +198,26 @@ def test_moments_and_in_view(seed: int, count: int, name: str) -> None:
     particles = cloud(rng, count)
     assert_same("moments", particles)
     assert_same("in_view", particles, SENSOR_CLASSES[name], pose(rng))
+
+
+@given(seeds, st.integers(0, 150), st.integers(1, 8), st.booleans(), st.sampled_from(["power", "none"]))
+@some
+def test_refresh(seed: int, size: int, count: int, in_words: bool, kind: str) -> None:
+    """All steps at once, with particles from gossips or from elsewhere, with a cell and without one."""
+    rng = np.random.default_rng(seed)
+    particles = cloud(rng, size)
+    said = words(rng, particles)
+    if not said.names:
+        return
+    points, radii = diagram(rng, count)
+    cell = PLAIN.cut(0, points, radii, BOX) if kind == "power" else NO_CELL
+    bounds = list(cell.bounds)
+    claim = make_claim(tuple(map(str, bounds)), np.column_stack([points, radii])[bounds], tuple((number, "") for number in bounds))
+    mine = said.gossips[int(rng.integers(len(said.gossips)))]
+    told = said if in_words else cloud(rng, size, 0.3)
+    born = cloud(rng, 12)
+    task = Task(mine.sender, mine.memo["sensor"], mine.pose, told, said, born, cell.polygon, claim, step(3, seed % 1000))
+    assert_same("refresh", task)
 
 
 def test_nothing_at_all() -> None:

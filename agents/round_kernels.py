@@ -1,0 +1,134 @@
+"""The compiled round: the steps of `arithmetic.in_steps` in one call, from the particles as they came to what an owner makes of them.
+
+One call instead of ten: what lies between the steps stays in compiled code. Rules as in `kernels`.
+"""
+
+import numpy as np
+from numba import njit
+
+from agents.cell_kernels import owned
+from agents.extraction_kernels import estimate_targets
+from agents.kernels import first_moments, gather, in_view, resample, scramble, take
+from agents.update_kernels import update
+from agents.words import PARTICLES, WEIGHT
+
+# Columns of the settings, and of the keys to which the tick is still to be added.
+DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, GATE2 = range(12)
+BIRTHS, COPIES, BIRTH_RADIUS, LEAST_SHARE, MOST_DENSITY, PER_TARGET, LEAST, MOST, BIN, THRESHOLD = range(12, 22)
+TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
+
+_S11 = np.uint64(11)
+
+
+@njit(cache=True)
+def _within_reach(
+    said: tuple, told: tuple, table: np.ndarray, polygon: np.ndarray, width: float, eye: tuple[float, float], reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the particles in gossips (states float32, ids; `table` says how many each and their weight) and of those told otherwise
+    (states, weights, ids): those within `width` m of the box around a polygon, or within `reach` m of a point."""
+    said_states, said_ids = said
+    states, weights, ids = told
+    west = south = np.inf
+    east = north = -np.inf
+    for c in range(len(polygon)):
+        west, east = min(west, polygon[c, 0] - width), max(east, polygon[c, 0] + width)
+        south, north = min(south, polygon[c, 1] - width), max(north, polygon[c, 1] + width)
+    chosen, count = np.empty(len(said_ids) + len(ids), np.int64), 0
+    for n in range(len(said_ids)):
+        x, y = np.float64(said_states[n, 0]), np.float64(said_states[n, 1])
+        dx, dy = x - eye[0], y - eye[1]
+        if (west <= x <= east and south <= y <= north) or dx * dx + dy * dy <= reach * reach:
+            chosen[count] = n
+            count += 1
+    near = count
+    for n in range(len(ids)):
+        dx, dy = states[n, 0] - eye[0], states[n, 1] - eye[1]
+        if (west <= states[n, 0] <= east and south <= states[n, 1] <= north) or dx * dx + dy * dy <= reach * reach:
+            chosen[count] = n
+            count += 1
+    found, found_weights, found_ids = np.empty((count, 4)), np.empty(count), np.empty(count, np.uint64)
+    row, end = -1, 0
+    for k in range(near):
+        n = chosen[k]
+        while n >= end:
+            row += 1
+            end += int(table[row, PARTICLES])
+        for axis in range(4):
+            found[k, axis] = np.float64(said_states[n, axis])
+        found_weights[k], found_ids[k] = table[row, WEIGHT], said_ids[n]
+    for k in range(near, count):
+        n = chosen[k]
+        for axis in range(4):
+            found[k, axis] = states[n, axis]
+        found_weights[k], found_ids[k] = weights[n], ids[n]
+    return found, found_weights, found_ids
+
+
+@njit(cache=True)
+def refresh(
+    settings: np.ndarray,
+    keys: np.ndarray,
+    tick: int,
+    mine: int,
+    table: np.ndarray,
+    salts: np.ndarray,
+    detections: np.ndarray,
+    said: tuple,
+    told: tuple,
+    births: tuple,
+    polygon: np.ndarray,
+    generators: np.ndarray,
+    first: np.ndarray,
+    owner: np.uint64,
+    directions: np.ndarray,
+) -> tuple:
+    """Twin of `arithmetic.in_steps` for wedges: the arrays and numbers of `Refreshed`; `mine` is the own row of the table."""
+    now = np.uint64(tick)
+    motion = (
+        scramble(now, keys[TURN]),
+        scramble(now, keys[EASTWARD]),
+        scramble(now, keys[NORTHWARD]),
+        settings[DT],
+        settings[HALF_TURN],
+        settings[SPEED],
+        settings[POSITION_NOISE],
+        settings[SURVIVAL],
+        settings[REFLECT] != 0.0,
+        settings[WIDTH],
+        settings[HEIGHT],
+    )
+    sensor, halo, step = table[mine], settings[HALO], settings[STEP]
+    eye, reach = (sensor[0], sensor[1]), sensor[4]
+    states, weights, ids = _within_reach(said, told, table, polygon, halo + step, eye, reach + step)
+    near_states, near_weights, near_ids, far_states, far_weights, _ = gather(
+        states, weights, ids, births[0], births[1], births[2], polygon, halo, eye, reach, step, motion
+    )
+    birth = (
+        settings[BIRTHS] != 0.0,
+        np.int64(settings[COPIES]),
+        settings[BIRTH_RADIUS],
+        settings[LEAST_SHARE],
+        settings[MOST_DENSITY],
+        settings[SPEED],
+        scramble(now, keys[BIRTH]),
+        directions,
+    )
+    states, weights, ids = update(
+        near_states, near_weights, near_ids, table, salts, detections, polygon, halo, settings[NOISE], settings[GATE2], birth
+    )
+    own_states, own_weights, own_ids = take(states, weights, ids, generators, first, settings[WIDTH], settings[HEIGHT])
+    mass, east, north = first_moments(own_states, own_weights)
+    near_load, near_detected = in_view(states, weights, sensor)
+    far_load, far_detected = in_view(far_states, far_weights, sensor)
+    kept_states, kept_ids, each = np.empty((0, 4)), np.empty(0, np.uint64), 0.0
+    if mass > 0.0:
+        count = int(min(max(np.rint(settings[PER_TARGET] * mass), settings[LEAST]), settings[MOST]))
+        offset = np.float64(scramble(now, owner) >> _S11) * 2.0**-53
+        kept_states, kept_ids = resample(own_states, own_weights, own_ids, mass, count, offset, scramble(now, keys[SPLIT]))
+        each = mass / count
+    targets = np.empty((0, 2))
+    if len(generators) > 0 and len(weights) > 0:
+        targets = estimate_targets(states, weights, settings[BIN], settings[THRESHOLD])
+        targets = targets[owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])]
+    updated, own, kept = (states, weights, ids), (own_states, own_weights, own_ids), (kept_states, np.full(len(kept_ids), each), kept_ids)
+    return updated, own, kept, mass, east, north, near_load + far_load, near_detected + far_detected, targets
