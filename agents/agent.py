@@ -18,7 +18,7 @@ from agents.interest import PERIOD
 from agents.neighbours import Neighbours
 from agents.particles import NONE
 from agents.round import Outcome, Self, must_hear, play
-from agents.words import eye_of, learn
+from agents.words import learn
 from protocol.geometry import rectangle
 from protocol.keys import all_of, one_of, order
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, pack
@@ -47,14 +47,7 @@ class Agent:
         self.tick = -1  # of the newest observation
         sensor = sensor_of(config, self.sensor_class)
         self.self = Self(
-            name,
-            sensor,
-            sensor_facts(sensor),
-            eye_of(name, sensor, config),
-            control_law(config),
-            arithmetic,
-            config,
-            rectangle(config.arena.width, config.arena.height),
+            name, sensor, sensor_facts(sensor), control_law(config), arithmetic, config, rectangle(config.arena.width, config.arena.height)
         )
         everywhere = prior(config.run.seed, self._prior_count(), config.filter, config.arena)
         self.outcome = Outcome(start(everywhere, name), self.self.facts.capability)
@@ -276,7 +269,7 @@ class Agent:
             states_bytes=pack(particles.states, "<f4"),
             ids_bytes=pack(particles.ids, "<u8"),
         )
-        learn(gossip, self.self.eye, self.config)
+        learn(gossip, self.self.sensor, self.config)
         return gossip
 
     def _estimate(self, gossip: Gossip, now: float) -> Estimate:

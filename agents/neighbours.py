@@ -14,7 +14,7 @@ import numpy as np
 
 from agents.capacity import SensorFacts, sensor_facts
 from agents.config import AgentConfig
-from agents.words import Eye, eye_of, learn
+from agents.words import learn
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.sensing import SensorModel
@@ -29,7 +29,6 @@ class Outfit(NamedTuple):
 
     sensor: SensorModel
     facts: SensorFacts
-    eye: Eye
 
 
 @dataclass
@@ -101,7 +100,7 @@ class Neighbours:
                 sensor = hello.sensor or sensor_of(self._config, hello.sensor_class)
             except BadSetting:
                 return "sensor"
-            peer.outfit = Outfit(sensor, sensor_facts(sensor), eye_of(hello.sender, sensor, self._config))
+            peer.outfit = Outfit(sensor, sensor_facts(sensor))
         return None
 
     def hear(self, gossip: Gossip) -> str | None:
@@ -126,7 +125,7 @@ class Neighbours:
         plausible = gossip.memo.get("plausible")
         if plausible is None:
             plausible = gossip.memo["plausible"] = _plausible(gossip, peer.outfit)
-            learn(gossip, peer.outfit.eye, self._config)
+            learn(gossip, peer.outfit.sensor, self._config)
         if not plausible:
             return "bounds"
         said = self._said.get(tick)

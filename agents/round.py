@@ -21,7 +21,7 @@ from agents.interest import wanted
 from agents.neighbours import Far, Neighbours
 from agents.particles import Particles
 from agents.step import Step
-from agents.words import Eye, Words, side_by_side
+from agents.words import Words, side_by_side
 from protocol.geometry import EMPTY, polygon_centroid
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip
@@ -37,7 +37,6 @@ class Self(NamedTuple):
     name: str
     sensor: SensorModel
     facts: SensorFacts
-    eye: Eye
     law: ControlLaw
     arithmetic: Arithmetic
     config: AgentConfig

@@ -29,17 +29,18 @@ class Eye(NamedTuple):
     """What a row says of a sensor in any pose and at any tick."""
 
     sensor: SensorModel
+    clutter: float  # expected per scan
     numbers: tuple[float, float, float, float]  # reach m, cos of half the angle, p_d, clutter density per m^2
     kind: float  # of its scans
     salt: int  # key of its name
 
 
-def eye_of(name: str, sensor: SensorModel, config: AgentConfig) -> Eye:
+def eye_of(name: str, sensor: SensorModel, clutter: float) -> Eye:
     """The sensor of an agent as its rows say it."""
-    kappa = config.detection.clutter / sensor.area
+    kappa = clutter / sensor.area
     if isinstance(sensor, WedgeSensor):
-        return Eye(sensor, (sensor.reach, sensor.cos_half_angle, sensor.prob_detection, kappa), WEDGE, key("sensor", name))
-    return Eye(sensor, (sensor.reach, 0.0, 0.0, kappa), OTHER, key("sensor", name))
+        return Eye(sensor, clutter, (sensor.reach, sensor.cos_half_angle, sensor.prob_detection, kappa), WEDGE, key("sensor", name))
+    return Eye(sensor, clutter, (sensor.reach, 0.0, 0.0, kappa), OTHER, key("sensor", name))
 
 
 def pack_row(
@@ -52,17 +53,27 @@ def pack_row(
     return _pack(x, y, cos(heading), sin(heading), *eye.numbers, kind, detections, weight, east, north, radius, particles, eye.salt)
 
 
-def learn(gossip: Gossip, eye: Eye, config: AgentConfig) -> None:
+_EYES: dict[str, Eye] = {}  # the last that was used, by name
+_MOST_EYES = 20000
+
+
+def learn(gossip: Gossip, sensor: SensorModel, config: AgentConfig) -> None:
     """Note with a gossip what its sender's sensor makes of it: its row, and the sensor.
 
     The generator is COD and power radius, COD alone ("voronoi-cod"), or position alone ("voronoi").
     """
-    diagram, pose, memo = config.partition.kind, gossip.pose, gossip.memo
+    name, clutter, diagram = gossip.sender, config.detection.clutter, config.partition.kind
+    eye = _EYES.get(name)
+    if eye is None or eye.sensor != sensor or eye.clutter != clutter:
+        if len(_EYES) >= _MOST_EYES:
+            _EYES.clear()
+        eye = _EYES[name] = eye_of(name, sensor, clutter)
+    pose, memo = gossip.pose, gossip.memo
     x, y = pose[:2] if diagram == "voronoi" else gossip.cod
     generator = (x, y, gossip.power_radius if diagram == "power" else 0.0)
     detections, particles = len(gossip.detections_bytes) // 8, len(gossip.ids_bytes) // 8
     memo["row"] = pack_row(eye, pose, generator, detections, gossip.weight, particles, gossip.scanned)
-    memo["sensor"] = eye.sensor
+    memo["sensor"] = sensor
 
 
 class Words:

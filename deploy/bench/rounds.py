@@ -41,11 +41,11 @@ def replay(captured: Captured) -> None:
     """One round, from the arrival of the decoded gossips to the outcome."""
     me, peers = captured.me, captured.neighbours.peers
     forget()
-    learn(captured.mine, me.eye, me.config)
+    learn(captured.mine, me.sensor, me.config)
     for name, gossip in captured.heard.items():
         outfit = peers[name].outfit
         assert outfit is not None
-        learn(gossip, outfit.eye, me.config)
+        learn(gossip, outfit.sensor, me.config)
     play(*captured)
 
 

@@ -16,7 +16,7 @@ from agents.cells import Claim
 from agents.config import AgentConfig
 from agents.particles import NONE, Particles, canonical, join, select
 from agents.step import Step
-from agents.words import eye_of, learn, side_by_side
+from agents.words import learn, side_by_side
 from protocol.geometry import rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -38,7 +38,7 @@ class Oracle:
         born = background_births(config.run.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
         said = [gossips[name] for name in sorted(gossips, key=order)]
         for gossip in said:
-            learn(gossip, eye_of(gossip.sender, sensor_of(config, config.members[gossip.sender]), config), config)
+            learn(gossip, sensor_of(config, config.members[gossip.sender]), config)
         all_over = _widely(config.arena)
         everything, _ = self.arithmetic.gather(self.particles, born, all_over, (0.0, 0.0), 0.0, step)
         self.updated = self.arithmetic.update(everything, side_by_side(said), all_over, step)

@@ -9,7 +9,7 @@ from agents.cells import make_claim
 from agents.config import AgentConfig, TimingSettings
 from agents.particles import NONE, Particles, canonical, join
 from agents.step import Step
-from agents.words import Words, eye_of, learn, particles_of, side_by_side
+from agents.words import Words, learn, particles_of, side_by_side
 from protocol.keys import order
 from protocol.messages import Gossip, pack
 from protocol.sensing import SENSOR_CLASSES
@@ -54,7 +54,7 @@ def words(belief: Belief, shares: list[Share], tick: int = 5) -> Words:
             states_bytes=pack(held.particles.states, "<f4"),
             ids_bytes=pack(held.particles.ids, "<u8"),
         )
-        learn(gossip, eye_of(gossip.sender, SENSOR_CLASSES["A"], CONFIG), CONFIG)
+        learn(gossip, SENSOR_CLASSES["A"], CONFIG)
         said.append(gossip)
     return side_by_side(said)
 

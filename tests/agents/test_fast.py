@@ -14,7 +14,7 @@ from agents.cells import NO_CELL, make_claim
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings
 from agents.particles import NONE, Particles, join, select
 from agents.step import Step
-from agents.words import Words, eye_of, learn
+from agents.words import Words, learn
 from protocol.geometry import EMPTY, rectangle
 from protocol.messages import Gossip, pack
 from protocol.sensing import SENSOR_CLASSES, Pose
@@ -93,7 +93,7 @@ def words(rng: np.random.Generator, particles: Particles) -> Words:
             states_bytes=pack(held.states, "<f4"),
             ids_bytes=pack(held.ids, "<u8"),
         )
-        learn(gossip, eye_of(gossip.sender, sensor, AgentConfig()), AgentConfig())
+        learn(gossip, sensor, AgentConfig())
         said.append(gossip)
     return Words(said, bytearray().join([gossip.memo["row"] for gossip in said]))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.config import AgentConfig, PartitionSettings
-from agents.words import Words, eye_of, learn, side_by_side
+from agents.words import Words, learn, side_by_side
 from protocol.messages import Gossip, pack
 from protocol.sensing import SENSOR_CLASSES
 from protocol.streams import key
@@ -21,7 +21,7 @@ def gossip(name: str, cod: float = 3.0, radius: float = 2.0, **fields: object) -
 def words(*gossips: Gossip, kind: str = "power") -> Words:
     config = AgentConfig(partition=PartitionSettings(kind=kind))  # type: ignore[arg-type]
     for said in gossips:
-        learn(said, eye_of(said.sender, SENSOR_CLASSES["B"], config), config)
+        learn(said, SENSOR_CLASSES["B"], config)
     return side_by_side(list(gossips))
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from agents.round import play
-from agents.words import eye_of, learn
+from agents.words import learn
 from deploy.bench import central
 from deploy.bench.capture import capture, cold
 from deploy.bench.timing import median_seconds, table
@@ -28,8 +28,7 @@ def test_a_captured_round_replays_to_the_command_that_was_given() -> None:
     assert len(rounds) == 7
     for captured, again in zip(rounds, cold(rounds)):
         for gossip in (again.mine, *again.heard.values()):
-            sensor, config = captured.heard.get(gossip.sender, captured.mine).memo["sensor"], captured.me.config
-            learn(gossip, eye_of(gossip.sender, sensor, config), config)
+            learn(gossip, captured.heard.get(gossip.sender, captured.mine).memo["sensor"], captured.me.config)
         assert play(*captured).command == play(*again).command
 
 
