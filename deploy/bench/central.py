@@ -42,7 +42,8 @@ class Central:
         config = world_config(scenario)
         run, arena = scenario.run, scenario.arena
         sensors = {name: sensor_of(scenario, sensor_class) for name, sensor_class in scenario.members.items()}
-        self._team = [Member(name, sensor, sensor_facts(sensor), eye_of(name, sensor, scenario.detection.clutter)) for name, sensor in sensors.items()]
+        clutter = scenario.detection.clutter
+        self._team = [Member(name, sensor, sensor_facts(sensor), eye_of(name, sensor, clutter)) for name, sensor in sensors.items()]
         self._targets = Targets(config.targets, arena, run.dt, run.seed)
         self._bodies, self._detector = Bodies(run.dt, scenario.limits), Detector(scenario.detection, run.seed)
         for member in self._team:
