@@ -101,8 +101,7 @@ class Belief:
         """Everything at `stamp` that counts, given what all say in the round `tick`, myself included; an id may occur twice.
 
         Copies count where no fresh claim lies. Where two claims overlap (the views differed), both count within `timing.overlap` m
-        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena: then what
-        they say is everything.
+        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena.
         """
         # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
         agreed = self.mine.view != 0 and words.claimed == (tick - 1, self.mine.view)
