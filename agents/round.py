@@ -71,11 +71,12 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
     claim = _claim(speaking, cell, neighbours.far)
     told = last.belief.awake(step, arithmetic).merge(words, tick, arithmetic, config)
     near = arithmetic.refresh(Task(me.name, me.sensor, mine.pose, told, words, _births(step), cell.polygon, claim, step))
+    updated, kept = near.updated, near.kept
     return Outcome(
         belief=Belief(
             stamp=tick,
-            mine=Share(me.name, claim, near.kept, _view(neighbours, heard, speaking, claim)),
-            copies=Copies(near.updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.chosen else math.inf)),
+            mine=Share(me.name, claim, kept, _view(neighbours, heard, speaking, claim)),
+            copies=Copies(updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.chosen else math.inf)),
             everyone=frozenset(speaking.names),
         ),
         unused=unused_capacity(me.facts.capability, near.detected, near.load, config.capacity),
