@@ -1,0 +1,226 @@
+"""A swarm with certificates: who has none, one of a foreign authority, or that of another name is neither heard nor told."""
+
+import asyncio
+import contextlib
+import json
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+import zenoh
+
+from deploy.scenario import resolve
+from deploy.simulate import simulate
+from deploy.swarm.keys import make_keys
+from protocol import codec, keys, live
+from protocol.endpoints import free_port
+from protocol.messages import Command, Gossip, Hello, Message, Truth
+from protocol.node import Alive, Effect, Event, Received, Rejected, Started, Subscribe
+from protocol.settings import NetworkSettings
+from tests.live.harness import Covey
+
+pytestmark = pytest.mark.live
+YOUNG = 2**62  # an incarnation that would win against all others
+RUN = "covey"
+OWN = keys.one_of(RUN, "estimate", "s1")  # what the insider may write, though it is rubbish
+
+
+class Eavesdropper:
+    """A watcher with a certificate that keeps whatever is forged, and the insider's rubbish."""
+
+    run, role, name, incarnation = RUN, "monitor", "eavesdropper", 1
+
+    def __init__(self) -> None:
+        self.honest = 0
+        self.own: list[Event] = []
+        self.forged: list[Event] = []
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        if isinstance(event, Started):
+            return [Subscribe(f"{keys.ROOT}/{RUN}/**")]
+        if isinstance(event, Received) and event.message.incarnation < YOUNG:
+            self.honest += 1
+        elif isinstance(event, Rejected) and event.key == OWN:
+            self.own.append(event)
+        elif isinstance(event, Received | Rejected) or (isinstance(event, Alive) and event.incarnation >= YOUNG):
+            self.forged.append(event)
+        return []
+
+    def deadline(self) -> float | None:
+        return None
+
+
+def forgeries() -> Iterator[tuple[str, bytes]]:
+    """What would do harm if anybody heard it: messages of a younger s2 and a younger world, and rubbish under all keys of s2."""
+    place = {"pose": (1.0, 1.0, 0.0), "cod": (1.0, 1.0), "power_radius": 1.0, "unused": 3.2}
+    messages: list[Message] = [
+        Hello(sender="s2", incarnation=YOUNG),
+        Gossip(sender="s2", incarnation=YOUNG, tick=1, **place),  # type: ignore[arg-type]
+        Command(sender="s2", incarnation=YOUNG, tick=1, velocity=(1.0, 0.0), turn_rate=0.0),
+        Hello(sender="world", incarnation=YOUNG, role="world"),
+        Truth(sender="world", incarnation=YOUNG, tick=1, time=0.0),
+    ]
+    yield from ((keys.message_key(RUN, message), codec.encode(message)) for message in messages)
+    yield from ((keys.one_of(RUN, kind, "s2"), b"\xc1") for kind in ("hello", "gossip", "observation", "command", "estimate"))
+
+
+class Stranger:
+    """A session that says what it must not and listens to everything."""
+
+    def __init__(self, config: zenoh.Config) -> None:
+        self.heard: list[str] = []
+        self._session = zenoh.open(config)
+        liveliness = self._session.liveliness()
+        token = liveliness.declare_token(keys.token_key(RUN, "agent", "s2", YOUNG))
+        remote = zenoh.Locality.REMOTE
+        ears = [self._session.declare_subscriber(key, self._hear, allowed_origin=remote) for key in ("**", f"{keys.ROOT}/{RUN}/truth")]
+        self._declared = [token, *ears]
+
+    def _hear(self, sample: zenoh.Sample) -> None:
+        self.heard.append(str(sample.key_expr))
+
+    def forge(self) -> None:
+        for key, payload in forgeries():
+            self._session.put(key, payload)
+
+    def say_own(self) -> None:
+        self._session.put(OWN, b"\xc1")
+
+    def close(self) -> None:
+        self._session.close()
+
+
+def with_keys(folder: Path) -> dict[str, str]:
+    return {"ca": str(folder / "ca.pem"), "certificate": str(folder / "{name}.pem"), "key": str(folder / "{name}.key")}
+
+
+def stranger_config(seeds: tuple[str, ...], files: dict[str, str], name: str) -> zenoh.Config:
+    """A peer with these certificates that keeps to no access control of its own."""
+    settings = NetworkSettings(seeds=seeds, **files)  # type: ignore[arg-type]
+    config = live.session_config(settings, keys.Token(RUN, "agent", name, YOUNG))
+    config.insert_json5("access_control", json.dumps({"enabled": False}))
+    return config
+
+
+def without_certificate(seeds: tuple[str, ...], folder: Path) -> zenoh.Config:
+    """A peer that knows the authority, as everybody may, and has nothing of its own to show."""
+    config = live.session_config(NetworkSettings(listen=(f"tcp/127.0.0.1:{free_port()}",), seeds=seeds))
+    config.insert_json5("transport/link/tls", json.dumps({"root_ca_certificate": str(folder / "ca.pem"), "verify_name_on_connect": False}))
+    return config
+
+
+def plain(seeds: tuple[str, ...]) -> zenoh.Config:
+    """A peer that has not heard of TLS."""
+    return live.session_config(NetworkSettings(seeds=tuple(seed.replace("tls/", "tcp/") for seed in seeds)))
+
+
+async def until_there(file: Path) -> NetworkSettings:
+    """The network settings of a run, once they are written."""
+    async with asyncio.timeout(60.0):
+        while True:
+            with contextlib.suppress(OSError, KeyError, tomllib.TOMLDecodeError):
+                return msgspec.convert(tomllib.loads(file.read_text())["network"], NetworkSettings)
+            await asyncio.sleep(0.02)
+
+
+@pytest.mark.timeout(300)
+def test_nothing_that_a_stranger_or_an_insider_forges_is_delivered_and_strangers_hear_nothing(covey: Covey) -> None:
+    assert covey.run("keys", "--scenario", "quick", "--into", "ours")[0] == 0
+    make_keys(["s2"], covey.folder / "theirs")
+    supervisor = covey.start("up", "quick", "--keys", "ours", "--lockstep", "--json", "--seconds", "20")
+    eavesdropper = Eavesdropper()
+
+    async def scene() -> dict[str, Stranger]:
+        network = await until_there(covey.folder / "runs" / "covey" / "run.toml")
+        assert all(seed.startswith("tls/127.0.0.1:") for seed in network.seeds)
+        watcher = live.Driver(eavesdropper, network)
+        watching = asyncio.create_task(watcher.serve())
+        configs = {
+            "plain": plain(network.seeds),
+            "without": without_certificate(network.seeds, covey.folder / "ours"),
+            "foreign": stranger_config(network.seeds, with_keys(covey.folder / "theirs"), "s2"),
+            "insider": stranger_config(network.seeds, with_keys(covey.folder / "ours"), "s1"),
+        }
+        strangers = {name: await asyncio.to_thread(Stranger, config) for name, config in configs.items()}
+        try:
+            while supervisor.poll() is None:
+                for stranger in strangers.values():
+                    stranger.forge()
+                strangers["insider"].say_own()
+                await asyncio.sleep(0.05)
+        finally:  # an open session would hold up the end of the tests
+            for stranger in strangers.values():
+                await asyncio.to_thread(stranger.close)
+            watcher.stop(0, "the run is over")
+            await watching
+        return strangers
+
+    strangers = asyncio.run(scene())
+    assert supervisor.stdout is not None and supervisor.stderr is not None
+    output, complaints = supervisor.stdout.read(), supervisor.stderr.read()
+    assert supervisor.returncode == 0, complaints
+    assert eavesdropper.honest > 100, "the watcher has a certificate"
+    assert eavesdropper.own, "the insider's links work: what it may write is heard"
+    assert eavesdropper.forged == []
+    for name in ("plain", "without", "foreign"):
+        assert strangers[name].heard == [], name
+    assert not [key for key in strangers["insider"].heard if key.split("/")[2] in ("truth", "estimate", "command")]
+    assert not [key for key in strangers["insider"].heard if "/observation/" in key and not key.endswith("/s1")]
+    result = json.loads(output.splitlines()[-1])
+    simulated = simulate(resolve("quick", {"run.seconds": 20.0}))
+    assert result["transcript"] == simulated.transcript
+    assert result["ticks"] == simulated.ticks
+    for log in (covey.folder / "runs" / "covey" / "logs").glob("s[1-6].jsonl"):
+        assert '"rejected"' not in log.read_text() and '"error"' not in log.read_text(), log
+
+
+def test_a_seed_with_a_foreign_certificate_learns_nothing_from_those_who_dial_it(tmp_path: Path) -> None:
+    make_keys(["s1", "s2"], tmp_path / "ours")
+    make_keys(["s1"], tmp_path / "theirs")
+
+    async def scene(folder: Path) -> list[str]:
+        endpoint = f"tls/127.0.0.1:{free_port()}"
+        settings = NetworkSettings(listen=(endpoint,), admit=("s1", "s2"), **with_keys(folder))  # type: ignore[arg-type]
+        listener = Stranger(live.session_config(settings, keys.Token(RUN, "agent", "s1", 1)))
+        mine = NetworkSettings(seeds=(endpoint,), admit=("s1", "s2"), **with_keys(tmp_path / "ours"))  # type: ignore[arg-type]
+        dialler = await asyncio.to_thread(live.open_session, mine, keys.Token(RUN, "agent", "s2", 1))
+        hello = keys.one_of(RUN, "hello", "s2")
+        ear = listener._session.declare_subscriber(keys.all_of(RUN, "hello"), listener._hear, allowed_origin=zenoh.Locality.REMOTE)
+        for _ in range(60):  # 3 s: a refused seed is dialled again and again
+            dialler.put(hello, b"secret")
+            await asyncio.sleep(0.05)
+            if listener.heard:
+                break
+        await asyncio.to_thread(dialler.close)
+        ear.undeclare()
+        listener.close()
+        return listener.heard
+
+    assert asyncio.run(scene(tmp_path / "theirs")) == []
+    assert set(asyncio.run(scene(tmp_path / "ours"))) == {keys.one_of(RUN, "hello", "s2")}
+
+
+def test_an_endpoint_beyond_this_machine_needs_tls_or_the_word_insecure(covey: Covey) -> None:
+    everywhere = f"tcp/0.0.0.0:{free_port()}"
+    listen = ("--set", f"network.listen=['{everywhere}']")
+    words = ("up", "quick", "--lockstep", "--seconds", "5", "--spawn", "exec")
+    code, _, complaints = covey.run(*words, *listen)
+    assert (code, complaints.count("\n")) == (2, 1)
+    assert complaints.startswith(f"covey: network.listen = '{everywhere}': leaves this machine without TLS")
+    assert covey.result(*words, *listen, "--insecure")["ticks"] == 20
+    code, _, complaints = covey.run(*words, "--set", "network.listen=['tls/0.0.0.0:0']")
+    assert (code, complaints.count("\n")) == (2, 1)
+    assert "needs certificates; `covey keys` makes them" in complaints
+
+
+def test_certificates_that_are_missing_or_unreadable_are_one_clear_line(covey: Covey) -> None:
+    code, _, complaints = covey.run("up", "quick", "--keys", "nowhere")
+    assert (code, complaints.count("\n")) == (2, 1)
+    assert "nowhere/ca.pem': No such file or directory; `covey keys` makes the certificates of a swarm" in complaints
+    assert covey.run("keys", "--scenario", "quick")[0] == 0
+    (covey.folder / "keys" / "monitor.pem").write_text("rubbish")
+    code, _, complaints = covey.run("up", "quick", "--keys", "keys")
+    assert (code, complaints.count("\n")) == (2, 1), complaints
+    assert "certificate" in complaints and "Traceback" not in complaints
