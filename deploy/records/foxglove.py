@@ -53,7 +53,7 @@ def _say(writer: Writer, channel: int, time: float, data: Json) -> None:
 
 def scene(picture: Picture, time: float) -> Json:
     """The scene update of the tick that the picture shows."""
-    stamp = {"sec": int(time), "nsec": round(1e9 * (time - int(time)))}
+    stamp = dict(zip(("sec", "nsec"), divmod(round(1e9 * time), 10**9)))
     entities = [_entity("arena", stamp, lines=[_outline(_arena(picture), (0.6, 0.65, 0.7, 1.0), 0.1)])]
     gone = []
     for index, name in enumerate(picture.agents):

@@ -81,3 +81,23 @@ def test_the_dashboard_asks_for_nothing_that_is_not_exported() -> None:
     counted_when_it_happens = {f"covey_agent_{name}_total" for name in ("late", "missing", "skipped", "rejected")}
     assert len(asked) > 15
     assert asked <= exported | counted_when_it_happens
+
+
+def test_the_dashboard_is_one_that_grafana_lays_out_as_it_stands() -> None:
+    board = json.loads((ROOT / "deploy" / "grafana.json").read_text(encoding="utf-8"))
+    assert board["schemaVersion"] >= 36  # data sources by uid
+    assert {"title", "uid", "time", "templating", "annotations", "panels"} <= set(board)
+    names = {variable["name"] for variable in board["templating"]["list"]}
+    taken: set[tuple[int, int]] = set()
+    for panel in board["panels"]:
+        place = panel["gridPos"]
+        squares = {(x, y) for x in range(place["x"], place["x"] + place["w"]) for y in range(place["y"], place["y"] + place["h"])}
+        assert not squares & taken
+        assert all(0 <= x < 24 for x, _ in squares)
+        taken |= squares
+        assert panel["type"] in ("stat", "timeseries")
+        assert panel["datasource"] == {"type": "prometheus", "uid": "${source}"}
+        assert [target["refId"] for target in panel["targets"]] == sorted({target["refId"] for target in panel["targets"]})
+        asked = re.findall(r"\$(\w+)", " ".join(target["expr"] for target in panel["targets"]))
+        assert set(asked) == {"run"} <= names
+    assert len({panel["id"] for panel in board["panels"]}) == len(board["panels"])

@@ -223,7 +223,14 @@ def test_page_is_a_port_or_host_and_port() -> None:
 
 @pytest.mark.parametrize(
     ("words", "page"),
-    [([], True), (["--page"], True), (["--no-page"], False), (["--page", "0"], "0"), (["--page", "1"], "1"), (["--page=[::1]:0"], "[::1]:0")],
+    [
+        ([], True),
+        (["--page"], True),
+        (["--no-page"], False),
+        (["--page", "0"], "0"),
+        (["--page", "1"], "1"),
+        (["--page=[::1]:0"], "[::1]:0"),
+    ],
 )
 def test_zero_is_a_free_port_and_not_a_no(words: list[str], page: bool | str) -> None:
     _, bound, _ = app.parse_args(["demo", *words])

@@ -1,0 +1,80 @@
+"""Recordings of real swarms: opened after kill -9 of the recorder, and scored to the figures of the run."""
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from deploy.records.recording import Recording, event_of
+from protocol.messages import Truth
+from protocol.node import Received
+from tests.live.harness import BOUND, Covey
+
+pytestmark = [pytest.mark.live, pytest.mark.timeout(400)]
+LAST_SECOND = 1.0  # s that a recorder which is killed may lose
+SPARE = 3.0  # s more for a machine that is busy
+
+
+def newest(path: Path) -> tuple[int, float]:
+    """Tick of the newest truth in a recording, -1 when there is none, and the Unix time, s, at which it was heard."""
+    found = -1, 0.0
+    for entry in Recording(path).entries():
+        event = event_of(entry)
+        if isinstance(event, Received) and isinstance(event.message, Truth):
+            found = event.message.tick, entry.published / 1e9
+    return found
+
+
+def test_a_recorder_that_is_killed_loses_the_last_second_and_nobody_notices(covey: Covey) -> None:
+    covey.start("up", "quick", "--seconds", "1000", "--rate", "2", "--record")
+    covey.running()
+    recorder = covey.start("record", "outside.mcap")
+    assert recorder.stdout is not None
+    assert recorder.stdout.readline().startswith("recording into")
+    file = covey.folder / "outside.mcap"
+    end = time.monotonic() + BOUND
+    while newest(file)[0] < 12:
+        assert time.monotonic() < end, "nothing is recorded"
+        time.sleep(0.1)
+    heard = covey.wait(lambda data: True)["swarm"]["tick"]
+    recorder.send_signal(signal.SIGKILL)
+    recorder.wait(timeout=BOUND)
+    killed_at = time.time()
+
+    recording = Recording(file)
+    tick, heard_at = newest(file)
+    assert not recording.is_whole
+    assert killed_at - heard_at < LAST_SECOND + SPARE
+    covey.wait(lambda data: data["swarm"]["tick"] > heard + 4)
+    assert covey.run("down")[0] == 0
+    whole = {entry.payload for entry in Recording(covey.folder / "runs" / "covey" / "recording.mcap").entries()}
+    messages = [entry for entry in recording.entries() if isinstance(event_of(entry), Received) and 2 < entry.time < 0.25 * tick]
+    assert len(messages) > 0
+    assert all(entry.payload in whole for entry in messages)
+
+
+@pytest.mark.parametrize("pace", [("--lockstep",), ("--rate", "4")])
+def test_a_recording_alone_gives_the_figures_of_the_live_run(covey: Covey, pace: tuple[str, ...]) -> None:
+    live = covey.result("up", "quick", "--seconds", "10", "--kill", "s3@4", "--record", *pace)
+    again = covey.result("score", "covey")
+    assert again["transcript"] == live["transcript"]
+    assert again["ticks"] == live["ticks"] > 30
+    for name in ("mean_ospa", "steady_ospa", "final_ospa", "mean_gospa", "final_gospa", "cardinality_error", "hole_area", "overlap_area"):
+        assert again[name] == pytest.approx(live[name], rel=0.0, abs=1e-9), name
+    assert [kill["name"] for kill in again["kills"]] == ["s3"]
+
+
+def test_a_swarm_that_was_cut_in_two_is_cut_in_the_recording_too(covey: Covey) -> None:
+    process = covey.start("up", "quick", "--seconds", "1000", "--rate", "2", "--record", "--set", "network.link_faults=true")
+    covey.running()
+    assert covey.run("partition", "s1,s2")[0] == 0
+    assert covey.run("heal")[0] == 0
+    assert covey.run("down")[0] == 0
+    process.wait(timeout=BOUND)
+    recording = Recording(covey.folder / "runs" / "covey" / "recording.mcap")
+    assert [(fault.verb, fault.text) for fault in recording.faults] == [
+        ("partition", "cut off s1, s2"),
+        ("heal", "all links are clear again"),
+    ]
+    assert 0.0 <= recording.faults[0].time <= recording.faults[1].time <= recording.seconds
