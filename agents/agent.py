@@ -31,12 +31,14 @@ VERSION = "0.1.0"
 HELLO_SOON = 0.05  # s between the appearance of somebody new and a greeting
 HELLO_EARLY, HELLO_LATE = 0.25, 2.0  # s between greetings while somebody is unknown or nothing has been observed, and later
 EXIT_FENCED = 3
+MANY = 1 << 30
 
 
 class Agent:
     """The Node of one sensor."""
 
     role = "agent"
+    patient = "/gossip/"  # one gossip is no reason to wake up
 
     def __init__(self, config: AgentConfig, name: str, incarnation: int = 1, arithmetic: Arithmetic = PLAIN) -> None:
         self.name, self.incarnation, self.run = name, incarnation, config.run.name
@@ -104,6 +106,11 @@ class Agent:
             self._presence.speak(message.sender, now)
             self.neighbours.see(message)
         return []
+
+    @property
+    def awaiting(self) -> int:
+        """How many gossips the open round waits for; without one they can wait for the observation (Node)."""
+        return len(self._awaited) if self._gossip else MANY
 
     def deadline(self) -> float | None:
         """When the open round closes or the next greeting is due, whichever is earlier (Node)."""

@@ -46,12 +46,16 @@ class Flow:
 class Inbox:
     """A queue that any thread fills and the event loop empties; when it overflows, the newest per key stays.
 
-    `newest` is a part of those keys of which only the newest message counts: who is slow never works off a queue of them.
+    `newest` is a part of those keys of which only the newest message counts: who is slow never works off a queue of them. `patient` is a
+    part of those keys whose messages can wait until so many have come as `rest` was told: one wake-up for many costs far less than many.
     """
 
-    def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, newest: str = "") -> None:
+    def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, newest: str = "", patient: str = "") -> None:
         self.dropped = 0  # messages that gave way to newer ones
         self._newest = newest
+        self._patient = patient
+        self._waiting = 0  # patient messages in the queue
+        self._enough = 1  # of them call the loop
         self._lock = threading.Lock()
         self._queue: deque[Arrival] = deque()
         self._bytes = 0
@@ -67,18 +71,33 @@ class Inbox:
         with self._lock:
             self._queue.append(arrival)
             self._bytes += len(arrival.payload)
+            patient = self._waits(arrival)
+            self._waiting += patient
             if len(self._queue) > self._most_entries or self._bytes > self._most_bytes:
                 self._thin_out()
-            called, self._called = self._called, True
-            return not called
+            if self._called or (patient and self._waiting < self._enough):
+                return False
+            self._called = True
+            return True
 
     def take(self, most: int) -> list[Arrival]:
         """The oldest entries, `most` at most; an empty list hands the duty to call back to `add`."""
         with self._lock:
             batch = [self._queue.popleft() for _ in range(min(most, len(self._queue)))]
-            self._bytes -= sum(len(arrival.payload) for arrival in batch)
+            self._bytes -= sum([len(arrival.payload) for arrival in batch])
+            self._waiting -= sum(map(self._waits, batch))
             self._called = bool(batch)
             return self._without_old(batch) if self._newest else batch
+
+    def rest(self, enough: int) -> bool:
+        """The loop has done for now; `enough` patient messages shall call it. True when what is there calls it already."""
+        with self._lock:
+            self._enough = enough
+            self._called = len(self._queue) > self._waiting or self._waiting >= max(enough, 1)
+            return self._called
+
+    def _waits(self, arrival: Arrival) -> bool:
+        return self._patient != "" and arrival.token is None and self._patient in arrival.key
 
     def _without_old(self, batch: list[Arrival]) -> list[Arrival]:
         """The batch without what a newer message of the same key, in it or in the queue, has made void."""
@@ -102,6 +121,7 @@ class Inbox:
         self.dropped += len(self._queue) - len(kept)
         self._queue = deque(kept)
         self._bytes = sum(len(arrival.payload) for arrival in kept)
+        self._waiting = sum(map(self._waits, kept))
 
 
 class Quarantine:

@@ -28,7 +28,22 @@ from protocol.endpoints import check_endpoints, check_files
 from protocol.inbox import Arrival, Flow, Inbox, Quarantine
 from protocol.links import LinkFaults
 from protocol.messages import Malformed, Message
-from protocol.node import Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, sees_all_tokens
+from protocol.node import (
+    Effect,
+    Event,
+    Node,
+    Received,
+    Rejected,
+    Reopen,
+    Started,
+    Stop,
+    Subscribe,
+    Timer,
+    Unsubscribe,
+    awaited,
+    patient_kind,
+    sees_all_tokens,
+)
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin
 from protocol.tokens import Tokens
@@ -71,7 +86,7 @@ class Driver:
         self._node = node
         self._settings = settings
         self._link = link
-        self._inbox = Inbox(newest="/observation/" if node.role == "agent" else "")
+        self._inbox = Inbox(newest="/observation/" if node.role == "agent" else "", patient=patient_kind(node))
         self._flow = Flow()
         self._quarantine = Quarantine()
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
@@ -159,7 +174,7 @@ class Driver:
         batch = self._inbox.take(SLICE)
         for arrival in batch:
             self._token(arrival) if arrival.token is not None else self._pass(arrival)
-        if batch:
+        if self._inbox.rest(awaited(self._node)):
             self._loop.call_soon(self._drain)
 
     def _token(self, arrival: Arrival) -> None:
@@ -302,7 +317,11 @@ class Driver:
 
     def _fire(self) -> None:
         self._timer = self._timer_at = None
+        for _ in range(1 + len(self._inbox) // SLICE):  # what has come before counts before
+            self._drain()
         self._handle(Timer())
+        if self._inbox.rest(awaited(self._node)):
+            self._loop.call_soon(self._drain)
 
 
 async def serve(node: Node, settings: NetworkSettings, *, link: LinkFaults | None = None) -> int:

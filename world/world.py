@@ -29,6 +29,7 @@ class World:
     """The true state of a run, and its clock. `restored` is the last Truth of an earlier incarnation."""
 
     role = "world"
+    patient = "/command/"  # one command is no reason to wake up
     name = "world"
 
     def __init__(self, config: WorldConfig, incarnation: int, restored: Truth | None = None) -> None:
@@ -82,6 +83,11 @@ class World:
             case Rejected():
                 self.rejected_messages += 1
         return []
+
+    @property
+    def awaiting(self) -> int:
+        """How many commands the tick waits for; in real time it waits for the clock."""
+        return len(self._waiting) if self._lockstep or not self.started else 1 << 30
 
     def deadline(self) -> float | None:
         """When the next Hello or tick is due, in the time of `now`."""
