@@ -6,23 +6,22 @@ and drive. The mathematics lives in `phd`, `belief`, `cells`, `capacity` and `co
 """
 
 from collections import Counter
-from functools import partial
 
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.belief import start
-from agents.births import prior
+from agents.births import prior, prior_around
 from agents.capacity import place, sensor_facts
 from agents.config import AgentConfig
 from agents.control import control_law
-from agents.interest import PERIOD
+from agents.lookout import Lookout
 from agents.neighbours import Neighbours
 from agents.particles import NONE
-from agents.round import Outcome, Self, must_hear, play
+from agents.round import Outcome, Self, play
 from agents.words import learn
 from protocol.geometry import rectangle
-from protocol.keys import all_of, one_of, order
+from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, pack
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
 from protocol.sensing import WedgeSensor
 from protocol.settings import sensor_of
@@ -51,20 +50,19 @@ class Agent:
         self.self = Self(
             name, sensor, sensor_facts(sensor), control_law(config), arithmetic, config, rectangle(config.arena.width, config.arena.height)
         )
-        everywhere = prior(config.run.seed, self._prior_count(), config.filter, config.arena)
+        self.local = self.neighbours.local  # then the driver shows me only the tokens that I ask for
+        self._lookout = Lookout(self.self, self.neighbours, incarnation) if self.local else None
+        everywhere = NONE if self.local else prior(config.run.seed, self._prior_count(), config.filter, config.arena)
         self.outcome = Outcome(start(everywhere, name), self.self.facts.capability)
-        self._presence = Presence(name, [*config.members, "world"])
+        self._presence = Presence(name, ["world"] if self.local else [*config.members, "world"])
         self._world = 0  # incarnation of the world
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # mine, of the open round
         self._awaited: set[str] = set()  # whose gossip the open round waits for
         self._listening = 0  # rounds left in which I have no cell, though others speak
         self._lonely = 0  # and rounds left in which I do not believe that nobody else is there
-        self._lighthouse = max(1, round(PERIOD / config.run.dt)) if config.timing.interest == "neighbours" else 0  # ticks between beacons
-        self._first = 0  # tick
-        self._subscribed: set[str] = set()  # to whose gossip; nobody: to everybody's
-        self._chosen_at, self._members = -(10**9), 0  # when, and among whom, the neighbours were chosen
         self._close_at: float | None = None
+        self._answer_at: float | None = None
         self._greet_at: float | None = None
         self._opened_at = 0.0
 
@@ -81,7 +79,8 @@ class Agent:
             case Alive():
                 if event.role == "agent":
                     self.neighbours.alive(event.name, event.incarnation)
-                self._greet_soon(now)
+                if event.role != "agent" or not self.local:
+                    self._greet_soon(now)
             case Gone(role="agent"):
                 self._presence.leave(event.name)
                 self.neighbours.gone(event.name, event.incarnation, self.tick)
@@ -89,10 +88,7 @@ class Agent:
                 return self._close_if_complete(now)
             case Started():
                 self._greet_at = now + HELLO_EARLY
-                kinds = [all_of(self.run, "hello"), all_of(self.run, "gossip"), one_of(self.run, "observation", self.name)]
-                if self._lighthouse:
-                    kinds.append(all_of(self.run, "beacon"))
-                return [*map(Subscribe, kinds), self._hello(now)]
+                return [*map(Subscribe, [*self._expressions(), one_of(self.run, "observation", self.name)]), self._hello(now)]
             case Rejected(reason=reason):
                 self.counters[f"rejected.{reason}"] += 1
         return []
@@ -102,10 +98,18 @@ class Agent:
             return self._on_observation(message, now)
         if isinstance(message, Hello):
             return self._on_hello(message, now)
-        if isinstance(message, Beacon) and message.sender != self.name:
-            self._presence.speak(message.sender, now)
-            self.neighbours.see(message)
+        if isinstance(message, Beacon) and self._lookout is not None and message.sender != self.name and self._lookout.hear(message):
+            self._answer_at = now + HELLO_SOON if self._answer_at is None else self._answer_at
         return []
+
+    def _expressions(self) -> list[str]:
+        """What I listen to from the beginning."""
+        if not self.local:
+            return [all_of(self.run, "hello"), all_of(self.run, "gossip")]
+        return [one_of(self.run, "hello", "world"), *(tokens_of(self.run, role, name) for role, name in self._own_tokens())]
+
+    def _own_tokens(self) -> list[tuple[str, str]]:
+        return [("agent", self.name), ("world", "world")]
 
     @property
     def awaiting(self) -> int:
@@ -113,11 +117,12 @@ class Agent:
         return len(self._awaited) if self._gossip else MANY
 
     def deadline(self) -> float | None:
-        """When the open round closes or the next greeting is due, whichever is earlier (Node)."""
-        close, greet = self._close_at, self._greet_at
-        if close is None or (greet is not None and greet < close):
-            return greet
-        return close
+        """When the open round closes, or the next greeting, answer or choice is due, whichever is earliest (Node)."""
+        if self._lookout is None:
+            close, greet = self._close_at, self._greet_at
+            return greet if close is None or (greet is not None and greet < close) else close
+        times = [time for time in (self._close_at, self._greet_at, self._answer_at, self._lookout.due) if time is not None]
+        return min(times, default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
         if observation.incarnation < self._world or observation.tick <= self.tick:
@@ -125,20 +130,38 @@ class Agent:
             return []
         self._world = observation.incarnation
         self._presence.speak(observation.sender, now)
-        effects = self._close(now) if self._observation else []
+        effects = self._close(now) if self._gossip else []
         if self.tick < 0:
-            self._first = observation.tick
             self._listening = self.config.timing.listening_rounds if observation.tick > 0 else 0
             self._lonely = 2 * self.config.timing.silent_rounds
         elif observation.tick > self.tick + 1:
             self.counters["skipped"] += observation.tick - self.tick - 1
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
+        if self._greet_at is not None:
+            self._greet_at = min(self._greet_at, now + HELLO_LATE)  # later only if the clock has jumped back
+        if self._lookout is not None and not self._lookout.settled:
+            return [*effects, *self._lookout.arrive(observation, self.outcome, now)]
+        return [*effects, *self._speak(observation, now)]
+
+    def _speak(self, observation: Observation, now: float) -> list[Effect]:
+        """Open the round: say my gossip, and wait for those of the others."""
         self._gossip = self._say(observation)
         self._awaited = self.neighbours.missing(self.tick, newcomer=self._listening > 0)
         self._close_at = now + self._patience()
-        if self._greet_at is not None:
-            self._greet_at = min(self._greet_at, now + HELLO_LATE)  # later only if the clock has jumped back
-        return [*effects, *self._shine(self._gossip), self._gossip, *self._close_if_complete(now)]
+        return [self._gossip, *self._close_if_complete(now)]
+
+    def _settle(self, now: float) -> list[Effect]:
+        """The lookout asks who is there, and in the end I take part."""
+        observation, lookout = self._observation, self._lookout
+        assert observation is not None and lookout is not None
+        effects = lookout.on_time(observation, self.outcome, now)
+        if not lookout.settled:
+            return effects
+        nearby = lookout.surroundings(observation, self.outcome)
+        config = self.config
+        known = prior_around(config.run.seed, self._prior_count(), config.filter, config.arena, nearby)
+        self.outcome = Outcome(start(known, self.name), self.self.facts.capability)
+        return [*effects, *self._speak(observation, now)]
 
     def _on_gossip(self, gossip: Gossip, now: float) -> list[Effect]:
         if gossip.sender == self.name:
@@ -181,13 +204,30 @@ class Agent:
         if self._greet_at is not None and now >= self._greet_at:
             self._greet_at = now + (HELLO_EARLY if self.tick < 0 or self.neighbours.strangers() else HELLO_LATE)
             effects.append(self._hello(now))
+        if self._lookout is not None:
+            effects += self._on_time(self._lookout, now)
         if self._close_at is not None and now >= self._close_at:
             self.counters["late"] += 1
             effects += self._close(now)
         return effects
 
+    def _on_time(self, lookout: Lookout, now: float) -> list[Effect]:
+        effects: list[Effect] = []
+        if self._answer_at is not None and now >= self._answer_at:
+            self._answer_at = None
+            effects += lookout.answer()
+        if lookout.due is not None and now >= lookout.due:
+            effects += self._settle(now)
+        return effects
+
+    def _look_out(self, lookout: Lookout, gossip: Gossip) -> list[Effect]:
+        """What follows from a round for who hears me and whom I hear."""
+        effects = [*lookout.foretell(gossip, self.outcome), *lookout.turn(gossip, self.outcome)]
+        self.outcome.belief.everyone &= self.neighbours.circle.keys() | {self.name}
+        return effects
+
     def _close_if_complete(self, now: float) -> list[Effect]:
-        if self._observation is None or self._awaited:
+        if self._gossip is None or self._awaited:
             return []
         return self._close(now)
 
@@ -205,44 +245,10 @@ class Agent:
         self._observation = self._gossip = self._close_at = None
         velocity, turn_rate = self.outcome.command
         command = Command(sender=self.name, incarnation=self.incarnation, tick=self.tick, velocity=velocity, turn_rate=turn_rate)
-        effects = self._choose(gossip) if self._lighthouse else []
+        effects = self._look_out(self._lookout, gossip) if self._lookout else []
         if self.tick % self.config.timing.estimate_every:
             return [*effects, command]
         return [*effects, self._estimate(gossip, now), command]
-
-    def _shine(self, gossip: Gossip) -> list[Effect]:
-        """Now and then a beacon, for those who do not hear my gossip."""
-        if not self._lighthouse or (gossip.tick - self._first) % self._lighthouse:
-            return []
-        beacon = Beacon(
-            sender=self.name,
-            incarnation=self.incarnation,
-            tick=gossip.tick,
-            position=gossip.pose[:2],
-            cod=gossip.cod,
-            power_radius=gossip.power_radius,
-            reach=self.self.sensor.reach,
-            column=0,
-            row=0,
-        )
-        return [beacon]
-
-    def _choose(self, gossip: Gossip) -> list[Effect]:
-        """Listen to those whom I must hear from now on, no longer to others."""
-        neighbours = self.neighbours
-        if gossip.tick < self._chosen_at + self._lighthouse and self._members == neighbours.membership:
-            return []
-        known = neighbours.whereabouts()
-        if len(known) < len(neighbours.peers) and not neighbours.chosen:
-            return []  # too early: somebody's place is not known
-        self._chosen_at, self._members = gossip.tick, neighbours.membership
-        asked = neighbours.choose(must_hear(self.self, self.outcome, gossip, known))
-        self.outcome.belief.everyone &= neighbours.circle.keys() | {self.name}
-        key = partial(one_of, self.run, "gossip")
-        added, dropped = sorted(asked - self._subscribed, key=order), sorted(self._subscribed - asked, key=order)
-        everybody = [Unsubscribe(all_of(self.run, "gossip"))] if not self._subscribed else []
-        self._subscribed = asked
-        return [*(Subscribe(key(name)) for name in added), *(Unsubscribe(key(name)) for name in dropped), *everybody]
 
     def _listen_on(self, heard: int, missing: int) -> None:
         """A listening round is over: I get a cell once I have heard everybody; or after some rounds in which I heard but a part; or
@@ -310,6 +316,7 @@ class Agent:
             max_speed=self.config.limits.speed,
             max_turn_rate=self.config.limits.turn_rate,
             heard=self._presence.heard(now if self.tick >= 0 else None),
+            local=self.local,
         )
 
     def _fence(self, incarnation: int) -> list[Effect]:

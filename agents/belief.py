@@ -96,19 +96,22 @@ class Belief:
     mine: Share
     copies: Copies
     everyone: frozenset[str] = frozenset()  # whose generators made the diagram that `mine` was cut from
+    acquainted: frozenset[str] | None = None  # of whom I knew then, if I hear but a part of all
 
     def merge(self, words: Words, tick: int, arithmetic: Arithmetic, config: AgentConfig) -> Words | Particles:
         """Everything at `stamp` that counts, given what all say in the round `tick`, myself included; an id may occur twice.
 
         Copies count where no fresh claim lies. Where two claims overlap (the views differed), both count within `timing.overlap` m
-        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena.
+        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena; somebody
+        of whom I did not know has cut another one, whatever he says.
         """
         # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
-        agreed = self.mine.view != 0 and words.claimed == (tick - 1, self.mine.view)
+        strangers = set() if self.acquainted is None else set(words.names) - self.acquainted
+        agreed = self.mine.view != 0 and words.claimed == (tick - 1, self.mine.view) and not strangers
         if agreed and self.everyone and self.everyone.issubset(words.names):
             return words
         shares = [share_of(gossip) for gossip in words.gossips if gossip.claim_tick == tick - 1 and gossip.sender != self.mine.owner]
-        claims = [self.mine, *shares]
+        claims = [self.mine, *(share._replace(view=~share.view) if share.owner in strangers else share for share in shares)]
         parts = [_uncontested(share, claims, config.timing.overlap) for share in claims]
         copies = self.copies.all()
         free = np.ones(len(copies.ids), dtype=bool)
@@ -130,15 +133,15 @@ class Belief:
 def _uncontested(share: Share, claims: list[Share], overlap: float) -> Particles:
     """The particles of a share but for those deep inside another's claim and nearer to its owner in power distance."""
     states = share.particles.states
-    keep = np.ones(len(states), dtype=bool)
-    if not len(keep):
+    rivals = [other.claim for other in claims if other.owner != share.owner and other.view != share.view and other.claim.names]
+    if not len(states) or not rivals:
         return share.particles
-    own = power_distances(states, share.claim.generators[:1])[:, 0]
-    for other in claims:
-        if other.owner == share.owner or other.view == share.view or not other.claim.names:
-            continue
-        theirs = power_distances(states, other.claim.generators[:1])[:, 0]
-        keep &= ~((theirs < own) & (depths(states, other.claim) > overlap))
+    own = power_distances(states, share.claim.generators[:1])
+    nearer = power_distances(states, np.array([claim.generators[0] for claim in rivals])) < own
+    keep = np.ones(len(states), dtype=bool)
+    for number in np.flatnonzero(nearer.any(axis=0)).tolist():
+        theirs = np.flatnonzero(nearer[:, number] & keep)
+        keep[theirs] = depths(states[theirs], rivals[number]) <= overlap
     return select(share.particles, keep)
 
 

@@ -11,12 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.config import BirthSettings, FilterSettings
-from agents.particles import NONE, WIRE, Particles, canonical, column_sums, squared_distances
+from agents.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble, uniform
 
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
+
+
+SQUARE = 25.0  # m
 
 
 class Scan(NamedTuple):
@@ -50,6 +53,34 @@ def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings)
     y = uniform(scramble(ids, 2)) * arena.height
     states = np.column_stack([x, y, _directions(scramble(ids, 3)) * settings.speed])
     return canonical(Particles(states.astype(WIRE).astype(float), np.full(count, mass / count), ids))
+
+
+@lru_cache(maxsize=2)
+def _prior_by_tile(
+    seed: int, count: int, settings: FilterSettings, arena: ArenaSettings
+) -> tuple[Particles, dict[tuple[int, int], np.ndarray]]:
+    """The prior, and which of its particles lie in which square of `SQUARE` m."""
+    everywhere = prior(seed, count, settings, arena)
+    columns, rows = (everywhere.states[:, :2] // SQUARE).astype(np.int64).T
+    order = np.lexsort((rows, columns))
+    breaks = np.flatnonzero(np.diff(columns[order]) | np.diff(rows[order])) + 1
+    groups = np.split(order, breaks) if len(order) else []
+    return everywhere, {(int(columns[group[0]]), int(rows[group[0]])): group for group in groups}
+
+
+def prior_around(
+    seed: int, count: int, settings: FilterSettings, arena: ArenaSettings, box: tuple[float, float, float, float]
+) -> Particles:
+    """The particles of the prior that lie in or a little around a rectangle: west, south, east, north in m.
+
+    The prior is remembered in squares, because in virtual time every agent asks.
+    """
+    everywhere, squares = _prior_by_tile(seed, count, settings, arena)
+    west, south = (max(0, int(side // SQUARE)) for side in box[:2])
+    east, north = int(min(box[2], arena.width) // SQUARE), int(min(box[3], arena.height) // SQUARE)
+    found = [squares.get((column, row)) for column in range(west, east + 1) for row in range(south, north + 1)]
+    groups = [group for group in found if group is not None]
+    return select(everywhere, np.sort(np.concatenate(groups))) if groups else NONE
 
 
 @lru_cache(maxsize=8)

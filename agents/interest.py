@@ -1,22 +1,44 @@
 """Whom an agent must hear: the owners of all that lies around its cell and in its footprint, and the sensors that look there.
 
-It is worked out from places that may be a few seconds old, beacons or gossips, so everything is asked for `MARGIN` m wider than the
-round needs. If in doubt hear more: what is heard beyond need changes no bit.
+It is worked out from where everybody was last known to be, so everything is asked for `MARGIN` m wider than the round needs. If in
+doubt hear more: what is heard beyond need changes no bit. A choice is *certified* when nobody of whom no beacon was heard could belong
+to it: whoever says his beacons elsewhere is too far away to own anything here, even with the largest power radius of the team.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from agents.tiles import Bounds, Rectangle
 from protocol.geometry import distances
 
-PERIOD = 2.0  # s of world time between two beacons of an agent, and between two choices
-MARGIN = 20.0  # m: a COD jumps by up to 14 m when the heading of a class D sensor turns, bodies and borders move between beacons
+PERIOD = 2.0  # s of world time between two beacons of an agent
+CHOICE = 1.0  # s of world time between two choices
+JUMP = 4.0  # m: who will be farther than this from what its last beacon says, position, generator or radius, says another at once
+MARGIN = 10.0  # m: two agents may be off by a jump each, and a cell by half of that; 4 m were enough in all runs that were tried
 SPACING = 6.0  # m between the points at which owners are looked for; no owner is so small that it is missed
+THRESHOLD = 60.0  # m: an empty cell is looked for this far around its generator
 
 
-def owners(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
-    """Which generators (N, 3) own anything within `SPACING` / sqrt(2) m of any of the points (P, 2): (N,) bool.
+class Ground(NamedTuple):
+    """What an agent needs to know of an arena: its corners (4, 2) m, and what no agent exceeds."""
+
+    arena: np.ndarray
+    bounds: Bounds
+    drift: float  # m: how far somebody may be from where its last beacon said
+
+
+class Choice(NamedTuple):
+    """Which of N others must be heard, (N,) bool, and from where all beacons must be known to be sure that nobody is missing."""
+
+    chosen: np.ndarray
+    needed: Rectangle
+
+
+def owners(points: np.ndarray, generators: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which generators (N, 3) own anything within `SPACING` / sqrt(2) m of any of the points (P, 2), (N,) bool; and the least power
+    distance at each point, (P,) m^2.
 
     The difference of two power distances is linear with slope 2 |p - q|, so who owns a place so near to a point is behind the best
     there by no more than sqrt(2) SPACING |p - q|.
@@ -28,10 +50,10 @@ def owners(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
     dx, dy = x[:, None] - points[:, 0], y[:, None] - points[:, 1]
     power = dx * dx + dy * dy - (near[:, 2] ** 2)[:, None]
     best = power.argmin(axis=0)
+    least = power[best, np.arange(len(points))]
     apart = np.sqrt((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2)
-    behind = power - power[best, np.arange(len(points))]
-    found[rows] = (behind <= math.sqrt(2.0) * SPACING * apart[:, best]).any(axis=1)
-    return found
+    found[rows] = (power - least <= (math.sqrt(2.0) * SPACING) * apart[:, best]).any(axis=1)
+    return found, least
 
 
 def _within_reach(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
@@ -51,7 +73,7 @@ def region(cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float
     width = max(halo, reach) + MARGIN + SPACING
     low = np.maximum(around.min(axis=0) - width, arena.min(axis=0))
     high = np.minimum(around.max(axis=0) + width, arena.max(axis=0))
-    columns, rows = (np.arange(low[axis], high[axis] + SPACING, SPACING) for axis in (0, 1))
+    columns, rows = (np.arange(low[axis], max(high[axis], low[axis]) + SPACING, SPACING) for axis in (0, 1))
     points = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     dx, dy = points[:, 0] - eye[0], points[:, 1] - eye[1]
     near = dx * dx + dy * dy <= (reach + MARGIN + SPACING) ** 2
@@ -59,23 +81,37 @@ def region(cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float
 
 
 def wanted(
-    cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, places: np.ndarray, generators: np.ndarray, arena: np.ndarray
-) -> np.ndarray:
-    """Which of N others must be heard: (N,) bool.
+    cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, places: np.ndarray, generators: np.ndarray, ground: Ground
+) -> Choice:
+    """Whom to hear, of N others.
 
     `places` (N, 3) are x, y and reach of their sensors in m, `generators` (N + 1, 3) theirs and, last, the own one.
     """
-    home = cell if len(cell) else _threshold(generators, arena)
-    apart = distances(home, places[:, :2])
-    looking = apart <= halo + MARGIN + places[:, 2]
-    points = region(home, eye, halo, reach, arena)
-    return looking | owners(points, generators)[:-1]
+    home = cell if len(cell) else _threshold(generators, ground.arena)
+    looking = distances(home, places[:, :2]) <= halo + MARGIN + places[:, 2]
+    points = region(home, eye, halo, reach, ground.arena)
+    owning, least = owners(points, generators)
+    return Choice(looking | owning[:-1], _needed(home, points, least, halo, ground))
+
+
+def _needed(home: np.ndarray, points: np.ndarray, least: np.ndarray, halo: float, ground: Ground) -> Rectangle:
+    """Outside of this nobody could own any of the points (P, 2), whose owners' power distances are `least` (P,) m^2, nor look at the
+    surroundings of the cell: the power distance of an unknown generator is at least (its distance)^2 - (the largest radius)^2."""
+    bounds = ground.bounds
+    far = np.sqrt(np.maximum(least + bounds.radius**2, 0.0))[:, None] + bounds.offset + ground.drift
+    look = halo + MARGIN + bounds.reach + ground.drift
+    low = np.minimum((points - far).min(axis=0), home.min(axis=0) - look)
+    high = np.maximum((points + far).max(axis=0), home.max(axis=0) + look)
+    return Rectangle(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
 def _threshold(generators: np.ndarray, arena: np.ndarray) -> np.ndarray:
-    """Where an empty cell, of the last generator, would appear first: the place (1, 2) of the arena at which it is least outdone."""
-    low, high = arena.min(axis=0), arena.max(axis=0)
-    columns, rows = (np.linspace(low[axis], high[axis], 2 + int((high[axis] - low[axis]) / (2.0 * SPACING))) for axis in (0, 1))
+    """Where an empty cell, of the last generator, would appear first: the place (1, 2) near it at which it is least outdone."""
+    if len(generators) == 1:
+        return generators[:, :2]
+    near = generators[-1, :2] + np.array([[-1.0, -1.0], [1.0, 1.0]]) * THRESHOLD
+    low, high = np.maximum(arena.min(axis=0), near[0]), np.minimum(arena.max(axis=0), near[1])
+    columns, rows = (np.linspace(low[axis], high[axis], 2 + int(abs(high[axis] - low[axis]) / (2.0 * SPACING))) for axis in (0, 1))
     points = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     dx, dy = generators[:, :1] - points[:, 0], generators[:, 1:2] - points[:, 1]
     power = dx * dx + dy * dy - (generators[:, 2] ** 2)[:, None]

@@ -5,7 +5,6 @@ its next gossip of the same incarnation brings it back. A peer that falls silent
 last heard, for `silent_rounds` rounds.
 """
 
-import hashlib
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -42,10 +41,14 @@ class Peer:
     gone_at: int | None = None  # the tick in which its token went; a later gossip revives it
     missed: int = 0  # rounds without a word in a row
     beacon: Beacon | None = None  # the newest
+    rank: tuple[int, str] = (0, "")  # in the order of names
+
+    def __post_init__(self) -> None:
+        self.rank = order(self.name)
 
 
 class Far(NamedTuple):
-    """Generators of those who are not listened to, where they were last: names, points (N, 2) m, radii (N,) m."""
+    """Generators of those who are known but not listened to, where they were last: names, points (N, 2) m, radii (N,) m."""
 
     names: tuple[str, ...]
     points: np.ndarray
@@ -53,22 +56,22 @@ class Far(NamedTuple):
 
 
 NOBODY = Far((), np.empty((0, 2)), np.empty(0))
+LOCAL_VIEW = 1  # of all who have heard everybody whom they must hear: their cells are those of one diagram
+Word = Beacon | Gossip  # of where somebody is
 
 
 class Neighbours:
     """The peers of one agent."""
 
     def __init__(self, config: AgentConfig, name: str, incarnation: int = 1) -> None:
-        self.peers: dict[str, Peer] = {}  # in the order of names
-        self.circle: dict[str, Peer] = {}  # those whose gossip I listen to, in the order of names; at first all
-        self.chosen = False  # the circle has been chosen, those outside are not listened to
-        self.far = NOBODY
-        self._places: dict[str, Beacon | Gossip] = {}  # from which the circle was chosen
-        self._asked: set[str] = set()  # who joins the circle after the first word
-        self._answered: set[str] = set()
+        self.local = config.timing.interest == "neighbours"  # peers are known by their beacons, and I listen to those I choose
+        self.peers: dict[str, Peer] = {}  # in the order of names, unless local
+        self.circle: dict[str, Peer] = {}  # those whose gossip I listen to, in the order of names; all, unless local
+        self.far = NOBODY  # the others, if local
+        self.certified = False  # local: nobody whom I do not know could own anything that matters to me
+        self.changed = False  # local: somebody has come or gone since the circle was chosen
         self._config = config
-        self._name, self._incarnation = name, incarnation
-        self._membership = 0  # 0: to be computed
+        self._name = name
         self._said: dict[int, dict[str, Gossip]] = {}  # by tick and name, of rounds that are not closed yet
         self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
         self._calm = False  # all peers live and spoke in the last round, and nothing has changed since
@@ -77,15 +80,15 @@ class Neighbours:
         """A token appeared."""
         peer = self._peer(name, incarnation, token=True)
         if peer:
+            self.changed |= peer.gone_at is not None
             peer.token, peer.gone_at, self._calm = True, None, False
-            self._membership = 0
 
     def gone(self, name: str, incarnation: int, tick: int) -> None:
         """A token vanished in the round `tick`."""
         peer = self.peers.get(name)
         if peer and peer.incarnation == incarnation:
             peer.token, peer.gone_at, self._calm = False, tick, False
-            self._membership = 0
+            self.changed = True
 
     def greet(self, hello: Hello) -> str | None:
         """A Hello arrived: remember the announced sensor. The reason for refusing it, if there is one.
@@ -108,12 +111,11 @@ class Neighbours:
         name = gossip.sender
         peer = self.circle.get(name)
         if peer is None or peer.incarnation != gossip.incarnation:
+            if self.local and name not in self.circle:
+                return "unasked"
             peer = self._peer(name, gossip.incarnation)
             if peer is None:
                 return "incarnation"
-            if name not in self.circle:
-                self._answered |= {name} & self._asked
-                return "unasked"
         if peer.outfit is None:
             return "stranger"
         tick = gossip.tick
@@ -136,7 +138,7 @@ class Neighbours:
         said[name] = gossip
         peer.missed = 0
         if peer.gone_at is not None:
-            peer.gone_at, self._membership = None, 0
+            peer.gone_at, self.changed = None, True
         return None
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
@@ -156,7 +158,7 @@ class Neighbours:
             return set()
         if self._calm:
             return self.circle.keys() - said.keys()
-        return {name for name, peer in self.circle.items() if name not in said and peer.token and self._speaks(peer, newcomer or tick == 0)}
+        return {name for name, peer in self.circle.items() if name not in said and self._awaits(peer, newcomer or tick == 0)}
 
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """The gossip from which each peer's generator in the diagram of `tick` is read: fresh, or the last of the lately silent."""
@@ -173,11 +175,10 @@ class Neighbours:
         for name in missing:
             self.peers[name].missed += 1
         complete = len(self._said.get(tick, ())) == len(self.circle)
-        self._calm = complete and (self._calm or all(peer.token for peer in self.circle.values()))
+        self._calm = complete and (self._calm or all(peer.token and peer.gone_at is None for peer in self.circle.values()))
         for stamp in sorted([stamp for stamp in self._said if stamp <= tick]):
             said = self._said.pop(stamp)
-            self.last = said if len(said) == len(self.peers) else {**self.last, **said}
-        self._welcome()
+            self.last = said if len(said) == len(self.circle) else {**self.last, **said}
         return len(missing)
 
     def anyone_missed(self) -> bool:
@@ -185,69 +186,69 @@ class Neighbours:
         return not self._calm and any(peer.missed for peer in self.circle.values())
 
     def strangers(self) -> bool:
-        """Whether somebody alive has not said yet what its sensor is."""
-        return any(peer.token and peer.outfit is None for peer in self.peers.values())
+        """Whether somebody alive has not said yet in a Hello what its sensor is."""
+        return not self.local and any(peer.token and peer.outfit is None for peer in self.peers.values())
 
-    def see(self, beacon: Beacon) -> None:
-        """A beacon arrived: where a peer is."""
+    def see(self, beacon: Beacon) -> bool:
+        """A beacon arrived: where a peer is. Whether that peer is new."""
+        known = self.peers.get(beacon.sender)
         peer = self._peer(beacon.sender, beacon.incarnation)
-        if peer and (peer.beacon is None or beacon.tick > peer.beacon.tick):
-            peer.beacon = beacon
+        if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
+            return False
+        if peer.outfit is None:
+            peer.outfit = beacon.memo.get("outfit") or _outfit(beacon, self._config)
+            beacon.memo["outfit"] = peer.outfit
+        if peer.gone_at is not None and beacon.tick > peer.gone_at:
+            peer.gone_at, self.changed = None, True
+        peer.beacon = beacon
+        return peer is not known
 
-    def whereabouts(self) -> dict[str, Beacon | Gossip]:
-        """The newest word of where each living peer is, as far as there is one."""
-        found: dict[str, Beacon | Gossip] = {}
-        for name, peer in self.peers.items():
-            said, beacon = self.last.get(name), peer.beacon
-            newest = said if beacon is None or (said is not None and said.tick >= beacon.tick) else beacon
-            if newest is not None and peer.outfit is not None and peer.gone_at is None:
+    def whereabouts(self, since: int) -> dict[str, Word]:
+        """The newest word of where each living peer is, if it has spoken in the tick `since` or later, in the order of names."""
+        found: dict[str, Word] = {}
+        for peer in sorted(self.peers.values(), key=_rank):
+            name, beacon = peer.name, peer.beacon
+            said = self.last.get(name) if name in self.circle else None
+            newest: Word | None = said if beacon is None or (said is not None and said.tick >= beacon.tick) else beacon
+            lost = peer.gone_at is not None or peer.missed >= self._config.timing.silent_rounds
+            if newest is not None and newest.tick >= since and peer.outfit is not None and not lost:
                 found[name] = newest
         return found
 
-    def choose(self, names: set[str]) -> set[str]:
-        """From now on listen to these peers and to those whose place is unknown; the names of both. Who is new joins the circle after
-        its first word, for it takes a moment until that can be heard."""
-        known = self.whereabouts()
-        asked = names | {name for name, peer in self.peers.items() if name not in known and peer.gone_at is None}
-        before = self.circle.keys() if self.chosen else asked
-        self.chosen, self._calm = True, False
-        self._asked, self._answered = asked - before, set()
-        self.circle = {name: peer for name, peer in self.peers.items() if name in asked and name in before}
-        self._places = known
-        self.far = self._far()
-        return asked
+    def choose(self, names: set[str], known: dict[str, Word], since: int) -> None:
+        """From now on listen to these of the peers whose whereabouts are known, and forget whose are not."""
+        dropped = self.circle.keys() - names
+        for name in dropped:
+            self.circle[name].token = False  # nobody looks for it any more
+            self.last.pop(name, None)
+        self._calm = self._calm and names == self.circle.keys()
+        if names != self.circle.keys() or len(known) < len(self.peers):
+            self.peers = {name: peer for name, peer in self.peers.items() if name in known or (peer.gone_at or -1) >= since}
+            self.circle = {name: self.peers[name] for name in known if name in names}
+        self.changed = False
+        self.far = self._far(known)
 
-    def _far(self) -> Far:
+    def _far(self, known: dict[str, Word]) -> Far:
         kind = self._config.partition.kind
-        names = tuple([name for name in self._places if name not in self.circle])
-        words = [self._places[name] for name in names]
-        eyes = [word.position if isinstance(word, Beacon) else word.pose[:2] for word in words]
-        points = eyes if kind == "voronoi" else [word.cod for word in words]
+        names = tuple([name for name in known if name not in self.circle])
+        words = [known[name] for name in names]
+        points = [position(word) if kind == "voronoi" else word.cod for word in words]
         radii = [word.power_radius if kind == "power" else 0.0 for word in words]
         return Far(names, np.array(points, dtype=float).reshape(-1, 2), np.array(radii, dtype=float))
 
-    def _welcome(self) -> None:
-        """Take those into the circle who have been asked and have answered."""
-        if self._answered:
-            wider = self.circle.keys() | self._answered
-            self.circle = {name: peer for name, peer in self.peers.items() if name in wider}
-            self._asked, self._answered, self._calm = self._asked - self._answered, set(), False
-            self.far = self._far()
-
-    @property
-    def membership(self) -> int:
-        """A hash of who is alive, equal for all who agree about it; never 0."""
-        if self._membership == 0:
-            there = [(peer.name, peer.incarnation) for peer in self.peers.values() if peer.gone_at is None]
-            there.append((self._name, self._incarnation))
-            text = repr(sorted(there)).encode()
-            self._membership = int.from_bytes(hashlib.blake2b(text, digest_size=7).digest(), "little") | 1
-        return self._membership
+    def acquainted(self) -> frozenset[str]:
+        """Who has been counted in, so that claims cut from one diagram are expected of them."""
+        return frozenset([self._name, *self.circle, *self.far.names])
 
     def _newest(self, peer: Peer, tick: int) -> Gossip | None:
         """The newest gossip of a peer that is not younger than `tick`."""
         stamps = [stamp for stamp, said in self._said.items() if stamp <= tick and peer.name in said]
         return self._said[max(stamps)][peer.name] if stamps else self.last.get(peer.name)
+
+    def _awaits(self, peer: Peer, never_heard_counts: bool) -> bool:
+        if self.local:  # a beacon was heard just now
+            return peer.gone_at is None and peer.missed < self._config.timing.silent_rounds
+        return peer.token and self._speaks(peer, never_heard_counts)
 
     def _speaks(self, peer: Peer, never_heard_counts: bool) -> bool:
         if peer.name not in self.last and not any(peer.name in said for said in self._said.values()):
@@ -263,16 +264,34 @@ class Neighbours:
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
         guess = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.gone_at is None
         if peer is None or younger or guess:
-            listening = not self.chosen or name in self.circle
-            peer = Peer(name, incarnation)
-            self.peers = {other: self.peers.get(other, peer) for other in sorted({*self.peers, name}, key=order)}
+            peer, known = Peer(name, incarnation), name in self.peers
             self.peers[name] = peer
-            if listening:
+            if not self.local and not known:
+                self.peers = {other: self.peers[other] for other in sorted(self.peers, key=order)}
+            if not self.local or name in self.circle:
                 self.circle = {other: known for other, known in self.peers.items() if other == name or other in self.circle}
-            self._calm, self._membership = False, 0
+            self._calm, self.changed = False, True
             for said in (self.last, *self._said.values()):
                 said.pop(name, None)
         return peer if incarnation == peer.incarnation else None
+
+
+def position(word: Word) -> tuple[float, float]:
+    """Where the sensor of a beacon or of a gossip is, m."""
+    return word.position if isinstance(word, Beacon) else word.pose[:2]
+
+
+def _rank(peer: Peer) -> tuple[int, str]:
+    return peer.rank
+
+
+def _outfit(beacon: Beacon, config: AgentConfig) -> Outfit | None:
+    """The sensor that a beacon announces; None when nobody knows its class."""
+    try:
+        sensor = beacon.sensor or sensor_of(config, beacon.sensor_class)
+    except BadSetting:
+        return None
+    return Outfit(sensor, sensor_facts(sensor))
 
 
 def _plausible(gossip: Gossip, outfit: Outfit) -> bool:

@@ -17,14 +17,13 @@ from agents.capacity import SensorFacts, power_radius, unused_capacity
 from agents.cells import NO_CELL, Cell, Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation
-from agents.interest import wanted
-from agents.neighbours import Far, Neighbours
+from agents.neighbours import LOCAL_VIEW, Far, Neighbours
 from agents.particles import Particles
 from agents.step import Step
 from agents.words import Words, side_by_side
 from protocol.geometry import EMPTY, polygon_centroid
 from protocol.keys import order
-from protocol.messages import Beacon, Gossip
+from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
 
 HORIZON = 40.0  # m around the own cell: who hears but a part keeps no older copies of what lies farther away
@@ -76,8 +75,9 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
         belief=Belief(
             stamp=tick,
             mine=Share(me.name, claim, kept, _view(neighbours, heard, speaking, claim)),
-            copies=Copies(updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.chosen else math.inf)),
+            copies=Copies(updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.local else math.inf)),
             everyone=frozenset(speaking.names),
+            acquainted=neighbours.acquainted() if neighbours.local else None,
         ),
         unused=unused_capacity(me.facts.capability, near.detected, near.load, config.capacity),
         load=near.load,
@@ -104,13 +104,12 @@ def _speaking(neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip], wo
 
 
 def _view(neighbours: Neighbours, heard: dict[str, Gossip], speaking: Words, claim: Claim) -> int:
-    """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, who there is.
+    """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, that this part was whole.
 
     Two who heard their whole circles at the same tick cannot differ about a generator that both know.
     """
-    certain = len(heard) == len(neighbours.circle) and neighbours.circle.keys() >= set(claim.names[1:])
-    if neighbours.chosen and certain:
-        return neighbours.membership
+    if neighbours.local and neighbours.certified and len(heard) == len(neighbours.circle):
+        return LOCAL_VIEW if neighbours.circle.keys() >= set(claim.names[1:]) else speaking.view
     return speaking.view
 
 
@@ -179,25 +178,3 @@ def _fields(me: Self, cell: Cell, words: Words) -> tuple[tuple[SensorModel, Pose
     scanned = [(gossip.memo["sensor"], gossip.pose) for gossip in words.gossips if gossip.scanned]
     apart = me.arithmetic.distances(cell.polygon, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()
     return tuple(field for field, distance in zip(scanned, apart) if distance <= me.config.filter.halo + field[0].reach)
-
-
-def must_hear(me: Self, outcome: Outcome, mine: Gossip, known: dict[str, Beacon | Gossip]) -> set[str]:
-    """Names of those whose gossip my next rounds need, from where they were last known to be."""
-    if not known:
-        return set()
-    said = [*known.values(), mine]
-    eyes = np.array([word.pose[:2] if isinstance(word, Gossip) else word.position for word in said])
-    kind = me.config.partition.kind
-    points = eyes if kind == "voronoi" else np.array([word.cod for word in said])
-    radii = np.array([word.power_radius if kind == "power" else 0.0 for word in said])
-    reaches = np.array([word.memo["sensor"].reach if isinstance(word, Gossip) else word.reach for word in said])
-    chosen = wanted(
-        outcome.cell,
-        mine.pose[:2],
-        me.sensor.reach,
-        me.config.filter.halo,
-        np.column_stack([eyes, reaches])[:-1],
-        np.column_stack([points, radii]),
-        me.arena,
-    )
-    return {name for name, needed in zip(known, chosen.tolist()) if needed}

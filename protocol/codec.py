@@ -5,7 +5,7 @@ import msgspec
 from protocol.keys import Key, parse_message_key
 from protocol.messages import KINDS, WIRE_VERSION, Beacon, Malformed, Message, Observation
 
-MAX_BYTES = 256 * 1024
+MAX_BYTES = 512 * 1024
 
 
 class _Wire(msgspec.Struct):

@@ -14,9 +14,9 @@ from protocol.once import once
 from protocol.sensing import WedgeSensor
 
 WIRE_VERSION = 1
-MAX_DETECTIONS = 4096
+MAX_DETECTIONS = 8192
 MAX_PARTICLES = 8192
-MAX_NAMES = 4096
+MAX_NAMES = 8192
 FARTHEST = 1.0e6  # no coordinate of an arena is larger, m
 LARGEST_AREA = FARTHEST**2  # m^2
 LATEST = 1.0e12  # no world time is larger, s

@@ -215,7 +215,7 @@ class VirtualBus:
         return due if due is not None and 0.0 < due - now < 1e-6 else now
 
     def _advance(self, until: float) -> bool:
-        while self._later and self._later[0][0] <= until:
+        while self._later and self._later[0][0] <= (self.now if self._ready else until):  # what is ready comes before a later time
             time, _, entry = heapq.heappop(self._later)
             if isinstance(entry, tuple) and isinstance(entry[1], Timer):
                 if entry[0].timer != time:
@@ -223,8 +223,6 @@ class VirtualBus:
                 entry[0].timer = entry[0].armed = None
             self.now = time
             self._ready.append(entry)
-            if not self._later or self._later[0][0] > time:
-                return True
         return bool(self._ready)
 
     def call_later(self, delay: float, function: Callable[[], None]) -> None:

@@ -339,10 +339,10 @@ def test_the_limits_of_a_wedge_are_those_of_the_page(row: Row) -> None:
 
 def test_the_version_and_the_size_limit_of_the_page_are_those_of_the_code() -> None:
     assert f"`wire` is the version of this page: **{WIRE_VERSION}**" in PAGE
-    assert "more than 262144 bytes" in PAGE
+    assert "more than 524288 bytes" in PAGE
     for kind in KINDS:
         assert refusal(kind, {**plain(kind), "wire": WIRE_VERSION + 1}) == "version"
-        assert refusal(kind, {**plain(kind), "padding": b"\0" * 262144}) == "size"
+        assert refusal(kind, {**plain(kind), "padding": b"\0" * 524288}) == "size"
         assert refusal(kind, {**plain(kind), "padding": b"\0" * 250000}) is None
 
 
@@ -371,7 +371,7 @@ def test_the_example_in_bytes_is_what_the_encoder_writes() -> None:
         ("| connect endpoints | the seeds of `[network] seeds`, for ever, every 0.2 to 1 s |", "connect/retry/period_max_ms", 1000),
         ("| lease | 2 s, 4 keep-alives |", "transport/link/tx/lease", 2000),
         ("| lease | 2 s, 4 keep-alives |", "transport/link/tx/keep_alive", 4),
-        ("| largest message | 262144 bytes |", "transport/link/rx/max_message_size", 262144),
+        ("| largest message | 524288 bytes |", "transport/link/rx/max_message_size", 524288),
         ("| shared memory | off |", "transport/shared_memory/enabled", False),
     ],
 )

@@ -10,7 +10,7 @@ from protocol.settings import Common, NotNegative, Section
 class TargetSettings(Section, frozen=True, kw_only=True):
     """[targets] how many there are and how they move (paper, section IV)."""
 
-    count: Annotated[int, msgspec.Meta(ge=0, le=4000)] = 30  # at the start
+    count: Annotated[int, msgspec.Meta(ge=0, le=8000)] = 30  # at the start
     speed: NotNegative = 2.0  # m/s
     heading_noise: NotNegative = 0.2  # random walk of the heading, rad/sqrt(s); 0 = fixed heading
     border: Literal["reflect", "cross"] = "cross"  # IV-A stays inside; IV-B leaves and enters

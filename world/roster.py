@@ -11,6 +11,8 @@ class Roster:
     def __init__(self) -> None:
         self.hellos: dict[str, Hello] = {}  # the newest of each name
         self._tokens: dict[str, set[int]] = {}
+        self._everybody: set[str] = set()  # the last that `is_complete` was asked about
+        self._unchecked: list[str] = []  # of them, the agents that have not been found ready
         self._spoken: dict[str, int] = {}  # the newest incarnation of which a message has arrived
 
     def appear(self, name: str, incarnation: int) -> bool:
@@ -52,12 +54,25 @@ class Roster:
         return name in self._tokens and self._spoken.get(name) == self.live(name)
 
     def is_complete(self, expected: Iterable[str], world: str) -> bool:
-        """Whether all the expected are alive, heard here, and say that they hear each other and the world."""
-        everybody = {*expected, world}
-        return all(
-            self.live(name) is not None
-            and name in self.hellos
-            and self.hellos[name].incarnation == self.live(name)
-            and everybody - {name} <= set(self.hellos[name].heard)
-            for name in everybody - {world}
-        )
+        """Whether all the expected are alive, heard here, and say that they hear each other and the world; who knows its peers by
+        their beacons need hear the world alone.
+
+        It is asked with every Hello: what has been checked once is checked again when nobody is missing.
+        """
+        if self._unchecked:
+            self._check(world)
+        if not self._unchecked:
+            self._everybody = {*expected, world}
+            self._unchecked = [name for name in self._everybody if name != world]
+            self._check(world)
+        return not self._unchecked
+
+    def _check(self, world: str) -> None:
+        while self._unchecked and self._is_ready(self._unchecked[-1], world):
+            self._unchecked.pop()
+
+    def _is_ready(self, name: str, world: str) -> bool:
+        hello = self.hellos.get(name)
+        if hello is None or self.live(name) != hello.incarnation:
+            return False
+        return world in hello.heard if hello.local else self._everybody - {name} <= set(hello.heard)

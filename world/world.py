@@ -108,8 +108,9 @@ class World:
     def _hear(self, hello: Hello, now: float) -> list[Effect]:
         """Take a Hello; whoever speaks for the first time after the start is answered."""
         is_new = self._roster.hear(hello)
-        self._presence.greet(hello.sender, now)
-        unheard = self._presence.split(hello, now)
+        if not hello.local:
+            self._presence.greet(hello.sender, now)
+        unheard = "" if hello.local else self._presence.split(hello, now)  # it hears nobody else's Hello
         if unheard:
             return [Reopen(f"the agents hear {unheard}, the world does not")]
         self._embody_guest(hello.sender)
@@ -167,9 +168,8 @@ class World:
 
     def _try_start(self, now: float) -> list[Effect]:
         """The first tick, once everybody expected is ready or has been waited for long enough and somebody is there."""
-        if self._due is None or not self._present():
-            return []
-        if not self._roster.is_complete(self._expected, self.name) and now - self._begun < self._patience:
+        complete = self._roster.is_complete(self._expected, self.name)
+        if self._due is None or (not complete and now - self._begun < self._patience) or not self._present():
             return []
         self.started = True
         self._anchor = now - self.tick * self._period

@@ -19,9 +19,8 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
     everybody = Simulation(large(seed, team, "all"), use_codec=False)
     neighbours = Simulation(large(seed, team, "neighbours"), use_codec=False)
     assert everybody.run().transcript == neighbours.run().transcript
-    assert neighbours.bus.deliveries < everybody.bus.deliveries
     heard = [len(agent.neighbours.circle) for agent in neighbours.agents.values()]
-    assert sum(heard) < 0.8 * len(heard) * (len(heard) - 1)
+    assert sum(heard) < 0.6 * len(heard) * (len(heard) - 1)
 
 
 @pytest.mark.slow

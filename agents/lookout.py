@@ -1,0 +1,249 @@
+"""The lookout of an agent that hears its neighbours only: it says beacons, hears those of the tiles around it, and chooses.
+
+Nothing of it costs more in a larger swarm. Before its first word an agent asks who is there, waits, chooses, and waits until the others
+have had the time to listen; afterwards it chooses anew every `CHOICE` s, and at once when somebody comes or goes.
+"""
+
+import math
+from functools import partial
+
+import msgspec
+import numpy as np
+
+from agents.capacity import place
+from agents.config import AgentConfig
+from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground, wanted
+from agents.neighbours import Neighbours, Word, position
+from agents.round import HORIZON, Outcome, Self
+from agents.tiles import Box, Rectangle, Tiling, bounds_of
+from protocol.geometry import EMPTY
+from protocol.keys import beacons_in, one_of, order, tokens_of
+from protocol.messages import Beacon, Gossip, Observation
+from protocol.node import Effect, Subscribe, Unsubscribe
+from protocol.sensing import Pose, WedgeSensor
+from protocol.streams import key
+
+SETTLE = 0.25  # s for a question to reach everybody and for the answers to come back
+ROUNDS = 4  # so many times SETTLE pass before anybody's first word, so that those who must ask again have subscribed as well
+FIRST = 2  # tiles on every side of the own one that a newcomer listens to
+MOST_QUESTIONS = 8  # in a row: then an agent speaks, certified or not
+AHEAD = 8.0  # m: a tile is listened to before it is needed, so that a period of beacons has been heard when it is
+FORGOTTEN = 2.5  # periods after which somebody whose beacons no longer come is gone
+
+
+class Lookout:
+    """Whom one agent hears."""
+
+    def __init__(self, me: Self, neighbours: Neighbours, incarnation: int) -> None:
+        config = me.config
+        bounds = bounds_of(config)
+        self.settled = False  # the first choice has been made and the others have had the time to make theirs
+        self.due: float | None = None  # when to call `on_time`
+        self._me, self._neighbours, self._incarnation = me, neighbours, incarnation
+        self._tiling = Tiling(bounds.reach + MARGIN, config.arena)
+        self._ground = Ground(me.arena, bounds, JUMP + config.limits.speed * config.run.dt)
+        self._period, self._between = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE))
+        self._phase = key("beacon", me.name) % self._period
+        self._young = 0  # until this tick the others may not know me
+        self._questions, self._speak_at = 0, 0.0
+        self._asking = True
+        self._said: Beacon | None = None
+        self._box: Box | None = None  # the tiles that I listen to
+        self._known: Rectangle | None = None  # where I know of everybody; None: nowhere yet
+        self._known_since = 0  # tick; from then on I know the whole box
+        self._chosen_at = 0
+        self._heard: set[str] = set()  # whose gossip I listen to
+
+    # ------------------------------------------------------------------ before the first word
+
+    def arrive(self, observation: Observation, outcome: Outcome, now: float) -> list[Effect]:
+        """I have been told where I am: ask who else is there."""
+        if self._box is not None:
+            return []
+        if observation.tick > 0:
+            self._young = observation.tick + 2 * self._period
+        self.due, self._speak_at = now + SETTLE, now + ROUNDS * SETTLE
+        tile = self._tiling.tile(observation.pose[:2])
+        self._said = question(self._mine(observation, outcome), tile)  # who has as many tiles around its own will hear it
+        return [*self._listen(self._tiling.around(tile, FIRST)), self._said]
+
+    def on_time(self, observation: Observation, outcome: Outcome, now: float) -> list[Effect]:
+        """The answers should have come."""
+        self.due = now + SETTLE
+        mine = self._mine(observation, outcome)
+        if self._asking:
+            choice, known = self._judge(self._first_cell(mine, observation.tick), mine, observation.tick)
+            box = self._tiling.box(choice.needed)
+            self._known = self._tiling.ground(self._box) if self._box else None
+            self._questions += 1
+            if not self._tiling.ground(self._box or box).holds(choice.needed) and self._questions < MOST_QUESTIONS:
+                return self._listen(_union(box, self._box), mine)
+            self._asking = False
+            self.due = max(now + SETTLE, self._speak_at)
+            return self._choose(choice, known, observation.tick)
+        self.settled, self.due = True, None
+        return self.look(self._first_cell(mine, observation.tick), mine, observation.tick) if self._neighbours.changed else []
+
+    def surroundings(self, observation: Observation, outcome: Outcome) -> Rectangle:
+        """Where I need particles in my first round: around the cell that I expect and around my sensor."""
+        cell = self._first_cell(self._mine(observation, outcome), observation.tick)
+        x, y = np.vstack([cell, [observation.pose[:2]]]).T
+        around = Rectangle(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
+        return around.wider(max(HORIZON, self._me.sensor.reach + MARGIN))
+
+    def _first_cell(self, mine: Beacon, tick: int) -> np.ndarray:
+        known = self._neighbours.whereabouts(self._since(tick))
+        _, generators = _table([*known.values(), mine], self._me.config)
+        if not len(generators):
+            return EMPTY
+        return self._me.arithmetic.cut(len(generators) - 1, generators[:, :2].copy(), generators[:, 2].copy(), self._me.arena).polygon
+
+    # ------------------------------------------------------------------ beacons
+
+    def hear(self, beacon: Beacon) -> bool:
+        """A beacon of somebody else; whether it should be answered."""
+        return self._neighbours.see(beacon) or beacon.asks
+
+    def answer(self) -> list[Effect]:
+        """My newest beacon again."""
+        return [msgspec.structs.replace(self._said, asks=False)] if self._said else []
+
+    def foretell(self, gossip: Gossip, outcome: Outcome) -> list[Effect]:
+        """At the end of a round: a beacon of where I shall be in the next tick, now and then and when that is a jump."""
+        next_one = self._beacon(gossip.tick + 1, moved(gossip.pose, outcome.command, self._me.config), outcome.power_radius)
+        if (gossip.tick + self._phase) % self._period and self._said and not _jumped(self._said, next_one):
+            return []
+        self._said = next_one
+        return [next_one]
+
+    def _mine(self, observation: Observation, outcome: Outcome) -> Beacon:
+        return self._beacon(observation.tick, observation.pose, outcome.power_radius)
+
+    def _beacon(self, tick: int, pose: Pose, radius: float) -> Beacon:
+        me = self._me
+        column, row = self._tiling.tile(pose[:2])
+        return Beacon(
+            sender=me.name,
+            incarnation=self._incarnation,
+            tick=tick,
+            position=pose[:2],
+            cod=place(me.facts.cod_offset, pose),
+            power_radius=radius,
+            reach=me.sensor.reach,
+            column=column,
+            row=row,
+            sensor_class=me.config.members.get(me.name, ""),
+            sensor=me.sensor if isinstance(me.sensor, WedgeSensor) else None,
+        )
+
+    # ------------------------------------------------------------------ the choice
+
+    def turn(self, gossip: Gossip, outcome: Outcome) -> list[Effect]:
+        """At the end of a round: choose anew if it is time to."""
+        if gossip.tick < self._chosen_at + self._between and not self._neighbours.changed:
+            return []
+        radius = outcome.power_radius
+        return self.look(outcome.cell, self._beacon(gossip.tick, moved(gossip.pose, outcome.command, self._me.config), radius), gossip.tick)
+
+    def look(self, cell: np.ndarray, mine: Beacon, tick: int) -> list[Effect]:
+        """Choose whom to hear from now on, and listen to the tiles that this takes; the subscriptions that follow."""
+        choice, known = self._judge(cell, mine, tick)
+        return [*self._choose(choice, known, tick), *self._look_around(choice.needed, tick)]
+
+    def _judge(self, cell: np.ndarray, mine: Beacon, tick: int) -> tuple[Choice, dict[str, Word]]:
+        known = self._neighbours.whereabouts(self._since(tick))
+        places, generators = _table([*known.values(), mine], self._me.config)
+        halo, reach = self._me.config.filter.halo, self._me.sensor.reach
+        return wanted(cell, mine.position, reach, halo, places[:-1], generators, self._ground), known
+
+    def _choose(self, choice: Choice, known: dict[str, Word], tick: int) -> list[Effect]:
+        names = {name for name, needed in zip(known, choice.chosen.tolist()) if needed}
+        self._neighbours.choose(names, known, self._since(tick))
+        self._neighbours.certified = self._known is not None and self._known.holds(choice.needed) and tick >= self._young
+        self._chosen_at = tick
+        run = self._me.config.run.name
+        added, dropped = sorted(names - self._heard, key=order), sorted(self._heard - names, key=order)
+        self._heard = names
+        gossip, token = partial(one_of, run, "gossip"), partial(tokens_of, run, "agent")
+        return [
+            *(Subscribe(expression(name)) for name in added for expression in (gossip, token)),
+            *(Unsubscribe(expression(name)) for name in dropped for expression in (gossip, token)),
+        ]
+
+    def _look_around(self, needed: Rectangle, tick: int) -> list[Effect]:
+        """Follow the needed ground with the tiles; a tile is given up when it lies a whole side outside."""
+        assert self._box is not None
+        if tick >= self._known_since:
+            self._known = self._tiling.ground(self._box)
+        soon = self._tiling.box(needed.wider(AHEAD))
+        late = self._tiling.box(needed.wider(self._tiling.side))
+        box = _union(soon, _common(self._box, late))
+        if box == self._box:
+            return []
+        grown = _union(box, self._box) != self._box
+        effects = self._listen(box)
+        if grown:  # until the newcomers' beacons have come, only what was known before and is still listened to is certain
+            self._known = _overlap(self._known, self._tiling.ground(box)) if self._known else None
+            self._known_since = tick + self._period + 1
+        return effects
+
+    def _listen(self, box: Box, asking: Beacon | None = None) -> list[Effect]:
+        """Listen to the tiles of a box and to no others; ask those who live in the new ones, if there is something to ask with."""
+        run = self._me.config.run.name
+        old = set(self._box.tiles()) if self._box else set()
+        added, dropped = sorted(set(box.tiles()) - old), sorted(old - set(box.tiles()))
+        self._box = box
+        effects: list[Effect] = [Subscribe(beacons_in(run, tile)) for tile in added]
+        effects += [Unsubscribe(beacons_in(run, tile)) for tile in dropped]
+        if asking is None:
+            return effects
+        self._said = asking
+        return [*effects, *(question(asking, tile) for tile in added)]
+
+    def _since(self, tick: int) -> int:
+        return tick - math.ceil(FORGOTTEN * self._period)
+
+
+def question(mine: Beacon, tile: tuple[int, int]) -> Beacon:
+    """A beacon said in another tile, to be answered."""
+    return msgspec.structs.replace(mine, column=tile[0], row=tile[1], asks=True)
+
+
+def moved(pose: Pose, command: tuple[tuple[float, float], float], config: AgentConfig) -> Pose:
+    """The pose after a tick of a command, which is within the limits of the body."""
+    (vx, vy), turn = command
+    return pose[0] + vx * config.run.dt, pose[1] + vy * config.run.dt, pose[2] + turn * config.run.dt
+
+
+def _jumped(old: Beacon, new: Beacon) -> bool:
+    """Whether a beacon says something else than an older one."""
+    apart = max(math.dist(old.position, new.position), math.dist(old.cod, new.cod), abs(old.power_radius - new.power_radius))
+    return apart > JUMP
+
+
+def _table(words: list[Word], config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Of N words: x, y and reach of the sensors (N, 3), and generators (N, 3), in m."""
+    kind = config.partition.kind
+    eyes = [position(word) for word in words]
+    points = eyes if kind == "voronoi" else [word.cod for word in words]
+    reaches = [word.reach if isinstance(word, Beacon) else word.memo["sensor"].reach for word in words]
+    radii = [word.power_radius if kind == "power" else 0.0 for word in words]
+    rows = np.array([(*eye, reach, *point, radius) for eye, reach, point, radius in zip(eyes, reaches, points, radii)])
+    return rows[:, :3], rows[:, 3:]
+
+
+def _union(one: Box, other: Box | None) -> Box:
+    """The smallest block that holds both."""
+    if other is None:
+        return one
+    return Box(min(one.west, other.west), min(one.south, other.south), max(one.east, other.east), max(one.north, other.north))
+
+
+def _common(one: Box, other: Box) -> Box:
+    """What lies in both blocks; at least a tile of the second."""
+    west, south = max(one.west, other.west), max(one.south, other.south)
+    return Box(west, south, max(west, min(one.east, other.east)), max(south, min(one.north, other.north)))
+
+
+def _overlap(one: Rectangle, other: Rectangle) -> Rectangle:
+    return Rectangle(max(one.west, other.west), max(one.south, other.south), min(one.east, other.east), min(one.north, other.north))

@@ -1,0 +1,90 @@
+"""The tiles of the arena in which beacons are said (docs/protocol.md), and what bounds a generator of which no beacon was heard."""
+
+import math
+from typing import NamedTuple
+
+from agents.capacity import power_radius, sensor_facts
+from agents.config import AgentConfig
+from protocol.keys import Tile
+from protocol.settings import ArenaSettings, sensor_of
+
+
+class Rectangle(NamedTuple):
+    """Sides in m."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+    def holds(self, other: "Rectangle") -> bool:
+        """Whether another rectangle lies in this one."""
+        return self.west <= other.west and self.south <= other.south and self.east >= other.east and self.north >= other.north
+
+    def wider(self, width: float) -> "Rectangle":
+        """The rectangle with all sides moved outward by `width` m."""
+        return Rectangle(self.west - width, self.south - width, self.east + width, self.north + width)
+
+
+class Box(NamedTuple):
+    """A block of tiles: first and last column and row."""
+
+    west: int
+    south: int
+    east: int
+    north: int
+
+    def tiles(self) -> list[Tile]:
+        """All tiles of the block."""
+        return [(column, row) for column in range(self.west, self.east + 1) for row in range(self.south, self.north + 1)]
+
+
+class Bounds(NamedTuple):
+    """What no agent of the team exceeds, in m: reach of the sensor, distance from it to the COD, power radius."""
+
+    reach: float
+    offset: float
+    radius: float
+
+
+def bounds_of(config: AgentConfig) -> Bounds:
+    """The bounds of all sensor classes among the members."""
+    sensors = [sensor_of(config, sensor_class) for sensor_class in sorted(set(config.members.values()))]
+    facts = [sensor_facts(sensor) for sensor in sensors]
+    return Bounds(
+        max(sensor.reach for sensor in sensors),
+        max(math.hypot(*fact.cod_offset) for fact in facts),
+        max(power_radius(fact.capability) for fact in facts),
+    )
+
+
+class Tiling:
+    """Square tiles of `side` m from (0, 0); what lies outside the arena counts to the nearest tile."""
+
+    def __init__(self, side: float, arena: ArenaSettings) -> None:
+        self.side = side
+        self._last = max(1, math.ceil(arena.width / self.side)) - 1, max(1, math.ceil(arena.height / self.side)) - 1
+
+    def tile(self, point: tuple[float, float]) -> Tile:
+        """The tile of a point."""
+        column, row = (max(0, min(last, math.floor(place / self.side))) for place, last in zip(point, self._last))
+        return column, row
+
+    def box(self, rectangle: Rectangle) -> Box:
+        """The tiles that a rectangle touches."""
+        return Box(*self.tile(rectangle[:2]), *self.tile(rectangle[2:]))
+
+    def around(self, tile: Tile, width: int) -> Box:
+        """The block of up to `width` tiles on every side of one."""
+        (column, row), (columns, rows) = tile, self._last
+        return Box(max(0, column - width), max(0, row - width), min(columns, column + width), min(rows, row + width))
+
+    def ground(self, box: Box) -> Rectangle:
+        """Where everybody says his beacons in these tiles; without end where the arena ends."""
+        (west, south, east, north), (column, row), side = box, self._last, self.side
+        return Rectangle(
+            west * side if west > 0 else -math.inf,
+            south * side if south > 0 else -math.inf,
+            (east + 1) * side if east < column else math.inf,
+            (north + 1) * side if north < row else math.inf,
+        )
