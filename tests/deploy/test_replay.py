@@ -96,6 +96,17 @@ def test_playing_through_a_death_does_not_write_the_time_line_twice(run: tuple[S
     assert len([one for one in replay.picture.happenings if one.kind == "lost"]) == 1
 
 
+def test_a_cut_between_agents_and_its_end_stand_on_the_time_line_of_a_replay(tmp_path: Path) -> None:
+    faults = (FaultSettings(at=3.0, verb="partition", who="s1,s2", seconds=2.0), FaultSettings(at=4.0, verb="kill", who="s6"))
+    simulation = Simulation(msgspec.structs.replace(resolve("quick", {"run.seconds": 8.0}), faults=faults))
+    Onlookers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
+    simulation.run()
+    replay = ReplaySource(Recording(tmp_path / "a.mcap"))
+    replay.scan(60.0)
+    told = [(one.kind, one.time, one.text) for one in replay.picture.happenings if one.kind in ("partition", "heal", "lost")]
+    assert told == [("partition", 3.0, "cut off s1, s2"), ("lost", 4.0, "s6 is gone"), ("heal", 5.0, "all links are clear again")]
+
+
 @pytest.mark.parametrize("request_", [{"seek": "x"}, {"seek": -1}, {"speed": 0}, {"speed": True}, {"verb": "kill"}, {}])
 def test_senseless_requests_are_refused(run: tuple[Simulation, Recording], request_: dict[str, object]) -> None:
     with pytest.raises(BadSetting):
