@@ -6,7 +6,7 @@ wall clock's (Unix time, whole ms). A liveliness token is recorded under its key
 not show by itself, such as a cut between agents, is a metadata record of its own.
 
 What is heard reaches the file after 0.9 s at the latest, as a small chunk: a recorder that is killed loses less than a second. When 5 s
-of the world have passed, one large chunk takes the place of the small ones: together they are 8 % smaller, and the index is a fifth as long.
+of the world have passed, one large chunk takes the place of the small ones: the file is 8 % smaller, its index a fifth as long.
 """
 
 import json
