@@ -25,6 +25,7 @@ SHELL = {  # the files where time, sockets and threads live; all others are core
     "protocol/process.py",
     "protocol/endpoints.py",
     "protocol/inbox.py",
+    "protocol/linger.py",
     "protocol/stdin.py",
     "agents/__main__.py",
     "world/__main__.py",
