@@ -7,6 +7,8 @@ import threading
 from collections import deque
 from dataclasses import dataclass
 
+from protocol.node import Node
+
 MOST_ENTRIES = 4096
 MOST_BYTES = 16 * 1024 * 1024
 MOST_PER_SECOND = 1000  # of one session under one key; a swarm that runs as fast as it goes says some 250 a second
@@ -155,3 +157,15 @@ class Quarantine:
         for table in (self._offences, self._until):
             while len(table) > self.MOST_SOURCES:
                 del table[next(iter(table))]  # type: ignore[attr-defined]
+
+
+def awaited(node: Node) -> int:
+    """How many messages of the kind `patient` (part of their keys) a node waits for: it need not be woken for fewer of them."""
+    found: int = getattr(node, "awaiting", 1)
+    return found
+
+
+def patient_kind(node: Node) -> str:
+    """The part of a key by which the messages are known that may wait for one another; empty: none may."""
+    found: str = getattr(node, "patient", "")
+    return found

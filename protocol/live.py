@@ -25,31 +25,18 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files
-from protocol.inbox import Arrival, Flow, Inbox, Quarantine
+from protocol.inbox import Arrival, Flow, Inbox, Quarantine, awaited, patient_kind
+from protocol.linger import Sockets
 from protocol.links import LinkFaults
 from protocol.messages import Malformed, Message
-from protocol.node import (
-    Effect,
-    Event,
-    Node,
-    Received,
-    Rejected,
-    Reopen,
-    Started,
-    Stop,
-    Subscribe,
-    Timer,
-    Unsubscribe,
-    awaited,
-    patient_kind,
-    sees_all_tokens,
-)
+from protocol.node import Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, sees_all_tokens
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin
 from protocol.tokens import Tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
+LINGER_SECONDS = 0.5  # between two looks at new sockets; links live for the lease at least
 RETRY_SECONDS = 0.5  # between attempts to open a session anew
 SETTLE_SECONDS = 2.0  # in which a new session sees again whom the old one saw
 SLICE = 64  # messages between two looks at the timers
@@ -92,6 +79,7 @@ class Driver:
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
         self._reopening: asyncio.Task[None] | None = None
+        self._sockets = Sockets()
         self._wanted: Counter[str] = Counter()  # expression -> how often the node subscribed
         self._subscribers: dict[str, Any] = {}
         self._publishers: dict[str, tuple[Any, Any]] = {}
@@ -111,6 +99,7 @@ class Driver:
         if self._session is None:
             await self.open()
         try:
+            self._let_go()
             self._declare()
             self._handle(Started())
             return await self._stopped
@@ -124,6 +113,12 @@ class Driver:
         if not self._stopped.done():
             log.info("stopping: %s", reason)
             self._stopped.set_result(code)
+
+    def _let_go(self) -> None:
+        """See to it that no link that goes dead holds up the others, now and from now on."""
+        self._sockets.let_go()
+        if not self._stopped.done():
+            self._loop.call_later(LINGER_SECONDS, self._let_go)
 
     def _declare(self) -> None:
         """Announce the own token and watch everybody's, in this order so that a follower of the token finds us ready."""

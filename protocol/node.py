@@ -126,18 +126,6 @@ class Node(Protocol):
         """When to be called with `Timer` at the latest, in the time of `now`; None: not at all."""
 
 
-def awaited(node: Node) -> int:
-    """How many messages of the kind `patient` (part of their keys) a node waits for: it need not be woken for fewer of them."""
-    found: int = getattr(node, "awaiting", 1)
-    return found
-
-
-def patient_kind(node: Node) -> str:
-    """The part of a key by which the messages are known that may wait for one another; empty: none may."""
-    found: str = getattr(node, "patient", "")
-    return found
-
-
 def sees_all_tokens(node: Node) -> bool:
     """Whether a node is shown every liveliness token; one that says `local = True` sees only those to which it subscribes."""
     return not getattr(node, "local", False)
