@@ -23,15 +23,15 @@ from deploy.scenario import FaultSettings, Scenario
 from deploy.swarm.control import Answer, ControlServer
 from deploy.swarm.processes import Child, check_names, child_environment
 from deploy.swarm.rundir import RunDirectory
+from deploy.swarm.seeds import seed_listeners
 from deploy.swarm.zygote import Zygote
 from protocol.codec import encode
-from protocol.endpoints import check_endpoints, check_files, free_port
+from protocol.endpoints import check_endpoints, check_files
 from protocol.links import as_line
 from protocol.live import Driver
 from protocol.messages import Truth
 from protocol.settings import BadSetting, NetworkSettings
 
-SEED_AGENTS = 1  # agents that listen on a known port beside monitor and world, so that newcomers find the swarm when these are down
 START_LINE = 20.0  # s that the last agent is held back at most
 GRACE = 2.5  # s for children to end by themselves
 EXIT_BAD_INPUT = 2
@@ -60,7 +60,7 @@ class Supervisor:
             check_files(scenario.network, name)
         self.directory = directory
         self.result: Result | None = None
-        self._listens = _seed_listeners(scenario)
+        self._listens = seed_listeners(scenario)
         seeds = tuple(dict.fromkeys([*self._listens.values(), *scenario.network.seeds]))
         admit = scenario.network.admit or tuple(scenario.members)
         network = msgspec.structs.replace(scenario.network, seeds=seeds, listen=NetworkSettings().listen, admit=admit)
@@ -336,15 +336,3 @@ class Supervisor:
         for endpoint in self.scenario.network.seeds:
             words += ["--seed-endpoint", endpoint] if endpoint != own else []
         return words
-
-
-def _seed_listeners(scenario: Scenario) -> dict[str, str]:
-    """Which processes listen on a known port, and where: on free ports, or the monitor alone where the scenario says."""
-    if scenario.network.listen != NetworkSettings().listen:
-        return {"monitor": scenario.network.listen[0]}
-    names = ["monitor", "world", *list(scenario.members)[:SEED_AGENTS]]
-    ports: set[int] = set()
-    while len(ports) < len(names):
-        ports.add(free_port())
-    link = "tls" if scenario.network.encrypted else "tcp"
-    return {name: f"{link}/127.0.0.1:{port}" for name, port in zip(names, sorted(ports))}
