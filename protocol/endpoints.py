@@ -15,6 +15,8 @@ def check_endpoints(settings: NetworkSettings) -> None:
     """Raise BadSetting for an endpoint that cannot be read, that leaves this machine without TLS unless the settings say insecure, or
     that is not encrypted where certificates are given, or the other way round."""
     default = NetworkSettings().listen
+    if settings.encrypted and settings.mode != "peer":
+        raise BadSetting(f"network.mode = {settings.mode}: behind a router no certificate says who speaks; should be peer")
     for field in ("listen", "seeds"):
         for endpoint in getattr(settings, field):
             said = f"network.{field} = {endpoint!r}"

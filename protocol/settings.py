@@ -95,6 +95,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
 class NetworkSettings(Section, frozen=True, kw_only=True):
     """[network] the Zenoh session."""
 
+    mode: Literal["peer", "client", "router"] = "peer"  # peer: everybody is linked to everybody; client: to a router, which passes all on
     listen: tuple[str, ...] = ("tcp/127.0.0.1:0",)
     seeds: tuple[str, ...] = ()  # endpoints to dial
     lease: Positive = 2.0  # s

@@ -9,8 +9,8 @@ from protocol.settings import NetworkSettings
 def session_values(settings: NetworkSettings) -> dict[str, Any]:
     """Zenoh's settings for a peer, by key; why each value is what it is stands in docs/protocol.md."""
     return {
-        "mode": "peer",
-        "listen/endpoints": settings.listen,
+        "mode": settings.mode,
+        "listen/endpoints": settings.listen if settings.mode != "client" else (),
         "listen/exit_on_failure": True,
         "connect/endpoints": settings.seeds,
         "connect/timeout_ms": -1,  # 0 would miss a seed that restarts

@@ -1,4 +1,8 @@
-"""`covey bench start`, `memory` and `live`: real processes over loopback, from `covey up` to the first tick and on."""
+"""`covey bench start`, `memory`, `live` and `realtime`: real processes over loopback, from `covey up` to the first tick and on.
+
+Rates are ticks within a window of wall time; beside them stands the CPU time per tick of all agents and the world, which a busy machine
+disturbs less. The reference of `live` is the same swarm with empty rounds (`deploy.bench.empty`).
+"""
 
 import json
 import os
@@ -6,67 +10,181 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from deploy.bench.timing import Row
+from deploy.swarm.control import ControlClient
 from deploy.swarm.processes import ROOT
+from deploy.swarm.rundir import RunDirectory
+from protocol.settings import BadSetting
 
 PAGE_TOTAL = "Pss:"
-START_SECONDS = 120.0
-TEAMS = {16: "A4,B12", 48: "5", 96: "A12,C48,D36"}
+START_SECONDS = 180.0
+NAME = "bench"
+TEAMS = {16: "A4,B12", 48: "5", 96: "A12,C48,D36", 200: "A25,C100,D75"}
+SETTLE, WINDOW = 3.0, 10.0  # wall s
 
 
-def run(agents: int, spawn: str, seconds: float, interest: str = "all") -> Row:
-    """One lockstep run of a swarm of processes: s from `covey up` to the first tick, PSS in MB, CPU s of the agents, ticks per s."""
+class Mark(NamedTuple):
+    """Where a run stands: wall time s, tick, CPU time of world and agents s, rounds that agents skipped and that were late."""
+
+    at: float
+    tick: int
+    cpu: float
+    skipped: int
+
+
+class Swarm:
+    """A swarm that runs for a benchmark."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]", folder: Path, begun: float) -> None:
+        self.folder = folder
+        self._process = process
+        self._log = folder / "logs" / "supervisor.jsonl"
+        self.first_tick = self._wait(lambda: self._log.exists() and "the first tick" in self._log.read_text(encoding="utf-8")) - begun
+        self._client = ControlClient(RunDirectory(NAME))
+        self.first_round = self._wait(lambda: self.status()["swarm"]["tick"] >= 0) - begun
+
+    def _wait(self, done: Any) -> float:
+        """Until something is so; when that was."""
+        end = time.monotonic() + START_SECONDS
+        while not done():
+            if time.monotonic() > end or self._process.poll() is not None:
+                raise BadSetting(f"bench: the swarm has not started within {START_SECONDS:g} s")
+            time.sleep(0.02)
+        return time.monotonic()
+
+    def status(self) -> dict[str, Any]:
+        """What `covey ps` is told."""
+        data: dict[str, Any] = self._client.ask("status")["data"]
+        return data
+
+    def mark(self) -> Mark:
+        """Where it stands now."""
+        data = self.status()
+        spent = sum(cpu_of(row["pid"]) for row in data["processes"] if row["pid"])
+        return Mark(time.monotonic(), data["swarm"]["tick"], spent, sum(row.get("skipped", 0) for row in data["processes"]))
+
+    def memory(self) -> float:
+        """Proportional set size of all agents, MB."""
+        return sum(pss(row["pid"]) for row in self.status()["processes"] if row["pid"] and row["name"] != "world") / 1024.0
+
+    def end(self) -> Row:
+        """Take it down; its result."""
+        self._client.ask("down")
+        output, _ = self._process.communicate(timeout=START_SECONDS)
+        result: Row = json.loads(output.splitlines()[-1])
+        return result
+
+    def deliveries(self, rounds: int) -> float:
+        """Messages that an agent received per round, from the logs of a swarm that has ended."""
+        received = 0
+        for log in (self.folder / "logs").glob("s*.jsonl"):
+            for line in log.read_text(encoding="utf-8").splitlines():
+                if '"left the run"' in line:
+                    received += json.loads(line)["counts"].get("received", 0)
+        return received / max(rounds, 1)
+
+
+@contextmanager
+def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False) -> Iterator[Swarm]:
+    """A swarm of processes of section IV-B; ended at the latest when the context is left."""
+    before = os.environ.get("COVEY_RUNS")
     with tempfile.TemporaryDirectory() as folder:
-        words = ["up", "efficacy", "--team", TEAMS[agents], "--lockstep", "--seconds", str(seconds), "--run", "bench", "--json"]
-        words += ["--spawn", spawn, "--set", f"timing.interest={interest}"]
-        environment = {**os.environ, "COVEY_RUNS": folder}
-        command = [sys.executable, "-m", "deploy", *words]
+        os.environ["COVEY_RUNS"] = folder
+        command = [sys.executable, "-m", "deploy", "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
+        environment = {**os.environ, "COVEY_ROUNDS": "empty" if empty else ""}
+        process = subprocess.Popen(
+            [*command, "--seconds", "1000000", *words], cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
         begun = time.monotonic()
-        process = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         try:
-            log = Path(folder) / "bench" / "logs" / "supervisor.jsonl"
-            first = _first_tick(log, process, begun)
-            time.sleep(min(2.0, seconds / 4.0))
-            pids = _pids(log.parent.parent)
-            memory, cpu, at = sum(map(pss, pids)), sum(map(cpu_of, pids)), time.monotonic()
-            time.sleep(1.0)
-            spent, wall = sum(map(cpu_of, pids)) - cpu, time.monotonic() - at
-            output, _ = process.communicate(timeout=600.0)
+            yield Swarm(process, Path(folder) / NAME, begun)
         finally:
-            process.kill()
-            process.wait()
-        result = json.loads(output.splitlines()[-1])
+            process.terminate()
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            os.environ.pop("COVEY_RUNS")
+            if before is not None:
+                os.environ["COVEY_RUNS"] = before
+
+
+def run(agents: int, spawn: str, settings: tuple[str, ...] = (), *, empty: bool = False, window: float = WINDOW) -> Row:
+    """One lockstep run: s from `covey up` to the first closed round, ticks per s, CPU per tick, messages, memory."""
+    words = ["--lockstep", *[word for setting in settings for word in ("--set", setting)]]
+    with swarm(agents, spawn, words, empty=empty) as running:
+        time.sleep(SETTLE)
+        begin = running.mark()
+        time.sleep(window)
+        end, memory = running.mark(), running.memory()
+        result = running.end()
+        received = running.deliveries(result["rounds"])
+    ticks = max(end.tick - begin.tick, 1)
     return {
         "agents": agents,
         "spawn": spawn,
-        "interest": interest,
-        "first tick, s": first,
-        "PSS, MB": memory / 1024.0,
-        "ticks per s": result["ticks"] / result["wall_s"],
-        "CPU of agents, cores": spent / wall if spent >= 0.0 else float("nan"),
+        "settings": " ".join(settings),
+        "rounds": "empty" if empty else "real",
+        "first round, s": running.first_round,
+        "ticks per s": (end.tick - begin.tick) / (end.at - begin.at),
+        "CPU per tick, ms": 1000.0 * (end.cpu - begin.cpu) / ticks,
+        "received per agent-round": received,
+        "bytes per message": result["bytes"] / max(result["messages"], 1),
+        "PSS, MB": memory,
         "load": os.getloadavg()[0],
     }
 
 
-def _first_tick(log: Path, process: "subprocess.Popen[bytes]", begun: float) -> float:
-    while time.monotonic() - begun < START_SECONDS and process.poll() is None:
-        if log.exists() and "the first tick" in log.read_text(encoding="utf-8"):
-            return time.monotonic() - begun
-        time.sleep(0.02)
-    raise RuntimeError(f"no tick within {START_SECONDS:g} s")
+def start() -> list[Row]:
+    """From `covey up` to the first closed round, and memory, with both ways to start."""
+    return [run(agents, spawn, window=2.0) for agents in (16, 48) for spawn in ("zygote", "exec")]
 
 
-def _pids(folder: Path) -> list[int]:
-    """Process ids of the agents of a run."""
-    from deploy.swarm.control import ControlClient
-    from deploy.swarm.rundir import RunDirectory
+def live(agents: tuple[int, ...] = (16, 48, 96)) -> list[Row]:
+    """Lockstep rates, each after the same swarm with empty rounds, and the ratio of the two, by rate and by CPU."""
+    rows = []
+    for number in agents:
+        for settings in _choices(number):
+            reference, real = (run(number, "zygote", settings, empty=empty) for empty in (True, False))
+            real["of the empty rate"] = real["ticks per s"] / max(reference["ticks per s"], 1e-9)
+            real["of the empty CPU"] = reference["CPU per tick, ms"] / max(real["CPU per tick, ms"], 1e-9)
+            rows += [reference, real]
+    return rows
 
-    os.environ["COVEY_RUNS"] = str(folder.parent)
-    data: dict[str, Any] = ControlClient(RunDirectory(folder.name)).ask("status")["data"]
-    return [row["pid"] for row in data["processes"] if row["pid"] and row["name"] != "world"]
+
+def _choices(agents: int) -> list[tuple[str, ...]]:
+    heard = ("timing.interest=neighbours",) if agents > 48 else ()
+    return [heard, (*heard, "network.mode=client")]
+
+
+def realtime(agents: int = 48, seconds: float = 60.0, settings: tuple[str, ...] = ()) -> list[Row]:
+    """At 4 Hz: rounds that were skipped, and the CPU that agents and world use."""
+    words = [word for setting in settings for word in ("--set", setting)]
+    with swarm(agents, "zygote", words) as running:
+        time.sleep(SETTLE)
+        begin = running.mark()
+        time.sleep(seconds)
+        end = running.mark()
+        result = running.end()
+    wall = end.at - begin.at
+    return [
+        {
+            "agents": agents,
+            "settings": " ".join(settings),
+            "wall, s": wall,
+            "ticks": end.tick - begin.tick,
+            "rounds skipped": end.skipped - begin.skipped,
+            "CPU, cores": (end.cpu - begin.cpu) / wall,
+            "received per agent-round": running.deliveries(result["rounds"]),
+            "load": os.getloadavg()[0],
+        }
+    ]
 
 
 def pss(pid: int) -> int:

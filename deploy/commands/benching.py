@@ -37,13 +37,19 @@ def _scale() -> list[Row]:
 def _start() -> list[Row]:
     from deploy.bench import processes
 
-    return [processes.run(agents, spawn, 4.0) for agents in (16, 48) for spawn in ("zygote", "exec")]
+    return processes.start()
 
 
 def _live() -> list[Row]:
     from deploy.bench import processes
 
-    return [processes.run(agents, "zygote", 20.0, interest) for agents in (16, 48) for interest in ("all", "neighbours")]
+    return processes.live()
+
+
+def _realtime() -> list[Row]:
+    from deploy.bench import processes
+
+    return processes.realtime()
 
 
 def _memory() -> list[Row]:
@@ -60,6 +66,7 @@ BENCHES: dict[str, Callable[[], list[Row]]] = {
     "round": _round,
     "simulate": _simulate,
     "live": _live,
+    "realtime": _realtime,
     "scale": _scale,
     "start": _start,
     "codec": _codec,

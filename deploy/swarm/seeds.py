@@ -2,15 +2,19 @@
 
 from deploy.scenario import Scenario
 from protocol.endpoints import free_port
-from protocol.settings import NetworkSettings
+from protocol.settings import BadSetting, NetworkSettings
 
 SEED_AGENTS = 1  # agents that listen on a known port beside monitor and world, so that newcomers find the swarm when these are down
 
 
 def seed_listeners(scenario: Scenario) -> dict[str, str]:
     """Which processes listen on a known port, and where: on free ports, or the monitor alone where the scenario says."""
+    if scenario.network.mode == "router":
+        raise BadSetting("network.mode = router: should be peer or client; the router of a run is its supervisor")
     if scenario.network.listen != NetworkSettings().listen:
         return {"monitor": scenario.network.listen[0]}
+    if scenario.network.mode == "client":
+        return {"monitor": f"tcp/127.0.0.1:{free_port()}"}
     names = ["monitor", "world", *list(scenario.members)[:SEED_AGENTS]]
     ports: set[int] = set()
     while len(ports) < len(names):

@@ -66,7 +66,8 @@ class Supervisor:
         network = msgspec.structs.replace(scenario.network, seeds=seeds, listen=NetworkSettings().listen, admit=admit)
         own = self._listens["monitor"]
         others = tuple(seed for seed in seeds if seed != own)
-        self._own_network = msgspec.structs.replace(network, listen=(own,), seeds=others)
+        mode: Literal["peer", "router"] = "peer" if network.mode == "peer" else "router"
+        self._own_network = msgspec.structs.replace(network, mode=mode, listen=(own,), seeds=others)
         self.scenario = msgspec.structs.replace(scenario, network=network)
         self.scorer = Scorer(self.scenario, incarnation=time.time_ns() // 1_000_000)
         self.scorer.on_truth = self._on_truth

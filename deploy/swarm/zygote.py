@@ -207,6 +207,10 @@ def main() -> None:
     from deploy.swarm.warm import warm
 
     warm()
+    if os.environ.get("COVEY_ROUNDS") == "empty":  # the reference of `covey bench live`
+        from deploy.bench import empty
+
+        empty.install()
     serve(channel)
     os._exit(0)
 
