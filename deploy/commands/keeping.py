@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -19,7 +20,16 @@ from deploy.records.rescore import difference, rescore, write_scores
 from deploy.swarm.rundir import RunDirectory
 from protocol.endpoints import free_port
 from protocol.live import Driver
-from protocol.settings import NetworkSettings
+from protocol.settings import BadSetting, NetworkSettings
+
+
+@contextlib.contextmanager
+def writing(option: str, path: Path) -> Iterator[None]:
+    """What cannot be written is the fault of the option that named the place."""
+    try:
+        yield
+    except OSError as error:
+        raise BadSetting(f"{option} {path}: {error.strerror or error}; should be a place that can be written to") from None
 
 
 def score(name: str, csv: Path | None, as_json: bool) -> int:
@@ -34,7 +44,8 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
     if apart is not None:
         console.print(f"largest difference to the figures of the run itself: {apart:.3g}")
     if csv is not None:
-        write_scores(csv, scorer.scores)
+        with writing("--csv", csv):
+            write_scores(csv, scorer.scores)
         console.print(f"{len(scorer.scores)} ticks in {csv}")
     if as_json:
         print(result.to_json())
@@ -51,15 +62,20 @@ def export(name: str, form: str, out: Path | None) -> int:
         from deploy.records.to_rerun import write_rerun
 
         file = out or recording.path.with_suffix(".rrd")
-        print(f"{write_rerun(recording, file)} ticks in {file}; look at it with: rerun {file}")
+        with writing("--out", file):
+            ticks = write_rerun(recording, file)
+        print(f"{ticks} ticks in {file}; look at it with: rerun {file}")
         return 0
     if form == "foxglove":
         file = out or recording.path.with_suffix(DRAWING)
-        print(f"{write_foxglove(recording, file)} scenes in {file}")
+        with writing("--out", file):
+            scenes = write_foxglove(recording, file)
+        print(f"{scenes} scenes in {file}")
         return 0
     folder = out or recording.path.parent / form
-    for file in write_tables(recording, folder, form):
-        print(file)
+    with writing("--out", folder):
+        files = write_tables(recording, folder, form)
+    print("\n".join(map(str, files)))
     return 0
 
 
@@ -69,10 +85,11 @@ def figures(name: str, out: Path | None, animate: bool) -> int:
 
     recording = Recording(find_recording(name))
     folder = out or recording.path.parent / "figures"
-    for file in write_figure(recording, folder):
-        print(file)
-    if animate:
-        print(write_animation(recording, folder))
+    with writing("--into", folder):
+        for file in write_figure(recording, folder):
+            print(file)
+        if animate:
+            print(write_animation(recording, folder))
     return 0
 
 

@@ -25,15 +25,12 @@ WARNINGS = ("lost", "twin", "silent", "paused", "partition", "links")
 
 
 def write_rerun(recording: Recording, path: Path) -> int:
-    """Write the drawing; returns the number of ticks. Raises BadSetting where Rerun is not installed, or the file cannot be written."""
+    """Write the drawing; returns the number of ticks. Raises BadSetting where Rerun is not installed, OSError."""
     if importlib.util.find_spec("rerun") is None:
         raise BadSetting("--to rerun: needs the package rerun-sdk; pip install 'covey[rerun]', or pip install rerun-sdk")
     import rerun
 
-    try:
-        path.open("wb").close()  # Rerun itself only logs that it cannot write
-    except OSError as error:
-        raise BadSetting(f"--out {path}: {error.strerror}") from None
+    path.open("wb").close()  # Rerun itself only logs that it cannot write
     stream = rerun.RecordingStream("covey", recording_id=f"{recording.run}-{recording.scenario.run.seed}")
     stream.save(path)
     _log_arena(stream, recording)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from mcap.reader import make_reader
 from PIL import Image
 from pyarrow import csv, parquet
 
+from deploy.commands import keeping
 from deploy.figures import Ways, pictures, write_animation, write_figure
 from deploy.onlookers import Onlookers, open_recorder
 from deploy.records.export import messages, tables, write_tables
@@ -159,3 +161,18 @@ def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: 
     file = write_animation(run[1], tmp_path)
     with Image.open(file) as image:
         assert (file.suffix, image.n_frames) == (".gif", 10)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("option", "command"),
+    [
+        ("--out", lambda file, place: keeping.export(file, "csv", place)),
+        ("--out", lambda file, place: keeping.export(file, "foxglove", place)),
+        ("--into", lambda file, place: keeping.figures(file, place, False)),
+        ("--csv", lambda file, place: keeping.score(file, place, False)),
+    ],
+)
+def test_a_place_that_cannot_be_written_to_is_named(run: Run, tmp_path: Path, option: str, command: Callable[[str, Path], int]) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(BadSetting, match=f"{option} .*should be a place that can be written to"):
+        command(str(run[1].path), tmp_path / "file" / "below")
