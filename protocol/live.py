@@ -32,7 +32,7 @@ from protocol.messages import Malformed, Message
 from protocol.node import Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, sees_all_tokens
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin
-from protocol.tokens import Tokens
+from protocol.tokens import ALONE_SECONDS, Tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
@@ -101,6 +101,7 @@ class Driver:
         try:
             self._let_go()
             self._declare()
+            self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
             self._handle(Started())
             return await self._stopped
         finally:

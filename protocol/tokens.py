@@ -1,7 +1,14 @@
 """Which liveliness tokens are up, so that a node is told of each once when it appears and once when it vanishes."""
 
+import logging
+from collections.abc import Iterable
+
 from protocol.keys import Token, matches, parse_token, token_key
 from protocol.node import Alive, Gone
+
+ALONE_SECONDS = 10.0  # after which a process that has met nobody says where to look
+
+log = logging.getLogger(__name__)
 
 
 class Tokens:
@@ -40,3 +47,10 @@ class Tokens:
         lost, self._doubtful = sorted(self._doubtful), set()
         self._up -= set(lost)
         return [Gone(token.role, token.name, token.incarnation) for token in lost]
+
+    def warn_if_alone(self, seeds: Iterable[str]) -> None:
+        """Say what to look at when nobody has appeared: a session that is refused opens all the same."""
+        if not self._up and seeds:
+            where = ", ".join(seeds)
+            log.warning("nobody has appeared in %g s: does anybody listen at %s, in run %s?", ALONE_SECONDS, where, self._own.run)
+            log.warning("with certificates: of the same authority, not run out, and of names that the others admit (network.admit)?")

@@ -1,5 +1,7 @@
 """A node is told of a token once when it appears and once when it vanishes, also across two sessions."""
 
+import pytest
+
 from protocol.keys import Token, token_key
 from protocol.node import Alive, Gone
 from protocol.tokens import Tokens
@@ -43,3 +45,15 @@ def test_forgotten_tokens_are_told_again() -> None:
     tokens.forget("covey/t/alive/agent/s2/*")
     assert tokens.see(key("s2"), True) == Alive("agent", "s2", 1)
     assert tokens.see(key("s3"), True) is None
+
+
+def test_who_meets_nobody_is_told_where_to_look(caplog: pytest.LogCaptureFixture) -> None:
+    tokens = Tokens(OWN)
+    tokens.warn_if_alone(())
+    assert caplog.text == "", "who dials nobody expects nobody"
+    tokens.warn_if_alone(("tls/10.0.0.1:7447",))
+    assert "does anybody listen at tls/10.0.0.1:7447, in run t?" in caplog.text and "of the same authority" in caplog.text
+    caplog.clear()
+    tokens.see(key("s2"), True)
+    tokens.warn_if_alone(("tls/10.0.0.1:7447",))
+    assert caplog.text == ""
