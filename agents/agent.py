@@ -21,7 +21,7 @@ from agents.words import learn
 from protocol.geometry import rectangle
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, pack
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.node import QUIET, Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
 from protocol.sensing import WedgeSensor
 from protocol.settings import sensor_of
@@ -177,7 +177,7 @@ class Agent:
             self._awaited.remove(gossip.sender)
             if not self._awaited:
                 return self._close_if_complete(now)
-        return []
+        return QUIET
 
     def _on_hello(self, hello: Hello, now: float) -> list[Effect]:
         if hello.sender == self.name:
@@ -186,11 +186,12 @@ class Agent:
         if reason:
             self.counters[f"rejected.{reason}"] += 1
             return []
-        if self._presence.greet(hello.sender, now):
+        is_new = self._presence.greet(hello.sender, now)
+        if is_new:
             self._greet_soon(now)
         unheard = self._presence.split(hello, now) if hello.role == "agent" else ""
         if not unheard:
-            return []
+            return [] if is_new else QUIET
         self.counters["reopened"] += 1
         return [Reopen(f"the others hear {unheard}, I do not")]
 

@@ -98,6 +98,7 @@ class Reopen:
 
 
 Effect = Message | Subscribe | Unsubscribe | Stop | Reopen
+QUIET: list[Effect] = []  # this very object as an answer: nothing is to be done, and the deadline is what it was; never to be changed
 
 
 class Node(Protocol):

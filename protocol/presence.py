@@ -13,6 +13,8 @@ WITHIN_HEARING = 3.0  # s since the last word; everybody says Hello every 2 s
 PATIENCE = 5.0  # s for which others say otherwise before the session is opened anew
 FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two openings, doubled each time: nobody shall be kept busy by a false Hello
 
+NEVER = -float("inf")
+
 
 class Presence:
     """Whose words arrive at one node. Times are `now` of that node, s; a clock that jumps delays an alarm, it raises none."""
@@ -25,7 +27,8 @@ class Presence:
         self._claims: dict[str, dict[str, float]] = {}  # silent name -> who claims to hear it, and when that was last said
         self._since: dict[str, float] = {}  # silent name -> since when somebody has been claiming so
         self._voters: set[str] = set()  # whose Hellos `split` has been shown
-        self._rest, self._not_before = FIRST_REST, -float("inf")
+        self._rest, self._not_before = FIRST_REST, NEVER
+        self._calm_until = NEVER  # so long nobody can be out of hearing, whatever is said of it
 
     def speak(self, name: str, now: float) -> None:
         """A message of somebody has come."""
@@ -41,6 +44,7 @@ class Presence:
     def leave(self, name: str) -> None:
         """The token of somebody has vanished: out of hearing until the next word."""
         self._words.pop(name, None)
+        self._calm_until = NEVER
 
     def heard(self, now: float | None = None) -> tuple[str, ...]:
         """Names for my Hello: who has greeted me, has not left, and has spoken lately; `now` None: however long ago."""
@@ -50,14 +54,17 @@ class Presence:
         """Take a peer's Hello: of whom I hear nothing though most of my peers do, if that has gone on for too long; else empty."""
         alarm = ""
         self._voters.add(hello.sender)
-        for name in self._expected:
-            if name in (self._name, hello.sender):
-                continue
-            if self._hears(name, now):
-                self._claims.pop(name, None)
-                self._since.pop(name, None)
-            elif self._is_split(name, hello, now):
+        if now <= self._calm_until:
+            return alarm
+        words, others = self._words, [name for name in self._expected if name not in (self._name, hello.sender)]
+        silent = [name for name in others if not now - words.get(name, NEVER) <= WITHIN_HEARING]
+        for name in [name for name in others if name in self._since and name not in silent]:
+            del self._claims[name], self._since[name]
+        for name in silent:
+            if self._is_split(name, hello, now):
                 alarm = name
+        if not silent and not self._since:
+            self._calm_until = min([words[name] for name in others], default=now) + WITHIN_HEARING
         if alarm:
             self._claims.clear()
             self._since.clear()

@@ -14,7 +14,7 @@ from typing import Protocol
 from protocol import codec
 from protocol.keys import is_of_tokens, message_key, token_key, tokens_of
 from protocol.messages import Command, Malformed, Message, Observation
-from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.node import sees_all_tokens as sees_all
 from protocol.routes import Routes
 
@@ -198,10 +198,13 @@ class VirtualBus:
             if not isinstance(event, Timer):
                 seat.waiting.append(event)
             return
-        for effect in seat.handle(event, self._time_of(seat) if seat.clock else self.now):
+        effects = seat.handle(event, self._time_of(seat) if seat.clock else self.now)
+        for effect in effects:
             self._carry_out(seat, effect)
         if self.tap is not None:
             self.tap(seat.node, event)
+        if effects is QUIET and seat.armed is not None:
+            return
         if seat.work > 0.0 and _is_observation(event):
             seat.at_work = True
             self._schedule(seat, _Done(), seat.work)
