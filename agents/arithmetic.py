@@ -49,6 +49,7 @@ class Arithmetic(NamedTuple):
     """One implementation of everything that a round computes per particle or per corner."""
 
     cut: Callable[..., Cell]
+    cut_all: Callable[..., list[Cell]]
     distances: Callable[..., np.ndarray]
     owned: Callable[..., np.ndarray]
     predict: Callable[[Particles, Step], Particles]
@@ -137,6 +138,7 @@ def refresh(task: Task) -> Refreshed:
 
 PLAIN = Arithmetic(
     cut=cells.cut,
+    cut_all=cells.cut_all,
     distances=geometry.distances,
     owned=cells.owned,
     predict=predict,

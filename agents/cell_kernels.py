@@ -57,31 +57,78 @@ def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: 
     return mine
 
 
-@njit(cache=True)
-def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `cells.cut`: corners (V, 2) relative to the generator, and indices of the bounding generators."""
-    number = len(radii)
-    ox, oy = points[index, 0], points[index, 1]
-    ahead = np.empty(number)
-    for j in range(number):
+@njit
+def _room(number: int, corners: int) -> tuple:
+    """Scratch for cutting cells out of an arena with so many corners among so many generators."""
+    size = corners + number + 2
+    places = np.empty(number), np.empty(number, np.int64), np.empty(number, np.int64)
+    return *places, np.empty((size, 2)), np.empty((size, 2)), np.empty(size)
+
+
+@njit
+def _sort(places: np.ndarray, count: int, keys: np.ndarray) -> None:
+    """Sort the first `count` places by their keys, stable: by insertion, because they are few as a rule."""
+    if count > 64:
+        places[:count] = places[:count][np.argsort(keys[places[:count]], kind="mergesort")]
+        return
+    for rank in range(1, count):
+        place, here = places[rank], rank
+        while here > 0 and keys[places[here - 1]] > keys[place]:
+            places[here] = places[here - 1]
+            here -= 1
+        places[here] = place
+
+
+@njit
+def _clip(corners: np.ndarray, size: int, heights: np.ndarray, other: np.ndarray) -> int:
+    """Into `other` the part of a polygon where its heights are not positive; its number of corners."""
+    kept = 0
+    for c in range(size):
+        p = c - 1 if c > 0 else size - 1
+        before, after = heights[p], heights[c]
+        if (before < 0.0 and after > 0.0) or (after < 0.0 and before > 0.0):
+            share = before / (before - after)
+            other[kept, 0] = corners[p, 0] + share * (corners[c, 0] - corners[p, 0])
+            other[kept, 1] = corners[p, 1] + share * (corners[c, 1] - corners[p, 1])
+            kept += 1
+        if after <= 0.0:
+            other[kept, 0], other[kept, 1] = corners[c, 0], corners[c, 1]
+            kept += 1
+    return kept
+
+
+@njit
+def _farthest(corners: np.ndarray, size: int) -> float:
+    farthest = 0.0
+    for c in range(size):
+        farthest = max(farthest, corners[c, 0] * corners[c, 0] + corners[c, 1] * corners[c, 1])
+    return math.sqrt(farthest)
+
+
+@njit
+def _bisectors(index: int, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
+    """How far ahead of a generator its bisectors with the others lie, m."""
+    ox, oy, own = points[index, 0], points[index, 1], radii[index] * radii[index]
+    for j in range(len(radii)):
         dx, dy = points[j, 0] - ox, points[j, 1] - oy
         squared = dx * dx + dy * dy
-        if j == index:
-            ahead[j] = np.inf
-        elif squared == 0.0:
+        if squared == 0.0:
             wins = radii[j] < radii[index] or (radii[j] == radii[index] and j > index)
             ahead[j] = np.inf if wins else -np.inf
         else:
-            ahead[j] = (squared + radii[index] * radii[index] - radii[j] * radii[j]) / (2.0 * math.sqrt(squared))
-    order, picked = np.empty(number, np.int64), np.empty(number, np.int64)
-    corners, other = np.empty((len(arena) + number + 2, 2)), np.empty((len(arena) + number + 2, 2))
-    heights = np.empty(len(corners))
-    size = len(arena)
-    farthest = 0.0
+            ahead[j] = (squared + own - radii[j] * radii[j]) / (2.0 * math.sqrt(squared))
+    ahead[index] = np.inf
+
+
+@njit
+def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float, room: tuple) -> tuple[np.ndarray, int, int]:
+    """The corners relative to the generator (in scratch) and their number, and how many bounding generators stand in `picked`."""
+    ahead, order, picked, corners, other, heights = room
+    number, size = len(radii), len(arena)
+    _bisectors(index, points, radii, ahead)
     for c in range(size):
-        corners[c, 0], corners[c, 1] = arena[c, 0] - ox, arena[c, 1] - oy
-        farthest = max(farthest, corners[c, 0] * corners[c, 0] + corners[c, 1] * corners[c, 1])
-    farthest = math.sqrt(farthest)
+        corners[c, 0], corners[c, 1] = arena[c, 0] - points[index, 0], arena[c, 1] - points[index, 1]
+    farthest = _farthest(corners, size)
     tried = 0
     beyond, within = -np.inf, farthest / math.sqrt(number)
     reached = True
@@ -91,7 +138,8 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, to
             if ahead[j] <= within and (ahead[j] > beyond or beyond == -np.inf):
                 picked[count] = j
                 count += 1
-        for rank in np.argsort(ahead[picked[:count]], kind="mergesort"):
+        _sort(picked, count, ahead)
+        for rank in range(count):
             j = picked[rank]
             limit = ahead[j]
             if limit > farthest + touch:
@@ -105,25 +153,11 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, to
                 highest = max(highest, heights[c])
             if highest <= 0.0:
                 continue
-            kept = 0
-            for c in range(size):
-                p = c - 1 if c > 0 else size - 1
-                before, after = heights[p], heights[c]
-                if (before < 0.0 and after > 0.0) or (after < 0.0 and before > 0.0):
-                    share = before / (before - after)
-                    other[kept, 0] = corners[p, 0] + share * (corners[c, 0] - corners[p, 0])
-                    other[kept, 1] = corners[p, 1] + share * (corners[c, 1] - corners[p, 1])
-                    kept += 1
-                if after <= 0.0:
-                    other[kept, 0], other[kept, 1] = corners[c, 0], corners[c, 1]
-                    kept += 1
-            corners, other, size = other, corners, kept
+            size = _clip(corners, size, heights, other)
+            corners, other = other, corners
             if size < 3:
-                return np.empty((0, 2)), np.empty(0, np.int64)
-            farthest = 0.0
-            for c in range(size):
-                farthest = max(farthest, corners[c, 0] * corners[c, 0] + corners[c, 1] * corners[c, 1])
-            farthest = math.sqrt(farthest)
+                return corners, 0, 0
+            farthest = _farthest(corners, size)
         reached = within <= farthest + touch
         beyond, within = within, 2.0 * within
     area = 0.0
@@ -131,19 +165,48 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, to
         p = c - 1 if c > 0 else size - 1
         area += corners[p, 0] * corners[c, 1] - corners[c, 0] * corners[p, 1]
     if 0.5 * area <= 1.0e-12:
-        return np.empty((0, 2)), np.empty(0, np.int64)
-    bounds = np.empty(tried + 1, np.int64)
-    bounds[0] = index
-    bounding = 1
+        return corners, 0, 0
+    picked[0], bounding = index, 1
     for rank in range(tried):
         j = order[rank]
         nx, ny = _direction(points, index, j)
         for c in range(size):
             if corners[c, 0] * nx + corners[c, 1] * ny > ahead[j] - touch:
-                bounds[bounding] = j
+                picked[bounding] = j
                 bounding += 1
                 break
-    return corners[:size].copy(), bounds[:bounding]
+    return corners, size, bounding
+
+
+@njit(cache=True)
+def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `cells.cut`: corners (V, 2) in the world, and indices of the bounding generators; both empty for an empty cell."""
+    room = _room(len(radii), len(arena))
+    relative, size, bounding = _cut(index, points, radii, arena, touch, room)
+    corners = np.empty((size, 2))
+    for c in range(size):
+        corners[c, 0], corners[c, 1] = relative[c, 0] + points[index, 0], relative[c, 1] + points[index, 1]
+    return corners, room[2][:bounding].copy()
+
+
+@njit(cache=True)
+def cut_all(points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Every cell as by `cut`: corners and bounding generators, cell after cell, and where those of each begin (N + 1, 2)."""
+    number = len(radii)
+    room, starts = _room(number, len(arena)), np.zeros((number + 1, 2), np.int64)
+    corners, bounds = np.empty((8 * number + 8, 2)), np.empty(10 * number + 10, np.int64)
+    for index in range(number):
+        relative, size, bounding = _cut(index, points, radii, arena, touch, room)
+        first, bound = starts[index]
+        if first + size > len(corners):
+            corners = np.concatenate((corners, np.empty((len(corners) + size, 2))))
+        if bound + bounding > len(bounds):
+            bounds = np.concatenate((bounds, np.empty(len(bounds) + bounding, np.int64)))
+        for c in range(size):
+            corners[first + c, 0], corners[first + c, 1] = relative[c, 0] + points[index, 0], relative[c, 1] + points[index, 1]
+        bounds[bound : bound + bounding] = room[2][:bounding]
+        starts[index + 1, 0], starts[index + 1, 1] = first + size, bound + bounding
+    return corners[: starts[number, 0]], bounds[: starts[number, 1]], starts
 
 
 @njit

@@ -63,6 +63,11 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) ->
     return Cell(np.array(corners) + points[index], tuple(bounds))
 
 
+def cut_all(points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
+    """Every power cell of a diagram, as by `cut`."""
+    return [cut(index, points, radii, arena) for index in range(len(radii))]
+
+
 def _bisectors(index: int, points: np.ndarray, radii: np.ndarray) -> tuple[list[int], list[float], list[list[float]]]:
     """The other generators by their bisector's distance ahead of `index`: indices, distances, unit normals towards them."""
     offsets = points - points[index]

@@ -5,6 +5,7 @@ Importing this file imports numba. Sensors other than wedges are corrected by th
 
 import math
 from collections import deque
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +27,16 @@ from protocol.streams import key
 def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> Cell:
     """See `cells.cut`."""
     corners, bounds = cell_kernels.cut(index, points, radii, arena, TOUCH)
-    return Cell(corners + points[index], tuple(bounds.tolist())) if len(bounds) else NO_CELL
+    return Cell(corners, tuple(bounds.tolist())) if len(bounds) else NO_CELL
+
+
+def cut_all(points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
+    """See `cells.cut_all`."""
+    corners, bounds, starts = cell_kernels.cut_all(points, radii, arena, TOUCH)
+    indices, places = bounds.tolist(), starts.tolist()
+    return [
+        Cell(corners[first:last], tuple(indices[bound:end])) if end > bound else NO_CELL for (first, bound), (last, end) in pairwise(places)
+    ]
 
 
 def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -184,6 +194,7 @@ def refresh(task: Task) -> Refreshed:
 
 FAST = Arithmetic(
     cut=cut,
+    cut_all=cut_all,
     distances=distances,
     owned=owned,
     predict=predict,

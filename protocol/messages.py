@@ -21,7 +21,8 @@ FARTHEST = 1.0e6  # no coordinate of an arena is larger, m
 LARGEST_AREA = FARTHEST**2  # m^2
 LATEST = 1.0e12  # no world time is larger, s
 
-_F4, _F8, _U8 = np.dtype("<f4"), np.dtype("<f8"), np.dtype("<u8")
+_F4x2, _F4x4 = np.dtype(("<f4", (2,))), np.dtype(("<f4", (4,)))  # types of rows
+_F8x2, _F8x3, _U8 = np.dtype(("<f8", (2,))), np.dtype(("<f8", (3,))), np.dtype("<u8")
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -39,14 +40,13 @@ class Malformed(ValueError):
         self.reason = reason
 
 
-def _array(data: bytes, dtype: np.dtype, columns: int, field: str, most: int) -> np.ndarray:
-    rows, rest = divmod(len(data), dtype.itemsize * columns)
-    if rest:
-        raise Malformed("shape", f"{field}: {len(data)} bytes are no whole number of rows of {columns} x {dtype.str}")
-    if rows > most:
-        raise Malformed("size", f"{field}: {rows} rows, at most {most} are allowed")
-    flat = np.frombuffer(data, dtype)
-    return flat.reshape(rows, columns) if columns > 1 else flat
+def _array(data: bytes, row: np.dtype, field: str, most: int) -> np.ndarray:
+    """The rows of `data`; `row` is the type of one."""
+    if len(data) % row.itemsize:
+        raise Malformed("shape", f"{field}: {len(data)} bytes are no whole number of rows of {row.itemsize} bytes")
+    if len(data) > most * row.itemsize:
+        raise Malformed("size", f"{field}: {len(data) // row.itemsize} rows, at most {most} are allowed")
+    return np.frombuffer(data, row)
 
 
 def _check_number(field: str, value: float, least: float = -FARTHEST, most: float = FARTHEST) -> None:
@@ -163,37 +163,46 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     @once
     def detections(self) -> np.ndarray:
         """(M, 2) float32."""
-        return _array(self.detections_bytes, _F4, 2, "detections", MAX_DETECTIONS)
+        return _array(self.detections_bytes, _F4x2, "detections", MAX_DETECTIONS)
 
     @once
     def claim(self) -> np.ndarray:
         """(G, 3) float64."""
-        return _array(self.claim_bytes, _F8, 3, "claim", MAX_NAMES)
+        return _array(self.claim_bytes, _F8x3, "claim", MAX_NAMES)
 
     @once
     def states(self) -> np.ndarray:
         """(N, 4) float32."""
-        return _array(self.states_bytes, _F4, 4, "states", MAX_PARTICLES)
+        return _array(self.states_bytes, _F4x4, "states", MAX_PARTICLES)
 
     @once
     def ids(self) -> np.ndarray:
         """(N,) uint64, ascending."""
-        return _array(self.ids_bytes, _U8, 1, "ids", MAX_PARTICLES)
+        return _array(self.ids_bytes, _U8, "ids", MAX_PARTICLES)
 
     def check(self) -> None:
+        self._check_numbers()
+        detections, claim, states, ids = self.detections, self.claim, self.states, self.ids
+        _check_array("detections", detections)
+        _check_array("claim", claim)
+        _check_array("states", states)
+        self._check_claim()
+        if len(ids) != len(states):
+            raise Malformed("shape", f"ids: {len(ids)} ids for {len(states)} states")
+        if 0 in (ids[1:] > ids[:-1]).tobytes():
+            raise Malformed("range", "ids: should be strictly ascending")
+
+    def _check_numbers(self) -> None:
+        """One sum of magnitudes proves all numbers at once, as in `_check_array`; only where it does not each is looked at."""
+        (x, y, heading), (east, north) = self.pose, self.cod
+        total = abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + self.power_radius + self.weight
+        if total < 0.5 * FARTHEST and min(self.power_radius, self.weight) >= 0.0 and 0.0 <= self.unused <= LARGEST_AREA:
+            return
         _check_vector("pose", self.pose)
         _check_vector("cod", self.cod)
         _check_number("power_radius", self.power_radius, least=0.0)
         _check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
         _check_number("weight", self.weight, least=0.0)
-        _check_array("detections", self.detections)
-        _check_array("claim", self.claim)
-        _check_array("states", self.states)
-        self._check_claim()
-        if len(self.ids) != len(self.states):
-            raise Malformed("shape", f"ids: {len(self.ids)} ids for {len(self.states)} states")
-        if 0 in (self.ids[1:] > self.ids[:-1]).tobytes():
-            raise Malformed("range", "ids: should be strictly ascending")
 
     def _check_claim(self) -> None:
         if len(self.claim_names) != len(self.claim):
@@ -218,7 +227,7 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
     @once
     def detections(self) -> np.ndarray:
         """(M, 2) float32."""
-        return _array(self.detections_bytes, _F4, 2, "detections", MAX_DETECTIONS)
+        return _array(self.detections_bytes, _F4x2, "detections", MAX_DETECTIONS)
 
     def check(self) -> None:
         _check_number("time", self.time, -LATEST, LATEST)
@@ -258,12 +267,12 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     @once
     def cell(self) -> np.ndarray:
         """(V, 2) float64."""
-        return _array(self.cell_bytes, _F8, 2, "cell", MAX_NAMES)
+        return _array(self.cell_bytes, _F8x2, "cell", MAX_NAMES)
 
     @once
     def targets(self) -> np.ndarray:
         """(M, 2) float64."""
-        return _array(self.targets_bytes, _F8, 2, "targets", MAX_DETECTIONS)
+        return _array(self.targets_bytes, _F8x2, "targets", MAX_DETECTIONS)
 
     def check(self) -> None:
         _check_vector("pose", self.pose)
@@ -292,17 +301,17 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
     @once
     def targets(self) -> np.ndarray:
         """(T, 2) float64."""
-        return _array(self.targets_bytes, _F8, 2, "targets", MAX_DETECTIONS)
+        return _array(self.targets_bytes, _F8x2, "targets", MAX_DETECTIONS)
 
     @once
     def ids(self) -> np.ndarray:
         """(T,) uint64."""
-        return _array(self.ids_bytes, _U8, 1, "ids", MAX_DETECTIONS)
+        return _array(self.ids_bytes, _U8, "ids", MAX_DETECTIONS)
 
     @once
     def poses(self) -> np.ndarray:
         """(B, 3) float64."""
-        return _array(self.poses_bytes, _F8, 3, "poses", MAX_NAMES)
+        return _array(self.poses_bytes, _F8x3, "poses", MAX_NAMES)
 
     def check(self) -> None:
         _check_number("time", self.time, -LATEST, LATEST)

@@ -63,8 +63,8 @@ class Central:
         updated = arithmetic.update(near, words, self._corners, step)
         points, radii = words.points, words.radii
         owned, commands = [], {}
-        for index, member in enumerate(self._team):
-            cell = arithmetic.cut(index, points, radii, self._corners)
+        cells = arithmetic.cut_all(points, radii, self._corners)
+        for index, (member, cell) in enumerate(zip(self._team, cells)):
             own = arithmetic.take(updated, _claim(cell, points, radii), scenario.arena)
             commands[member.name] = self._command(member, cell, own)
             owned.append(arithmetic.resample(own, member.name, step))

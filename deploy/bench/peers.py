@@ -5,7 +5,7 @@ import importlib.util
 import numpy as np
 import shapely
 
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.arithmetic import PLAIN
 from deploy.bench.timing import Row, median_seconds
 from deploy.simulate import compiled
 from protocol.geometry import rectangle
@@ -16,11 +16,6 @@ def generators(count: int, side: float) -> tuple[np.ndarray, np.ndarray]:
     """Points (N, 2) m and radii (N,) m of a made-up team."""
     rng = np.random.default_rng(1)
     return rng.random((count, 2)) * side, rng.random(count) * 5.0
-
-
-def all_cells(arithmetic: Arithmetic, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[np.ndarray]:
-    """Every power cell of a diagram."""
-    return [arithmetic.cut(index, points, radii, arena).polygon for index in range(len(points))]
 
 
 def by_shapely(points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[shapely.Geometry]:
@@ -46,8 +41,8 @@ def measure() -> list[Row]:
     for count, side in ((48, 100.0), (1000, 456.0)):
         points, radii = generators(count, side)
         arena = rectangle(side, side)
-        ours = median_seconds(lambda p=points, r=radii, a=arena: all_cells(compiled(), p, r, a))  # type: ignore[misc]
-        plain = median_seconds(lambda p=points, r=radii, a=arena: all_cells(PLAIN, p, r, a), batches=1)  # type: ignore[misc]
+        ours = median_seconds(lambda p=points, r=radii, a=arena: compiled().cut_all(p, r, a))  # type: ignore[misc]
+        plain = median_seconds(lambda p=points, r=radii, a=arena: PLAIN.cut_all(p, r, a), batches=1)  # type: ignore[misc]
         row = {"what": f"all {count} power cells", "ours, ms": 1000.0 * ours, "plain numpy, ms": 1000.0 * plain}
         if count <= 48:
             theirs = median_seconds(lambda p=points, r=radii, a=arena: by_shapely(p, r, a), batches=1)  # type: ignore[misc]

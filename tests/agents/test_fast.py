@@ -32,7 +32,7 @@ def bits(value: Any) -> Any:
     """A result as bytes and plain numbers, so that equal means equal in every bit."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         return tuple(map(bits, value))
     return value.hex() if isinstance(value, float) else value
 
@@ -113,6 +113,7 @@ def test_cut(seed: int, count: int) -> None:
     points, radii = diagram(np.random.default_rng(seed), count)
     for index in range(count):
         assert_same("cut", index, points, radii, BOX)
+    assert_same("cut_all", points, radii, BOX)
 
 
 @given(seeds, st.integers(1, 14), st.integers(0, 50))
