@@ -1,8 +1,10 @@
 """Endpoints beyond this machine are refused unless they are encrypted or the settings say insecure."""
 
+from pathlib import Path
+
 import pytest
 
-from protocol.endpoints import check_endpoints, free_port
+from protocol.endpoints import check_endpoints, check_files, free_port, own_endpoints
 from protocol.settings import BadSetting, NetworkSettings
 
 
@@ -22,6 +24,37 @@ def test_an_open_endpoint_is_refused_with_field_and_value_unless_insecure(endpoi
 def test_an_endpoint_that_cannot_be_read_is_refused_even_when_insecure() -> None:
     with pytest.raises(BadSetting, match=r"network\.listen = '127\.0\.0\.1:1': should read"):
         check_endpoints(NetworkSettings(listen=("127.0.0.1:1",), insecure=True))
+
+
+FILES = {"ca": "ca.pem", "certificate": "{name}.pem", "key": "{name}.key"}
+
+
+@pytest.mark.parametrize("endpoint", ["tls/10.0.0.1:7447", "quic/10.0.0.1:7447"])
+def test_an_encrypted_endpoint_needs_certificates(endpoint: str) -> None:
+    with pytest.raises(BadSetting, match=r"network\.seeds = .*needs certificates"):
+        check_endpoints(NetworkSettings(seeds=(endpoint,)))
+
+
+def test_with_certificates_there_is_no_plain_side_door_and_no_router() -> None:
+    check_endpoints(NetworkSettings(**FILES))
+    assert own_endpoints(NetworkSettings(**FILES)) == ("tls/127.0.0.1:0",)
+    assert own_endpoints(NetworkSettings()) == ("tcp/127.0.0.1:0",)
+    for field, endpoint in (("listen", "tcp/127.0.0.1:7447"), ("seeds", "tcp/127.0.0.1:7447")):
+        with pytest.raises(BadSetting, match=rf"network\.{field} = .*should be tls"):
+            check_endpoints(NetworkSettings(**FILES, **{field: (endpoint,)}))
+    with pytest.raises(BadSetting, match=r"network\.mode = client: .*should be peer"):
+        check_endpoints(NetworkSettings(mode="client", **FILES))
+
+
+def test_files_are_missed_by_name_and_field(tmp_path: Path) -> None:
+    (tmp_path / "ca.pem").write_text("")
+    (tmp_path / "s1.pem").write_text("")
+    settings = NetworkSettings(ca=str(tmp_path / "ca.pem"), certificate=str(tmp_path / "{name}.pem"))
+    with pytest.raises(BadSetting, match=r"network\.key = '': is not given"):
+        check_files(settings, "s1")
+    with pytest.raises(BadSetting, match=r"network\.certificate = .*s2\.pem': No such file"):
+        check_files(settings, "s2")
+    check_files(NetworkSettings(), "s1")
 
 
 def test_a_free_port_lies_below_the_range_of_outgoing_connections() -> None:
