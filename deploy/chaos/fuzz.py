@@ -72,8 +72,10 @@ def _swarm(seed: int, is_ledger: bool, agents: int, dt: float, rng: np.random.Ge
     options = {"run.seed": seed, "run.name": "fuzz", "run.dt": dt, "run.seconds": HEAL_AT + SETTLE + CALM_END}
     options |= {"arena.width": side, "arena.height": side, "team.composition": team, "targets.count": 0 if is_ledger else 5}
     options |= {"filter.particles_per_target": 30, "filter.least_particles": 12}
+    redrawn = is_ledger and stream(seed, "fuzz turnover").random() < 0.5  # so many per owner that new particles replace old ones each tick
+    if not redrawn and stream(seed, "fuzz overlap").random() < 0.3:
+        options |= {"timing.overlap": 3.0}  # both sides of a contested border count: only so can an id be told twice
     if is_ledger:
-        redrawn = stream(seed, "fuzz turnover").random() < 0.5  # so many per owner that every tick new particles take the place of old ones
         options |= {"filter.least_particles": 150} if redrawn else {}
         options |= {"filter.lifetime": 0.0, "filter.border": "reflect", "filter.prior_density": 0.01, "birth.background": False}
         options |= {"birth.measurement": False, "detection.clutter": 0.0, "sensors.L": BLIND}

@@ -115,6 +115,7 @@ class Watch:
         self._outcomes[label] = outcome
         if outcome is not before:
             check_round(node, is_first=before.belief.stamp < 0)
+            check_words(node)
             check_diagram(node)
         while self._ear.commands:
             self._check_command(self._ear.commands.pop())
@@ -185,11 +186,12 @@ class Watch:
 def check_round(agent: Agent, is_first: bool) -> None:
     """What must hold of an agent whenever it has played a round."""
     outcome, name = agent.outcome, agent.name
-    share = outcome.belief.mine
+    share, near = outcome.belief.mine, outcome.belief.copies.near
     particles = share.particles
     need(bool(np.all(np.isfinite(particles.states))), f"{name}: a particle that is nowhere")
     need(bool(np.all(np.isfinite(particles.weights)) and np.all(particles.weights >= 0.0)), f"{name}: a weight that is no mass")
     need(bool(np.all(particles.ids[1:] > particles.ids[:-1])), f"{name}: ids that do not ascend")
+    need(len(np.unique(near.ids)) == len(near.ids), f"{name}: a particle that counts twice")
     need(math.isfinite(outcome.mass) and outcome.mass >= 0.0, f"{name}: a mass of {outcome.mass}")
     need(math.isfinite(outcome.load) and outcome.load >= 0.0, f"{name}: a load of {outcome.load}")
     need(0.0 <= outcome.unused <= agent.self.facts.capability * SLACK, f"{name}: an unused capacity of {outcome.unused}")
@@ -198,7 +200,20 @@ def check_round(agent: Agent, is_first: bool) -> None:
     need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
     need(not (is_first and outcome.belief.stamp > 0 and share.claim.names), f"{name}: a newcomer with a cell before it has listened")
     need(len(agent.neighbours._said) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.neighbours._said)} ticks")
-    need(len(outcome.belief.copies.near.ids) <= 4 * MOST_COPIES, f"{name}: {len(outcome.belief.copies.near.ids)} copies")
+    need(len(near.ids) <= 4 * MOST_COPIES, f"{name}: {len(near.ids)} copies")
+
+
+def check_words(agent: Agent) -> None:
+    """What the newest round was computed from are numbers, and nobody has more capacity than somebody announced: one bad float can win
+    every cell."""
+    outfits = [peer.outfit for peer in agent.neighbours.peers.values() if peer.outfit is not None]
+    most = SLACK * max([agent.self.facts.capability, *(outfit.facts.capability for outfit in outfits)])
+    for name, gossip in agent.neighbours.last.items():
+        if gossip.tick == agent.outcome.belief.stamp:
+            numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)
+            need(all(map(math.isfinite, numbers)) and gossip.weight >= 0.0, f"{agent.name}: believes {numbers} of {name}")
+            need(bool(np.all(np.isfinite(gossip.states))), f"{agent.name}: took a particle that is nowhere from {name}")
+            need(math.pi * gossip.power_radius**2 <= most, f"{agent.name}: believes a power radius of {gossip.power_radius} of {name}")
 
 
 def check_diagram(agent: Agent) -> None:
