@@ -12,7 +12,7 @@ from deploy.studies.robustness import Row, plan, play, summary, table
 from deploy.studies.study import Folder
 from protocol.settings import BadSetting
 
-FULL = {"at": 100.0, "seconds": 200.0, "trials": 10}
+FULL = {"at": 60.0, "seconds": 150.0, "trials": 10}
 QUICK = {"at": 40.0, "seconds": 90.0, "trials": 2}
 DT = 0.5  # s unless it is said
 
