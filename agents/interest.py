@@ -6,19 +6,21 @@ to it: whoever says his beacons elsewhere is too far away to own anything here, 
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from agents.tiles import Bounds, Rectangle
-from protocol.geometry import distances
 
-PERIOD = 2.0  # s of world time between two beacons of an agent
+Distances = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (P, 2 or more) to a polygon (V, 2), m
+
+PERIOD = 4.0  # s of world time between two beacons of an agent that stays about where it is
 CHOICE = 1.0  # s of world time between two choices
 JUMP = 4.0  # m: who will be farther than this from what its last beacon says, position, generator or radius, says another at once
 MARGIN = 10.0  # m: two agents may be off by a jump each, and a cell by half of that; 4 m were enough in all runs that were tried
 SPACING = 6.0  # m between the points at which owners are looked for; no owner is so small that it is missed
-THRESHOLD = 60.0  # m: an empty cell is looked for this far around its generator
+THRESHOLD = 40.0  # m: an empty cell is looked for this far around its generator
 
 
 class Ground(NamedTuple):
@@ -27,6 +29,7 @@ class Ground(NamedTuple):
     arena: np.ndarray
     bounds: Bounds
     drift: float  # m: how far somebody may be from where its last beacon said
+    distances: Distances  # plain or compiled
 
 
 class Choice(NamedTuple):
@@ -67,9 +70,9 @@ def _within_reach(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
     return found
 
 
-def region(cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float, arena: np.ndarray) -> np.ndarray:
+def region(cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float, ground: Ground) -> np.ndarray:
     """Points (P, 2) of a grid over the arena within the halo of a cell or within `reach` m of the sensor, `MARGIN` m wider."""
-    around = np.vstack([cell, [eye]])
+    around, arena = np.vstack([cell, [eye]]), ground.arena
     width = max(halo, reach) + MARGIN + SPACING
     low = np.maximum(around.min(axis=0) - width, arena.min(axis=0))
     high = np.minimum(around.max(axis=0) + width, arena.max(axis=0))
@@ -77,7 +80,7 @@ def region(cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float
     points = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     dx, dy = points[:, 0] - eye[0], points[:, 1] - eye[1]
     near = dx * dx + dy * dy <= (reach + MARGIN + SPACING) ** 2
-    return points[near | (distances(cell, points) <= halo + MARGIN + SPACING)]
+    return points[near | (ground.distances(cell, points) <= halo + MARGIN + SPACING)]
 
 
 def wanted(
@@ -88,8 +91,8 @@ def wanted(
     `places` (N, 3) are x, y and reach of their sensors in m, `generators` (N + 1, 3) theirs and, last, the own one.
     """
     home = cell if len(cell) else _threshold(generators, ground.arena)
-    looking = distances(home, places[:, :2]) <= halo + MARGIN + places[:, 2]
-    points = region(home, eye, halo, reach, ground.arena)
+    looking = ground.distances(home, places[:, :2]) <= halo + MARGIN + places[:, 2]
+    points = region(home, eye, halo, reach, ground)
     owning, least = owners(points, generators)
     return Choice(looking | owning[:-1], _needed(home, points, least, halo, ground))
 

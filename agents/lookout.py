@@ -1,10 +1,12 @@
 """The lookout of an agent that hears its neighbours only: it says beacons, hears those of the tiles around it, and chooses.
 
 Nothing of it costs more in a larger swarm. Before its first word an agent asks who is there, waits, chooses, and waits until the others
-have had the time to listen; afterwards it chooses anew every `CHOICE` s, and at once when somebody comes or goes.
+have had the time to listen; afterwards it chooses anew every `CHOICE` s, and at once when somebody comes or
+goes or it has no cell.
 """
 
 import math
+import struct
 from functools import partial
 
 import msgspec
@@ -23,6 +25,7 @@ from protocol.node import Effect, Subscribe, Unsubscribe
 from protocol.sensing import Pose, WedgeSensor
 from protocol.streams import key
 
+SPOT = struct.Struct("<6d")
 SETTLE = 0.25  # s for a question to reach everybody and for the answers to come back
 ROUNDS = 4  # so many times SETTLE pass before anybody's first word, so that those who must ask again have subscribed as well
 FIRST = 2  # tiles on every side of the own one that a newcomer listens to
@@ -41,7 +44,7 @@ class Lookout:
         self.due: float | None = None  # when to call `on_time`
         self._me, self._neighbours, self._incarnation = me, neighbours, incarnation
         self._tiling = Tiling(bounds.reach + MARGIN, config.arena)
-        self._ground = Ground(me.arena, bounds, JUMP + config.limits.speed * config.run.dt)
+        self._ground = Ground(me.arena, bounds, JUMP + config.limits.speed * config.run.dt, me.arithmetic.distances)
         self._period, self._between = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE))
         self._phase = key("beacon", me.name) % self._period
         self._young = 0  # until this tick the others may not know me
@@ -140,8 +143,8 @@ class Lookout:
 
     def turn(self, gossip: Gossip, outcome: Outcome) -> list[Effect]:
         """At the end of a round: choose anew if it is time to."""
-        if gossip.tick < self._chosen_at + self._between and not self._neighbours.changed:
-            return []
+        if gossip.tick < self._chosen_at + self._between and not self._neighbours.changed and len(outcome.cell):
+            return []  # an empty cell may appear anywhere, so who has none looks in every round
         radius = outcome.power_radius
         return self.look(outcome.cell, self._beacon(gossip.tick, moved(gossip.pose, outcome.command, self._me.config), radius), gossip.tick)
 
@@ -224,12 +227,18 @@ def _jumped(old: Beacon, new: Beacon) -> bool:
 def _table(words: list[Word], config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     """Of N words: x, y and reach of the sensors (N, 3), and generators (N, 3), in m."""
     kind = config.partition.kind
-    eyes = [position(word) for word in words]
-    points = eyes if kind == "voronoi" else [word.cod for word in words]
-    reaches = [word.reach if isinstance(word, Beacon) else word.memo["sensor"].reach for word in words]
-    radii = [word.power_radius if kind == "power" else 0.0 for word in words]
-    rows = np.array([(*eye, reach, *point, radius) for eye, reach, point, radius in zip(eyes, reaches, points, radii)])
-    return rows[:, :3], rows[:, 3:]
+    rows = np.frombuffer(bytearray().join([word.memo.get("spot") or _spot(word, kind) for word in words]), dtype=float).reshape(-1, 6)
+    return rows[:, :3].copy(), rows[:, 3:].copy()
+
+
+def _spot(word: Word, kind: str) -> bytes:
+    """The row of a word, remembered."""
+    eye = position(word)
+    reach = word.reach if isinstance(word, Beacon) else word.memo["sensor"].reach
+    spot = word.memo["spot"] = SPOT.pack(
+        *eye, reach, *(eye if kind == "voronoi" else word.cod), word.power_radius if kind == "power" else 0.0
+    )
+    return spot
 
 
 def _union(one: Box, other: Box | None) -> Box:

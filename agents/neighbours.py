@@ -69,6 +69,7 @@ class Neighbours:
         self.circle: dict[str, Peer] = {}  # those whose gossip I listen to, in the order of names; all, unless local
         self.far = NOBODY  # the others, if local
         self.certified = False  # local: nobody whom I do not know could own anything that matters to me
+        self._ranked: list[Peer] = []  # local: the peers in the order of names, when that has been asked for
         self.changed = False  # local: somebody has come or gone since the circle was chosen
         self._config = config
         self._name = name
@@ -217,7 +218,9 @@ class Neighbours:
     def whereabouts(self, since: int) -> dict[str, Word]:
         """The newest word of where each living peer is, if it has spoken in the tick `since` or later, in the order of names."""
         found: dict[str, Word] = {}
-        for peer in sorted(self.peers.values(), key=_rank):
+        if not self._ranked:
+            self._ranked = sorted(self.peers.values(), key=_rank)
+        for peer in self._ranked:
             name, beacon = peer.name, peer.beacon
             said = self.last.get(name) if name in self.circle else None
             newest: Word | None = said if beacon is None or (said is not None and said.tick >= beacon.tick) else beacon
@@ -235,6 +238,7 @@ class Neighbours:
         self._calm = self._calm and names == self.circle.keys()
         if names != self.circle.keys() or len(known) < len(self.peers):
             self.peers = {name: peer for name, peer in self.peers.items() if name in known or (peer.gone_at or -1) >= since}
+            self._ranked = []
             self.circle = {name: self.peers[name] for name in known if name in names}
         self.changed = False
         self.far = self._far(known)
@@ -276,7 +280,7 @@ class Neighbours:
         guess = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.gone_at is None
         if peer is None or younger or guess:
             peer, known = Peer(name, incarnation), name in self.peers
-            self.peers[name] = peer
+            self.peers[name], self._ranked = peer, []
             if not self.local and not known:
                 self.peers = {other: self.peers[other] for other in sorted(self.peers, key=order)}
             if not self.local or name in self.circle:

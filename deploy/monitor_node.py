@@ -87,7 +87,8 @@ class Scorer:
 
     role = "monitor"
 
-    def __init__(self, scenario: Scenario, name: str = "monitor", incarnation: int = 1) -> None:
+    def __init__(self, scenario: Scenario, name: str = "monitor", incarnation: int = 1, *, scores: bool = True) -> None:
+        """`scores` false: ticks are followed and counted, but not scored (an assignment of thousands of targets takes longer than they)."""
         self.run, self.name, self.incarnation = scenario.run.name, name, incarnation
         self.scores: list[Score] = []
         self.truth: Truth | None = None  # the newest
@@ -112,6 +113,8 @@ class Scorer:
         self._next = 0
         self._losses: list[_Loss] = []
         self._tally = _Tally()
+        self._keeps_scores = scores
+        self._checked = -1, 0  # a tick, and how many of those who live have answered it, from the first on
         self._transcript = hashlib.blake2b(digest_size=16)
         self._finished = False
 
@@ -204,9 +207,16 @@ class Scorer:
         if truth.tick % self._scenario.timing.estimate_every:
             return truth.tick + 1 in self._truths
         said = self._estimates.get(truth.tick, {})
-        return all(name in said for name in truth.alive if name in self._alive)
+        tick, place = self._checked
+        place = place if tick == truth.tick else 0
+        while place < len(truth.alive) and (truth.alive[place] in said or truth.alive[place] not in self._alive):
+            place += 1
+        self._checked = truth.tick, place
+        return place == len(truth.alive)
 
     def _score(self, truth: Truth, now: float) -> None:
+        if not self._keeps_scores:
+            return
         said = self._estimates.get(truth.tick, {})
         self._transcript.update(truth.poses_bytes)
         for name in self._names:

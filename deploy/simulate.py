@@ -47,6 +47,7 @@ class Simulation:
         arithmetic: Arithmetic | None = None,
         clock: Literal["lockstep", "realtime"] = "lockstep",
         build: Build = Agent,
+        scores: bool = True,
     ) -> None:
         check_faults(scenario.faults, list(scenario.members))
         self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock))
@@ -54,7 +55,7 @@ class Simulation:
         faulty = any(plain_verb(fault.verb) in LINK_VERBS for fault in scenario.faults)
         pace = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
         self.bus = VirtualBus(use_codec=use_codec, link=link or (self.links if faulty else None), pace=pace)
-        self.scorer = Scorer(self.scenario)
+        self.scorer = Scorer(self.scenario, scores=scores)
         self.injector = Injector(self.bus, self.links, self.scenario, arithmetic or compiled(), build)
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick, after the faults of the tick
         self._schedule = Schedule(scenario.run.seed, scenario.faults)

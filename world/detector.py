@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from protocol.messages import MAX_DETECTIONS
 from protocol.sensing import Pose, SensorModel
@@ -18,6 +19,7 @@ from protocol.streams import key, scramble, uniform
 
 _MISS, _RADIUS, _ANGLE, _COUNT, _EAST, _NORTH = range(1, 7)  # one salt per use of a word, so that its draws are independent
 _MOST_BATCHES = 100
+ALL_PAIRS = 20_000  # of sensors and targets: up to so many are looked at one by one, more through a tree
 
 
 class Sightings(NamedTuple):
@@ -34,10 +36,7 @@ def sightings(sensors: Sequence[SensorModel], poses: Sequence[Pose], positions: 
     if not sensors or not len(positions):
         return empty
     places, reaches = np.array(poses), np.array([sensor.reach for sensor in sensors])
-    offset_x = positions[:, 0] - places[:, :1]
-    offset_y = positions[:, 1] - places[:, 1:2]
-    near = offset_x * offset_x + offset_y * offset_y <= (reaches * reaches * (1.0 + 1e-9))[:, None]
-    who, what = np.nonzero(near)
+    who, what = _near(places[:, :2], reaches, positions)
     if not len(who):
         return empty
     starts = np.searchsorted(who, np.arange(len(sensors) + 1)).tolist()
@@ -48,6 +47,21 @@ def sightings(sensors: Sequence[SensorModel], poses: Sequence[Pose], positions: 
             probabilities[start:end] = sensors[index].probability(close[start:end], poses[index])
     seen = probabilities > 0.0
     return Sightings(who[seen], what[seen], probabilities[seen])
+
+
+def _near(places: np.ndarray, reaches: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the S places (S, 2) and of the positions (T, 2) within reach of them: two arrays (P,), by place and then by position."""
+    limits = reaches * reaches * (1.0 + 1e-9)
+    if len(places) * len(positions) <= ALL_PAIRS:
+        x, y = positions[:, 0] - places[:, :1], positions[:, 1] - places[:, 1:]
+        who, what = np.nonzero(x * x + y * y <= limits[:, None])
+        return who, what
+    found = cKDTree(positions).query_ball_point(places, reaches * 1.001, return_sorted=True)
+    who = np.repeat(np.arange(len(places)), [len(some) for some in found])
+    what = np.concatenate([np.asarray(some, dtype=np.intp) for some in found])
+    x, y = (positions[what] - places[who]).T
+    near = x * x + y * y <= limits[who]
+    return who[near], what[near]
 
 
 def count_in_view(seen: Sightings) -> int:

@@ -8,11 +8,25 @@ import pytest
 from protocol.messages import MAX_DETECTIONS
 from protocol.sensing import SENSOR_CLASSES, Pose, SensorModel, WedgeSensor
 from protocol.settings import DetectionSettings
+from world import detector as detector_module
 from world.detector import Detector, clutter_points, count_in_view, poisson_table, sightings
 
 QUIET = DetectionSettings(noise=0.25, clutter=0.0)
 SEED = 11
 DISC = WedgeSensor(2.0 * math.pi, 10.0, 1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tree_finds_the_sightings_that_a_look_at_all_pairs_finds(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    sensors = [SENSOR_CLASSES[name] for name in "ACD" * 40]
+    poses = [(x, y, turn) for x, y, turn in (rng.random((120, 3)) * [300.0, 300.0, 6.0]).tolist()]
+    positions = rng.random((400, 2)) * 300.0
+    tree = sightings(sensors, poses, positions)
+    monkeypatch.setattr(detector_module, "ALL_PAIRS", 10**9)
+    for found, expected in zip(tree, sightings(sensors, poses, positions)):
+        assert len(found) and np.array_equal(found, expected)
 
 
 def ids_of(positions: np.ndarray) -> np.ndarray:
