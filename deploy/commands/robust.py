@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 
 from deploy.commands.studying import console_of, play_open
-from deploy.studies.robustness import Row, plan, play, summary, table
+from deploy.studies.robustness import FRESH, LEVELS, NONE, Row, plan, play, summary, table
 from deploy.studies.study import Folder
 from protocol.settings import BadSetting
 
@@ -27,10 +27,20 @@ def settings_of(team: str | None, targets: str | None, methods: str | None) -> d
     return {name: value for name, value in named.items() if value is not None}
 
 
+def kinds_of(faults: str | None) -> tuple[str, ...]:
+    """The kinds of bouts that are played for faults with commas between them, their references included; raises BadSetting."""
+    named = tuple(LEVELS) if faults is None else tuple(part.strip() for part in faults.split(","))
+    for name in named:
+        if name not in LEVELS:
+            raise BadSetting(f"--faults {faults}: should be one or more of {', '.join(LEVELS)}")
+    return (NONE, *named, *([FRESH] if "kill" in named else []))
+
+
 def study(
     quick: bool,
     trials: int | None,
     seed: int | None,
+    faults: str | None,
     options: dict[str, Any],
     into: Path,
     workers: int | None,
@@ -44,7 +54,8 @@ def study(
     options = {"run.dt": DT, **options}
     seconds = float(options.pop("run.seconds", size["seconds"]))
     number = int(size["trials"]) if trials is None else trials
-    bouts, folder = plan(number, 100 if seed is None else seed, size["at"], seconds, options), Folder(into)
+    kinds, folder = kinds_of(faults), Folder(into)
+    bouts = [bout for bout in plan(number, 100 if seed is None else seed, size["at"], seconds, options) if bout.kind in kinds]
     console = console_of(as_json)
     with folder.claimed():
         rows = play_open("robustness", folder, bouts, workers, scheduler, console, play)

@@ -18,6 +18,7 @@ def study(
     teams: str | None = None,
     targets: str | None = None,
     methods: str | None = None,
+    faults: str | None = None,
     triple: str | None = None,
     capacity: str | None = None,
     dt: float | None = None,
@@ -47,6 +48,8 @@ def study(
         Numbers of targets at the start, with commas.
     methods
         With commas: power, voronoi, voronoi-cod, pursuit, uniform-density, random, static.
+    faults
+        Of robustness, with commas: kill, loss, delay, partition; default: all.
     triple
         The three sensor classes of teams 2 to 5.
     capacity
@@ -67,12 +70,15 @@ def study(
         The last line of standard output is the table as one JSON object.
     """
     from deploy.commands import studying
+    from protocol.settings import BadSetting
 
     if name == "robustness":
         from deploy.commands import robust
 
         fixed = {**studying.options_of(triple, capacity, dt, seconds, settings or []), **robust.settings_of(teams, targets, methods)}
-        return robust.study(quick, trials, seed, fixed, into or studying.default_folder(name, quick), workers, scheduler, json)
+        return robust.study(quick, trials, seed, faults, fixed, into or studying.default_folder(name, quick), workers, scheduler, json)
+    if faults is not None:
+        raise BadSetting(f"--faults {faults}: an option of the robustness study alone")
     options = studying.options_of(triple, capacity, dt, seconds, settings or [])
     given = studying.given(trials, seed, teams, targets, methods)
     found = studying.chosen(name, quick, given, options)

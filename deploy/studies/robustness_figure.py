@@ -53,12 +53,15 @@ def _csv(path: Path, head: list[str], lines: Iterable[list[Any]]) -> Path:
 def draw(rows: Sequence[Row], stem: Path) -> list[Path]:
     """PDF and PNG of the figure; the paths."""
     with plt.rc_context(STYLE):
-        figure, panels = plt.subplot_mosaic([["deaths", "deaths", "kill"], ["loss", "delay", "partition"]], figsize=(7.2, 4.7))
-        _deaths(panels["deaths"], summary(table(rows)))
-        for kind in SHOWN:
+        kinds = [kind for kind in SHOWN if any(row["kind"] == kind for row in rows)]
+        places = mosaic(kinds)
+        figure, panels = plt.subplot_mosaic(places, figsize=(7.2, 2.35 * len(places)))  # type: ignore[arg-type]
+        if "kill" in kinds:
+            _deaths(panels["deaths"], summary(table(rows)))
+        for kind in kinds:
             _around(panels[kind], rows, kind)
-        top = max(panels[kind].get_ylim()[1] for kind in SHOWN)
-        for kind in SHOWN:
+        top = max(panels[kind].get_ylim()[1] for kind in kinds)
+        for kind in kinds:
             panels[kind].set_ylim(0.0, top)
         for letter, panel in zip("abcde", panels.values()):
             panel.set_title(f"({letter}) {panel.get_title()}", loc="left")
@@ -67,6 +70,13 @@ def draw(rows: Sequence[Row], stem: Path) -> list[Path]:
             panel.set_axisbelow(True)
         figure.tight_layout()
         return _write(figure, stem)
+
+
+def mosaic(kinds: Sequence[str]) -> list[list[str]]:
+    """Which panel stands where, in rows of six places: deaths above, with two panels; the other kinds of faults below."""
+    others = [kind for kind in kinds if kind != "kill"]
+    above = [["deaths"] * 4 + ["kill"] * 2] if "kill" in kinds else []
+    return above + ([[kind for kind in others for _ in range(6 // len(others))]] if others else [])
 
 
 def _deaths(panel: Axes, cells: Sequence[Row]) -> None:
