@@ -1,19 +1,23 @@
 """`covey bench round`: what one agent's round costs, by phase, on inputs captured from a simulation."""
 
+import statistics
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from agents.arithmetic import Arithmetic
+from agents.arithmetic import Arithmetic, in_steps
 from agents.round import play
 from agents.words import forget, learn
 from deploy.bench.capture import Captured, capture, cold
-from deploy.bench.timing import Row, median_seconds
+from deploy.bench.timing import Row, cpu_seconds, median_seconds
 from deploy.scenario import Scenario, resolve
 from protocol import codec
 from protocol.keys import message_key
 
+Work = Callable[[Captured], None]
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 TEAMS = {"5": 50, "20E+4H": 30, "A12,C48,D36": 100}  # 48, 24 and 96 agents, and their targets
+BATCHES = 6  # how often each round is played
 SIDES = {"A12,C48,D36": 141.4}  # m: the density of team 5
 
 
@@ -37,8 +41,8 @@ def recorded(arithmetic: Arithmetic, calls: dict[str, list[Call]]) -> Arithmetic
     return Arithmetic(*(noting(name, function) for name, function in zip(Arithmetic._fields, arithmetic)))
 
 
-def replay(captured: Captured) -> None:
-    """One round, from the arrival of the decoded gossips to the outcome."""
+def read(captured: Captured) -> None:
+    """What an agent notes of every gossip when it arrives."""
     me, peers = captured.me, captured.neighbours.peers
     forget()
     learn(captured.mine, me.sensor, me.config)
@@ -46,29 +50,55 @@ def replay(captured: Captured) -> None:
         outfit = peers[name].outfit
         assert outfit is not None
         learn(gossip, outfit.sensor, me.config)
+
+
+def per_round(rounds: list[Captured], work: Work, first: Work | None = None) -> float:
+    """CPU time of `work` on one round, s: the least of several times, because others disturb it, and of that the median over the rounds.
+
+    The gossips are decoded just before, as in a process of its own; what `first` does is not counted either.
+    """
+    found = []
+    for captured in rounds:
+        times = []
+        for _ in range(BATCHES):
+            [fresh] = cold([captured])
+            if first is not None:
+                first(fresh)
+            times.append(cpu_seconds(partial(work, fresh)))
+        found.append(min(times))
+    return statistics.median(found)
+
+
+def whole(captured: Captured) -> None:
+    """One round, from the arrival of the decoded gossips to the outcome."""
+    read(captured)
+    play(*captured)
+
+
+def again(captured: Captured) -> None:
+    """The round of one for whom another has laid the gossips side by side, as in a simulation."""
     play(*captured)
 
 
 def phases(rounds: list[Captured]) -> Row:
-    """Milliseconds of CPU per round of one agent: the whole, its parts, and what lies between them."""
+    """Milliseconds of CPU per round of one agent, in the median over rounds: the whole, its phases, and what lies between them; then
+    the steps of the phase `refresh` one by one, in the mean."""
+    play_it = per_round(rounds, whole)
+    shared = per_round(rounds, again, first=whole)
+    parts = {"read": per_round(rounds, read)}
     calls: dict[str, list[Call]] = {}
+    steps: dict[str, list[Call]] = {}
     for captured in cold(rounds):
-        me = captured.me._replace(arithmetic=recorded(captured.me.arithmetic, calls))
-        replay(captured._replace(me=me))
-    fresh: list[Captured] = []
-
-    def ready() -> None:
-        fresh[:] = cold(rounds)
-
-    def all_rounds() -> None:
-        for captured in fresh:
-            replay(captured)
-
-    number = 1000.0 / len(rounds)
-    parts = {name: number * median_seconds(lambda called=called: [f(*a) for f, a in called]) for name, called in calls.items()}  # type: ignore[misc]
-    whole = number * median_seconds(all_rounds, ready=ready)
-    shared = number * median_seconds(all_rounds)
-    return {"play": whole, "play, shared": shared, **parts, "between": whole - sum(parts.values())}
+        read(captured)
+        arithmetic, noted = captured.me.arithmetic, recorded(captured.me.arithmetic, steps)
+        play(*captured._replace(me=captured.me._replace(arithmetic=recorded(arithmetic, calls))))
+        play(*captured._replace(me=captured.me._replace(arithmetic=noted._replace(refresh=partial(in_steps, noted)))))
+    for name in ("cut", "refresh"):
+        parts[name] = statistics.median(median_seconds(partial(function, *arguments)) for function, arguments in calls[name])
+    each = {name: median_seconds(lambda called=called: [f(*a) for f, a in called]) / len(rounds) for name, called in steps.items()}  # type: ignore[misc]
+    row = {"play": play_it, "play, shared": shared, **parts, "between": play_it - sum(parts.values())}
+    row |= {f"step {name}": seconds for name, seconds in each.items() if name != "cut"}
+    return {name: 1000.0 * seconds for name, seconds in row.items()}
 
 
 def wire(rounds: list[Captured]) -> Row:
