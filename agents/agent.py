@@ -28,6 +28,7 @@ from protocol.settings import sensor_of
 
 VERSION = "0.1.0"
 HELLO_SOON = 0.05  # s between the appearance of somebody new and a greeting
+CROWD = 12  # peers from which on greetings become rarer, for everybody's go to everybody
 HELLO_EARLY, HELLO_LATE = 0.25, 2.0  # s between greetings while somebody is unknown or nothing has been observed, and later
 EXIT_FENCED = 3
 MANY = 1 << 30
@@ -197,13 +198,17 @@ class Agent:
 
     def _greet_soon(self, now: float) -> None:
         """Somebody is new: say Hello, but once for all who appear within a moment."""
-        soon = now + HELLO_SOON
+        soon = now + HELLO_SOON * self._crowd()
         self._greet_at = soon if self._greet_at is None else min(self._greet_at, soon)
+
+    def _crowd(self) -> float:
+        return max(1.0, len(self.neighbours.peers) / CROWD)
 
     def _on_timer(self, now: float) -> list[Effect]:
         effects: list[Effect] = []
         if self._greet_at is not None and now >= self._greet_at:
-            self._greet_at = now + (HELLO_EARLY if self.tick < 0 or self.neighbours.strangers() else HELLO_LATE)
+            early = self.tick < 0 or self.neighbours.strangers()
+            self._greet_at = now + (min(HELLO_EARLY * self._crowd(), HELLO_LATE) if early else HELLO_LATE)
             effects.append(self._hello(now))
         if self._lookout is not None:
             effects += self._on_time(self._lookout, now)

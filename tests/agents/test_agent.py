@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from agents.agent import EXIT_FENCED, HELLO_EARLY, HELLO_SOON, Agent
+from agents.agent import CROWD, EXIT_FENCED, HELLO_EARLY, HELLO_SOON, Agent
 from agents.config import AgentConfig, ControlSettings
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
 from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
@@ -194,7 +194,7 @@ def test_a_greeting_with_a_sensor_that_nobody_knows_is_refused_and_ends_nothing(
     assert agent.counters["rejected.sensor"] == 1
 
 
-def test_it_greets_once_for_all_who_appear_within_a_moment() -> None:
+def test_it_greets_once_for_all_who_appear_within_a_moment_and_the_rarer_the_more_they_are() -> None:
     agent = Agent(CONFIG, "s1")
     agent.handle(Started(), 0.0)
     for number in range(2, 30):
@@ -202,7 +202,7 @@ def test_it_greets_once_for_all_who_appear_within_a_moment() -> None:
     assert agent.deadline() == pytest.approx(0.01 + HELLO_SOON)
     greeting = only(agent.handle(Timer(), 0.01 + HELLO_SOON), Hello)
     assert isinstance(greeting, Hello)
-    assert agent.deadline() == pytest.approx(0.01 + HELLO_SOON + HELLO_EARLY)
+    assert agent.deadline() == pytest.approx(0.01 + HELLO_SOON + HELLO_EARLY * 28 / CROWD)
 
 
 def test_rejected_bytes_are_counted_by_reason_and_foreign_kinds_are_ignored() -> None:
