@@ -62,6 +62,12 @@ def _peers() -> list[Row]:
     return peers.measure()
 
 
+def _page() -> list[Row]:
+    from deploy.bench import pages
+
+    return pages.measure()
+
+
 BENCHES: dict[str, Callable[[], list[Row]]] = {
     "round": _round,
     "simulate": _simulate,
@@ -72,6 +78,7 @@ BENCHES: dict[str, Callable[[], list[Row]]] = {
     "codec": _codec,
     "memory": _memory,
     "peers": _peers,
+    "page": _page,
 }
 
 
