@@ -171,7 +171,7 @@ def realtime(agents: int = 48, seconds: float = 60.0, settings: tuple[str, ...] 
         begin = running.mark()
         time.sleep(seconds)
         end = running.mark()
-        result = running.end()
+        received = running.deliveries(running.end()["rounds"])
     wall = end.at - begin.at
     return [
         {
@@ -181,7 +181,7 @@ def realtime(agents: int = 48, seconds: float = 60.0, settings: tuple[str, ...] 
             "ticks": end.tick - begin.tick,
             "rounds skipped": end.skipped - begin.skipped,
             "CPU, cores": (end.cpu - begin.cpu) / wall,
-            "received per agent-round": running.deliveries(result["rounds"]),
+            "received per agent-round": received,
             "load": os.getloadavg()[0],
         }
     ]
