@@ -84,8 +84,11 @@ class Lookout:
             self._asking = False
             self.due = max(now + SETTLE, self._speak_at)
             return self._choose(choice, known, observation.tick)
+        late, self._questions = self._neighbours.changed and self._questions < MOST_QUESTIONS, self._questions + 1
+        if late:  # somebody has been heard only now: both need time to listen
+            return self.look(self._first_cell(mine, observation.tick), mine, observation.tick)
         self.settled, self.due = True, None
-        return self.look(self._first_cell(mine, observation.tick), mine, observation.tick) if self._neighbours.changed else []
+        return []
 
     def surroundings(self, observation: Observation, outcome: Outcome) -> Rectangle:
         """Where I need particles in my first round: around the cell that I expect and around my sensor."""
