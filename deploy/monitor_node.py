@@ -15,6 +15,7 @@ import numpy as np
 from deploy.result import Fault, Kill, Result
 from deploy.scenario import Scenario
 from deploy.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
+from deploy.status import AgentStatus, Status
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
 from protocol.messages import Estimate, Gossip, Hello, Truth
@@ -23,43 +24,6 @@ from world.score import gospa, ospa
 
 CLOSED = 1e-6  # of the arena: cells leave no hole
 LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
-
-
-class AgentStatus(msgspec.Struct, kw_only=True):
-    """What watchers see of one agent."""
-
-    name: str
-    alive: bool = False
-    incarnation: int = 0
-    gone_at: float | None = None  # world time at which it was last lost, s
-    pose: tuple[float, float, float] | None = None  # where its body really is: x, y, heading
-    tick: int = -1
-    cell: float = 0.0  # area, share of the arena
-    mass: float = 0.0
-    targets: int = 0
-    rounds: int = 0
-    skipped: int = 0
-    round_ms: float = 0.0
-
-
-class Status(msgspec.Struct, kw_only=True):
-    """What watchers see of the swarm."""
-
-    tick: int
-    ticks: int
-    time: float
-    ospa: float
-    gospa: float
-    targets: int
-    in_view: int
-    mass: float
-    hole: float
-    overlap: float
-    messages: int
-    agents: list[AgentStatus]
-    arena: tuple[float, float]  # width and height, m
-    places: list[tuple[float, float]]  # of the true targets, m
-    estimates: list[tuple[float, float]]  # of the targets that the living report, m
 
 
 @dataclass(slots=True)

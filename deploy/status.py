@@ -1,0 +1,40 @@
+"""What watchers see of a swarm, as one record for terminals and the control socket."""
+
+import msgspec
+
+
+class AgentStatus(msgspec.Struct, kw_only=True):
+    """What watchers see of one agent."""
+
+    name: str
+    alive: bool = False
+    incarnation: int = 0
+    gone_at: float | None = None  # world time at which it was last lost, s
+    pose: tuple[float, float, float] | None = None  # where its body really is: x, y, heading
+    tick: int = -1
+    cell: float = 0.0  # area, share of the arena
+    mass: float = 0.0
+    targets: int = 0
+    rounds: int = 0
+    skipped: int = 0
+    round_ms: float = 0.0
+
+
+class Status(msgspec.Struct, kw_only=True):
+    """What watchers see of the swarm."""
+
+    tick: int
+    ticks: int
+    time: float
+    ospa: float
+    gospa: float
+    targets: int
+    in_view: int
+    mass: float
+    hole: float
+    overlap: float
+    messages: int
+    agents: list[AgentStatus]
+    arena: tuple[float, float]  # width and height, m
+    places: list[tuple[float, float]]  # of the true targets, m
+    estimates: list[tuple[float, float]]  # of the targets that the living report, m
