@@ -19,7 +19,7 @@ from protocol.geometry import rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
 
-PARTICLES = 45  # in a gossip, about the mean of team 5
+PARTICLES = 2250  # of the whole swarm: 30 targets, 75 each
 VIEW = 1
 BOUNDS = 6  # neighbours that a claim names
 SPEED, TURN_RATE = 1.0, 0.2  # m/s, rad/s: circles of 5 m
@@ -36,8 +36,9 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
     config = me.config
     names = (me.name, *list(heard)[:BOUNDS])
     bounds = np.array([(*mine.cod, mine.power_radius), *([(0.0, 0.0, 1.0)] * (len(names) - 1))])
-    states = np.tile(np.array([*mine.cod, 1.0, 1.0]), (PARTICLES, 1))
-    owned = Particles(states, np.full(PARTICLES, 1.0 / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
+    count = round(PARTICLES / len(config.members))
+    states = np.tile(np.array([*mine.cod, 1.0, 1.0]), (count, 1))
+    owned = Particles(states, np.full(count, 1.0 / count), np.arange(1, count + 1, dtype=np.uint64))
     share = Share(me.name, make_claim(names, bounds, tuple(order(name) for name in names)), owned, VIEW)
     side = math.sqrt(config.arena.width * config.arena.height / len(config.members))
     angle = TURN_RATE * mine.tick * config.run.dt
