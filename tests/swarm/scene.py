@@ -15,6 +15,7 @@ from protocol.keys import all_of
 from protocol.messages import Estimate
 from protocol.node import Effect, Event, Received, Started, Subscribe
 
+LATE = 8  # ticks; who wakes from a long sleep still says what it made of the last thing it was told
 BLIND = {"angle": 240.0, "radius": 8.0, "prob_detection": 1e-12}
 
 
@@ -38,7 +39,7 @@ def ledger(*faults: FaultSettings, agents: int = 8, side: float = 40.0, **settin
 
 @dataclass
 class Listener:
-    """A Node that keeps all estimates by tick and sender."""
+    """A Node that keeps all estimates by tick and sender, but for those that come when the others are long past that tick."""
 
     run: str
     name: str = "listener"
@@ -50,7 +51,8 @@ class Listener:
         if isinstance(event, Started):
             return [Subscribe(all_of(self.run, "estimate"))]
         if isinstance(event, Received) and isinstance(event.message, Estimate):
-            self.estimates.setdefault(event.message.tick, {})[event.message.sender] = event.message
+            if event.message.tick >= max(self.estimates, default=0) - LATE:
+                self.estimates.setdefault(event.message.tick, {})[event.message.sender] = event.message
         return []
 
     def deadline(self) -> float | None:
