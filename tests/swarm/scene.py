@@ -50,9 +50,9 @@ class Listener:
     def handle(self, event: Event, now: float) -> list[Effect]:
         if isinstance(event, Started):
             return [Subscribe(all_of(self.run, "estimate"))]
-        if isinstance(event, Received) and isinstance(event.message, Estimate):
-            if event.message.tick >= max(self.estimates, default=0) - LATE:
-                self.estimates.setdefault(event.message.tick, {})[event.message.sender] = event.message
+        said = event.message if isinstance(event, Received) else None
+        if isinstance(said, Estimate) and said.tick >= max(self.estimates, default=0) - LATE:
+            self.estimates.setdefault(said.tick, {})[said.sender] = said
         return []
 
     def deadline(self) -> float | None:
