@@ -1,5 +1,6 @@
 """A file that can be read whenever its writer is killed: a settled part, and behind it a tail that stands in for what is settled next."""
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -53,7 +54,8 @@ class GrowingFile:
         try:
             self._put(data, self.size)
         except OSError:
-            os.ftruncate(self._file.fileno(), self.size)
+            with contextlib.suppress(OSError):  # what is told is why it could not be written
+                os.ftruncate(self._file.fileno(), self.size)
             raise
 
     def _put(self, data: bytes, offset: int) -> None:
