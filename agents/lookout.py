@@ -28,6 +28,7 @@ from protocol.streams import key
 SPOT = struct.Struct("<6d")
 SETTLE = 0.25  # s for a question to reach everybody and for the answers to come back
 ROUNDS = 4  # so many times SETTLE pass before anybody's first word, so that those who must ask again have subscribed as well
+TILE = 10.0  # m: a tile is wider than the largest reach by this (docs/protocol.md)
 FIRST = 2  # tiles on every side of the own one that a newcomer listens to
 MOST_QUESTIONS = 8  # in a row: then an agent speaks, certified or not
 AHEAD = 8.0  # m: a tile is listened to before it is needed, so that a period of beacons has been heard when it is
@@ -43,7 +44,7 @@ class Lookout:
         self.settled = False  # the first choice has been made and the others have had the time to make theirs
         self.due: float | None = None  # when to call `on_time`
         self._me, self._neighbours, self._incarnation = me, neighbours, incarnation
-        self._tiling = Tiling(bounds.reach + MARGIN, config.arena)
+        self._tiling = Tiling(bounds.reach + TILE, config.arena)
         self._ground = Ground(me.arena, bounds, JUMP + config.limits.speed * config.run.dt, me.arithmetic.distances)
         self._period, self._between = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE))
         self._phase = key("beacon", me.name) % self._period
