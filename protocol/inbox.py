@@ -46,9 +46,9 @@ class Flow:
 
 
 class Inbox:
-    """A queue that any thread fills and the event loop empties; when it overflows, the newest per key stays.
+    """A queue that any thread fills and the event loop empties; when it overflows, the newest per key and session stays.
 
-    `newest` is a part of those keys of which only the newest message counts: who is slow never works off a queue of them. `patient` is a
+    `newest` is a part of those keys of which only the newest message of a session counts: who is slow never works off a queue of them. `patient` is a
     part of those keys whose messages can wait until so many have come as `rest` was told: one wake-up for many costs far less than many.
     """
 
@@ -102,20 +102,20 @@ class Inbox:
         return self._patient != "" and arrival.token is None and self._patient in arrival.key
 
     def _without_old(self, batch: list[Arrival]) -> list[Arrival]:
-        """The batch without what a newer message of the same key, in it or in the queue, has made void."""
-        last = {arrival.key: arrival for arrival in (*batch, *self._queue) if self._newest in arrival.key}
+        """The batch without what a newer message of the same key and session, in it or in the queue, has made void."""
+        last = {(arrival.key, arrival.source): arrival for arrival in (*batch, *self._queue) if self._newest in arrival.key}
         if not last:
             return batch
-        kept = [arrival for arrival in batch if last.get(arrival.key, arrival) is arrival]
+        kept = [arrival for arrival in batch if last.get((arrival.key, arrival.source), arrival) is arrival]
         self.dropped += len(batch) - len(kept)
         return kept
 
     def _thin_out(self) -> None:
-        """Keep the newest per key; if that frees less than half, also give up the older half of the messages, never a token."""
-        newest: dict[str, Arrival] = {}
+        """Keep the newest per key and session; if that frees less than half, also give up the older half of the messages, never a token."""
+        newest: dict[tuple[str, str], Arrival] = {}
         for arrival in self._queue:
-            newest.pop(arrival.key, None)
-            newest[arrival.key] = arrival
+            newest.pop((arrival.key, arrival.source), None)
+            newest[arrival.key, arrival.source] = arrival
         kept = list(newest.values())
         if 2 * len(kept) > self._most_entries or 2 * sum(len(a.payload) for a in kept) > self._most_bytes:
             half = len(kept) // 2

@@ -79,6 +79,14 @@ def test_of_keys_of_which_only_the_newest_counts_nothing_older_is_handed_out() -
     assert inbox.dropped == 1
 
 
+def test_what_another_session_says_under_a_key_makes_nothing_void() -> None:
+    inbox = Inbox(most_entries=4, newest="/observation/")
+    inbox.add(Arrival("c/r/observation/s1", b"1", "world"))
+    for number in range(8):
+        inbox.add(Arrival("c/r/observation/s1", bytes([number]), "vandal"))
+    assert payloads(inbox.take(9)) == [b"1", b"\x07"]
+
+
 def test_a_session_may_say_a_burst_under_one_key_and_then_so_much_a_second_but_others_are_not_limited_by_it() -> None:
     flow = Flow(most=100)
     assert sum(flow.admits("k", "one", 0.0) for _ in range(1000)) == 100
