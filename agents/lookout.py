@@ -31,7 +31,7 @@ ROUNDS = 4  # so many times SETTLE pass before anybody's first word, so that tho
 TILE = 10.0  # m: a tile is wider than the largest reach by this (docs/protocol.md)
 FIRST = 2  # tiles on every side of the own one that a newcomer listens to
 MOST_QUESTIONS = 8  # in a row: then an agent speaks, certified or not
-AHEAD = 8.0  # m: a tile is listened to before it is needed, so that a period of beacons has been heard when it is
+AHEAD = 12.0  # m: a tile is listened to before it is needed, so that a period of beacons has been heard when it is
 FORGOTTEN = 2.5  # periods after which somebody whose beacons no longer come is gone
 
 
@@ -77,10 +77,11 @@ class Lookout:
         mine = self._mine(observation, outcome)
         if self._asking:
             choice, known = self._judge(self._first_cell(mine, observation.tick), mine, observation.tick)
-            box = self._tiling.box(choice.needed)
+            soon = choice.needed.wider(AHEAD)
+            box = self._tiling.box(soon)
             self._known = self._tiling.ground(self._box) if self._box else None
             self._questions += 1
-            if not self._tiling.ground(self._box or box).holds(choice.needed) and self._questions < MOST_QUESTIONS:
+            if not self._tiling.ground(self._box or box).holds(soon) and self._questions < MOST_QUESTIONS:
                 return self._listen(_union(box, self._box), mine)
             self._asking = False
             self.due = max(now + SETTLE, self._speak_at)
