@@ -48,8 +48,9 @@ class Flow:
 class Inbox:
     """A queue that any thread fills and the event loop empties; when it overflows, the newest per key and session stays.
 
-    `newest` is a part of those keys of which only the newest message of a session counts: who is slow never works off a queue of them. `patient` is a
-    part of those keys whose messages can wait until so many have come as `rest` was told: one wake-up for many costs far less than many.
+    `newest` is a part of those keys of which only the newest message of a session counts: who is slow never works off a queue of them.
+    `patient` is a part of those keys whose messages can wait until so many have come as `rest` was told: one wake-up for many costs
+    far less than many.
     """
 
     def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, newest: str = "", patient: str = "") -> None:
