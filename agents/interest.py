@@ -19,6 +19,7 @@ PERIOD = 4.0  # s of world time between two beacons of an agent that stays about
 CHOICE = 1.0  # s of world time between two choices
 JUMP = 4.0  # m: who will be farther than this from what its last beacon says, position, generator or radius, says another at once
 MARGIN = 14.0  # m: so far a COD jumps in one tick when a class D sensor turns round; 10 m were too little in 2 of 20 runs of 100 s
+APPEARING = 8.0  # m more around the place at which an empty cell is expected to appear
 SPACING = 6.0  # m between the points at which owners are looked for; no owner is so small that it is missed
 THRESHOLD = 40.0  # m: an empty cell is looked for this far around its generator
 
@@ -90,7 +91,10 @@ def wanted(
 
     `places` (N, 3) are x, y and reach of their sensors in m, `generators` (N + 1, 3) theirs and, last, the own one.
     """
-    home = cell if len(cell) else _threshold(generators, ground.arena)
+    if len(cell):
+        home = cell
+    else:
+        home, halo = _threshold(generators, ground.arena), halo + APPEARING
     looking = ground.distances(home, places[:, :2]) <= halo + MARGIN + places[:, 2]
     points = region(home, eye, halo, reach, ground)
     owning, least = owners(points, generators)
