@@ -9,7 +9,6 @@ from agents.arithmetic import PLAIN
 from deploy.bench.timing import Row, median_seconds
 from deploy.simulate import compiled
 from protocol.geometry import rectangle
-from world.score import ospa
 
 
 def generators(count: int, side: float) -> tuple[np.ndarray, np.ndarray]:
@@ -48,10 +47,8 @@ def measure() -> list[Row]:
             theirs = median_seconds(lambda p=points, r=radii, a=arena: by_shapely(p, r, a), batches=1)  # type: ignore[misc]
             row |= {"theirs, ms": 1000.0 * theirs, "times faster": theirs / ours, "theirs": "shapely"}
         rows.append(row)
-    one, other = generators(30, 100.0)[0], generators(31, 100.0)[0][1:]
-    rows.append(
-        {"what": "OSPA, 30 against 30", "ours, ms": 1000.0 * median_seconds(lambda: [ospa(one, other) for _ in range(100)]) / 100.0}
-    )
     if importlib.util.find_spec("stonesoup") is None:
-        rows.append({"what": "particle PHD scan", "theirs": "Stone Soup is not installed here"})
-    return rows
+        return [*rows, {"what": "particle PHD scan, OSPA", "theirs": "Stone Soup is not installed here (pip install stonesoup)"}]
+    from deploy.bench import stone_soup
+
+    return [*rows, *stone_soup.measure(compiled())]
