@@ -2,14 +2,21 @@
 
 import sys
 from pathlib import Path
+from typing import Literal
+
+import numpy as np
 
 from agents.agent import Agent
-from agents.config import AgentConfig
-from protocol.messages import Observation
-from protocol.node import Received
+from agents.config import AgentConfig, TimingSettings
+from protocol.messages import Beacon, Gossip, Hello, Observation
+from protocol.node import Alive, Effect, Received, Started, Timer
 from protocol.settings import ArenaSettings
 
-ROUNDS = 4
+NAMES = ("s1", "s2")
+ROUNDS = 24
+LOST = (4, 5)  # ticks in which nobody hears the other
+SKIPPED = (8, 9)  # ticks that s2 does not see
+LATE = 1e3  # s after which every open round closes
 
 
 def compiled_before() -> bool:
@@ -24,14 +31,55 @@ def announce() -> None:
 
 
 def warm() -> None:
-    """Let an agent without a swarm play a few rounds, so that every compiled loop is in memory; the very first time compiles them."""
+    """Let two agents play a few rounds, good ones and bad ones, so that every compiled loop is in memory; the first time compiles them.
+
+    What only a fault calls for must be among them, or the first fault on a machine makes all agents compile, and be silent for it.
+    """
+    interests: tuple[Literal["all", "neighbours"], ...] = ("all", "neighbours")
+    for interest in interests:
+        arena, timing = ArenaSettings(width=30.0, height=30.0), TimingSettings(interest=interest)
+        _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing))
+    _measure()
+
+
+def _play(config: AgentConfig) -> None:
     from agents.fast import FAST
 
-    config = AgentConfig(members={"s1": "A"}, arena=ArenaSettings(width=20.0, height=20.0))
-    agent = Agent(config, "s1", 1, FAST)
+    pair = [Agent(config, name, 1, FAST) for name in NAMES]
+    for agent, other in (pair, pair[::-1]):
+        agent.handle(Alive("agent", other.name, 1), 0.0)
+        _tell(other, agent.handle(Started(), 0.0))
     for tick in range(ROUNDS):
-        seen = bytes(4) + b"\x00\x00\x20\x41"  # one detection at (0, 10) m
-        world = Observation(
-            sender="world", incarnation=1, recipient="s1", tick=tick, time=0.0, pose=(1.0, 10.0, 3.0), detections_bytes=seen
-        )
-        agent.handle(Received(world), 0.0)
+        said = [(agent, agent.handle(Received(_seen(agent.name, tick)), LATE * tick)) for agent in pair if _sees(agent, tick)]
+        for agent, effects in said:
+            if tick not in LOST:
+                _tell(pair[agent is pair[0]], effects)
+        for agent in pair:
+            agent.handle(Timer(), LATE * (tick + 0.5))
+
+
+def _measure() -> None:
+    """Distances from read-only polygons and to parts of arrays, as only a crowd asks for them."""
+    from agents import cell_kernels
+
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    cell_kernels.distances(square, np.zeros((3, 3))[:, :2])
+    square.flags.writeable = False
+    cell_kernels.distances(square, np.zeros((3, 2)))
+
+
+def _sees(agent: Agent, tick: int) -> bool:
+    return agent.name == NAMES[0] or tick not in SKIPPED
+
+
+def _tell(agent: Agent, effects: list[Effect]) -> None:
+    for effect in effects:
+        if isinstance(effect, Hello | Beacon | Gossip):
+            agent.handle(Received(effect), 0.0)
+
+
+def _seen(name: str, tick: int) -> Observation:
+    """One detection at (0, 10) m, from within the arena."""
+    pose = (1.0 + 10.0 * (name == NAMES[1]), 10.0, 3.0)
+    detection = bytes(4) + b"\x00\x00\x20\x41"
+    return Observation(sender="world", incarnation=1, recipient=name, tick=tick, time=0.0, pose=pose, detections_bytes=detection)

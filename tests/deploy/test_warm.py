@@ -1,0 +1,34 @@
+"""Warming up compiles all that a swarm will call for, whatever befalls it: who compiles in the middle of a round is silent meanwhile."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = """
+import sys
+from deploy.swarm.warm import warm
+
+def compiled():
+    modules = [module for name, module in sys.modules.items() if name.startswith("agents.")]
+    loops = {loop for module in modules for loop in vars(module).values() if hasattr(loop, "signatures")}
+    return {(loop.__module__, loop.__name__, str(signature)) for loop in loops for signature in loop.signatures}
+
+warm()
+before = compiled()
+from deploy.simulate import compiled as fast
+from tests.swarm.scene import fault, ledger, tracking, watch
+struck = (fault(1.0, "drop", "100%", 0.3, seconds=2.0), fault(3.0, "slow", "s2", 0.6, seconds=2.0), fault(5.0, "kill", "s3", seconds=2.0))
+struck += (fault(7.0, "pause", "s4", seconds=2.0), fault(9.0, "partition", "50%", seconds=3.0))
+struck += (fault(13.0, "join", "s20", **{"class": "A"}),)
+for scene in (ledger(*struck), tracking(*struck), tracking(*struck, timing__interest="neighbours", filter__border="reflect")):
+    for clock in ("realtime", "lockstep"):
+        watch(scene, clock=clock, arithmetic=fast())
+assert before
+print(sorted(compiled() - before))
+"""
+
+
+def test_after_warming_up_no_fault_makes_anybody_compile() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=ROOT, capture_output=True, text=True, timeout=110, check=False)
+    assert (done.stdout, done.returncode) == ("[]\n", 0), done.stdout + done.stderr
