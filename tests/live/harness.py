@@ -1,20 +1,59 @@
-"""The `covey` command in a folder of the test's own, and a look at what it runs. The folder is where COVEY_RUNS says."""
+"""The `covey` command in a folder of the test's own, and a look at what it runs. The folder is where COVEY_RUNS says.
 
+Nothing here measures by waiting: a test waits for a condition, or reads in the recording of a run what happened when.
+"""
+
+import contextlib
 import json
+import math
 import os
+import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from deploy.monitor_node import Score
+from deploy.records.recording import Recording, event_of
+from deploy.records.rescore import rescore
 from deploy.swarm.control import ControlClient
 from deploy.swarm.rundir import find_running
+from protocol.messages import Message
+from protocol.node import Alive, Event, Gone, Received
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).parents[2]
-BOUND = 60.0  # s; reached only when something hangs
+BOUND = 100.0  # s; reached only when something hangs
+PATIENT = ("--set", "run.patience=60", "--set", "network.lease=30")  # on a busy machine, too, nobody is given up who only is late
+LEDGER = """
+[arena]
+width = 40.0
+height = 40.0
+[team]
+composition = "L8"
+[targets]
+count = 0
+[detection]
+clutter = 0.0
+[filter]
+lifetime = 0.0
+border = "reflect"
+prior_density = 0.01
+[birth]
+background = false
+measurement = false
+[sensors.L]
+angle = 240.0
+radius = 8.0
+prob_detection = 1e-12
+"""  # a swarm whose mass must not change
+MASS = 16.0  # expected targets in it
+
+
+Said = TypeVar("Said", bound=Message)
 
 
 class Covey:
@@ -23,16 +62,21 @@ class Covey:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.started: list[subprocess.Popen[str]] = []
-        self.pids: set[int] = set()
-        self._environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self.runs = folder / "runs"
+        self._environment = {**os.environ, "PYTHONPATH": str(ROOT), "COVEY_RUNS": str(self.runs)}
+        folder.mkdir(exist_ok=True)
+        (folder / "ledger.toml").write_text(LEDGER)
 
-    def start(self, *words: str) -> subprocess.Popen[str]:
-        """The command, running."""
+    def start(
+        self, *words: str, module: str = "deploy", limit: Callable[[], None] | None = None, variables: dict[str, str] | None = None
+    ) -> subprocess.Popen[str]:
+        """The command, or another module as a program, running."""
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "deploy", *words],
+            [sys.executable, "-P", "-m", module, *words],
             cwd=self.folder,
-            env=self._environment,
-            stdin=subprocess.DEVNULL,
+            env={**self._environment, **(variables or {})},
+            preexec_fn=limit,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -60,7 +104,6 @@ class Covey:
             client.close()
         except BadSetting:
             return None
-        self.pids |= {row["pid"] for row in data["processes"] if row["pid"]}
         return data
 
     def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
@@ -71,27 +114,76 @@ class Covey:
             if data is not None and condition(data):
                 return data
             time.sleep(0.05)
-        raise AssertionError(f"not reached: {data}")
+        raise AssertionError(f"not reached: {data}; {self.last_words()}")
 
     def running(self) -> dict[str, Any]:
         """The status once all processes run and the world's time has begun."""
         return self.wait(lambda data: data["swarm"]["tick"] >= 1 and all(row["state"] == "running" for row in data["processes"]))
 
+    def seeds(self, run: str = "covey") -> tuple[str, ...]:
+        """Where the processes of a run can be dialled."""
+        return tuple(tomllib.loads((self.runs / run / "run.toml").read_text())["network"]["seeds"])
+
+    def by_hand(self, name: str, incarnation: int, sensor_class: str = "") -> subprocess.Popen[str]:
+        """One more agent process of the running swarm, which the supervisor knows nothing of; of a class, if it is no member."""
+        config = self.folder / f"{name}.toml"
+        member = f'[members]\n{name} = "{sensor_class}"\n' if sensor_class else "[members]\n"
+        config.write_text((self.runs / "covey" / "run.toml").read_text().replace("[members]\n", member))
+        return self.start("--name", name, "--config", str(config), "--incarnation", str(incarnation), "--supervised", module="agents")
+
+    def processes(self) -> set[int]:
+        """Every process that runs for this test, by the variable that all of them have inherited; no zombies."""
+        mark = f"COVEY_RUNS={self.runs}".encode()
+        found = set()
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                if mark in (folder / "environ").read_bytes().split(b"\0"):
+                    found.add(int(folder.name))
+        return found  # the environment of a zombie is empty
+
     def wait_until_gone(self) -> None:
-        """Return when none of the processes that `status` has shown exists any more."""
+        """Return when no process is left."""
         end = time.monotonic() + BOUND
-        while any(exists(pid) for pid in self.pids):
-            assert time.monotonic() < end, f"orphans: {[pid for pid in self.pids if exists(pid)]}"
+        while left := self.processes():
+            assert time.monotonic() < end, f"orphans: {[Path(f'/proc/{pid}/cmdline').read_text() for pid in left]}"
             time.sleep(0.02)
 
+    def kill_all(self) -> None:
+        """End whatever is left, whether it is paused or not."""
+        for pid in self.processes():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
 
-def exists(pid: int) -> bool:
-    """Whether a process of that id runs our code and is no zombie."""
-    try:
-        words = Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
-        return False
-    return b"run.toml" in words
+    def last_words(self, run: str = "covey") -> str:
+        """The end of every log, for whoever must find out why a test failed."""
+        logs = sorted((self.runs / run / "logs").glob("*.jsonl"))
+        return "\n".join(f"{log.stem}: {log.read_text(errors='replace')[-300:]}" for log in logs)
+
+
+class Journal:
+    """What a recorded run has said, when (Unix time, s), and how each tick was scored."""
+
+    def __init__(self, covey: Covey, run: str = "covey") -> None:
+        recording = Recording(covey.runs / run / "recording.mcap")
+        self.heard: list[tuple[float, Event]] = [(entry.published / 1e9, event_of(entry)) for entry in recording.entries()]
+        self.scores = {score.tick: score for score in rescore(recording).scores}
+
+    def said(self, kind: type[Said], start: float = 0.0, end: float = math.inf) -> list[tuple[float, Said]]:
+        """The messages of one kind that were heard in a span of time."""
+        found = [(at, event.message) for at, event in self.heard if isinstance(event, Received) and start <= at <= end]
+        return [(at, message) for at, message in found if isinstance(message, kind)]
+
+    def tokens(self, kind: type[Alive] | type[Gone], name: str) -> list[tuple[float, int]]:
+        """When a token of that name appeared or vanished, and its incarnation."""
+        return [(at, event.incarnation) for at, event in self.heard if isinstance(event, kind) and event.name == name]
+
+    def masses(self, start: int, end: int | None = None) -> list[float]:
+        """The mass that all agents own after the ticks from `start` to `end` (excluded), in shares of what it must be."""
+        return [score.mass / MASS for tick, score in self.scores.items() if start <= tick < (end or math.inf)]
+
+    def after(self, start: int) -> list[Score]:
+        """The scores of the ticks from `start` on."""
+        return [score for tick, score in self.scores.items() if tick >= start]
 
 
 def rows(data: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -1,7 +1,6 @@
 """Real processes: none survives its supervisor, and bad input is one clear line with exit code 2."""
 
 import os
-import signal
 import socket
 from pathlib import Path
 
@@ -17,19 +16,8 @@ def test_no_process_survives_a_killed_supervisor_not_even_a_paused_one(covey: Co
     supervisor = covey.start("up", *LONG)
     covey.running()
     assert covey.run("pause", "s2")[0] == 0
-    assert len(covey.pids) == 7
+    assert len(covey.processes()) == 9  # six agents, the world, the zygote, the supervisor
     supervisor.kill()
-    covey.wait_until_gone()
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_everybody_and_the_exit_code_names_it(covey: Covey, number: signal.Signals, code: int) -> None:
-    supervisor = covey.start("up", *LONG)
-    covey.running()
-    supervisor.send_signal(number)
-    _, complaints = supervisor.communicate(timeout=30)
-    assert supervisor.returncode == code
-    assert complaints == ""
     covey.wait_until_gone()
 
 
@@ -45,7 +33,9 @@ def test_a_detached_run_is_acted_on_from_elsewhere_and_a_second_one_of_its_name_
     assert complaints.count("\n") == 1
 
     assert covey.run("kill", "s2,s3")[1] == "killed s2, s3\n"
-    dead = rows(covey.wait(lambda data: rows(data)["s3"]["state"] == rows(data)["s2"]["state"] == "dead"))
+    dead = rows(
+        covey.wait(lambda data: all(rows(data)[name]["state"] == "dead" and not rows(data)[name]["alive"] for name in ("s2", "s3")))
+    )
     assert dead["s3"]["end"] == "killed by SIGKILL"
     assert "dead: killed by SIGKILL" in covey.run("ps")[1]
     assert covey.run("kill", "s3") == (2, "", "covey: s3 is not running; `covey restart s3` brings it back\n")
@@ -73,9 +63,11 @@ def test_a_killed_world_stops_the_clock_and_a_restarted_one_goes_on_where_it_sto
     assert covey.run("kill", "world")[1] == "killed world\n"
     stopped = covey.wait(lambda data: rows(data)["world"]["state"] == "dead")
     assert covey.run("restart", "world")[0] == 0
-    later = covey.wait(lambda data: data["swarm"]["tick"] > stopped["swarm"]["tick"] + 10)
+    agents = [f"s{number}" for number in range(1, 7)]
+    later = covey.wait(
+        lambda data: data["swarm"]["tick"] > stopped["swarm"]["tick"] + 10 and all(rows(data)[name]["alive"] for name in agents)
+    )
     assert rows(later)["world"]["incarnation"] == 2
-    assert all(row["alive"] for row in later["processes"] if row["name"] != "world")
     assert covey.run("down")[0] == 0
     covey.wait_until_gone()
 

@@ -1,0 +1,140 @@
+"""However a run ends, nobody is left: signals, a killed supervisor, a killed zygote; and runs side by side leave each other alone."""
+
+import json
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from deploy.scenario import resolve
+from deploy.simulate import simulate
+from tests.live.harness import PATIENT, Covey
+
+pytestmark = pytest.mark.live
+FEW = ("up", "quick", "--team", "A2", "--seconds", "100000", "--rate", "4")
+GONE = 3.0  # s, in which all must be gone (the failure model); it takes some 0.2 s
+
+
+def sockets() -> set[str]:
+    return {path.name for path in Path(os.environ.get("TMPDIR", "/tmp"), f"covey-{os.getuid()}").glob("*.sock")}
+
+
+def kill_supervisor(covey: Covey, moment: float | None) -> float:
+    """Kill a supervisor, at a moment after its start or once its swarm runs; how long it took until nobody was left, s."""
+    supervisor = covey.start(*FEW)
+    if moment is None:
+        covey.running()
+    else:
+        time.sleep(moment)
+    supervisor.kill()
+    begin = time.monotonic()
+    covey.wait_until_gone()
+    supervisor.communicate()
+    return time.monotonic() - begin
+
+
+def test_nobody_survives_a_supervisor_that_is_killed_while_it_starts_or_runs_and_its_socket_is_swept(covey: Covey) -> None:
+    for moment in (None, 0.5, 1.5, 2.5):
+        kill_supervisor(covey, moment)
+    left = sockets()
+    covey.start(*FEW)
+    covey.running()
+    mine = {
+        name for name in left if name.startswith("covey-") and not Path(f"/proc/{name.removesuffix('.sock').rpartition('-')[2]}").exists()
+    }
+    assert not mine & sockets()
+    assert covey.run("down")[0] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_hundred_killed_supervisors_leave_no_orphan(covey: Covey) -> None:
+    dice = random.Random(1)
+    took = sorted(kill_supervisor(covey, dice.uniform(0.0, 5.0)) for _ in range(100))
+    print(f"all gone after {took[50]:.3f} s in the median, {took[-1]:.3f} s at most")
+    assert took[50] <= 1.0  # those that were still importing when it happened take as long as that takes
+
+
+def end_by(covey: Covey, numbers: list[signal.Signals], code: int) -> float:
+    """End a run by signals; how long it took until nobody was left, s."""
+    supervisor = covey.start(*FEW)
+    covey.running()
+    begin = time.monotonic()
+    for number in numbers:
+        supervisor.send_signal(number)
+        time.sleep(0.05)
+    _, complaints = supervisor.communicate(timeout=60)
+    assert (supervisor.returncode, complaints) == (code, "")
+    covey.wait_until_gone()
+    return time.monotonic() - begin
+
+
+ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal.SIGINT], 130)]
+
+
+@pytest.mark.parametrize(("numbers", "code"), ENDS, ids=["Ctrl-C", "TERM", "Ctrl-C twice"])
+def test_a_signal_ends_everybody(covey: Covey, numbers: list[signal.Signals], code: int) -> None:
+    end_by(covey, numbers, code)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize(("numbers", "code"), ENDS, ids=["Ctrl-C", "TERM", "Ctrl-C twice"])
+def test_twenty_of_twenty_runs_are_gone_in_three_seconds(covey: Covey, numbers: list[signal.Signals], code: int) -> None:
+    took = sorted(end_by(covey, numbers, code) for _ in range(20))
+    print(f"all gone after {took[10]:.3f} s in the median, {took[-1]:.3f} s at most")
+    assert took[-1] <= GONE
+
+
+def test_a_paused_agent_ends_with_the_others(covey: Covey) -> None:
+    supervisor = covey.start(*FEW)
+    covey.running()
+    assert covey.run("pause", "s2")[0] == 0
+    supervisor.terminate()
+    supervisor.communicate(timeout=60)
+    assert supervisor.returncode == 143
+    covey.wait_until_gone()
+
+
+def test_a_killed_zygote_takes_its_agents_along_and_they_can_be_started_again(covey: Covey) -> None:
+    """The price of the fast start: with `--spawn exec` there is no such process."""
+    covey.start(*FEW)
+    covey.running()
+    zygote = [pid for pid in covey.processes() if b"zygote" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    parents = {int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1]) for pid in zygote}
+    os.kill(next(pid for pid in zygote if pid in parents), signal.SIGKILL)
+    covey.wait(lambda data: all(row["state"] == "dead" for row in data["processes"] if row["name"] != "world"))
+    assert covey.run("restart")[1] == "restarted s1, s2\n"
+    covey.wait(lambda data: all(row["alive"] and row["incarnation"] == 2 for row in data["processes"] if row["name"] != "world"))
+    assert covey.run("down")[0] == 0
+    covey.wait_until_gone()
+
+
+def test_two_runs_on_one_machine_do_not_hear_each_other(covey: Covey) -> None:
+    seeds = (3, 4)
+    runs = [
+        covey.start("up", "quick", "--lockstep", "--seconds", "60", "--seed", str(seed), "--run", f"r{seed}", "--json", *PATIENT)
+        for seed in seeds
+    ]
+    for seed, process in zip(seeds, runs):
+        output, complaints = process.communicate(timeout=300)
+        assert process.returncode == 0, complaints
+        result = json.loads(output.splitlines()[-1])
+        assert result["transcript"] == simulate(resolve("quick", {"run.seconds": 60.0, "run.seed": seed})).transcript
+    covey.wait_until_gone()
+
+
+def test_two_runs_of_one_name_in_two_folders_do_not_hear_each_other(covey: Covey, tmp_path: Path) -> None:
+    other = Covey(tmp_path / "other")
+    runs = [(where, where.start("up", "quick", "--lockstep", "--seconds", "60", "--json", *PATIENT)) for where in (covey, other)]
+    try:
+        for where, process in runs:
+            output, complaints = process.communicate(timeout=300)
+            assert process.returncode == 0, complaints
+            assert json.loads(output.splitlines()[-1])["transcript"] == simulate(resolve("quick", {"run.seconds": 60.0})).transcript
+            where.wait_until_gone()
+    finally:
+        other.kill_all()
