@@ -15,7 +15,11 @@ from deploy.simulate import simulate
 from tests.live.harness import PATIENT, Covey
 
 COMPILER = shutil.which("cc")
-pytestmark = [pytest.mark.live, pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine: apt-get install gcc")]
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.slow,
+    pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine: apt-get install gcc"),
+]
 JUMP = 288
 SHIM = r"""
 #define _GNU_SOURCE

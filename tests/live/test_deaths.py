@@ -10,7 +10,7 @@ from protocol.messages import Command, Gossip, Observation, Truth
 from protocol.node import Alive, Gone
 from tests.live.harness import PATIENT, Covey, Journal, rows
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.slow]
 CLOSED = 1e-6  # of the area
 T_DEAD = 1.0  # s
 HOLE_AFTER, NOTICED = 0.02, 2  # of the area, and ticks of 0.25 s after a death was noticed (the failure model)

@@ -50,6 +50,7 @@ def test_nobody_survives_a_supervisor_that_is_killed_while_it_starts_or_runs_and
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 @pytest.mark.timeout(1800)
 def test_a_hundred_killed_supervisors_leave_no_orphan(covey: Covey) -> None:
     dice = random.Random(1)
@@ -81,6 +82,7 @@ def test_a_signal_ends_everybody(covey: Covey, numbers: list[signal.Signals], co
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize(("numbers", "code"), ENDS, ids=["Ctrl-C", "TERM", "Ctrl-C twice"])
 def test_twenty_of_twenty_runs_are_gone_in_three_seconds(covey: Covey, numbers: list[signal.Signals], code: int) -> None:

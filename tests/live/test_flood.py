@@ -12,7 +12,7 @@ import pytest
 from protocol.messages import Estimate, Gossip
 from tests.live.harness import ROOT, Covey, Journal
 
-pytestmark = [pytest.mark.live, pytest.mark.slow]
+pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.alone]
 RATE, SECONDS = 10_000, 10.0
 MOST_MEMORY = 20.0  # MiB that a process may take more (the failure model)
 FLOOD = """

@@ -4,7 +4,7 @@ import pytest
 
 from tests.live.harness import Covey, rows
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.slow]
 ARENA = ("--set", "arena.width=70", "--set", "arena.height=70", "--set", "timing.interest=neighbours")
 
 

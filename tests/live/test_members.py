@@ -8,7 +8,7 @@ from protocol.messages import Estimate, Gossip
 from protocol.node import Alive, Gone
 from tests.live.harness import PATIENT, Covey, Journal, rows
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.slow]
 LEDGER = ("up", "ledger.toml", "--rate", "1", "--seconds", "1000", "--record", *PATIENT)
 
 

@@ -34,6 +34,7 @@ pytestmark = [
     pytest.mark.live,
     pytest.mark.namespaces,
     pytest.mark.slow,
+    pytest.mark.alone,
     pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT),
     pytest.mark.timeout(300),
 ]

@@ -14,7 +14,7 @@ from deploy.scenario import resolve
 from deploy.simulate import simulate
 from tests.live.harness import PATIENT, Covey
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.slow]
 ROOM = 200_000  # bytes that a file may have: a disk that is soon full
 
 

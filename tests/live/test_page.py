@@ -20,6 +20,7 @@ CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chro
 pytestmark = [
     pytest.mark.live,
     pytest.mark.browser,
+    pytest.mark.slow,
     pytest.mark.timeout(400),
     pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine: apt-get install chromium"),
 ]

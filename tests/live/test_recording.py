@@ -11,7 +11,7 @@ from protocol.messages import Truth
 from protocol.node import Received
 from tests.live.harness import BOUND, Covey
 
-pytestmark = [pytest.mark.live, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.timeout(400)]
 LAST_SECOND = 1.0  # s that a recorder which is killed may lose
 SPARE = 3.0  # s more for a machine that is busy
 

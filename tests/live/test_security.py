@@ -125,6 +125,7 @@ async def until_there(file: Path) -> NetworkSettings:
             await asyncio.sleep(0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_nothing_that_a_stranger_or_an_insider_forges_is_delivered_and_strangers_hear_nothing(covey: Covey) -> None:
     assert covey.run("keys", "--scenario", "quick", "--into", "ours")[0] == 0

@@ -39,6 +39,7 @@ def figures(pid: int) -> tuple[float, int]:
     return int(lines["VmRSS"].split()[0]) / 1024.0, len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 def test_in_two_minutes_memory_hardly_grows_and_descriptors_do_not(covey: Covey) -> None:
     median, most, descriptors = soak(covey, "A2,B6", 30.0, 120.0)

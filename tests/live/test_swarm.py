@@ -90,6 +90,7 @@ def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 def test_forty_eight_agents_start_and_close_their_first_round(covey: Covey) -> None:
     result = covey.result("up", "efficacy", "--team", "5", "--lockstep", "--seconds", "1", *PATIENT)
     assert result["agents"] == 48
