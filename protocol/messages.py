@@ -19,6 +19,7 @@ MAX_PARTICLES = 8192
 MAX_NAMES = 8192
 FARTHEST = 1.0e6  # no coordinate of an arena is larger, m
 LARGEST_AREA = FARTHEST**2  # m^2
+LEAST_RADIUS, LEAST_ANGLE, LARGEST_ANGLE = 1.0e-3, 1.0e-6, 7.0  # of a sensor, m and rad
 LATEST = 1.0e12  # no world time is larger, s
 
 _F4x2, _F4x4 = np.dtype(("<f4", (2,))), np.dtype(("<f4", (4,)))  # types of rows
@@ -53,6 +54,13 @@ def _check_number(field: str, value: float, least: float = -FARTHEST, most: floa
     """Refuse NaN, infinity and anything outside [least, most]: one bad float would win every comparison downstream."""
     if not least <= value <= most:
         raise Malformed("range", f"{field} = {value}: should be a finite number from {least:g} to {most:g}")
+
+
+def _check_sensor(sensor: WedgeSensor | None) -> None:
+    """An announced sensor covers some area: what is divided by it must stay finite."""
+    if sensor is not None:
+        _check_number("sensor.radius", sensor.radius, least=LEAST_RADIUS)
+        _check_number("sensor.angle", sensor.angle, least=LEAST_ANGLE, most=LARGEST_ANGLE)
 
 
 def _check_vector(field: str, values: Vector | Triple) -> None:
@@ -107,8 +115,7 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     def check(self) -> None:
         _check_number("max_speed", self.max_speed, least=0.0)
         _check_number("max_turn_rate", self.max_turn_rate, least=0.0)
-        if self.sensor is not None:
-            _check_number("sensor.radius", self.sensor.radius)
+        _check_sensor(self.sensor)
         if len(self.heard) > MAX_NAMES:
             raise Malformed("size", f"heard: {len(self.heard)} names, at most {MAX_NAMES} are allowed")
 
@@ -133,8 +140,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
         return self.column, self.row
 
     def check(self) -> None:
-        if self.sensor is not None:
-            _check_number("sensor.radius", self.sensor.radius)
+        _check_sensor(self.sensor)
         _check_vector("position", self.position)
         _check_vector("cod", self.cod)
         _check_number("power_radius", self.power_radius, least=0.0)
