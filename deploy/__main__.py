@@ -187,7 +187,7 @@ def replay(recording: str, /, *, page: Page = True, speed: float = 1.0, publish:
 
 @app.command
 def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False) -> int:
-    """Measure this machine: round, simulate, live, realtime, scale, start, codec, memory, peers, page, or all of them."""
+    """Measure this machine: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them."""
     from deploy.commands import benching
 
     return benching.bench(what, json)

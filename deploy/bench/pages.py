@@ -1,82 +1,183 @@
-"""`covey bench page`: does a swarm in lockstep run slower while somebody looks at it? Runs with and without a page, in turns."""
+"""`covey bench page` and `covey bench replay`: what it costs to look at a swarm of 48 agents.
+
+`page`: the same run in lockstep with nobody's page, with a page and one viewer that draws nothing, and with a page in a real browser on
+the same cores, in turns. The same ticks are measured in all, and they are the same to the last bit. `replay`: a recording on the page
+at 10 ticks/s and at ten times its speed.
+"""
 
 import asyncio
-import json
+import itertools
 import os
-import resource
 import statistics
+import subprocess
 import sys
 import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import aiohttp
 
-from deploy.bench.processes import TEAMS
+from deploy.bench.browser import Browser, browser, parent
+from deploy.bench.processes import TEAMS, Mark, Swarm, cpu_of, swarm
 from deploy.bench.timing import Row
 from deploy.swarm.processes import ROOT
+from protocol.endpoints import free_port
+from protocol.settings import BadSetting
 
-AGENTS, SECONDS, PAIRS = 48, 20.0, 3
+AGENTS, PAIRS = 48, 3
+FIRST_TICK, TICKS = 40, 80  # those measured: the browser has started before
+VIEWERS = ("no page", "a viewer that draws nothing", "Chromium")
+LOOK = 0.1  # s between two questions where the run stands
+REPLAYED = 60.0  # s of the world
+DT = 0.25
+MEASURED = 10.0  # wall s of each speed
 
 
-def measure(pairs: int = PAIRS, agents: int = AGENTS, seconds: float = SECONDS) -> list[Row]:
-    """A row for every run, the order turned round from pair to pair, and last what the page costs in the median of the pairs."""
+def measure(pairs: int = PAIRS, agents: int = AGENTS) -> list[Row]:
+    """A row for every run, the order turned round from one time to the next, and last what each viewer costs in the median."""
     rows: list[Row] = []
-    ratios: dict[str, list[float]] = {"ticks per s": [], "CPU of everybody, s": []}
-    for pair in range(pairs):
-        found = {page: asyncio.run(run(page, agents, seconds)) for page in ((False, True) if pair % 2 else (True, False))}
-        rows += [found[False], found[True]]
-        for name, values in ratios.items():
-            values.append(found[True][name] / found[False][name])
-    share = {name: 100.0 * (statistics.median(values) - 1.0) for name, values in ratios.items()}
-    return [*rows, {"what": "with the page, %", **share}]
+    for turn in range(pairs):
+        rows += [run(viewer, agents) for viewer in (VIEWERS if turn % 2 == 0 else VIEWERS[::-1])]
+    return [*rows, *compare(rows)]
 
 
-async def run(page: bool, agents: int, seconds: float) -> Row:
-    """One run in lockstep; with a page there is one browser that takes every frame and draws nothing."""
-    words = ["up", "efficacy", "--team", TEAMS[agents], "--lockstep", "--seconds", str(seconds), "--run", "bench", "--json"]
-    with tempfile.TemporaryDirectory() as folder:
-        before = _children_seconds()
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-P", "-m", "deploy", *words, *(["--page", "0"] if page else [])),
-            cwd=ROOT,
-            env={**os.environ, "COVEY_RUNS": folder, "PYTHONPATH": str(ROOT)},
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-        )
-        assert process.stdout is not None
-        assert process.stderr is not None
-        looking = asyncio.create_task(_look(process.stderr))
-        output = await process.stdout.read()
-        await process.wait()
-    result = json.loads(output.splitlines()[-1])
+def compare(rows: list[Row]) -> list[Row]:
+    """How much more or less each viewer makes of it than nobody, %, in the median of the turns."""
+    found = []
+    for viewer in VIEWERS[1:]:
+        row: Row = {"what": f"{viewer} against {VIEWERS[0]}, %"}
+        for name in ("ticks per s", "agents and world, ms per tick", "monitor, ms per tick"):
+            with_it, without = ([one[name] for one in rows if one["what"] == what] for what in (viewer, VIEWERS[0]))
+            row[name] = 100.0 * (statistics.median(a / b for a, b in zip(with_it, without)) - 1.0)
+        found.append(row)
+    return found
+
+
+def run(viewer: str, agents: int = AGENTS) -> Row:
+    """One run in lockstep: the rate over some ticks, and the CPU that they took."""
+    port = free_port()
+    url = f"http://127.0.0.1:{port}/"
+    words = ["--lockstep", *(["--page", f"127.0.0.1:{port}"] if viewer != VIEWERS[0] else [])]
+    with swarm(agents, "zygote", words) as running, _looking(viewer, url) as looking:
+        monitor = parent(next(row["pid"] for row in running.status()["processes"] if row["name"] == "world"))
+        begin = _reach(running, FIRST_TICK)
+        frames, monitor_began, browser_began = _frames(viewer, url), cpu_of(monitor), looking.cpu() if looking else 0.0
+        end = _reach(running, begin.tick + TICKS)
+        frames, monitor_used, browser_used = _frames(viewer, url) - frames, cpu_of(monitor), looking.cpu() if looking else 0.0
+    ticks, wall = end.tick - begin.tick, end.at - begin.at
     return {
-        "what": f"{agents} agents, {'page and browser' if page else 'no page'}",
-        "ticks per s": result["ticks"] / result["wall_s"],
-        "CPU of everybody, s": _children_seconds() - before,
-        "frames": await looking,
+        "what": viewer,
+        "ticks per s": ticks / wall,
+        "agents and world, ms per tick": 1000.0 * (end.cpu - begin.cpu) / ticks,
+        "monitor, ms per tick": 1000.0 * (monitor_used - monitor_began) / ticks,
+        "monitor, cores": (monitor_used - monitor_began) / wall,
+        "browser, cores": (browser_used - browser_began) / wall,
+        "frames per s": frames / wall,
         "load": os.getloadavg()[0],
     }
 
 
-async def _look(lines: asyncio.StreamReader) -> int:
-    """Read what the command says to its end, and look at the page of which it speaks; the number of frames."""
-    browser: asyncio.Task[int] | None = None
-    async for line in lines:
-        if line.startswith(b"page: "):
-            browser = asyncio.create_task(_take_frames(line.split()[1].decode()))
-    return await browser if browser is not None else 0
+def _reach(running: Swarm, tick: int) -> Mark:
+    """Where the run stands once it has come to a tick."""
+    while (mark := running.mark()).tick < tick:
+        time.sleep(LOOK)
+    return mark
 
 
-async def _take_frames(url: str) -> int:
-    async with aiohttp.ClientSession() as session:
-        while True:
-            try:
-                async with session.ws_connect(f"{url}ws", max_msg_size=0) as socket:
-                    return sum([message.type == aiohttp.WSMsgType.BINARY async for message in socket])
-            except aiohttp.ClientConnectorError:
-                await asyncio.sleep(0.05)  # the port is taken before anybody answers there
+@contextmanager
+def _looking(viewer: str, url: str) -> Iterator[Browser | None]:
+    """One who looks at the page, if anybody is to; the browser if it is one."""
+    if viewer == VIEWERS[2]:
+        with browser(url) as chromium:
+            chromium.until("window.covey && covey.frame")
+            yield chromium
+        return
+    thread = threading.Thread(target=lambda: asyncio.run(_take_frames(url)), daemon=True)
+    if viewer == VIEWERS[1]:
+        thread.start()
+    yield None
 
 
-def _children_seconds() -> float:
-    """CPU time of all processes that this one has started and that have ended, s."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+async def _take_frames(url: str) -> None:
+    """Take every frame until the server goes."""
+    async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws", max_msg_size=0) as server:
+        async for _ in server:
+            pass
+
+
+def _frames(viewer: str, url: str) -> float:
+    """How many frames the page has encoded."""
+    if viewer == VIEWERS[0]:
+        return 0.0
+    with urllib.request.urlopen(f"{url}metrics") as answer:
+        lines = answer.read().decode().splitlines()
+    return next(float(line.split()[-1]) for line in lines if line.startswith("covey_page_frames_total"))
+
+
+def replay(recording: Path | None = None) -> list[Row]:
+    """A recording in Chromium at 10 ticks/s and at ten times its speed: frames, gaps, CPU; by default a simulated one."""
+    with tempfile.TemporaryDirectory() as folder:
+        if recording is None:
+            recording = Path(folder) / "bench.mcap"
+            words = [
+                "simulate",
+                "efficacy",
+                "--team",
+                TEAMS[AGENTS],
+                "--seconds",
+                str(REPLAYED),
+                "--dt",
+                str(DT),
+                "--record",
+                str(recording),
+            ]
+            _command(words, folder).communicate()
+        process = _command(["replay", str(recording), "--page", "0"], folder)
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().split()[-1]
+            with browser(url) as chromium:
+                chromium.until("window.covey && covey.frame && covey.frame.play.scanned")
+                chromium.watch()
+                return [_play(chromium, process.pid, speed) for speed in (10.0 * DT, 10.0)]
+        finally:
+            process.terminate()
+            process.communicate()
+
+
+def _play(chromium: Browser, server: int, speed: float) -> Row:
+    """One speed from the beginning on, for some seconds."""
+    chromium.ask(f"[{{seek: 0}}, {{speed: {speed}}}, {{play: true}}].forEach(covey.send)")
+    time.sleep(1.0)
+    begin, server_began, browser_began, known = time.monotonic(), cpu_of(server), chromium.cpu(), len(chromium.drawn())
+    time.sleep(min(MEASURED, 0.8 * REPLAYED / speed))
+    wall, server_used, browser_used = time.monotonic() - begin, cpu_of(server) - server_began, chromium.cpu() - browser_began
+    drawn = chromium.drawn()[known:]
+    gaps = [later[0] - earlier[0] for earlier, later in itertools.pairwise(drawn)]
+    if not gaps:
+        raise BadSetting("bench replay: the page draws nothing")
+    return {
+        "what": f"replay at {speed:g} x",
+        "frames drawn per s": 1000.0 * len(gaps) / sum(gaps),
+        "longest gap, ms": max(gaps),
+        "world s per s": 1000.0 * (drawn[-1][1] - drawn[0][1]) / sum(gaps),
+        "server, cores": server_used / wall,
+        "browser, cores": browser_used / wall,
+        "load": os.getloadavg()[0],
+    }
+
+
+def _command(words: list[str], folder: str) -> "subprocess.Popen[str]":
+    """The `covey` command, running."""
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "deploy", *words],
+        cwd=ROOT,
+        env={**os.environ, "COVEY_RUNS": folder, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )

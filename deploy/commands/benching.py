@@ -68,6 +68,12 @@ def _page() -> list[Row]:
     return pages.measure()
 
 
+def _replay() -> list[Row]:
+    from deploy.bench import pages
+
+    return pages.replay()
+
+
 BENCHES: dict[str, Callable[[], list[Row]]] = {
     "round": _round,
     "simulate": _simulate,
@@ -79,6 +85,7 @@ BENCHES: dict[str, Callable[[], list[Row]]] = {
     "memory": _memory,
     "peers": _peers,
     "page": _page,
+    "replay": _replay,
 }
 
 

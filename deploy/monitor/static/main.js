@@ -10,9 +10,9 @@ const RATE_WINDOW = 1500, BELIEF_PERIOD = 400, TABLE_PERIOD = 300; // ms
 
 const state = {
   hello: null, frame: null, history: fresh(), happenings: new Map(), outlines: {}, order: new Map(), trails: { bodies: new Map(), targets: new Map() },
-  on: Object.fromEntries(SWITCHES.map(([, name]) => [name, true])), chosen: null, belief: null, rate: null, counted: [], frames: 0,
+  on: Object.fromEntries(SWITCHES.map(([, name]) => [name, true])), chosen: null, belief: null, rate: null, counted: [], frames: 0, send,
 };
-window.covey = state; // for the curious, and for tests
+window.covey = state; // for the curious, for tests and benchmarks
 const arena = new Arena($("arena"), state);
 const charts = CHARTS.map((chart) => {
   const canvas = element("canvas", { role: "img", "aria-label": `curve of ${chart.title}` });
