@@ -1,6 +1,7 @@
 """`echo`, `hz`, `ls`, `record` and `watch --page`: commands that listen to a running swarm from outside."""
 
 import asyncio
+import contextlib
 import logging
 import os
 import signal
@@ -19,12 +20,16 @@ from deploy.monitor.source import LiveSource
 from deploy.monitor_node import Scorer
 from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.recorder import RecorderNode
+from deploy.result import Fault
+from deploy.swarm.control import ask
+from deploy.swarm.rundir import RunDirectory
 from deploy.watching import Heard, Listener, Rates, block, expression, plain_line, swarm_to_watch
 from protocol import live
 from protocol.keys import order
 from protocol.settings import BadSetting
 
 LOOK_PERIOD = 1.0  # s between two looks whether the run still runs
+FAULTS_PERIOD = 0.5  # s between two questions what faults have been ordered
 PLAIN_PERIOD = 2.0  # s between two tables of rates
 
 
@@ -111,7 +116,11 @@ def record(file: Path | None, run: str | None) -> int:
 
     async def work() -> int:
         driver = live.Driver(RecorderNode(recorder, scenario.run.name, own_name("recorder")), scenario.network)
-        return await _serve_while_running(driver, directory.is_running)
+        faults = asyncio.create_task(_note_faults(directory, recorder.note_fault))
+        try:
+            return await _serve_while_running(driver, directory.is_running)
+        finally:
+            faults.cancel()
 
     print(f"recording into {path}; Ctrl-C ends it", flush=True)
     code = _until_interrupted(work())
@@ -120,6 +129,18 @@ def record(file: Path | None, run: str | None) -> int:
         f"{recorder.messages} messages, {recorder.file_bytes / 1e6:.1f} MB" + (f"; stopped: {recorder.stopped}" if recorder.stopped else "")
     )
     return code
+
+
+async def _note_faults(directory: RunDirectory, note: Callable[[Fault], None]) -> None:
+    """Ask the supervisor now and then which faults it has ordered: a cut between agents is not said under any key."""
+    known = 0
+    while True:
+        with contextlib.suppress(BadSetting):
+            faults = [Fault(*fault) for fault in (await ask(directory, "faults"))["data"]]
+            for fault in faults[known:]:
+                note(fault)
+            known = len(faults)
+        await asyncio.sleep(FAULTS_PERIOD)
 
 
 def watch_page(page: bool | str, run: str | None) -> int:

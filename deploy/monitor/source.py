@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import json
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -10,11 +9,11 @@ from deploy.chaos.faults import LINK_VERBS
 from deploy.monitor.picture import Picture
 from deploy.monitor_node import Score, Scorer
 from deploy.result import Fault
+from deploy.swarm.control import ask
 from deploy.swarm.rundir import RunDirectory
 from protocol.settings import BadSetting
 
 STATE_PERIOD = 1.0  # s between two questions who is paused
-ANSWER_SECONDS = 20.0
 BUTTONS = ("kill", "pause", "resume", "restart", "partition", "heal")
 
 
@@ -95,23 +94,4 @@ class LiveSource:
         """The supervisor's answer; raises BadSetting with its complaint."""
         if self._directory is None:
             raise BadSetting("this run has no supervisor that could be asked")
-        try:
-            where = json.loads(self._directory.control.read_text(encoding="utf-8"))["socket"]
-            async with asyncio.timeout(ANSWER_SECONDS):
-                return await _one_answer(where, json.dumps({"verb": verb, "who": who}).encode() + b"\n")
-        except (OSError, ValueError, KeyError, TimeoutError) as error:
-            if isinstance(error, BadSetting):
-                raise
-            raise BadSetting("the supervisor does not answer: the run is starting or has ended") from None
-
-
-async def _one_answer(where: str, request: bytes) -> dict[str, Any]:
-    reader, writer = await asyncio.open_unix_connection(where, limit=1 << 22)
-    try:
-        writer.write(request)
-        answer: dict[str, Any] = json.loads(await reader.readline())
-    finally:
-        writer.close()
-    if "error" in answer:
-        raise BadSetting(answer["error"])
-    return answer
+        return await ask(self._directory, verb, who)

@@ -2,6 +2,7 @@
 
 {"verb": "kill", "who": "30%"}  ->  {"ok": "killed s2, s7"}  or  {"error": "one line"}
 {"verb": "status"}              ->  {"ok": "", "data": {...}}
+{"verb": "faults"}              ->  {"ok": "", "data": [[12.5, "partition", "cut off s5"], ...]}
 """
 
 import asyncio
@@ -17,6 +18,8 @@ from protocol.settings import BadSetting
 
 Answer = dict[str, Any]
 MOST_LINE = 1 << 20
+MOST_ANSWER = 1 << 22
+ANSWER_SECONDS = 20.0
 
 
 class ControlServer:
@@ -98,3 +101,26 @@ class ControlClient:
         """Hang up."""
         self._file.close()
         self._socket.close()
+
+
+async def ask(directory: RunDirectory, verb: str, who: str = "") -> Answer:
+    """The supervisor's answer to one request, in an event loop; raises BadSetting with its complaint, or when nobody answers."""
+    try:
+        where = json.loads(directory.control.read_text(encoding="utf-8"))["socket"]
+        async with asyncio.timeout(ANSWER_SECONDS):
+            answer = await _one_answer(where, json.dumps({"verb": verb, "who": who}).encode() + b"\n")
+    except (OSError, ValueError, KeyError, TimeoutError):
+        raise BadSetting("the supervisor does not answer: the run is starting or has ended") from None
+    if "error" in answer:
+        raise BadSetting(answer["error"])
+    return answer
+
+
+async def _one_answer(where: str, request: bytes) -> Answer:
+    reader, writer = await asyncio.open_unix_connection(where, limit=MOST_ANSWER)
+    try:
+        writer.write(request)
+        answer: Answer = json.loads(await reader.readline())
+        return answer
+    finally:
+        writer.close()

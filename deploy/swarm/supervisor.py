@@ -238,6 +238,8 @@ class Supervisor:
         verb, who = str(request.get("verb", "")), str(request.get("who", ""))
         if verb == "status":
             return {"ok": "", "data": self.status()}
+        if verb == "faults":
+            return {"ok": "", "data": self.scorer.faults}
         if verb == "down":
             self._end(0)
             return {"ok": "going down"}

@@ -65,16 +65,27 @@ def test_a_recording_alone_gives_the_figures_of_the_live_run(covey: Covey, pace:
     assert [kill["name"] for kill in again["kills"]] == ["s3"]
 
 
-def test_a_swarm_that_was_cut_in_two_is_cut_in_the_recording_too(covey: Covey) -> None:
+def test_a_swarm_that_was_cut_in_two_is_cut_in_every_recording(covey: Covey) -> None:
+    """In that of the run and in that of an onlooker, who is told by the supervisor, for no key says it."""
     process = covey.start("up", "quick", "--seconds", "1000", "--rate", "2", "--record", "--set", "network.link_faults=true")
     covey.running()
+    recorder = covey.start("record", "outside.mcap")
+    assert recorder.stdout is not None
+    assert recorder.stdout.readline().startswith("recording into")
     assert covey.run("partition", "s1,s2")[0] == 0
     assert covey.run("heal")[0] == 0
+    outside = covey.folder / "outside.mcap"
+    end = time.monotonic() + BOUND
+    while len(Recording(outside).faults) < 2:
+        assert time.monotonic() < end, "the onlooker does not note what has been cut"
+        time.sleep(0.1)
     assert covey.run("down")[0] == 0
     process.wait(timeout=BOUND)
+    recorder.wait(timeout=BOUND)
     recording = Recording(covey.folder / "runs" / "covey" / "recording.mcap")
     assert [(fault.verb, fault.text) for fault in recording.faults] == [
         ("partition", "cut off s1, s2"),
         ("heal", "all links are clear again"),
     ]
     assert 0.0 <= recording.faults[0].time <= recording.faults[1].time <= recording.seconds
+    assert Recording(outside).faults == recording.faults
