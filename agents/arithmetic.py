@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents import cells, phd
-from agents.births import near_part
+from agents.births import background_births, near_part
 from agents.cells import Cell, Claim
 from agents.extraction import estimate_targets
 from agents.particles import Particles, canonical, join, select, total
@@ -52,6 +52,7 @@ class Arithmetic(NamedTuple):
     cut_all: Callable[..., list[Cell]]
     distances: Callable[..., np.ndarray]
     owned: Callable[..., np.ndarray]
+    births: Callable[[Step], Particles]
     predict: Callable[[Particles, Step], Particles]
     gather: Callable[..., tuple[Particles, Particles]]
     update: Callable[[Particles, Words, np.ndarray, Step], Particles]
@@ -61,6 +62,12 @@ class Arithmetic(NamedTuple):
     moments: Callable[[Particles], tuple[float, float, float]]
     in_view: Callable[[Particles, SensorModel, Pose], tuple[float, float]]
     refresh: Callable[[Task], Refreshed]  # all the steps from `gather` on
+
+
+def births(step: Step) -> Particles:
+    """The new particles of the background (`births.background_births`)."""
+    config = step.config
+    return background_births(config.run.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
 
 
 def predict(particles: Particles, step: Step) -> Particles:
@@ -141,6 +148,7 @@ PLAIN = Arithmetic(
     cut_all=cells.cut_all,
     distances=geometry.distances,
     owned=cells.owned,
+    births=births,
     predict=predict,
     gather=gather,
     update=update,

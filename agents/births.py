@@ -91,13 +91,12 @@ def background_births(seed: int, tick: int, dt: float, settings: FilterSettings,
     per second. The share `border_share` starts on the border with headings inward (cosine law), the rest anywhere. Remembered,
     because in virtual time every agent asks.
     """
-    width, height = arena.width, arena.height
-    mass = settings.prior_density * settings.speed * 2.0 * (width + height) / math.pi * dt
-    count = birth.background_particles
+    mass, count = inflow(dt, settings, arena), birth.background_particles
     if not birth.background or mass <= 0.0:
         return NONE
+    width, height = arena.width, arena.height
     ids = _numbered(key(seed, "background", tick), count)
-    on_border = np.arange(count) < round(birth.border_share * count)
+    on_border = np.arange(count) < birth.on_border
     along = uniform(scramble(ids, 1)) * (2.0 * (width + height))
     sideways = 2.0 * uniform(scramble(ids, 2)) - 1.0  # the sine of a cosine-law heading is uniform
     inward = np.sqrt(1.0 - sideways * sideways)
@@ -110,6 +109,11 @@ def background_births(seed: int, tick: int, dt: float, settings: FilterSettings,
     headings = border[:, :2] * sideways[:, None] + border[:, 2:] * inward[:, None]
     headings = np.where(on_border[:, None], headings, _directions(scramble(ids, 3)))
     return Particles(np.column_stack([places, headings * settings.speed]), np.full(count, mass / count), ids)
+
+
+def inflow(dt: float, settings: FilterSettings, arena: ArenaSettings) -> float:
+    """Expected targets that cross the border inwards in `dt` s when the density outside is `prior_density`."""
+    return settings.prior_density * settings.speed * 2.0 * (arena.width + arena.height) / math.pi * dt
 
 
 def _numbered(salt: int, count: int) -> np.ndarray:

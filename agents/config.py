@@ -40,6 +40,11 @@ class BirthSettings(Section, frozen=True, kw_only=True):
     least_share: NotNegative = 0.25  # the density is at least this share of the clutter density
     most_density: NotNegative = 0.001  # and at most this, per m^2
 
+    @property
+    def on_border(self) -> int:
+        """How many of the background births lie on the border."""
+        return round(self.border_share * self.background_particles)
+
 
 class CapacitySettings(Section, frozen=True, kw_only=True):
     """[capacity] how the unused sensing capacity U is read (11)."""

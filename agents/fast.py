@@ -9,11 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from agents import cell_kernels, extraction_kernels, kernels, phd, round_kernels, update_kernels
+from agents import birth_kernels, cell_kernels, extraction_kernels, kernels, phd, round_kernels, update_kernels
 from agents.arithmetic import Arithmetic, Refreshed, Task, in_steps
 from agents.arithmetic import in_view as plain_in_view
 from agents.arithmetic import update as plain_update
-from agents.births import DIRECTIONS, sensor_row
+from agents.births import DIRECTIONS, inflow, sensor_row
 from agents.cells import NO_CELL, TOUCH, Cell, Claim
 from agents.config import AgentConfig, ExtractionSettings
 from agents.particles import NONE, Particles
@@ -69,6 +69,24 @@ def motion(step: Step) -> Motion:
         arena.width,
         arena.height,
     )
+
+
+_BORN: deque[tuple[AgentConfig, int, Particles]] = deque(maxlen=2)
+
+
+def births(step: Step) -> Particles:
+    """See `births.background_births`; remembered, because in virtual time every agent asks."""
+    config, tick = step
+    for known, at, found in _BORN:
+        if at == tick and known is config:
+            return found
+    birth, arena, mass = config.birth, config.arena, inflow(config.run.dt, config.filter, config.arena)
+    count, salt = birth.background_particles, np.uint64(key(config.run.seed, "background", tick))
+    if not birth.background or mass <= 0.0:
+        return NONE
+    states, ids = birth_kernels.background(count, birth.on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
+    _BORN.append((config, tick, Particles(states, np.full(count, mass / count), ids)))
+    return births(step)
 
 
 def predict(particles: Particles, step: Step) -> Particles:
@@ -197,6 +215,7 @@ FAST = Arithmetic(
     cut_all=cut_all,
     distances=distances,
     owned=owned,
+    births=births,
     predict=predict,
     gather=gather,
     update=update,

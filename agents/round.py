@@ -12,13 +12,11 @@ import numpy as np
 
 from agents.arithmetic import Arithmetic, Refreshed, Task
 from agents.belief import NO_CLAIM, Belief, Copies, Round, Share
-from agents.births import background_births
 from agents.capacity import SensorFacts, power_radius, unused_capacity
 from agents.cells import NO_CELL, Cell, Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation
 from agents.neighbours import LOCAL_VIEW, Far, Neighbours
-from agents.particles import Particles
 from agents.step import Step
 from agents.words import Words, side_by_side
 from protocol.geometry import EMPTY, polygon_centroid
@@ -69,7 +67,7 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
     cell = _own_cell(me, speaking, neighbours.far)
     claim = _claim(speaking, cell, neighbours.far)
     told = last.belief.awake(step, arithmetic).merge(words, tick, arithmetic, config)
-    near = arithmetic.refresh(Task(me.name, me.sensor, mine.pose, told, words, _births(step), cell.polygon, claim, step))
+    near = arithmetic.refresh(Task(me.name, me.sensor, mine.pose, told, words, arithmetic.births(step), cell.polygon, claim, step))
     updated, kept = near.updated, near.kept
     return Outcome(
         belief=Belief(
@@ -134,11 +132,6 @@ def _claim(speaking: Words, cell: Cell, far: Far) -> Claim:
     names = tuple([everybody[index] for index in cell.bounds])
     generators = np.vstack([speaking.generators, np.column_stack([far.points, far.radii])])[bounds]
     return make_claim(names, generators, tuple([order(name) for name in names]))
-
-
-def _births(step: Step) -> Particles:
-    config = step.config
-    return background_births(config.run.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
 
 
 def _centroid(near: Refreshed, cell: Cell) -> tuple[float, float] | None:

@@ -138,6 +138,14 @@ def test_distances(seed: int, count: int, places: int) -> None:
     assert_same("distances", EMPTY, where)
 
 
+@given(seeds, st.integers(1, 200), st.floats(0.0, 1.0), st.booleans())
+@some
+def test_births(seed: int, count: int, share: float, wanted: bool) -> None:
+    birth = BirthSettings(background_particles=count, border_share=share, background=wanted)
+    run, arena = RunSettings(seed=seed, dt=0.5), ArenaSettings(width=SIDE, height=2.0 * SIDE)
+    assert_same("births", Step(AgentConfig(run=run, arena=arena, birth=birth), seed % 1000))
+
+
 @given(seeds, st.integers(0, 60), st.sampled_from(["cross", "reflect"]), st.floats(0.0, 2.0))
 @some
 def test_predict(seed: int, count: int, border: str, noise: float) -> None:
