@@ -26,7 +26,9 @@ pytestmark = [
 ]
 LONG = ("up", "quick", "--seconds", "1000", "--rate", "2", "--page", "0", "--set", "network.link_faults=true")
 PATIENCE = 120_000.0  # ms; reached only when something hangs
-BUSY = 10.0  # times the limits that the page promises: other tests run beside this one
+KILL_SECONDS = 2.0  # from the click until the body is grey, its cell taken over, and the time line says so
+ALIVE_SECONDS = 5.0  # from the address of the demo until the page is alive
+BUSY = 5.0  # times the limits that the page promises: other tests run beside this one; docs/watching.md has what a quiet machine takes
 
 
 @pytest.fixture
@@ -85,7 +87,9 @@ def test_bodies_move_and_a_click_kills(covey: Covey, page: Any) -> None:
     until(page, f"document.querySelector('#row-s2.dead') && {happened('lost', 's2')}")
     until(page, "covey.frame.agents.find((agent) => agent.name === 's2').cell.length === 0 && covey.frame.score[6] < 1e-6")
     until(page, "document.querySelector('#log').textContent.includes('s2 is gone')")
-    assert time.monotonic() - clicked < 2.0 * BUSY
+    taken = time.monotonic() - clicked
+    print(f"from the click to the cell taken over: {taken:.2f} s")  # shown by pytest -s
+    assert taken < KILL_SECONDS * BUSY
     assert rows(covey.wait(lambda data: rows(data)["s2"]["state"] == "dead"))["s2"]["end"] == "killed by SIGKILL"
 
     page.click("#belief [data-verb=restart]")
@@ -114,7 +118,9 @@ def test_the_page_of_the_demo_is_the_first_thing_said_and_is_alive_soon(covey: C
     said = time.monotonic()
     page.goto(url)
     until(page, "document.querySelector('#link').textContent === 'live' && document.querySelectorAll('#roster tbody tr').length === 16")
-    assert time.monotonic() - said < 5.0 * BUSY
+    taken = time.monotonic() - said
+    print(f"from the address to the page that is alive: {taken:.2f} s")
+    assert taken < ALIVE_SECONDS * BUSY
     until(page, "covey.frame && covey.frame.tick > 4 && covey.frame.agents.every((agent) => agent.state === 'alive')")
 
 
