@@ -5,7 +5,7 @@ built is well-formed in type and range; what only the context can tell (sender a
 checked where bytes enter, in `codec` and in the agent. All lengths in m, times in s, angles in rad.
 """
 
-from typing import Annotated, Any, Union
+from typing import Annotated, Any, NamedTuple, Union
 
 import msgspec
 import numpy as np
@@ -22,8 +22,7 @@ LARGEST_AREA = FARTHEST**2  # m^2
 LEAST_RADIUS, LEAST_ANGLE, LARGEST_ANGLE = 1.0e-3, 1.0e-6, 7.0  # of a sensor, m and rad
 LATEST = 1.0e12  # no world time is larger, s
 
-_F4x2, _F4x4 = np.dtype(("<f4", (2,))), np.dtype(("<f4", (4,)))  # types of rows
-_F8x2, _F8x3, _U8 = np.dtype(("<f8", (2,))), np.dtype(("<f8", (3,))), np.dtype("<u8")
+_F4, _F8, _U8 = np.dtype("<f4"), np.dtype("<f8"), np.dtype("<u8")
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -41,13 +40,28 @@ class Malformed(ValueError):
         self.reason = reason
 
 
-def _array(data: bytes, row: np.dtype, field: str, most: int) -> np.ndarray:
-    """The rows of `data`; `row` is the type of one."""
-    if len(data) % row.itemsize:
-        raise Malformed("shape", f"{field}: {len(data)} bytes are no whole number of rows of {row.itemsize} bytes")
-    if len(data) > most * row.itemsize:
-        raise Malformed("size", f"{field}: {len(data) // row.itemsize} rows, at most {most} are allowed")
-    return np.frombuffer(data, row)
+class Rows(NamedTuple):
+    """How an array travels: the type of its numbers, how many make a row, and how many rows there may be."""
+
+    field: str
+    number: np.dtype
+    columns: int
+    most: int
+
+    def count(self, data: bytes) -> int:
+        """How many rows there are."""
+        rows, rest = divmod(len(data), self.number.itemsize * self.columns)
+        if rest:
+            size = self.number.itemsize * self.columns
+            raise Malformed("shape", f"{self.field}: {len(data)} bytes are no whole number of rows of {size} bytes")
+        if rows > self.most:
+            raise Malformed("size", f"{self.field}: {rows} rows, at most {self.most} are allowed")
+        return rows
+
+    def read(self, data: bytes) -> np.ndarray:
+        """The rows, read-only: (N, columns), or (N,) if there is one column."""
+        flat = np.frombuffer(data, self.number)
+        return flat.reshape(self.count(data), self.columns) if self.columns > 1 else flat
 
 
 def _check_number(field: str, value: float, least: float = -FARTHEST, most: float = FARTHEST) -> None:
@@ -69,14 +83,25 @@ def _check_vector(field: str, values: Vector | Triple) -> None:
             raise Malformed("range", f"{field} = {values}: every number should be finite and within +-{FARTHEST:g}")
 
 
-def _check_array(field: str, array: np.ndarray) -> None:
-    """Refuse arrays with NaN, infinity or anything beyond `FARTHEST`.
+def _check_rows(rows: Rows, data: bytes) -> int:
+    """Refuse NaN, infinity and anything beyond `FARTHEST`; how many rows there are.
 
     A sum of squares below half the bound squared proves it for the whole array in one pass (its rounding error is below 1 %,
     and NaN compares false); only a larger sum needs the look at every number.
     """
-    if not np.vdot(array, array) < 0.5 * FARTHEST**2 and not bool(np.all(np.abs(array) <= FARTHEST)):
-        raise Malformed("range", f"{field}: every number should be finite and within +-{FARTHEST:g}")
+    if not data:
+        return 0
+    count = rows.count(data)
+    flat = np.frombuffer(data, rows.number)
+    if not np.vdot(flat, flat) < 0.5 * FARTHEST**2 and not bool(np.all(np.abs(flat) <= FARTHEST)):
+        raise Malformed("range", f"{rows.field}: every number should be finite and within +-{FARTHEST:g}")
+    return count
+
+
+DETECTIONS, STATES = Rows("detections", _F4, 2, MAX_DETECTIONS), Rows("states", _F4, 4, MAX_PARTICLES)
+CLAIM, CELL = Rows("claim", _F8, 3, MAX_NAMES), Rows("cell", _F8, 2, MAX_NAMES)
+TARGETS, POSES = Rows("targets", _F8, 2, MAX_DETECTIONS), Rows("poses", _F8, 3, MAX_NAMES)
+IDS, TARGET_IDS = Rows("ids", _U8, 1, MAX_PARTICLES), Rows("ids", _U8, 1, MAX_DETECTIONS)
 
 
 def pack(array: np.ndarray, dtype: str) -> bytes:
@@ -169,37 +194,37 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     @once
     def detections(self) -> np.ndarray:
         """(M, 2) float32."""
-        return _array(self.detections_bytes, _F4x2, "detections", MAX_DETECTIONS)
+        return DETECTIONS.read(self.detections_bytes)
 
     @once
     def claim(self) -> np.ndarray:
         """(G, 3) float64."""
-        return _array(self.claim_bytes, _F8x3, "claim", MAX_NAMES)
+        return CLAIM.read(self.claim_bytes)
 
     @once
     def states(self) -> np.ndarray:
         """(N, 4) float32."""
-        return _array(self.states_bytes, _F4x4, "states", MAX_PARTICLES)
+        return STATES.read(self.states_bytes)
 
     @once
     def ids(self) -> np.ndarray:
         """(N,) uint64, ascending."""
-        return _array(self.ids_bytes, _U8, "ids", MAX_PARTICLES)
+        return IDS.read(self.ids_bytes)
 
     def check(self) -> None:
         self._check_numbers()
-        detections, claim, states, ids = self.detections, self.claim, self.states, self.ids
-        _check_array("detections", detections)
-        _check_array("claim", claim)
-        _check_array("states", states)
-        self._check_claim()
-        if len(ids) != len(states):
-            raise Malformed("shape", f"ids: {len(ids)} ids for {len(states)} states")
-        if 0 in (ids[1:] > ids[:-1]).tobytes():
-            raise Malformed("range", "ids: should be strictly ascending")
+        _check_rows(DETECTIONS, self.detections_bytes)
+        self._check_claim(_check_rows(CLAIM, self.claim_bytes))
+        states, count = _check_rows(STATES, self.states_bytes), IDS.count(self.ids_bytes)
+        if count != states:
+            raise Malformed("shape", f"ids: {count} ids for {states} states")
+        if count > 1:
+            ids = np.frombuffer(self.ids_bytes, _U8)
+            if 0 in (ids[1:] > ids[:-1]).tobytes():
+                raise Malformed("range", "ids: should be strictly ascending")
 
     def _check_numbers(self) -> None:
-        """One sum of magnitudes proves all numbers at once, as in `_check_array`; only where it does not each is looked at."""
+        """One sum of magnitudes proves all numbers at once, as in `_check_rows`; only where it does not each is looked at."""
         (x, y, heading), (east, north) = self.pose, self.cod
         total = abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + self.power_radius + self.weight
         if total < 0.5 * FARTHEST and min(self.power_radius, self.weight) >= 0.0 and 0.0 <= self.unused <= LARGEST_AREA:
@@ -210,9 +235,9 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         _check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
         _check_number("weight", self.weight, least=0.0)
 
-    def _check_claim(self) -> None:
-        if len(self.claim_names) != len(self.claim):
-            raise Malformed("shape", f"claim_names: {len(self.claim_names)} names for {len(self.claim)} generators")
+    def _check_claim(self, generators: int) -> None:
+        if len(self.claim_names) != generators:
+            raise Malformed("shape", f"claim_names: {len(self.claim_names)} names for {generators} generators")
         if self.claim_names and self.claim_names[0] != self.sender:
             raise Malformed("sender", f"claim_names: the first should be the sender, not {self.claim_names[0][:64]!r}")
         if self.states_bytes and not self.claim_names:
@@ -233,12 +258,12 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
     @once
     def detections(self) -> np.ndarray:
         """(M, 2) float32."""
-        return _array(self.detections_bytes, _F4x2, "detections", MAX_DETECTIONS)
+        return DETECTIONS.read(self.detections_bytes)
 
     def check(self) -> None:
         _check_number("time", self.time, -LATEST, LATEST)
         _check_vector("pose", self.pose)
-        _check_array("detections", self.detections)
+        _check_rows(DETECTIONS, self.detections_bytes)
 
 
 class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
@@ -273,12 +298,12 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     @once
     def cell(self) -> np.ndarray:
         """(V, 2) float64."""
-        return _array(self.cell_bytes, _F8x2, "cell", MAX_NAMES)
+        return CELL.read(self.cell_bytes)
 
     @once
     def targets(self) -> np.ndarray:
         """(M, 2) float64."""
-        return _array(self.targets_bytes, _F8x2, "targets", MAX_DETECTIONS)
+        return TARGETS.read(self.targets_bytes)
 
     def check(self) -> None:
         _check_vector("pose", self.pose)
@@ -288,8 +313,8 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
         _check_number("mass", self.mass, least=0.0)
         _check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
         _check_number("round_seconds", self.round_seconds, least=0.0, most=LATEST)
-        _check_array("cell", self.cell)
-        _check_array("targets", self.targets)
+        _check_rows(CELL, self.cell_bytes)
+        _check_rows(TARGETS, self.targets_bytes)
 
 
 class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
@@ -307,23 +332,22 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
     @once
     def targets(self) -> np.ndarray:
         """(T, 2) float64."""
-        return _array(self.targets_bytes, _F8x2, "targets", MAX_DETECTIONS)
+        return TARGETS.read(self.targets_bytes)
 
     @once
     def ids(self) -> np.ndarray:
         """(T,) uint64."""
-        return _array(self.ids_bytes, _U8, "ids", MAX_DETECTIONS)
+        return TARGET_IDS.read(self.ids_bytes)
 
     @once
     def poses(self) -> np.ndarray:
         """(B, 3) float64."""
-        return _array(self.poses_bytes, _F8x3, "poses", MAX_NAMES)
+        return POSES.read(self.poses_bytes)
 
     def check(self) -> None:
         _check_number("time", self.time, -LATEST, LATEST)
-        _check_array("targets", self.targets)
-        _check_array("poses", self.poses)
-        if len(self.ids) != len(self.targets) or len(self.poses) != len(self.bodies):
+        targets, poses = _check_rows(TARGETS, self.targets_bytes), _check_rows(POSES, self.poses_bytes)
+        if TARGET_IDS.count(self.ids_bytes) != targets or poses != len(self.bodies):
             raise Malformed("shape", "one id per target, one pose per body")
 
 
