@@ -17,7 +17,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, cast
 
+import mcap.writer
 import msgspec
+import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
 from deploy.records.growing import GrowingFile
@@ -33,11 +35,24 @@ FLUSH_SECONDS = 0.9
 CHUNK_SECONDS = 5.0  # of the world; larger chunks save nothing more
 CHUNK_BYTES = 1 << 22  # of payload
 WRITER_BYTES = 1 << 40  # the writers are never to close a chunk by themselves
+LEVEL = 6  # of zstd: the file is 3 % smaller than at the library's 3, at 4 ms more for a MB; higher levels save nothing more
 PROFILE = "covey"
 ABOUT, FAULT = "covey", "covey.fault"  # names of metadata records
 TOKEN_SCHEMA = {"title": "Token", "type": "object", "properties": {"alive": {"type": "boolean"}}, "required": ["alive"]}
 
 log = logging.getLogger(__name__)
+
+
+class Compressor:
+    """Stands where the MCAP writer, which lets nobody choose a level, looks for `zstandard`."""
+
+    @staticmethod
+    def compress(data: bytes) -> bytes:
+        """One frame of zstd."""
+        return zstandard.compress(data, level=LEVEL)
+
+
+mcap.writer.zstandard = Compressor  # type: ignore[assignment]
 
 
 class Tail:

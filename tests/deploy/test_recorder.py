@@ -8,7 +8,10 @@ from pathlib import Path
 import msgpack
 import msgspec
 import pytest
+import zstandard
 from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 
 from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.recorder import CHUNK_SECONDS, Recorder, message_schema
@@ -124,6 +127,16 @@ def test_scores_are_written_with_every_digit(tmp_path: Path) -> None:
     head, *lines = (tmp_path / "scores.csv").read_text(encoding="utf-8").splitlines()
     column = head.split(",").index("ospa")
     assert [float(line.split(",")[column]) for line in lines] == [score.ospa for score in simulation.scorer.scores]
+
+
+def test_chunks_are_smaller_than_the_mcap_library_makes_them_by_itself(tmp_path: Path) -> None:
+    recorded_run(tmp_path / "a.mcap", scenario())
+    with (tmp_path / "a.mcap").open("rb") as file:
+        chunks = [record for record in StreamReader(file, emit_chunks=True).records if isinstance(record, Chunk)]
+    assert len(chunks) == 2
+    for chunk in chunks:
+        whole = zstandard.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+        assert len(chunk.data) < 0.99 * len(zstandard.compress(whole))
 
 
 @pytest.mark.parametrize("cut", [1, 9, 100, 2000])
