@@ -18,9 +18,10 @@ from agents.neighbours import Neighbours
 from agents.particles import NONE
 from agents.round import Outcome, Self, play
 from agents.words import learn
+from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.keys import all_of, one_of, tokens_of
-from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, pack
+from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
 from protocol.sensing import WedgeSensor
@@ -107,10 +108,7 @@ class Agent:
         """What I listen to from the beginning."""
         if not self.local:
             return [all_of(self.run, "hello"), all_of(self.run, "gossip")]
-        return [one_of(self.run, "hello", "world"), *(tokens_of(self.run, role, name) for role, name in self._own_tokens())]
-
-    def _own_tokens(self) -> list[tuple[str, str]]:
-        return [("agent", self.name), ("world", "world")]
+        return [one_of(self.run, "hello", "world"), tokens_of(self.run, "agent", self.name), tokens_of(self.run, "world", "world")]
 
     @property
     def awaiting(self) -> int:
@@ -226,9 +224,12 @@ class Agent:
             effects += self._settle(now)
         return effects
 
-    def _look_out(self, lookout: Lookout, gossip: Gossip) -> list[Effect]:
+    def _look_out(self, lookout: Lookout, gossip: Gossip, now: float) -> list[Effect]:
         """What follows from a round for who hears me and whom I hear."""
-        effects = [*lookout.foretell(gossip, self.outcome), *lookout.turn(gossip, self.outcome)]
+        doubts = lookout.doubt(gossip.tick, now)
+        if doubts:
+            self.counters["reopened"] += 1
+        effects = [*lookout.foretell(gossip, self.outcome), *lookout.turn(gossip, self.outcome), *doubts]
         self.outcome.belief.everyone &= self.neighbours.circle.keys() | {self.name}
         return effects
 
@@ -251,7 +252,7 @@ class Agent:
         self._observation = self._gossip = self._close_at = None
         velocity, turn_rate = self.outcome.command
         command = Command(sender=self.name, incarnation=self.incarnation, tick=self.tick, velocity=velocity, turn_rate=turn_rate)
-        effects = self._look_out(self._lookout, gossip) if self._lookout else []
+        effects = self._look_out(self._lookout, gossip, now) if self._lookout else []
         if self.tick % self.config.timing.estimate_every:
             return [*effects, command]
         return [*effects, self._estimate(gossip, now), command]

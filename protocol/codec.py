@@ -2,8 +2,9 @@
 
 import msgspec
 
+from protocol.fields import Malformed
 from protocol.keys import Key, parse_message_key
-from protocol.messages import KINDS, WIRE_VERSION, Beacon, Malformed, Message, Observation
+from protocol.messages import KINDS, WIRE_VERSION, Beacon, Message, Observation
 
 MAX_BYTES = 512 * 1024
 

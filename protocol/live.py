@@ -25,10 +25,11 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files
+from protocol.fields import Malformed
 from protocol.inbox import Arrival, Flow, Inbox, Quarantine, awaited, patient_kind
 from protocol.linger import Sockets
 from protocol.links import LinkFaults
-from protocol.messages import Malformed, Message
+from protocol.messages import Message
 from protocol.node import Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, sees_all_tokens
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin

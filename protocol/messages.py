@@ -5,25 +5,37 @@ built is well-formed in type and range; what only the context can tell (sender a
 checked where bytes enter, in `codec` and in the agent. All lengths in m, times in s, angles in rad.
 """
 
-from typing import Annotated, Any, NamedTuple, Union
+from typing import Annotated, Any, Union
 
 import msgspec
 import numpy as np
 
+from protocol.fields import (
+    CELL,
+    CLAIM,
+    DETECTIONS,
+    FARTHEST,
+    IDS,
+    LARGEST_ANGLE,
+    LARGEST_AREA,
+    LATEST,
+    LEAST_ANGLE,
+    LEAST_RADIUS,
+    MAX_NAMES,
+    POSES,
+    STATES,
+    TARGET_IDS,
+    TARGETS,
+    U8,
+    Malformed,
+    check_number,
+    check_rows,
+    check_vector,
+)
 from protocol.once import once
 from protocol.sensing import WedgeSensor
 
 WIRE_VERSION = 1
-MAX_DETECTIONS = 8192
-MAX_PARTICLES = 8192
-MAX_NAMES = 8192
-FARTHEST = 1.0e6  # no coordinate of an arena is larger, m
-LARGEST_AREA = FARTHEST**2  # m^2
-LEAST_RADIUS, LEAST_ANGLE, LARGEST_ANGLE = 1.0e-3, 1.0e-6, 7.0  # of a sensor, m and rad
-LATEST = 1.0e12  # no world time is larger, s
-
-_F4, _F8, _U8 = np.dtype("<f4"), np.dtype("<f8"), np.dtype("<u8")
-
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
@@ -32,81 +44,11 @@ Vector = tuple[float, float]
 Triple = tuple[float, float, float]
 
 
-class Malformed(ValueError):
-    """A message breaks a rule; `reason` is one word for the counters, the text names the field."""
-
-    def __init__(self, reason: str, text: str) -> None:
-        super().__init__(text)
-        self.reason = reason
-
-
-class Rows(NamedTuple):
-    """How an array travels: the type of its numbers, how many make a row, and how many rows there may be."""
-
-    field: str
-    number: np.dtype
-    columns: int
-    most: int
-
-    def count(self, data: bytes) -> int:
-        """How many rows there are."""
-        rows, rest = divmod(len(data), self.number.itemsize * self.columns)
-        if rest:
-            size = self.number.itemsize * self.columns
-            raise Malformed("shape", f"{self.field}: {len(data)} bytes are no whole number of rows of {size} bytes")
-        if rows > self.most:
-            raise Malformed("size", f"{self.field}: {rows} rows, at most {self.most} are allowed")
-        return rows
-
-    def read(self, data: bytes) -> np.ndarray:
-        """The rows, read-only: (N, columns), or (N,) if there is one column."""
-        flat = np.frombuffer(data, self.number)
-        return flat.reshape(self.count(data), self.columns) if self.columns > 1 else flat
-
-
-def _check_number(field: str, value: float, least: float = -FARTHEST, most: float = FARTHEST) -> None:
-    """Refuse NaN, infinity and anything outside [least, most]: one bad float would win every comparison downstream."""
-    if not least <= value <= most:
-        raise Malformed("range", f"{field} = {value}: should be a finite number from {least:g} to {most:g}")
-
-
-def _check_sensor(sensor: WedgeSensor | None) -> None:
+def check_sensor(sensor: WedgeSensor | None) -> None:
     """An announced sensor covers some area: what is divided by it must stay finite."""
     if sensor is not None:
-        _check_number("sensor.radius", sensor.radius, least=LEAST_RADIUS)
-        _check_number("sensor.angle", sensor.angle, least=LEAST_ANGLE, most=LARGEST_ANGLE)
-
-
-def _check_vector(field: str, values: Vector | Triple) -> None:
-    for value in values:
-        if not -FARTHEST <= value <= FARTHEST:
-            raise Malformed("range", f"{field} = {values}: every number should be finite and within +-{FARTHEST:g}")
-
-
-def _check_rows(rows: Rows, data: bytes) -> int:
-    """Refuse NaN, infinity and anything beyond `FARTHEST`; how many rows there are.
-
-    A sum of squares below half the bound squared proves it for the whole array in one pass (its rounding error is below 1 %,
-    and NaN compares false); only a larger sum needs the look at every number.
-    """
-    if not data:
-        return 0
-    count = rows.count(data)
-    flat = np.frombuffer(data, rows.number)
-    if not np.vdot(flat, flat) < 0.5 * FARTHEST**2 and not bool(np.all(np.abs(flat) <= FARTHEST)):
-        raise Malformed("range", f"{rows.field}: every number should be finite and within +-{FARTHEST:g}")
-    return count
-
-
-DETECTIONS, STATES = Rows("detections", _F4, 2, MAX_DETECTIONS), Rows("states", _F4, 4, MAX_PARTICLES)
-CLAIM, CELL = Rows("claim", _F8, 3, MAX_NAMES), Rows("cell", _F8, 2, MAX_NAMES)
-TARGETS, POSES = Rows("targets", _F8, 2, MAX_DETECTIONS), Rows("poses", _F8, 3, MAX_NAMES)
-IDS, TARGET_IDS = Rows("ids", _U8, 1, MAX_PARTICLES), Rows("ids", _U8, 1, MAX_DETECTIONS)
-
-
-def pack(array: np.ndarray, dtype: str) -> bytes:
-    """The little-endian bytes of an array, row by row."""
-    return np.ascontiguousarray(array, dtype=dtype).tobytes()
+        check_number("sensor.radius", sensor.radius, least=LEAST_RADIUS)
+        check_number("sensor.angle", sensor.angle, least=LEAST_ANGLE, most=LARGEST_ANGLE)
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, tag_field="type"):
@@ -138,9 +80,9 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     local: bool = False  # True: I hear the world's Hello alone and know my peers by their beacons
 
     def check(self) -> None:
-        _check_number("max_speed", self.max_speed, least=0.0)
-        _check_number("max_turn_rate", self.max_turn_rate, least=0.0)
-        _check_sensor(self.sensor)
+        check_number("max_speed", self.max_speed, least=0.0)
+        check_number("max_turn_rate", self.max_turn_rate, least=0.0)
+        check_sensor(self.sensor)
         if len(self.heard) > MAX_NAMES:
             raise Malformed("size", f"heard: {len(self.heard)} names, at most {MAX_NAMES} are allowed")
 
@@ -165,11 +107,11 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
         return self.column, self.row
 
     def check(self) -> None:
-        _check_sensor(self.sensor)
-        _check_vector("position", self.position)
-        _check_vector("cod", self.cod)
-        _check_number("power_radius", self.power_radius, least=0.0)
-        _check_number("reach", self.reach, least=0.0)
+        check_sensor(self.sensor)
+        check_vector("position", self.position)
+        check_vector("cod", self.cod)
+        check_number("power_radius", self.power_radius, least=0.0)
+        check_number("reach", self.reach, least=0.0)
 
 
 class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
@@ -213,27 +155,27 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
     def check(self) -> None:
         self._check_numbers()
-        _check_rows(DETECTIONS, self.detections_bytes)
-        self._check_claim(_check_rows(CLAIM, self.claim_bytes))
-        states, count = _check_rows(STATES, self.states_bytes), IDS.count(self.ids_bytes)
+        check_rows(DETECTIONS, self.detections_bytes)
+        self._check_claim(check_rows(CLAIM, self.claim_bytes))
+        states, count = check_rows(STATES, self.states_bytes), IDS.count(self.ids_bytes)
         if count != states:
             raise Malformed("shape", f"ids: {count} ids for {states} states")
         if count > 1:
-            ids = np.frombuffer(self.ids_bytes, _U8)
+            ids = np.frombuffer(self.ids_bytes, U8)
             if 0 in (ids[1:] > ids[:-1]).tobytes():
                 raise Malformed("range", "ids: should be strictly ascending")
 
     def _check_numbers(self) -> None:
-        """One sum of magnitudes proves all numbers at once, as in `_check_rows`; only where it does not each is looked at."""
+        """One sum of magnitudes proves all numbers at once, as in `check_rows`; only where it does not each is looked at."""
         (x, y, heading), (east, north) = self.pose, self.cod
         total = abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + self.power_radius + self.weight
         if total < 0.5 * FARTHEST and min(self.power_radius, self.weight) >= 0.0 and 0.0 <= self.unused <= LARGEST_AREA:
             return
-        _check_vector("pose", self.pose)
-        _check_vector("cod", self.cod)
-        _check_number("power_radius", self.power_radius, least=0.0)
-        _check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
-        _check_number("weight", self.weight, least=0.0)
+        check_vector("pose", self.pose)
+        check_vector("cod", self.cod)
+        check_number("power_radius", self.power_radius, least=0.0)
+        check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
+        check_number("weight", self.weight, least=0.0)
 
     def _check_claim(self, generators: int) -> None:
         if len(self.claim_names) != generators:
@@ -261,9 +203,9 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
         return DETECTIONS.read(self.detections_bytes)
 
     def check(self) -> None:
-        _check_number("time", self.time, -LATEST, LATEST)
-        _check_vector("pose", self.pose)
-        _check_rows(DETECTIONS, self.detections_bytes)
+        check_number("time", self.time, -LATEST, LATEST)
+        check_vector("pose", self.pose)
+        check_rows(DETECTIONS, self.detections_bytes)
 
 
 class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
@@ -274,8 +216,8 @@ class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
     turn_rate: float  # rad/s, counter-clockwise
 
     def check(self) -> None:
-        _check_vector("velocity", self.velocity)
-        _check_number("turn_rate", self.turn_rate)
+        check_vector("velocity", self.velocity)
+        check_number("turn_rate", self.turn_rate)
 
 
 class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
@@ -306,15 +248,15 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
         return TARGETS.read(self.targets_bytes)
 
     def check(self) -> None:
-        _check_vector("pose", self.pose)
-        _check_vector("cod", self.cod)
-        _check_number("power_radius", self.power_radius, least=0.0)
-        _check_number("load", self.load, least=0.0)
-        _check_number("mass", self.mass, least=0.0)
-        _check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
-        _check_number("round_seconds", self.round_seconds, least=0.0, most=LATEST)
-        _check_rows(CELL, self.cell_bytes)
-        _check_rows(TARGETS, self.targets_bytes)
+        check_vector("pose", self.pose)
+        check_vector("cod", self.cod)
+        check_number("power_radius", self.power_radius, least=0.0)
+        check_number("load", self.load, least=0.0)
+        check_number("mass", self.mass, least=0.0)
+        check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
+        check_number("round_seconds", self.round_seconds, least=0.0, most=LATEST)
+        check_rows(CELL, self.cell_bytes)
+        check_rows(TARGETS, self.targets_bytes)
 
 
 class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
@@ -345,8 +287,8 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
         return POSES.read(self.poses_bytes)
 
     def check(self) -> None:
-        _check_number("time", self.time, -LATEST, LATEST)
-        targets, poses = _check_rows(TARGETS, self.targets_bytes), _check_rows(POSES, self.poses_bytes)
+        check_number("time", self.time, -LATEST, LATEST)
+        targets, poses = check_rows(TARGETS, self.targets_bytes), check_rows(POSES, self.poses_bytes)
         if TARGET_IDS.count(self.ids_bytes) != targets or poses != len(self.bodies):
             raise Malformed("shape", "one id per target, one pose per body")
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from protocol import codec
+from protocol.fields import Malformed
 from protocol.keys import is_of_tokens, message_key, token_key, tokens_of
-from protocol.messages import Command, Malformed, Message, Observation
+from protocol.messages import Command, Message, Observation
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.node import sees_all_tokens as sees_all
 from protocol.routes import Routes

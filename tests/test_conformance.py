@@ -15,9 +15,10 @@ import msgpack
 import pytest
 
 from protocol.codec import decode, encode
+from protocol.fields import Malformed
 from protocol.keys import message_key
 from protocol.live import session_config
-from protocol.messages import KINDS, WIRE_VERSION, Beacon, Command, Estimate, Gossip, Hello, Malformed, Message, Observation, Truth
+from protocol.messages import KINDS, WIRE_VERSION, Beacon, Command, Estimate, Gossip, Hello, Message, Observation, Truth
 from protocol.sensing import WedgeSensor
 from protocol.settings import NetworkSettings
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from protocol import codec, process
+from protocol.fields import Malformed
 from protocol.keys import all_of
-from protocol.messages import Malformed, Truth
+from protocol.messages import Truth
 from protocol.node import Effect, Event
 from protocol.settings import BadSetting
 from world.config import WorldConfig

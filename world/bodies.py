@@ -5,8 +5,9 @@ Plain scalar arithmetic throughout, so that the same commands give the same pose
 
 import math
 
+from protocol.fields import FARTHEST
 from protocol.geometry import wrap_angle
-from protocol.messages import FARTHEST, Command, Vector
+from protocol.messages import Command, Vector
 from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
 from protocol.streams import key, stream

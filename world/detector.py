@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from protocol.messages import MAX_DETECTIONS
+from protocol.fields import MAX_DETECTIONS
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import DetectionSettings
 from protocol.streams import key, scramble, uniform

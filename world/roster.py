@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable
 
-from protocol.messages import MAX_NAMES, Hello
+from protocol.fields import MAX_NAMES
+from protocol.messages import Hello
 
 
 class Roster:

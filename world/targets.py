@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from protocol.messages import MAX_DETECTIONS
+from protocol.fields import MAX_DETECTIONS
 from protocol.settings import ArenaSettings, BadSetting, load_named
 from protocol.streams import key, normal, scramble, stream
 from world.config import TargetSettings

@@ -6,8 +6,9 @@ A tick k: publish Observation(k) to every agent that is alive, and Truth(k); the
 
 import numpy as np
 
+from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
-from protocol.messages import MAX_NAMES, Command, Hello, Observation, Truth, pack
+from protocol.messages import Command, Hello, Observation, Truth
 from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
 from protocol.sensing import Pose, SensorModel

@@ -23,8 +23,8 @@ from deploy.result import Fault
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import runs_folder
 from protocol import codec
+from protocol.fields import Malformed
 from protocol.keys import parse_token
-from protocol.messages import Malformed
 from protocol.node import Alive, Event, Gone, Received, Rejected
 from protocol.settings import BadSetting, convert
 

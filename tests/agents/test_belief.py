@@ -10,8 +10,9 @@ from agents.config import AgentConfig, TimingSettings
 from agents.particles import NONE, Particles, canonical, join
 from agents.step import Step
 from agents.words import Words, learn, particles_of, side_by_side
+from protocol.fields import pack
 from protocol.keys import order
-from protocol.messages import Gossip, pack
+from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings
 

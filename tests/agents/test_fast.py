@@ -15,8 +15,9 @@ from agents.config import AgentConfig, BirthSettings, ExtractionSettings, Filter
 from agents.particles import NONE, Particles, join, select
 from agents.step import Step
 from agents.words import Words, learn
+from protocol.fields import pack
 from protocol.geometry import EMPTY, rectangle
-from protocol.messages import Gossip, pack
+from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 from protocol.streams import scramble

@@ -5,7 +5,8 @@ import pytest
 
 from agents.config import AgentConfig, PartitionSettings
 from agents.words import Words, learn, side_by_side
-from protocol.messages import Gossip, pack
+from protocol.fields import pack
+from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
 from protocol.streams import key
 

@@ -8,8 +8,9 @@ import pytest
 
 from deploy.monitor_node import Scorer, hole_and_overlap
 from deploy.scenario import Scenario, resolve
+from protocol.fields import pack
 from protocol.geometry import polygon_area
-from protocol.messages import Estimate, Gossip, Truth, pack
+from protocol.messages import Estimate, Gossip, Truth
 from protocol.node import Alive, Gone, Received, Started, Subscribe
 
 LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])

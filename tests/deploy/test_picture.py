@@ -11,7 +11,8 @@ from deploy.monitor.frames import belief, density_grid, frame, greeting, moment
 from deploy.monitor.picture import Picture, silent_after
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
-from protocol.messages import Gossip, Hello, Message, Truth, pack
+from protocol.fields import pack
+from protocol.messages import Gossip, Hello, Message, Truth
 from protocol.node import Alive, Gone, Received, Rejected
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from deploy.scenario import Scenario, resolve
 from deploy.scores import Coverage, Score, hole_and_overlap, share_in_view, steady_part, why
-from protocol.messages import Truth, pack
+from protocol.fields import pack
+from protocol.messages import Truth
 
 
 @pytest.fixture

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from protocol import codec
+from protocol.fields import Malformed, pack
 from protocol.keys import message_key
-from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Malformed, Message, Observation, Truth, pack
+from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, Truth
 from protocol.sensing import SENSOR_CLASSES
 
 REASONS = frozenset({"key", "size", "format", "version", "shape", "range", "sender"})

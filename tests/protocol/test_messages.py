@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from protocol.messages import FARTHEST, KINDS, Beacon, Command, Estimate, Gossip, Hello, Malformed, Message, Observation, Truth, pack
+from protocol.fields import FARTHEST, Malformed, pack
+from protocol.messages import KINDS, Beacon, Command, Estimate, Gossip, Hello, Message, Observation, Truth
 from protocol.sensing import SENSOR_CLASSES
 
 GOSSIP = Gossip(

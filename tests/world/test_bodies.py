@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from protocol.messages import FARTHEST, Command
+from protocol.fields import FARTHEST
+from protocol.messages import Command
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
 from world.bodies import Bodies, check_given, clip_velocity, integrate, start_pose
 from world.config import BodySettings, WorldConfig

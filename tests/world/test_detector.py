@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from protocol.messages import MAX_DETECTIONS
+from protocol.fields import MAX_DETECTIONS
 from protocol.sensing import SENSOR_CLASSES, Pose, SensorModel, WedgeSensor
 from protocol.settings import DetectionSettings
 from world import detector as detector_module

@@ -1,6 +1,7 @@
 """The roster knows who is there and who has spoken, whatever the order in which tokens and Hellos arrive."""
 
-from protocol.messages import MAX_NAMES, Hello
+from protocol.fields import MAX_NAMES
+from protocol.messages import Hello
 from world.roster import Roster
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from protocol.messages import MAX_DETECTIONS
+from protocol.fields import MAX_DETECTIONS
 from protocol.settings import ArenaSettings, BadSetting
 from protocol.streams import stream
 from world.config import TargetSettings

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from protocol import codec
-from protocol.messages import Truth, pack
+from protocol.fields import pack
+from protocol.messages import Truth
 from protocol.node import Alive, Started, Timer
 from protocol.settings import BadSetting, RunSettings
 from world.__main__ import KeptWorld, read_truth

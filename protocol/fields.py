@@ -1,0 +1,89 @@
+"""What the fields of a message may hold: arrays as raw little-endian bytes, and numbers within bounds.
+
+Lengths in m, times in s, angles in rad.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+MAX_DETECTIONS = 8192
+MAX_PARTICLES = 8192
+MAX_NAMES = 8192
+FARTHEST = 1.0e6  # no coordinate of an arena is larger, m
+LARGEST_AREA = FARTHEST**2  # m^2
+LEAST_RADIUS, LEAST_ANGLE, LARGEST_ANGLE = 1.0e-3, 1.0e-6, 7.0  # of a sensor, m and rad
+LATEST = 1.0e12  # no world time is larger, s
+
+F4, F8, U8 = np.dtype("<f4"), np.dtype("<f8"), np.dtype("<u8")
+
+
+class Malformed(ValueError):
+    """A message breaks a rule; `reason` is one word for the counters, the text names the field."""
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+class Rows(NamedTuple):
+    """How an array travels: the type of its numbers, how many make a row, and how many rows there may be."""
+
+    field: str
+    number: np.dtype
+    columns: int
+    most: int
+
+    def count(self, data: bytes) -> int:
+        """How many rows there are."""
+        rows, rest = divmod(len(data), self.number.itemsize * self.columns)
+        if rest:
+            size = self.number.itemsize * self.columns
+            raise Malformed("shape", f"{self.field}: {len(data)} bytes are no whole number of rows of {size} bytes")
+        if rows > self.most:
+            raise Malformed("size", f"{self.field}: {rows} rows, at most {self.most} are allowed")
+        return rows
+
+    def read(self, data: bytes) -> np.ndarray:
+        """The rows, read-only: (N, columns), or (N,) if there is one column."""
+        flat = np.frombuffer(data, self.number)
+        return flat.reshape(self.count(data), self.columns) if self.columns > 1 else flat
+
+
+def check_number(field: str, value: float, least: float = -FARTHEST, most: float = FARTHEST) -> None:
+    """Refuse NaN, infinity and anything outside [least, most]: one bad float would win every comparison downstream."""
+    if not least <= value <= most:
+        raise Malformed("range", f"{field} = {value}: should be a finite number from {least:g} to {most:g}")
+
+
+def check_vector(field: str, values: tuple[float, ...]) -> None:
+    """Refuse a vector with NaN, infinity or anything beyond `FARTHEST`."""
+    for value in values:
+        if not -FARTHEST <= value <= FARTHEST:
+            raise Malformed("range", f"{field} = {values}: every number should be finite and within +-{FARTHEST:g}")
+
+
+def check_rows(rows: Rows, data: bytes) -> int:
+    """Refuse NaN, infinity and anything beyond `FARTHEST`; how many rows there are.
+
+    A sum of squares below half the bound squared proves it for the whole array in one pass (its rounding error is below 1 %,
+    and NaN compares false); only a larger sum needs the look at every number.
+    """
+    if not data:
+        return 0
+    count = rows.count(data)
+    flat = np.frombuffer(data, rows.number)
+    if not np.vdot(flat, flat) < 0.5 * FARTHEST**2 and not bool(np.all(np.abs(flat) <= FARTHEST)):
+        raise Malformed("range", f"{rows.field}: every number should be finite and within +-{FARTHEST:g}")
+    return count
+
+
+DETECTIONS, STATES = Rows("detections", F4, 2, MAX_DETECTIONS), Rows("states", F4, 4, MAX_PARTICLES)
+CLAIM, CELL = Rows("claim", F8, 3, MAX_NAMES), Rows("cell", F8, 2, MAX_NAMES)
+TARGETS, POSES = Rows("targets", F8, 2, MAX_DETECTIONS), Rows("poses", F8, 3, MAX_NAMES)
+IDS, TARGET_IDS = Rows("ids", U8, 1, MAX_PARTICLES), Rows("ids", U8, 1, MAX_DETECTIONS)
+
+
+def pack(array: np.ndarray, dtype: str) -> bytes:
+    """The little-endian bytes of an array, row by row."""
+    return np.ascontiguousarray(array, dtype=dtype).tobytes()
