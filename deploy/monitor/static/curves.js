@@ -114,7 +114,7 @@ function label(pen, chart, state, colours, width, em, most) {
     }
   });
   pen.fillStyle = alpha(css("soft"), 0.8);
-  pen.font = `${0.72 * em}px system-ui, "DejaVu Sans", sans-serif`;
+  pen.font = `${0.82 * em}px system-ui, "DejaVu Sans", sans-serif`;
   pen.textAlign = "left";
   pen.fillText(`${most}${chart.unit === "%" ? " %" : ""}`, 1, 2.0 * em);
 }
@@ -127,7 +127,7 @@ export function drawStrip(canvas, state) {
   pen.fillStyle = css("line");
   pen.fillRect(x(0), middle - 2 * ratio, x(seconds) - x(0), 4 * ratio);
   if (frame) { pen.fillStyle = css("accent"); pen.fillRect(x(0), middle - 2 * ratio, x(frame.time) - x(0), 4 * ratio); }
-  pen.font = `${0.72 * em}px system-ui, "DejaVu Sans", sans-serif`;
+  pen.font = `${0.82 * em}px system-ui, "DejaVu Sans", sans-serif`;
   pen.fillStyle = css("soft");
   pen.textBaseline = "alphabetic";
   const step = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((size) => seconds / size <= 12) || seconds / 10;
