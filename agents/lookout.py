@@ -14,6 +14,7 @@ import numpy as np
 
 from agents.capacity import place
 from agents.config import AgentConfig
+from agents.hearsay import Hearsay
 from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground, wanted
 from agents.neighbours import Neighbours, Word, position
 from agents.round import HORIZON, Outcome, Self
@@ -21,7 +22,7 @@ from agents.tiles import Box, Rectangle, Tiling, bounds_of
 from protocol.geometry import EMPTY
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
-from protocol.node import Effect, Subscribe, Unsubscribe
+from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
 from protocol.sensing import Pose, WedgeSensor
 from protocol.streams import key
 
@@ -57,6 +58,8 @@ class Lookout:
         self._known_since = 0  # tick; from then on I know the whole box
         self._chosen_at = 0
         self._heard: set[str] = set()  # whose gossip I listen to
+        self._hearsay = Hearsay(me.name, 2 * self._period)
+        self._spread = bounds.offset + JUMP  # m: a generator is so far at most from where its agent says its beacons
 
     # ------------------------------------------------------------------ before the first word
 
@@ -152,6 +155,15 @@ class Lookout:
             return []  # an empty cell may appear anywhere, so who has none looks in every round
         radius = outcome.power_radius
         return self.look(outcome.cell, self._beacon(gossip.tick, moved(gossip.pose, outcome.command, self._me.config), radius), gossip.tick)
+
+    def doubt(self, tick: int, now: float) -> list[Effect]:
+        """At the end of a round: a new session, if the others have long been naming somebody here of whom I hear nothing."""
+        gossips = [gossip for gossip in self._neighbours.last.values() if gossip.tick == tick]
+        unheard = self._hearsay.listen(gossips, self._neighbours.acquainted(), self._overlooks, tick, now)
+        return [Reopen(f"the others hear {unheard}, I do not")] if unheard else []
+
+    def _overlooks(self, place: tuple[float, float]) -> bool:
+        return self._known is not None and self._known.holds(Rectangle(*place, *place).wider(self._spread))
 
     def look(self, cell: np.ndarray, mine: Beacon, tick: int) -> list[Effect]:
         """Choose whom to hear from now on, and listen to the tiles that this takes; the subscriptions that follow."""

@@ -202,7 +202,7 @@ class Neighbours:
         return not self.local and any(peer.token and peer.outfit is None for peer in self.peers.values())
 
     def see(self, beacon: Beacon) -> bool:
-        """A beacon arrived: where a peer is. Whether that peer is new."""
+        """A beacon arrived: where a peer is. Whether that peer is new, or was gone: then it may not know me either."""
         known = self.peers.get(beacon.sender)
         peer = self._peer(beacon.sender, beacon.incarnation)
         if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
@@ -210,10 +210,11 @@ class Neighbours:
         if peer.outfit is None:
             peer.outfit = beacon.memo.get("outfit") or _outfit(beacon, self._config)
             beacon.memo["outfit"] = peer.outfit
-        if peer.gone_at is not None and beacon.tick > peer.gone_at:
+        back = peer.gone_at is not None and beacon.tick > peer.gone_at
+        if back:
             peer.gone_at, self.changed = None, True
         peer.beacon = beacon
-        return peer is not known
+        return back or peer is not known
 
     def whereabouts(self, since: int) -> dict[str, Word]:
         """The newest word of where each living peer is, if it has spoken in the tick `since` or later, in the order of names."""

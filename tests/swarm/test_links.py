@@ -77,3 +77,34 @@ def test_wrong_bits_never_stop_an_agent_and_are_counted() -> None:
 def test_a_partition_by_name_leaves_the_world_within_reach() -> None:
     seen = watch(ledger(fault(5.0, "partition", "s1,s2", seconds=6.0)))
     assert all(agent.tick == 79 and agent.counters["skipped"] == 0 for agent in seen.agents.values())
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds", "clock", "healed", "mass"),
+    [
+        ("both", 6.0, "lockstep", 3.0, 0.99),
+        pytest.param("both", 6.0, "realtime", 3.0, 0.99, marks=pytest.mark.slow),
+        pytest.param("both", 15.0, "realtime", 3.0, 0.99, marks=pytest.mark.slow),  # longer than anybody's beacons are remembered
+        pytest.param("one-way", 6.0, "realtime", 5.0, 0.99, marks=pytest.mark.slow),
+        pytest.param("bridge", 6.0, "lockstep", 3.0, 0.97, marks=pytest.mark.slow),
+    ],
+)
+def test_who_hears_neighbours_only_covers_the_arena_on_each_side_and_meets_again(
+    kind: str, seconds: float, clock: str, healed: float, mass: float
+) -> None:
+    """A side that was deaf, and has not been missed, waits for the next beacons of the others: up to 4 s, and 1 s for the choice.
+
+    Mass behind a bridge: what moves into the bridge's old cell comes back only from those who hear the other side; docs/promises.md.
+    """
+    cut = fault(5.0, "partition", "50%", seconds=seconds, kind=kind)
+    end = 5.0 + seconds + healed
+    seen = watch(ledger(cut, agents=16, side=80.0, run__seconds=end + 4.0, timing__interest="neighbours"), clock=clock)
+    apart, after = slice(seen.at(9.0), seen.at(5.0 + seconds)), seen.at(end)
+    assert max(seen.holes[apart]) <= 1e-9
+    if kind == "both":
+        assert np.allclose(seen.overlaps[apart], 1.0, atol=1e-9)
+    late = [tick for tick, (hole, overlap) in enumerate(zip(seen.holes, seen.overlaps)) if max(hole, overlap) > 1e-9]
+    masses = np.array(seen.masses[after:]) / (0.01 * 80.0 * 80.0)
+    print(f"{kind}: one claim per place {(late[-1] + 1) * 0.25 - 5.0 - seconds:.2f} s after the heal; mass {masses.min():.4f} at least")
+    assert max(*seen.holes[after:], *seen.overlaps[after:]) <= 1e-9
+    assert mass <= masses.min() and masses.max() <= 1.01

@@ -1,0 +1,56 @@
+"""Whom my neighbours' claims name though I do not know them: the sign of a session that has stayed split, where neighbours alone are heard.
+
+Two Zenoh peers can be left with half a session (`protocol.presence`), and who hears its neighbours only is told by no Hello whom
+the others hear. Their claims tell it: they name who bounds their cells, and where. Whoever stands where I listen to all beacons, is named
+by a neighbour all the time, and has not said a word to me for two beacons' periods, is there; then my session is to be opened anew.
+"""
+
+from collections.abc import Callable, Collection, Iterable
+from typing import NamedTuple
+
+from protocol.messages import Gossip
+from protocol.presence import FIRST_REST, LONGEST_REST, NEVER, PATIENCE
+
+Place = tuple[float, float]  # x, y, m
+
+
+class Since(NamedTuple):
+    """When somebody was named first."""
+
+    tick: int
+    now: float
+
+
+class Hearsay:
+    """Who is spoken of, and since when."""
+
+    def __init__(self, name: str, patience: int) -> None:
+        """`patience`: ticks for which somebody must be named; it takes `PATIENCE` s of `now` as well, for in lockstep ticks fly."""
+        self._name, self._patience = name, patience
+        self._named: dict[str, Since] = {}
+        self._rest, self._not_before = FIRST_REST, NEVER
+
+    def listen(self, gossips: Iterable[Gossip], known: Collection[str], overlooks: Callable[[Place], bool], tick: int, now: float) -> str:
+        """Of whom I should have heard by now, after the round `tick`; empty: nobody.
+
+        `known`: whom I do know; `overlooks`: whether I hear the beacons of whoever has his generator at a place.
+        """
+        named = {
+            name: self._named.get(name, Since(tick, now))
+            for gossip in gossips
+            for name in set(gossip.claim_names).difference(known)
+            if name != self._name and overlooks(_place(gossip, name))
+        }
+        self._named = named
+        late = [name for name, since in named.items() if tick - since.tick >= self._patience and now - since.now >= PATIENCE]
+        if not late or now < self._not_before:
+            return ""
+        self._named = {}
+        self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
+        return min(late)
+
+
+def _place(gossip: Gossip, name: str) -> Place:
+    """Where a claim says that somebody's generator was."""
+    x, y, _ = gossip.claim[gossip.claim_names.index(name)].tolist()
+    return x, y
