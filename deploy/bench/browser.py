@@ -24,7 +24,7 @@ WORDS = (
     "--remote-debugging-port=0",
     f"--window-size={SIZE[0]},{SIZE[1]}",
 )
-START_SECONDS = 60.0
+START_SECONDS = 180.0
 WATCH = """() => {
   const drawn = window.drawn = [];
   let last = -1;

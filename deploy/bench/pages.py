@@ -32,7 +32,7 @@ AGENTS, PAIRS = 48, 3
 FIRST_TICK, TICKS = 40, 80  # those measured: the browser has started before
 VIEWERS = ("no page", "a viewer that draws nothing", "Chromium")
 LOOK = 0.1  # s between two questions where the run stands
-REPLAYED = 60.0  # s of the world
+REPLAYED = 120.0  # s of the world
 DT = 0.25
 MEASURED = 10.0  # wall s of each speed
 
@@ -119,22 +119,11 @@ def _frames(viewer: str, url: str) -> float:
 
 
 def replay(recording: Path | None = None) -> list[Row]:
-    """A recording in Chromium at 10 ticks/s and at ten times its speed: frames, gaps, CPU; by default a simulated one."""
+    """A recording (of `REPLAYED` s and more) in Chromium at 10 ticks/s and at ten times its speed; by default a simulated one."""
     with tempfile.TemporaryDirectory() as folder:
         if recording is None:
             recording = Path(folder) / "bench.mcap"
-            words = [
-                "simulate",
-                "efficacy",
-                "--team",
-                TEAMS[AGENTS],
-                "--seconds",
-                str(REPLAYED),
-                "--dt",
-                str(DT),
-                "--record",
-                str(recording),
-            ]
+            words = f"simulate efficacy --team {TEAMS[AGENTS]} --seconds {REPLAYED} --dt {DT} --record {recording}".split()
             _command(words, folder).communicate()
         process = _command(["replay", str(recording), "--page", "0"], folder)
         try:
@@ -143,18 +132,18 @@ def replay(recording: Path | None = None) -> list[Row]:
             with browser(url) as chromium:
                 chromium.until("window.covey && covey.frame && covey.frame.play.scanned")
                 chromium.watch()
-                return [_play(chromium, process.pid, speed) for speed in (10.0 * DT, 10.0)]
+                return [_play(chromium, process.pid, speed, min(MEASURED, 0.8 * REPLAYED / speed)) for speed in (10.0 * DT, 10.0)]
         finally:
             process.terminate()
             process.communicate()
 
 
-def _play(chromium: Browser, server: int, speed: float) -> Row:
-    """One speed from the beginning on, for some seconds."""
+def _play(chromium: Browser, server: int, speed: float, seconds: float) -> Row:
+    """One speed from the beginning on, for some s of the wall clock."""
     chromium.ask(f"[{{seek: 0}}, {{speed: {speed}}}, {{play: true}}].forEach(covey.send)")
     time.sleep(1.0)
     begin, server_began, browser_began, known = time.monotonic(), cpu_of(server), chromium.cpu(), len(chromium.drawn())
-    time.sleep(min(MEASURED, 0.8 * REPLAYED / speed))
+    time.sleep(seconds)
     wall, server_used, browser_used = time.monotonic() - begin, cpu_of(server) - server_began, chromium.cpu() - browser_began
     drawn = chromium.drawn()[known:]
     gaps = [later[0] - earlier[0] for earlier, later in itertools.pairwise(drawn)]

@@ -150,14 +150,15 @@ class PageServer:
     async def _broadcast(self) -> None:
         """A frame for everybody whenever there is another tick to show, ten times a second at most."""
         loop = asyncio.get_running_loop()
+        due = loop.time()
         while True:
-            began = loop.time()
             if self._clients:
                 try:
                     self._show()
                 except Exception:
                     log.exception("a frame could not be drawn")
-            await asyncio.sleep(max(0.01, began + PERIOD - loop.time()))
+            due = max(due + PERIOD, loop.time() + 0.01)  # what one frame was late the next one is early
+            await asyncio.sleep(due - loop.time())
 
     def _show(self) -> None:
         if self._jumps != self.source.jumps:
