@@ -22,6 +22,23 @@ def test_a_partition_covers_the_arena_twice_and_heals_to_one_claim_per_place(cov
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
+def test_who_hears_neighbours_only_covers_the_arena_on_each_side_of_a_cut_and_meets_again(covey: Covey) -> None:
+    ground = ("--set", "arena.width=70", "--set", "arena.height=70", "--set", "timing.interest=neighbours", "--dt", "0.5")
+    covey.start("up", "efficacy", "--team", "A8,C8", "--seconds", "100000", "--rate", "1", *ground, *ALLOWED)
+    covey.running()
+    covey.wait(lambda data: max(data["swarm"]["hole"], data["swarm"]["overlap"]) <= 1e-6)
+    side = ",".join(f"s{number}" for number in range(1, 17, 2))
+    assert covey.run("partition", side)[0] == 0
+    covey.wait(lambda data: data["swarm"]["overlap"] > 0.99 and data["swarm"]["hole"] <= 1e-6)
+    assert covey.run("heal")[0] == 0
+    tick = covey.status()["swarm"]["tick"]
+    whole = covey.wait(lambda data: data["swarm"]["tick"] > tick and max(data["swarm"]["hole"], data["swarm"]["overlap"]) <= 1e-6)
+    print(f"one claim per place {0.5 * (whole['swarm']['tick'] - tick):.1f} s of world time after the heal")
+    assert covey.run("down")[0] == 0
+    covey.wait_until_gone()
+
+
 def test_link_faults_are_out_of_reach_unless_the_scenario_allows_them(covey: Covey) -> None:
     covey.start("up", "quick", "--seconds", "100000", "--rate", "2")
     covey.running()
