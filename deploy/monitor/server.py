@@ -23,7 +23,6 @@ from protocol.endpoints import free_port
 from protocol.settings import BadSetting
 
 PORT = 8737  # unless it is taken
-PERIOD = 0.1  # s between two frames of different ticks, at least
 IDLE_PERIOD = 0.5  # s between two frames of one tick, for figures such as messages per second
 SEND_SECONDS = 20.0  # a browser that takes nothing for so long is let go
 MOST_CLIENTS = 64
@@ -148,7 +147,7 @@ class PageServer:
             log.exception("the page's source has failed")
 
     async def _broadcast(self) -> None:
-        """A frame for everybody whenever there is another tick to show, ten times a second at most."""
+        """A frame for everybody whenever there is another tick to show, as often as the source wants it at most."""
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
@@ -157,7 +156,7 @@ class PageServer:
                     self._show()
                 except Exception:
                     log.exception("a frame could not be drawn")
-            due = max(due + PERIOD, loop.time() + 0.01)  # what one frame was late the next one is early
+            due = max(due + self.source.period, loop.time() + 0.01)  # what one frame was late the next one is early
             await asyncio.sleep(due - loop.time())
 
     def _show(self) -> None:

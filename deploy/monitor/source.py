@@ -13,6 +13,7 @@ from deploy.swarm.control import ask
 from deploy.swarm.rundir import RunDirectory
 from protocol.settings import BadSetting
 
+FRAME_PERIOD = 0.1  # s
 STATE_PERIOD = 1.0  # s between two questions who is paused
 BUTTONS = ("kill", "pause", "resume", "restart", "partition", "heal")
 
@@ -22,6 +23,7 @@ class Source(Protocol):
 
     picture: Picture
     jumps: int  # grows when browsers must be greeted again
+    period: float  # s between two frames of different ticks, at least
 
     def scores(self) -> Sequence[Score]:
         """All scores that are known, oldest first."""
@@ -48,6 +50,7 @@ class LiveSource:
     def __init__(self, scorer: Scorer, picture: Picture, directory: RunDirectory | None) -> None:
         self.picture = picture
         self.jumps = 0
+        self.period = FRAME_PERIOD
         self._scorer = scorer
         self._directory = directory
         self._look_again = asyncio.Event()

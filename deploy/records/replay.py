@@ -20,7 +20,8 @@ from protocol.messages import Message
 from protocol.node import Effect, Event, Received, Started, Timer
 from protocol.settings import BadSetting
 
-STEP = 0.05  # s between two looks at the clock
+FRAME_PERIOD = 1.0 / 15.0  # s; fast replays jump from frame to frame, so that ten a second would look rough
+STEP = 0.5 * FRAME_PERIOD  # s between two looks at the clock
 SCAN_SHARE = 0.6  # of the time between them that the second look may take
 WARM_TICKS = 8  # before the moment jumped to, of which everything is read; of what is older the truth alone, for the trails
 SPEEDS = (0.1, 100.0)
@@ -32,6 +33,7 @@ class ReplaySource:
     def __init__(self, recording: Recording, speed: float = 1.0, playing: bool = True) -> None:
         self.picture = Picture(recording.scenario)
         self.jumps = 0  # grows when browsers must be greeted again
+        self.period = FRAME_PERIOD
         self.clock = 0.0  # the world's time that is shown, s
         self.outbox: deque[Message] | None = None  # what has been played, for who says it again
         self.playing, self.speed = playing, speed

@@ -30,6 +30,7 @@ class Played:
         self.simulation = Simulation(resolve("quick", {"run.seconds": 60.0}))
         self.picture = Picture(self.simulation.scenario)
         self.jumps = 0
+        self.period = 0.1
         self.asked: list[dict[str, Any]] = []
         self.simulation.scorer.on_event = self.picture.see
         self.play(ticks)
