@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -23,9 +23,15 @@ import aiohttp
 
 from deploy.bench.browser import Browser, browser, parent
 from deploy.bench.processes import TEAMS, Mark, Swarm, cpu_of, swarm
-from deploy.bench.timing import Row
+from deploy.bench.timing import Row, cpu_seconds, median_seconds
+from deploy.monitor.frames import frame
+from deploy.monitor.picture import Picture
+from deploy.monitor_node import Scorer
+from deploy.records.recorder import Recorder
+from deploy.records.recording import Entry, Recording, event_of
 from deploy.swarm.processes import ROOT
 from protocol.endpoints import free_port
+from protocol.node import Event
 from protocol.settings import BadSetting
 
 AGENTS, PAIRS = 48, 3
@@ -34,6 +40,7 @@ VIEWERS = ("no page", "a viewer that draws nothing", "Chromium")
 LOOK = 0.1  # s between two questions where the run stands
 REPLAYED = 120.0  # s of the world
 DT = 0.25
+COUNTED = 8  # chunks of a recording whose messages are counted
 MEASURED = 10.0  # wall s of each speed
 
 
@@ -125,6 +132,7 @@ def replay(recording: Path | None = None) -> list[Row]:
             recording = Path(folder) / "bench.mcap"
             words = f"simulate efficacy --team {TEAMS[AGENTS]} --seconds {REPLAYED} --dt {DT} --record {recording}".split()
             _command(words, folder).communicate()
+        parts = costs(Recording(recording), Path(folder))
         process = _command(["replay", str(recording), "--page", "0"], folder)
         try:
             assert process.stdout is not None
@@ -132,10 +140,30 @@ def replay(recording: Path | None = None) -> list[Row]:
             with browser(url) as chromium:
                 chromium.until("window.covey && covey.frame && covey.frame.play.scanned")
                 chromium.watch()
-                return [_play(chromium, process.pid, speed, min(MEASURED, 0.8 * REPLAYED / speed)) for speed in (10.0 * DT, 10.0)]
+                return parts + [_play(chromium, process.pid, speed, min(MEASURED, 0.8 * REPLAYED / speed)) for speed in (10.0 * DT, 10.0)]
         finally:
             process.terminate()
             process.communicate()
+
+
+def costs(recording: Recording, folder: Path) -> list[Row]:
+    """CPU of what a monitor does with a message: decode, score, note for the page, record; and of a frame and a greeting."""
+    entries = list(recording.entries(0, COUNTED))
+    heard = list(map(event_of, entries))
+    scorer, picture, recorder = Scorer(recording.scenario), Picture(recording.scenario), Recorder(folder / "costs.mcap", recording.scenario)
+    parts: dict[str, Callable[[Entry, Event], object]] = {
+        "decode": lambda entry, event: event_of(entry),
+        "score": lambda entry, event: scorer.handle(event, 0.0),
+        "note for the page": lambda entry, event: picture.see(event, 0.0),
+        "record": lambda entry, event: recorder.see(event, 0.0),
+    }
+    rows: list[Row] = []
+    for name, part in parts.items():
+        spent = cpu_seconds(lambda part=part: [part(*both) for both in zip(entries, heard)])  # type: ignore[misc]
+        rows.append({"what": name, "us per message": 1e6 * spent / len(heard)})
+    recorder.close()
+    frames = median_seconds(lambda: frame(picture, scorer.scores[-2], {}))
+    return [*rows, {"what": "draw up a frame", "ms": 1e3 * frames, "kB": len(frame(picture, scorer.scores[-2], {})) / 1e3}]
 
 
 def _play(chromium: Browser, server: int, speed: float, seconds: float) -> Row:
