@@ -9,6 +9,7 @@ from agents import cells, phd
 from agents.births import background_births, near_part
 from agents.cells import Cell, Claim
 from agents.extraction import estimate_targets
+from agents.interest import Choice, wanted
 from agents.particles import Particles, canonical, join, select, total
 from agents.step import Step
 from agents.words import Words, particles_of
@@ -62,6 +63,7 @@ class Arithmetic(NamedTuple):
     moments: Callable[[Particles], tuple[float, float, float]]
     in_view: Callable[[Particles, SensorModel, Pose], tuple[float, float]]
     refresh: Callable[[Task], Refreshed]  # all the steps from `gather` on
+    wanted: Callable[..., Choice]
 
 
 def births(step: Step) -> Particles:
@@ -158,4 +160,5 @@ PLAIN = Arithmetic(
     moments=moments,
     in_view=in_view,
     refresh=refresh,
+    wanted=wanted,
 )

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agents import birth_kernels, cell_kernels, extraction_kernels, kernels, phd, round_kernels, update_kernels
+from agents import birth_kernels, cell_kernels, extraction_kernels, interest, interest_kernels, kernels, phd, round_kernels, update_kernels
 from agents.arithmetic import Arithmetic, Refreshed, Task, in_steps
 from agents.arithmetic import in_view as plain_in_view
 from agents.arithmetic import update as plain_update
@@ -18,6 +18,7 @@ from agents.cells import NO_CELL, TOUCH, Cell, Claim
 from agents.config import AgentConfig, ExtractionSettings
 from agents.particles import NONE, Particles
 from agents.step import Step
+from agents.tiles import Rectangle
 from agents.words import Words
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 from protocol.settings import ArenaSettings
@@ -210,6 +211,18 @@ def refresh(task: Task) -> Refreshed:
     return Refreshed(Particles(*updated), Particles(*own), Particles(*kept), *rest)
 
 
+_MARGINS = interest.MARGIN, interest.APPEARING, interest.SPACING, interest.THRESHOLD, interest.BEHIND
+
+
+def wanted(
+    cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: interest.Ground
+) -> interest.Choice:
+    """See `interest.wanted`."""
+    home, bounds = cell if len(cell) else _NO_CORNERS, (ground.bounds.reach, ground.bounds.offset, ground.bounds.radius)
+    chosen, needed = interest_kernels.wanted(home, eye, reach, halo, table, ground.arena, bounds, ground.drift, _MARGINS)
+    return interest.Choice(chosen, Rectangle(*needed))
+
+
 FAST = Arithmetic(
     cut=cut,
     cut_all=cut_all,
@@ -225,4 +238,5 @@ FAST = Arithmetic(
     moments=moments,
     in_view=in_view,
     refresh=refresh,
+    wanted=wanted,
 )

@@ -35,11 +35,13 @@ class Hearsay:
 
         `known`: whom I do know; `overlooks`: whether I hear the beacons of whoever has his generator at a place.
         """
+        heard, own = list(gossips), {self._name}
+        unknown = set().union(*[gossip.claim_names for gossip in heard]).difference(known, own)  # as a rule there is nobody
         named = {
             name: self._named.get(name, Since(tick, now))
-            for gossip in gossips
-            for name in set(gossip.claim_names).difference(known)
-            if name != self._name and overlooks(_place(gossip, name))
+            for gossip in heard
+            for name in unknown.intersection(gossip.claim_names)
+            if overlooks(_place(gossip, name))
         }
         self._named = named
         late = [name for name, since in named.items() if tick - since.tick >= self._patience and now - since.now >= PATIENCE]

@@ -6,7 +6,6 @@ goes or it has no cell.
 """
 
 import math
-import struct
 from functools import partial
 
 import msgspec
@@ -15,18 +14,17 @@ import numpy as np
 from agents.capacity import place
 from agents.config import AgentConfig
 from agents.hearsay import Hearsay
-from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground, wanted
-from agents.neighbours import Neighbours, Word, position
+from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
+from agents.neighbours import Neighbours
+from agents.places import EAST, RADIUS, spot
 from agents.round import HORIZON, Outcome, Self
 from agents.tiles import Box, Rectangle, Tiling, bounds_of
-from protocol.geometry import EMPTY
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
 from protocol.sensing import Pose, WedgeSensor
 from protocol.streams import key
 
-SPOT = struct.Struct("<6d")
 SETTLE = 0.25  # s for a question to reach everybody and for the answers to come back
 ROUNDS = 4  # so many times SETTLE pass before anybody's first word, so that those who must ask again have subscribed as well
 TILE = 10.0  # m: a tile is wider than the largest reach by this (docs/protocol.md)
@@ -34,6 +32,7 @@ FIRST = 2  # tiles on every side of the own one that a newcomer listens to
 MOST_QUESTIONS = 8  # in a row: then an agent speaks, certified or not
 AHEAD = 12.0  # m: a tile is listened to before it is needed, so that a period of beacons has been heard when it is
 FORGOTTEN = 2.5  # periods after which somebody whose beacons no longer come is gone
+LINGER = 4.0  # s of world time for which the gossip of somebody who is needed no longer still comes: half of all are needed again by then
 
 
 class Lookout:
@@ -47,7 +46,7 @@ class Lookout:
         self._me, self._neighbours, self._incarnation = me, neighbours, incarnation
         self._tiling = Tiling(bounds.reach + TILE, config.arena)
         self._ground = Ground(me.arena, bounds, JUMP + config.limits.speed * config.run.dt, me.arithmetic.distances)
-        self._period, self._between = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE))
+        self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE, LINGER))
         self._phase = key("beacon", me.name) % self._period
         self._young = 0  # until this tick the others may not know me
         self._questions, self._speak_at = 0, 0.0
@@ -57,9 +56,10 @@ class Lookout:
         self._known: Rectangle | None = None  # where I know of everybody; None: nowhere yet
         self._known_since = 0  # tick; from then on I know the whole box
         self._chosen_at = 0
-        self._heard: set[str] = set()  # whose gossip I listen to
         self._hearsay = Hearsay(me.name, 2 * self._period)
         self._spread = bounds.offset + JUMP  # m: a generator is so far at most from where its agent says its beacons
+        self._heard: dict[str, int] = {}  # whose gossip comes, and in which tick it was needed last
+        self._watched: set[str] = set()  # whose token I see
 
     # ------------------------------------------------------------------ before the first word
 
@@ -79,7 +79,7 @@ class Lookout:
         self.due = now + SETTLE
         mine = self._mine(observation, outcome)
         if self._asking:
-            choice, known = self._judge(self._first_cell(mine, observation.tick), mine, observation.tick)
+            choice, table = self._judge(self._first_cell(mine, observation.tick), mine, observation.tick)
             soon = choice.needed.wider(AHEAD)
             box = self._tiling.box(soon)
             self._known = self._tiling.ground(self._box) if self._box else None
@@ -88,7 +88,7 @@ class Lookout:
                 return self._listen(_union(box, self._box), mine)
             self._asking = False
             self.due = max(now + SETTLE, self._speak_at)
-            return self._choose(choice, known, observation.tick)
+            return self._choose(choice, table, observation.tick)
         late, self._questions = self._neighbours.changed and self._questions < MOST_QUESTIONS, self._questions + 1
         if late:  # somebody has been heard only now: both need time to listen
             return self.look(self._first_cell(mine, observation.tick), mine, observation.tick)
@@ -103,11 +103,13 @@ class Lookout:
         return around.wider(max(HORIZON, self._me.sensor.reach + MARGIN))
 
     def _first_cell(self, mine: Beacon, tick: int) -> np.ndarray:
-        known = self._neighbours.whereabouts(self._since(tick))
-        _, generators = _table([*known.values(), mine], self._me.config)
-        if not len(generators):
-            return EMPTY
+        generators = self._table(mine, tick)[:, EAST : RADIUS + 1]
         return self._me.arithmetic.cut(len(generators) - 1, generators[:, :2].copy(), generators[:, 2].copy(), self._me.arena).polygon
+
+    def _table(self, mine: Beacon, tick: int) -> np.ndarray:
+        """Where everybody is (`Places.table`), after those who are not there any more have been forgotten."""
+        self._neighbours.forget(tick - math.ceil(FORGOTTEN * self._period))
+        return self._neighbours.places.table(spot(mine, self._me.config))
 
     # ------------------------------------------------------------------ beacons
 
@@ -160,34 +162,45 @@ class Lookout:
         """At the end of a round: a new session, if the others have long been naming somebody here of whom I hear nothing."""
         gossips = [gossip for gossip in self._neighbours.last.values() if gossip.tick == tick]
         unheard = self._hearsay.listen(gossips, self._neighbours.acquainted(), self._overlooks, tick, now)
-        return [Reopen(f"the others hear {unheard}, I do not")] if unheard else []
+        return [Reopen(f"the others hear {unheard}, {self._me.name} does not")] if unheard else []
 
     def _overlooks(self, place: tuple[float, float]) -> bool:
         return self._known is not None and self._known.holds(Rectangle(*place, *place).wider(self._spread))
 
     def look(self, cell: np.ndarray, mine: Beacon, tick: int) -> list[Effect]:
         """Choose whom to hear from now on, and listen to the tiles that this takes; the subscriptions that follow."""
-        choice, known = self._judge(cell, mine, tick)
-        return [*self._choose(choice, known, tick), *self._look_around(choice.needed, tick)]
+        choice, table = self._judge(cell, mine, tick)
+        return [*self._choose(choice, table, tick), *self._look_around(choice.needed, tick)]
 
-    def _judge(self, cell: np.ndarray, mine: Beacon, tick: int) -> tuple[Choice, dict[str, Word]]:
-        known = self._neighbours.whereabouts(self._since(tick))
-        places, generators = _table([*known.values(), mine], self._me.config)
-        halo, reach = self._me.config.filter.halo, self._me.sensor.reach
-        return wanted(cell, mine.position, reach, halo, places[:-1], generators, self._ground), known
+    def _judge(self, cell: np.ndarray, mine: Beacon, tick: int) -> tuple[Choice, np.ndarray]:
+        me, table = self._me, self._table(mine, tick)
+        return me.arithmetic.wanted(cell, mine.position, me.sensor.reach, me.config.filter.halo, table, self._ground), table
 
-    def _choose(self, choice: Choice, known: dict[str, Word], tick: int) -> list[Effect]:
-        names = {name for name, needed in zip(known, choice.chosen.tolist()) if needed}
-        self._neighbours.choose(names, known, self._since(tick))
+    def _choose(self, choice: Choice, table: np.ndarray, tick: int) -> list[Effect]:
+        self._neighbours.choose(table, choice.chosen)
         self._neighbours.certified = self._known is not None and self._known.holds(choice.needed) and tick >= self._young
         self._chosen_at = tick
-        run = self._me.config.run.name
-        added, dropped = sorted(names - self._heard, key=order), sorted(self._heard - names, key=order)
-        self._heard = names
+        return self._subscribe(tick)
+
+    def _subscribe(self, tick: int) -> list[Effect]:
+        """Hear those who count now, and who counted a moment ago; see the tokens of all who have counted since I know of them.
+
+        To listen and to cease costs more than to hear a few gossips too many, and who goes often comes back; a token costs nothing.
+        """
+        heard, watched, needed, run = self._heard, self._watched, self._neighbours.circle.keys(), self._me.config.run.name
+        added = needed - heard.keys()
+        heard.update(dict.fromkeys(needed, tick))
+        dropped = [name for name, last in heard.items() if last + self._linger <= tick]
+        for name in dropped:
+            del heard[name]
+        seen, unseen = needed - watched, watched - self._neighbours.peers.keys()
+        self._watched = (watched | seen) - unseen
         gossip, token = partial(one_of, run, "gossip"), partial(tokens_of, run, "agent")
         return [
-            *(Subscribe(expression(name)) for name in added for expression in (gossip, token)),
-            *(Unsubscribe(expression(name)) for name in dropped for expression in (gossip, token)),
+            *(Subscribe(gossip(name)) for name in sorted(added, key=order)),
+            *(Subscribe(token(name)) for name in sorted(seen, key=order)),
+            *(Unsubscribe(gossip(name)) for name in sorted(dropped, key=order)),
+            *(Unsubscribe(token(name)) for name in sorted(unseen, key=order)),
         ]
 
     def _look_around(self, needed: Rectangle, tick: int) -> list[Effect]:
@@ -220,9 +233,6 @@ class Lookout:
         self._said = asking
         return [*effects, *(question(asking, tile) for tile in added)]
 
-    def _since(self, tick: int) -> int:
-        return tick - math.ceil(FORGOTTEN * self._period)
-
 
 def question(mine: Beacon, tile: tuple[int, int]) -> Beacon:
     """A beacon said in another tile, to be answered."""
@@ -239,23 +249,6 @@ def _jumped(old: Beacon, new: Beacon) -> bool:
     """Whether a beacon says something else than an older one."""
     apart = max(math.dist(old.position, new.position), math.dist(old.cod, new.cod), abs(old.power_radius - new.power_radius))
     return apart > JUMP
-
-
-def _table(words: list[Word], config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Of N words: x, y and reach of the sensors (N, 3), and generators (N, 3), in m."""
-    kind = config.partition.kind
-    rows = np.frombuffer(bytearray().join([word.memo.get("spot") or _spot(word, kind) for word in words]), dtype=float).reshape(-1, 6)
-    return rows[:, :3].copy(), rows[:, 3:].copy()
-
-
-def _spot(word: Word, kind: str) -> bytes:
-    """The row of a word, remembered."""
-    eye = position(word)
-    reach = word.reach if isinstance(word, Beacon) else word.memo["sensor"].reach
-    spot = word.memo["spot"] = SPOT.pack(
-        *eye, reach, *(eye if kind == "voronoi" else word.cod), word.power_radius if kind == "power" else 0.0
-    )
-    return spot
 
 
 def _union(one: Box, other: Box | None) -> Box:

@@ -7,12 +7,15 @@ last heard, for `silent_rounds` rounds.
 
 import math
 from dataclasses import dataclass
+from itertools import compress
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from agents.capacity import SensorFacts, sensor_facts
 from agents.config import AgentConfig
+from agents.places import EAST, RADIUS, Places, spot
 from agents.words import learn
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
@@ -57,7 +60,6 @@ class Far(NamedTuple):
 
 NOBODY = Far((), np.empty((0, 2)), np.empty(0))
 LOCAL_VIEW = 1  # of all who have heard everybody whom they must hear: their cells are those of one diagram
-Word = Beacon | Gossip  # of where somebody is
 
 
 class Neighbours:
@@ -68,8 +70,9 @@ class Neighbours:
         self.peers: dict[str, Peer] = {}  # in the order of names, unless local
         self.circle: dict[str, Peer] = {}  # those whose gossip I listen to, in the order of names; all, unless local
         self.far = NOBODY  # the others, if local
+        self.places = Places()  # local: of those who are there, by the newest word of each
         self.certified = False  # local: nobody whom I do not know could own anything that matters to me
-        self._ranked: list[Peer] = []  # local: the peers in the order of names, when that has been asked for
+        self._acquainted, self._version = frozenset([name]), -1  # local: who has been counted in, and with which version of the places
         self.changed = False  # local: somebody has come or gone since the circle was chosen
         self._config = config
         self._name = name
@@ -83,12 +86,15 @@ class Neighbours:
         if peer:
             self.changed |= peer.gone_at is not None
             peer.token, peer.gone_at, self._calm = True, None, False
+            if peer.beacon is not None:
+                self._put(peer, peer.beacon)
 
     def gone(self, name: str, incarnation: int, tick: int) -> None:
         """A token vanished in the round `tick`."""
         peer = self.peers.get(name)
         if peer and peer.incarnation == incarnation:
             peer.token, peer.gone_at, self._calm = False, tick, False
+            self.places.remove(name)
             self.changed = True
 
     def greet(self, hello: Hello) -> str | None:
@@ -186,11 +192,16 @@ class Neighbours:
         missing = self.missing(tick, newcomer=newcomer)
         for name in missing:
             self.peers[name].missed += 1
+            if self.peers[name].missed >= self._config.timing.silent_rounds:
+                self.places.remove(name)
         complete = len(self._said.get(tick, ())) == len(self.circle)
         self._calm = complete and (self._calm or all(peer.token and peer.gone_at is None for peer in self.circle.values()))
         for stamp in sorted([stamp for stamp in self._said if stamp <= tick]):
             said = self._said.pop(stamp)
             self.last = said if len(said) == len(self.circle) else {**self.last, **said}
+            if self.local:
+                for name in said.keys() & self.peers.keys():
+                    self._put(self.peers[name], said[name])
         return len(missing)
 
     def anyone_missed(self) -> bool:
@@ -214,47 +225,44 @@ class Neighbours:
         if back:
             peer.gone_at, self.changed = None, True
         peer.beacon = beacon
+        self._put(peer, beacon)
         return back or peer is not known
 
-    def whereabouts(self, since: int) -> dict[str, Word]:
-        """The newest word of where each living peer is, if it has spoken in the tick `since` or later, in the order of names."""
-        found: dict[str, Word] = {}
-        if not self._ranked:
-            self._ranked = sorted(self.peers.values(), key=_rank)
-        for peer in self._ranked:
-            name, beacon = peer.name, peer.beacon
-            said = self.last.get(name) if name in self.circle else None
-            newest: Word | None = said if beacon is None or (said is not None and said.tick >= beacon.tick) else beacon
-            lost = peer.gone_at is not None or peer.missed >= self._config.timing.silent_rounds
-            if newest is not None and newest.tick >= since and peer.outfit is not None and not lost:
-                found[name] = newest
-        return found
+    def _put(self, peer: Peer, word: Beacon | Gossip) -> None:
+        """Note where a peer is, unless it is gone or has been silent for long."""
+        if peer.gone_at is None and peer.outfit is not None and peer.missed < self._config.timing.silent_rounds:
+            self.places.put(peer.name, word.tick, word.memo.get("spot") or spot(word, self._config))
 
-    def choose(self, names: set[str], known: dict[str, Word], since: int) -> None:
-        """From now on listen to these of the peers whose whereabouts are known, and forget whose are not."""
-        dropped = self.circle.keys() - names
-        for name in dropped:
-            self.circle[name].token = False  # nobody looks for it any more
+    def forget(self, since: int) -> None:
+        """Who has not said for long where he is is not there any more; `since` is a tick."""
+        for name in self.places.forget(since):
+            del self.peers[name]
+        if len(self.peers) > len(self.places):
+            self.peers = {name: peer for name, peer in self.peers.items() if name in self.places or (peer.gone_at or -1) >= since}
+        if not self.circle.keys() <= self.peers.keys():
+            self._listen_to([peer for name, peer in self.circle.items() if name in self.peers])
+
+    def choose(self, table: np.ndarray, chosen: np.ndarray) -> None:
+        """From now on listen to the chosen (N,) of those whose places stand in a table (N or more, 6)."""
+        names, peers = self.places.names, self.peers
+        wanted = list(compress(names, chosen.tolist()))
+        if self.circle.keys() != set(wanted):
+            self._listen_to(sorted([peers[name] for name in wanted], key=attrgetter("rank")))
+        self.changed, others = False, ~chosen
+        generators = table[: len(names)][others]
+        self.far = Far(tuple(compress(names, others.tolist())), generators[:, EAST:RADIUS].copy(), generators[:, RADIUS].copy())
+        if self._version != self.places.version:
+            self._acquainted, self._version = frozenset([self._name, *names]), self.places.version
+
+    def _listen_to(self, circle: list[Peer]) -> None:
+        """Count these in, in the order of names, and nobody else."""
+        before, self.circle, self._calm = self.circle, {peer.name: peer for peer in circle}, False
+        for name in before.keys() - self.circle.keys():
             self.last.pop(name, None)
-        self._calm = self._calm and names == self.circle.keys()
-        if names != self.circle.keys() or len(known) < len(self.peers):
-            self.peers = {name: peer for name, peer in self.peers.items() if name in known or (peer.gone_at or -1) >= since}
-            self._ranked = []
-            self.circle = {name: self.peers[name] for name in known if name in names}
-        self.changed = False
-        self.far = self._far(known)
-
-    def _far(self, known: dict[str, Word]) -> Far:
-        kind = self._config.partition.kind
-        names = tuple([name for name in known if name not in self.circle])
-        words = [known[name] for name in names]
-        points = [position(word) if kind == "voronoi" else word.cod for word in words]
-        radii = [word.power_radius if kind == "power" else 0.0 for word in words]
-        return Far(names, np.array(points, dtype=float).reshape(-1, 2), np.array(radii, dtype=float))
 
     def acquainted(self) -> frozenset[str]:
         """Who has been counted in, so that claims cut from one diagram are expected of them."""
-        return frozenset([self._name, *self.circle, *self.far.names])
+        return self._acquainted
 
     def _newest(self, peer: Peer, tick: int) -> Gossip | None:
         """The newest gossip of a peer that is not younger than `tick`."""
@@ -281,7 +289,8 @@ class Neighbours:
         guess = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.gone_at is None
         if peer is None or younger or guess:
             peer, known = Peer(name, incarnation), name in self.peers
-            self.peers[name], self._ranked = peer, []
+            self.peers[name] = peer
+            self.places.remove(name)
             if not self.local and not known:
                 self.peers = {other: self.peers[other] for other in sorted(self.peers, key=order)}
             if not self.local or name in self.circle:
@@ -290,15 +299,6 @@ class Neighbours:
             for said in (self.last, *self._said.values()):
                 said.pop(name, None)
         return peer if incarnation == peer.incarnation else None
-
-
-def position(word: Word) -> tuple[float, float]:
-    """Where the sensor of a beacon or of a gossip is, m."""
-    return word.position if isinstance(word, Beacon) else word.pose[:2]
-
-
-def _rank(peer: Peer) -> tuple[int, str]:
-    return peer.rank
 
 
 def _outfit(beacon: Beacon, config: AgentConfig) -> Outfit | None:

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from agents.arithmetic import PLAIN, Arithmetic, Task
 from agents.cells import NO_CELL, make_claim
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings
+from agents.interest import Ground
 from agents.particles import NONE, Particles, join, select
 from agents.step import Step
+from agents.tiles import Bounds
 from agents.words import Words, learn
 from protocol.fields import pack
 from protocol.geometry import EMPTY, rectangle
@@ -241,3 +243,20 @@ def test_nothing_at_all() -> None:
     assert_same("moments", NONE)
     assert_same("in_view", NONE, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0))
     assert_same("distances", BOX, np.empty((0, 2)))
+
+
+@given(seeds, st.integers(0, 90))
+@some
+def test_whom_to_hear(seed: int, others: int) -> None:
+    """Every choice and the needed ground, with a cell, without one, and in a corner of a large arena."""
+    rng = np.random.default_rng(seed)
+    side = float(rng.choice([SIDE, 200.0]))
+    points, radii = diagram(rng, others + 1)
+    points *= rng.random() * side / SIDE + 0.2
+    places = np.column_stack([points + rng.normal(0.0, 5.0, points.shape), rng.choice([5.0, 8.0, 25.0], others + 1)])
+    table = np.column_stack([places, points, radii])
+    cell = PLAIN.cut(others, points, radii, rectangle(side, side)).polygon
+    for arithmetic in (PLAIN, FAST):
+        ground = Ground(rectangle(side, side), Bounds(25.0, 7.0, 20.0), 5.0, arithmetic.distances)
+        x, y, reach = places[-1].tolist()
+        assert_same("wanted", cell, (x, y), reach, 6.0, table, ground)

@@ -1,0 +1,88 @@
+"""Where everybody was last known to be: a row of numbers for each peer, kept up as its words arrive."""
+
+import struct
+
+import numpy as np
+
+from agents.config import AgentConfig
+from protocol.messages import Beacon, Gossip
+
+Word = Beacon | Gossip  # of where somebody is
+SPOT = struct.Struct("<6d")
+EYE_X, EYE_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
+
+
+def position(word: Word) -> tuple[float, float]:
+    """Where the sensor of a beacon or of a gossip is, m."""
+    return word.position if isinstance(word, Beacon) else word.pose[:2]
+
+
+def spot(word: Word, config: AgentConfig) -> bytes:
+    """The row of a word, remembered with it, since one message has many listeners."""
+    packed: bytes | None = word.memo.get("spot")
+    if packed is None:
+        kind, eye = config.partition.kind, position(word)
+        reach = word.reach if isinstance(word, Beacon) else word.memo["sensor"].reach
+        generator = eye if kind == "voronoi" else word.cod
+        packed = word.memo["spot"] = SPOT.pack(*eye, reach, *generator, word.power_radius if kind == "power" else 0.0)
+    return packed
+
+
+class Places:
+    """Rows of those whose whereabouts are known, in no particular order."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []  # of the rows
+        self.version = 0  # another one whenever somebody has come or gone
+        self._ticks: list[int] = []  # of the words
+        self._rows: dict[str, int] = {}
+        self._numbers = bytearray(SPOT.size * 8)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._rows
+
+    def put(self, name: str, tick: int, packed: bytes) -> None:
+        """A word of that tick says where somebody is; an older one than the last is passed over."""
+        row = self._rows.get(name)
+        if row is None:
+            row = self._rows[name] = len(self.names)
+            self.names.append(name)
+            self._ticks.append(tick)
+            self.version += 1
+            if SPOT.size * (row + 2) > len(self._numbers):  # there is always room for one more
+                self._numbers = self._numbers + bytes(len(self._numbers))
+        elif tick < self._ticks[row]:
+            return
+        else:
+            self._ticks[row] = tick
+        self._numbers[SPOT.size * row : SPOT.size * (row + 1)] = packed
+
+    def remove(self, name: str) -> None:
+        """Nobody knows any more where somebody is; the last takes the free row."""
+        row = self._rows.pop(name, None)
+        if row is None:
+            return
+        last, tick, size = self.names.pop(), self._ticks.pop(), SPOT.size
+        self.version += 1
+        if row < len(self.names):
+            self.names[row], self._ticks[row], self._rows[last] = last, tick, row
+            end = size * len(self.names)
+            self._numbers[size * row : size * (row + 1)] = self._numbers[end : end + size]
+
+    def forget(self, since: int) -> list[str]:
+        """Remove those whose last word is older than the tick `since`; who they were."""
+        if not self._ticks or min(self._ticks) >= since:
+            return []
+        old = [name for name, tick in zip(self.names, self._ticks) if tick < since]
+        for name in old:
+            self.remove(name)
+        return old
+
+    def table(self, mine: bytes) -> np.ndarray:
+        """All rows (N, 6) and, last, one more; to be used before the next word is put."""
+        end = SPOT.size * len(self.names)
+        self._numbers[end : end + SPOT.size] = mine
+        return np.frombuffer(self._numbers, dtype=float, count=6 * (len(self.names) + 1)).reshape(-1, 6)
