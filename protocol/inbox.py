@@ -5,7 +5,7 @@ Pure bookkeeping without sockets; `live` owns one of each.
 
 import threading
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from protocol.node import Node
 
@@ -14,8 +14,7 @@ MOST_BYTES = 16 * 1024 * 1024
 MOST_PER_SECOND = 1000  # of one session under one key; a swarm that runs as fast as it goes says some 250 a second
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+class Arrival(NamedTuple):
     """A payload under a key, from a Zenoh session (`source`, empty if it does not say); a token has no payload but a state."""
 
     key: str

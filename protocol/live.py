@@ -14,6 +14,7 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 os.environ.setdefault(  # read by zenoh when it is imported: fewer threads, less CPU
@@ -30,10 +31,10 @@ from protocol.inbox import Arrival, Flow, Inbox, Quarantine, awaited, patient_ki
 from protocol.linger import Sockets
 from protocol.links import LinkFaults
 from protocol.messages import Message
-from protocol.node import Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, sees_all_tokens
+from protocol.node import QUIET, Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin
-from protocol.tokens import ALONE_SECONDS, Tokens
+from protocol.tokens import ALONE_SECONDS, Tokens, sees_all_tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
@@ -168,9 +169,9 @@ class Driver:
     # ------------------------------------------------------------------ the event loop
 
     def _drain(self) -> None:
-        batch = self._inbox.take(SLICE)
-        for arrival in batch:
-            self._token(arrival) if arrival.token is not None else self._pass(arrival)
+        receive = self._receive if self._link is None else partial(self._spoil, self._link)
+        for arrival in self._inbox.take(SLICE):
+            self._token(arrival) if arrival.token is not None else receive(arrival)
         if self._inbox.rest(awaited(self._node)):
             self._loop.call_soon(self._drain)
 
@@ -180,17 +181,13 @@ class Driver:
         if event is not None:
             self._handle(event)
 
-    def _pass(self, arrival: Arrival) -> None:
-        if self._link is None:
-            self._receive(arrival)
-            return
-        for delay, payload in self._link.incoming(arrival.key, arrival.payload):
+    def _spoil(self, link: LinkFaults, arrival: Arrival) -> None:
+        for delay, payload in link.incoming(arrival.key, arrival.payload):
             changed = Arrival(arrival.key, payload, arrival.source)
             self._loop.call_later(delay, self._receive, changed) if delay > 0.0 else self._receive(changed)
 
     def _receive(self, arrival: Arrival) -> None:
-        source = arrival.source or arrival.key
-        now = self._loop.time()
+        source, now = arrival.source or arrival.key, self._loop.time()
         if self._quarantine.holds(source, now):
             self.counts["quarantined"] += 1
             self._handle(Rejected(arrival.key.rpartition("/")[2], "quarantine", arrival.key, arrival.payload))
@@ -210,9 +207,11 @@ class Driver:
         if self._stopped.done():
             return
         try:
-            for effect in self._node.handle(event, self._loop.time()):
-                self._carry_out(effect)
-            self._arm()
+            effects = self._node.handle(event, self._loop.time())
+            if effects is not QUIET:
+                for effect in effects:
+                    self._carry_out(effect)
+                self._arm()
         except Exception as error:
             self._stopped.set_exception(error)
 

@@ -125,8 +125,3 @@ class Node(Protocol):
 
     def deadline(self) -> float | None:
         """When to be called with `Timer` at the latest, in the time of `now`; None: not at all."""
-
-
-def sees_all_tokens(node: Node) -> bool:
-    """Whether a node is shown every liveliness token; one that says `local = True` sees only those to which it subscribes."""
-    return not getattr(node, "local", False)

@@ -2,7 +2,8 @@
 
 Two Zenoh peers that lose each other and come back can be left with half a session, through which one or both hear nothing for ever
 (zenoh issue 2806). Nobody can tell this from a death by himself; the others can: their Hellos list whom they hear. When most of those
-whom I hear go on listing somebody of whom I have heard nothing for long, my session is to be opened anew.
+whom I hear go on listing somebody of whom I have heard nothing for long, my session is to be opened anew. So it is when somebody whose
+token has gone goes on speaking: through half a session words may come, but no token does any more.
 """
 
 from collections.abc import Iterable
@@ -23,6 +24,8 @@ class Presence:
         """`expected`: names that count when others claim to hear them."""
         self._name, self._expected = name, tuple(expected)
         self._words: dict[str, float] = {}  # when the last word of each came
+        self._up: dict[str, int] = {}  # the youngest incarnation whose token has been seen
+        self._lost: dict[str, float | None] = {}  # whose token has gone -> since when Hellos of it come all the same
         self._greeted: set[str] = set()  # whose Hello has come
         self._claims: dict[str, dict[str, float]] = {}  # silent name -> who claims to hear it, and when that was last said
         self._since: dict[str, float] = {}  # silent name -> since when somebody has been claiming so
@@ -41,17 +44,44 @@ class Presence:
         self._greeted.add(name)
         return first
 
-    def leave(self, name: str) -> None:
+    def appear(self, name: str, incarnation: int) -> None:
+        """The token of somebody has been seen."""
+        self._up[name] = max(incarnation, self._up.get(name, 0))
+        self._lost.pop(name, None)
+
+    def leave(self, name: str, incarnation: int) -> None:
         """The token of somebody has vanished: out of hearing until the next word."""
         self._words.pop(name, None)
         self._calm_until = NEVER
+        if incarnation >= self._up.get(name, 0):  # not the late end of one who has come back since
+            self._lost[name] = None
 
     def heard(self, now: float | None = None) -> tuple[str, ...]:
         """Names for my Hello: who has greeted me, has not left, and has spoken lately; `now` None: however long ago."""
         return tuple(sorted(name for name in self._greeted if name in self._words and (now is None or self._hears(name, now))))
 
     def split(self, hello: Hello, now: float) -> str:
-        """Take a peer's Hello: of whom I hear nothing though most of my peers do, if that has gone on for too long; else empty."""
+        """Take a peer's Hello: why my session must be split, if that has gone on for too long; else empty."""
+        alarm = self._wordy(hello.sender, now) or self._silent(hello, now)
+        if alarm:
+            self._claims.clear()
+            self._since.clear()
+            self._lost.clear()
+            self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
+        return alarm
+
+    def _wordy(self, name: str, now: float) -> str:
+        """Whether somebody goes on greeting though its token has gone."""
+        if name not in self._lost:
+            return ""
+        since = self._lost[name]
+        if since is None or since > now:
+            since = self._lost[name] = now
+        late = now - since >= PATIENCE and now >= self._not_before
+        return f"{name} speaks, but its token has gone" if late else ""
+
+    def _silent(self, hello: Hello, now: float) -> str:
+        """Whether there is somebody of whom I hear nothing though most of my peers do."""
         alarm = ""
         self._voters.add(hello.sender)
         if now <= self._calm_until:
@@ -62,13 +92,9 @@ class Presence:
             del self._claims[name], self._since[name]
         for name in silent:
             if self._is_split(name, hello, now):
-                alarm = name
+                alarm = f"the others hear {name}, {self._name} does not"
         if not silent and not self._since:
             self._calm_until = min([words[name] for name in others], default=now) + WITHIN_HEARING
-        if alarm:
-            self._claims.clear()
-            self._since.clear()
-            self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
         return alarm
 
     def _is_split(self, name: str, hello: Hello, now: float) -> bool:

@@ -16,8 +16,8 @@ from protocol.fields import Malformed
 from protocol.keys import is_of_tokens, message_key, token_key, tokens_of
 from protocol.messages import Command, Message, Observation
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
-from protocol.node import sees_all_tokens as sees_all
 from protocol.routes import Routes
+from protocol.tokens import sees_all_tokens as sees_all
 
 
 class Link(Protocol):
