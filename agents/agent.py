@@ -80,11 +80,12 @@ class Agent:
                 return self._fence(event.incarnation)
             case Alive():
                 if event.role == "agent":
+                    self._presence.appear(event.name, event.incarnation)
                     self.neighbours.alive(event.name, event.incarnation)
                 if event.role != "agent" or not self.local:
                     self._greet_soon(now)
             case Gone(role="agent"):
-                self._presence.leave(event.name)
+                self._presence.leave(event.name, event.incarnation)
                 self.neighbours.gone(event.name, event.incarnation, self.tick)
                 self._awaited.discard(event.name)
                 return self._close_if_complete(now)
@@ -188,11 +189,11 @@ class Agent:
         is_new = self._presence.greet(hello.sender, now)
         if is_new:
             self._greet_soon(now)
-        unheard = self._presence.split(hello, now) if hello.role == "agent" else ""
-        if not unheard:
+        reason = self._presence.split(hello, now) if hello.role == "agent" else ""
+        if not reason:
             return [] if is_new else QUIET
         self.counters["reopened"] += 1
-        return [Reopen(f"the others hear {unheard}, I do not")]
+        return [Reopen(reason)]
 
     def _greet_soon(self, now: float) -> None:
         """Somebody is new: say Hello, but once for all who appear within a moment."""

@@ -111,9 +111,9 @@ class World:
         is_new = self._roster.hear(hello)
         if not hello.local:
             self._presence.greet(hello.sender, now)
-        unheard = "" if hello.local else self._presence.split(hello, now)  # it hears nobody else's Hello
-        if unheard:
-            return [Reopen(f"the agents hear {unheard}, the world does not")]
+        reason = "" if hello.local else self._presence.split(hello, now)  # it hears nobody else's Hello
+        if reason:
+            return [Reopen(reason)]
         self._embody_guest(hello.sender)
         if self.started:
             return [self._hello()] if is_new else []
@@ -122,6 +122,7 @@ class World:
     def _greet(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has appeared; what an older incarnation of it was asked or told is void."""
         is_new = self._roster.appear(name, incarnation)
+        self._presence.appear(name, incarnation)
         self._embody_guest(name)
         if not self.started:
             return self._try_start(now)
@@ -132,7 +133,7 @@ class World:
 
     def _bury(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has gone; its body stands still at once and nobody waits for it."""
-        self._presence.leave(name)
+        self._presence.leave(name, incarnation)
         if not self._roster.vanish(name, incarnation):
             return []
         self._commands.pop(name, None)

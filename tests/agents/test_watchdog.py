@@ -51,17 +51,31 @@ def test_it_asks_for_a_new_session_when_the_others_hear_whom_it_does_not_and_not
     agent = met()
     found = run(agent, 20.0, {"s2": ("s1", "s3", "world")}, ("s2",))
     reopened = [(now, effect) for now, effect in found if isinstance(effect, Reopen)]
-    assert [effect for _, effect in reopened] == [Reopen("the others hear s3, I do not")]
+    assert [effect for _, effect in reopened] == [Reopen("the others hear s3, s1 does not")]
     assert PATIENCE <= reopened[0][0] < FIRST_REST
     assert agent.counters["reopened"] == 1
 
 
-def test_a_token_without_words_does_not_count_as_hearing_but_words_without_a_token_do() -> None:
-    """The two ends of a split session: one has the token of the other and hears nothing, one hears everything but sees no token."""
+def test_both_ends_of_a_split_session_ask_for_a_new_one() -> None:
+    """One has the token of the other and hears nothing; one hears everything but sees no token any more."""
     deaf, blind = met(), met()
     assert any(isinstance(effect, Reopen) for _, effect in run(deaf, 15.0, {"s2": ("s1", "s3", "world")}, ("s2",)))
     blind.handle(Gone("agent", "s3", 1), 0.0)
-    assert not any(isinstance(effect, Reopen) for _, effect in run(blind, 15.0, {"s2": ("s1", "s3", "world")}, ("s2", "s3")))
+    found = run(blind, 15.0, {"s2": ("s1", "s3", "world"), "s3": ("s1", "s2", "world")}, ("s2", "s3"))
+    reopened = [(now, effect) for now, effect in found if isinstance(effect, Reopen)]
+    assert [effect for _, effect in reopened] == [Reopen("s3 speaks, but its token has gone")]
+    assert reopened[0][0] >= PATIENCE
+
+
+def test_a_token_that_comes_back_and_one_of_an_older_incarnation_that_goes_late_are_no_alarm() -> None:
+    back, late = met(), met()
+    back.handle(Gone("agent", "s3", 1), 0.0)
+    back.handle(Alive("agent", "s3", 1), 0.0)
+    late.handle(Alive("agent", "s3", 2), 0.0)
+    late.handle(Gone("agent", "s3", 1), 0.0)
+    for agent in (back, late):
+        found = run(agent, 15.0, {"s2": ("s1", "s3", "world"), "s3": ("s1", "s2", "world")}, ("s2", "s3"))
+        assert not any(isinstance(effect, Reopen) for _, effect in found)
 
 
 def test_its_hello_no_longer_lists_who_has_left_or_fallen_silent() -> None:

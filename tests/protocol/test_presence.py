@@ -35,7 +35,7 @@ def test_heard_are_those_who_greeted_and_spoke_lately_and_have_not_left() -> Non
     presence.speak("s3", 2.0)
     assert presence.heard(0.6 + WITHIN_HEARING) == ("s3",)
     assert presence.heard() == ("s2", "s3"), "before the start nobody is struck off for being slow"
-    presence.leave("s3")
+    presence.leave("s3", 1)
     assert presence.heard(2.0) == ("s2",)
     presence.speak("s3", 2.5)
     assert presence.heard(2.5) == ("s2", "s3"), "the next word brings it back"
@@ -43,7 +43,7 @@ def test_heard_are_those_who_greeted_and_spoke_lately_and_have_not_left() -> Non
 
 def test_whom_most_others_hear_for_long_though_i_do_not_raises_an_alarm_that_rests_longer_every_time() -> None:
     found = alarms(Presence("s1", TEAM), {"s2": ("s1", "s4"), "s3": ("s1",)}, 400.0)
-    assert [name for _, name in found] == ["s4"] * len(found)
+    assert [reason for _, reason in found] == ["the others hear s4, s1 does not"] * len(found)
     assert PATIENCE <= found[0][0] <= PATIENCE + 3.0
     rests = [after - before for (before, _), (after, _) in pairwise(found)]
     assert rests[0] == pytest.approx(FIRST_REST, abs=2.5)

@@ -78,7 +78,7 @@ def test_it_asks_for_a_new_session_when_the_agents_hear_one_whom_it_does_not() -
     world = World(config(start_timeout=1000.0), incarnation=1)
     feed(world, Started(), Alive("agent", "s1", 1))
     found = [(now, effect) for now in range(0, 20, 2) for effect in feed(world, hello("s1", heard=("s2", "world")), now=float(now))]
-    assert [effect for _, effect in found if isinstance(effect, Reopen)] == [Reopen("the agents hear s2, the world does not")]
+    assert [effect for _, effect in found if isinstance(effect, Reopen)] == [Reopen("the others hear s2, world does not")]
     feed(world, hello("s2"), now=20.0)
     feed(world, Gone("agent", "s1", 1), now=20.0)
     (again,) = of_kind(Hello, feed(world, Timer(), now=21.0))
