@@ -31,6 +31,7 @@ def test_a_late_comer_from_outside_is_in_every_view_and_gets_a_body_and_a_cell(c
     assert {message.sender for message in last} == {f"s{number}" for number in (*range(1, 9), 20)}
     views = [len({message.view for message in last if message.tick == stamp}) for stamp in {message.tick for message in last}]
     assert statistics.median(views) == 1
+    print(f"a cell {settled - spoke} ticks after its first word; mass {statistics.median(journal.masses(settled + 4)):.4f} in the median")
     assert 0.99 <= statistics.median(journal.masses(settled + 4)) <= 1.01
 
 
@@ -47,6 +48,7 @@ def test_who_comes_back_under_its_name_is_the_younger_one_and_no_mass_is_lost(co
     journal = Journal(covey)
     assert [number for _, number in journal.tokens(Alive, "s3")] == [1, 2]
     assert {message.incarnation for _, message in journal.said(Gossip) if message.sender == "s3" and message.tick > tick} == {2}
+    print(f"mass {statistics.median(journal.masses(tick + 2)):.4f} in the median")
     assert 0.99 <= statistics.median(journal.masses(tick + 2)) <= 1.01
     assert statistics.median(score.overlap for score in journal.after(tick + 2)) <= 1e-6
 

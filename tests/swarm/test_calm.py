@@ -54,6 +54,9 @@ def test_a_newcomer_is_in_every_view_half_a_second_after_its_listening_rounds() 
 
     seen = watch(ledger(fault(5.0, "join", "s20", **{"class": "L"})), at_tick=look)
     assert "s20" not in seen.living[19] and "s20" in seen.living[23]
+    there = min(tick for tick, found in views.items() if found == {frozenset(seen.agents)})
+    share = min(seen.masses) / seen.masses[0]
+    print(f"in every view when the tick {0.25 * there - 5.0:.2f} s after its start begins; mass {share:.4f} at least")
     assert set(seen.views[seen.at(5.0 + 0.5 + 0.5) :]) == {1}
     assert views[79] == {frozenset(seen.agents)}
     assert min(seen.masses) >= 0.99 * seen.masses[0] and max(seen.masses) <= 1.01 * seen.masses[0]

@@ -15,6 +15,7 @@ HOLE_AFTER = 0.02  # of the area, half a second after a death (the failure model
 def ledger_is_kept(seen: Watched, start: float, least: float = 0.99, most: float = 1.01) -> bool:
     """Whether the mass from the time `start` on is what it was."""
     masses = np.array(seen.masses[seen.at(start) :]) / seen.masses[0]
+    print(f"mass {masses.min():.4f} to {masses.max():.4f}")
     return bool(masses.min() >= least and masses.max() <= most)
 
 
@@ -75,6 +76,7 @@ def test_a_slow_agent_is_waited_for_and_not_declared_dead() -> None:
     very_slow = watch(ledger(fault(5.0, "slow", "s2", 0.6, seconds=10.0)), clock="realtime")
     agent = very_slow.agents["s2"]
     assert agent.counters["skipped"] > 10 and agent.tick == 79
+    print(f"{agent.counters['skipped']} ticks skipped")
     assert ledger_is_kept(very_slow, 16.0)
     for name, other in very_slow.agents.items():
         assert name == "s2" or other.neighbours.peers["s2"].missed < 4

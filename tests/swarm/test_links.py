@@ -16,6 +16,8 @@ def relative(seen: Watched, start: float = 0.0) -> np.ndarray:
 @pytest.mark.parametrize(("loss", "mass", "hole", "overlap"), [(0.1, 0.01, 0.01, 0.01), (0.3, 0.02, 0.03, 0.04)])
 def test_loss_moves_the_mean_mass_hole_and_overlap_by_little(loss: float, mass: float, hole: float, overlap: float) -> None:
     seen = watch(ledger(fault(0.0, "drop", "100%", loss), run__seconds=60.0, agents=12, side=60.0), clock="realtime")
+    means = relative(seen).mean(), np.mean(seen.holes), np.mean(seen.overlaps)
+    print("loss {:.0%}: mean mass {:.4f}, hole {:.2%}, overlap {:.2%}".format(loss, *means))
     assert abs(relative(seen).mean() - 1.0) <= mass
     assert np.mean(seen.holes) <= hole and np.mean(seen.overlaps) <= overlap
 
@@ -27,6 +29,7 @@ def test_at_ten_per_cent_loss_nobody_is_taken_for_dead() -> None:
         worst.append(max(peer.missed for agent in simulation.agents.values() for peer in agent.neighbours.peers.values()))
 
     watch(ledger(fault(0.0, "drop", "100%", 0.1), run__seconds=60.0), clock="realtime", at_tick=look)
+    print(f"{max(worst)} rounds of silence in a row at most")
     assert 0 < max(worst) < 4 + 1
 
 
@@ -44,6 +47,7 @@ def test_delay_without_loss_changes_nothing_in_lockstep(delay: float) -> None:
 
 def test_messages_half_a_second_late_in_real_time_keep_the_ledger_within_two_per_cent_in_the_mean() -> None:
     seen = watch(ledger(fault(2.0, "delay", "100%", 0.5), run__seconds=30.0), clock="realtime")
+    print(f"mean mass {relative(seen, 3.0).mean():.4f}")
     assert abs(relative(seen, 3.0).mean() - 1.0) < 0.02
 
 
@@ -53,6 +57,8 @@ def test_messages_half_a_second_late_in_real_time_keep_the_ledger_within_two_per
 def test_a_partition_heals_to_one_claim_per_place(kind: str, tokens: bool, clock: str) -> None:
     seen = watch(ledger(fault(5.0, "partition", "50%", seconds=6.0, kind=kind, tokens=tokens), run__seconds=18.0), clock=clock)
     healed = seen.at(11.0 + 3.0)
+    late = [tick for tick, (hole, overlap) in enumerate(zip(seen.holes, seen.overlaps)) if max(hole, overlap) > 1e-9]
+    print(f"one claim per place {(late[-1] + 1) * 0.25 - 11.0:.2f} s after the heal; mass {relative(seen, 14.0).min():.4f} at least")
     assert set(seen.views[healed:]) == {1}
     assert max(seen.holes[healed:]) == 0.0 and max(seen.overlaps[healed:]) == 0.0
     assert relative(seen, 14.0).min() >= 0.99 and relative(seen, 14.0).max() <= 1.01
