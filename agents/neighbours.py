@@ -120,7 +120,7 @@ class Neighbours:
     def _is_usual(self, gossip: Gossip) -> bool:
         """Take a gossip in which all is as in the last round, when nothing was missing: the commonest case, made short."""
         said, peer = self._said.get(gossip.tick), self.circle.get(gossip.sender)
-        if said is None or peer is None or peer.incarnation != gossip.incarnation or not gossip.memo.get("plausible"):
+        if said is None or peer is None or peer.incarnation != gossip.incarnation or not self._believable(gossip, peer):
             return False
         said[peer.name] = gossip
         return True
@@ -142,11 +142,7 @@ class Neighbours:
             return "stale"
         if peer.gone_at is not None and tick <= peer.gone_at:
             return "dead"
-        plausible = gossip.memo.get("plausible")
-        if plausible is None:
-            plausible = gossip.memo["plausible"] = _plausible(gossip, peer.outfit)
-            learn(gossip, peer.outfit.sensor, self._config)
-        if not plausible:
+        if not self._believable(gossip, peer):
             return "bounds"
         said = self._said.get(tick)
         if said is None:
@@ -158,6 +154,14 @@ class Neighbours:
         if peer.gone_at is not None:
             peer.gone_at, self.changed = None, True
         return None
+
+    def _believable(self, gossip: Gossip, peer: Peer) -> bool:
+        """Whether a gossip stays within what its sender's sensor can do; what the sensor makes of it is noted, once in a process."""
+        believable: bool | None = gossip.memo.get("plausible")
+        if believable is None and peer.outfit is not None:
+            believable = gossip.memo["plausible"] = _plausible(gossip, peer.outfit)
+            learn(gossip, peer.outfit.sensor, self._config)
+        return bool(believable)
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
         """The gossips of `tick` by living peers, in the order of names."""
