@@ -101,8 +101,9 @@ class Agent:
             return self._on_observation(message, now)
         if isinstance(message, Hello):
             return self._on_hello(message, now)
-        if isinstance(message, Beacon) and self._lookout is not None and message.sender != self.name and self._lookout.hear(message):
-            self._answer_at = now + HELLO_SOON if self._answer_at is None else self._answer_at
+        if not isinstance(message, Beacon) or self._lookout is None or message.sender == self.name or not self._lookout.hear(message):
+            return QUIET
+        self._answer_at = now + HELLO_SOON if self._answer_at is None else self._answer_at
         return []
 
     def _expressions(self) -> list[str]:
@@ -171,7 +172,7 @@ class Agent:
         if reason:
             if reason != "unasked":
                 self.counters[f"rejected.{reason}"] += 1
-            return []
+            return QUIET
         self.counters["heard"] += 1
         if gossip.tick == self.tick and gossip.sender in self._awaited:
             self._awaited.remove(gossip.sender)

@@ -74,7 +74,7 @@ class Neighbours:
         self.certified = False  # local: nobody whom I do not know could own anything that matters to me
         self._acquainted, self._version = frozenset([name]), -1  # local: who has been counted in, and with which version of the places
         self.changed = False  # local: somebody has come or gone since the circle was chosen
-        self._config = config
+        self._config, self._silent = config, config.timing.silent_rounds
         self._name = name
         self._said: dict[int, dict[str, Gossip]] = {}  # by tick and name, of rounds that are not closed yet
         self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
@@ -180,11 +180,13 @@ class Neighbours:
             return set()
         if self._calm:
             return self.circle.keys() - said.keys()
+        if self.local:  # a beacon was heard just now
+            return {name for name, peer in self.circle.items() if peer.gone_at is None and peer.missed < self._silent and name not in said}
         return {name for name, peer in self.circle.items() if name not in said and self._awaits(peer, newcomer or tick == 0)}
 
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """The gossip from which each peer's generator in the diagram of `tick` is read: fresh, or the last of the lately silent."""
-        found, oldest = {}, tick - self._config.timing.silent_rounds
+        found, oldest = {}, tick - self._silent
         for name, peer in self.circle.items():
             gossip = fresh.get(name) or self._newest(peer, tick)
             if gossip is not None and gossip.tick >= oldest and not gossip.listening and peer.gone_at is None:
@@ -196,7 +198,7 @@ class Neighbours:
         missing = self.missing(tick, newcomer=newcomer)
         for name in missing:
             self.peers[name].missed += 1
-            if self.peers[name].missed >= self._config.timing.silent_rounds:
+            if self.peers[name].missed >= self._silent:
                 self.places.remove(name)
         complete = len(self._said.get(tick, ())) == len(self.circle)
         self._calm = complete and (self._calm or all(peer.token and peer.gone_at is None for peer in self.circle.values()))
@@ -204,8 +206,9 @@ class Neighbours:
             said = self._said.pop(stamp)
             self.last = said if len(said) == len(self.circle) else {**self.last, **said}
             if self.local:
-                for name in said.keys() & self.peers.keys():
-                    self._put(self.peers[name], said[name])
+                for name, gossip in said.items():
+                    if name in self.peers:
+                        self._put(self.peers[name], gossip)
         return len(missing)
 
     def anyone_missed(self) -> bool:
@@ -218,8 +221,9 @@ class Neighbours:
 
     def see(self, beacon: Beacon) -> bool:
         """A beacon arrived: where a peer is. Whether that peer is new, or was gone: then it may not know me either."""
-        known = self.peers.get(beacon.sender)
-        peer = self._peer(beacon.sender, beacon.incarnation)
+        peer = known = self.peers.get(beacon.sender)
+        if peer is None or peer.incarnation != beacon.incarnation:
+            peer = self._peer(beacon.sender, beacon.incarnation)
         if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
             return False
         if peer.outfit is None:
@@ -234,7 +238,7 @@ class Neighbours:
 
     def _put(self, peer: Peer, word: Beacon | Gossip) -> None:
         """Note where a peer is, unless it is gone or has been silent for long."""
-        if peer.gone_at is None and peer.outfit is not None and peer.missed < self._config.timing.silent_rounds:
+        if peer.gone_at is None and peer.outfit is not None and peer.missed < self._silent:
             self.places.put(peer.name, word.tick, word.memo.get("spot") or spot(word, self._config))
 
     def forget(self, since: int) -> None:
@@ -274,14 +278,12 @@ class Neighbours:
         return self._said[max(stamps)][peer.name] if stamps else self.last.get(peer.name)
 
     def _awaits(self, peer: Peer, never_heard_counts: bool) -> bool:
-        if self.local:  # a beacon was heard just now
-            return peer.gone_at is None and peer.missed < self._config.timing.silent_rounds
         return peer.token and self._speaks(peer, never_heard_counts)
 
     def _speaks(self, peer: Peer, never_heard_counts: bool) -> bool:
         if peer.name not in self.last and not any(peer.name in said for said in self._said.values()):
             return never_heard_counts
-        return peer.missed < self._config.timing.silent_rounds
+        return peer.missed < self._silent
 
     def _peer(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
         """The peer of that incarnation, made anew for a younger one; None for an older one.

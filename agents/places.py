@@ -9,6 +9,7 @@ from protocol.messages import Beacon, Gossip
 
 Word = Beacon | Gossip  # of where somebody is
 SPOT = struct.Struct("<6d")
+SIZE = SPOT.size  # bytes
 EYE_X, EYE_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
 
 
@@ -36,7 +37,7 @@ class Places:
         self.version = 0  # another one whenever somebody has come or gone
         self._ticks: list[int] = []  # of the words
         self._rows: dict[str, int] = {}
-        self._numbers = bytearray(SPOT.size * 8)
+        self._numbers = bytearray(SIZE * 8)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -52,25 +53,25 @@ class Places:
             self.names.append(name)
             self._ticks.append(tick)
             self.version += 1
-            if SPOT.size * (row + 2) > len(self._numbers):  # there is always room for one more
+            if SIZE * (row + 2) > len(self._numbers):  # there is always room for one more
                 self._numbers = self._numbers + bytes(len(self._numbers))
         elif tick < self._ticks[row]:
             return
         else:
             self._ticks[row] = tick
-        self._numbers[SPOT.size * row : SPOT.size * (row + 1)] = packed
+        self._numbers[SIZE * row : SIZE * (row + 1)] = packed
 
     def remove(self, name: str) -> None:
         """Nobody knows any more where somebody is; the last takes the free row."""
         row = self._rows.pop(name, None)
         if row is None:
             return
-        last, tick, size = self.names.pop(), self._ticks.pop(), SPOT.size
+        last, tick = self.names.pop(), self._ticks.pop()
         self.version += 1
         if row < len(self.names):
             self.names[row], self._ticks[row], self._rows[last] = last, tick, row
-            end = size * len(self.names)
-            self._numbers[size * row : size * (row + 1)] = self._numbers[end : end + size]
+            end = SIZE * len(self.names)
+            self._numbers[SIZE * row : SIZE * (row + 1)] = self._numbers[end : end + SIZE]
 
     def forget(self, since: int) -> list[str]:
         """Remove those whose last word is older than the tick `since`; who they were."""
@@ -83,6 +84,6 @@ class Places:
 
     def table(self, mine: bytes) -> np.ndarray:
         """All rows (N, 6) and, last, one more; to be used before the next word is put."""
-        end = SPOT.size * len(self.names)
-        self._numbers[end : end + SPOT.size] = mine
+        end = SIZE * len(self.names)
+        self._numbers[end : end + SIZE] = mine
         return np.frombuffer(self._numbers, dtype=float, count=6 * (len(self.names) + 1)).reshape(-1, 6)
