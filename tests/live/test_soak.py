@@ -39,9 +39,11 @@ def soak(covey: Covey, team: str, rate: str, warm: float, seconds: float, deaths
 
 def die_and_return(covey: Covey, name: str) -> None:
     """SIGKILL of an agent, and its restart once it is missed."""
-    assert covey.run("kill", name)[0] == 0
+    code, _, complaints = covey.run("kill", name)
+    assert code == 0, complaints
     covey.wait(lambda data: not rows(data)[name]["alive"])
-    assert covey.run("restart", name)[0] == 0
+    code, _, complaints = covey.run("restart", name)
+    assert code == 0, complaints
     covey.wait(lambda data: rows(data)[name]["alive"])
 
 
