@@ -64,7 +64,7 @@ def learn(gossip: Gossip, sensor: SensorModel, config: AgentConfig) -> None:
     """
     name, clutter, diagram = gossip.sender, config.detection.clutter, config.partition.kind
     eye = _EYES.get(name)
-    if eye is None or eye.sensor != sensor or eye.clutter != clutter:
+    if eye is None or (eye.sensor is not sensor and eye.sensor != sensor) or eye.clutter != clutter:
         if len(_EYES) >= _MOST_EYES:
             _EYES.clear()
         eye = _EYES[name] = eye_of(name, sensor, clutter)
