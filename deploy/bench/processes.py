@@ -159,8 +159,10 @@ def live(agents: tuple[int, ...] = (16, 48, 96)) -> list[Row]:
 
 
 def _choices(agents: int) -> list[tuple[str, ...]]:
-    heard = ("timing.interest=neighbours",) if agents > 48 else ()
-    return [heard, (*heard, "network.mode=client")]
+    """Everybody linked to everybody or all to a router; and who hears whom. More than 48 hear their neighbours only."""
+    router, neighbours = ("network.mode=client",), ("timing.interest=neighbours",)
+    everybody: list[tuple[str, ...]] = [(), router] if agents <= 48 else [neighbours]
+    return everybody if agents < 48 else [*everybody, (*neighbours, *router)]
 
 
 def realtime(agents: int = 48, seconds: float = 60.0, settings: tuple[str, ...] = ()) -> list[Row]:
