@@ -1,0 +1,66 @@
+"""Whom an agent listens to as others come near and go away: who is needed no longer still comes for a while."""
+
+from agents.agent import Agent
+from agents.config import AgentConfig, TimingSettings
+from agents.interest import PERIOD
+from agents.lookout import FORGOTTEN, LINGER, Lookout
+from agents.neighbours import Neighbours
+from protocol.geometry import rectangle
+from protocol.keys import one_of, tokens_of
+from protocol.messages import Beacon, Observation
+from protocol.node import Effect, Subscribe, Unsubscribe
+from protocol.settings import ArenaSettings, RunSettings
+
+CONFIG = AgentConfig(
+    members={"s1": "A", "s2": "A", "s3": "A"},
+    arena=ArenaSettings(width=200.0, height=200.0),
+    timing=TimingSettings(interest="neighbours"),
+    run=RunSettings(dt=1.0),
+)
+GOSSIP, TOKEN = one_of(CONFIG.run.name, "gossip", "s2"), tokens_of(CONFIG.run.name, "agent", "s2")
+HOME = rectangle(20.0, 20.0)
+
+
+def beacon(name: str, tick: int, x: float) -> Beacon:
+    place = x, 10.0
+    return Beacon(
+        sender=name, incarnation=1, tick=tick, position=place, cod=place, power_radius=2.0, reach=5.0, column=0, row=0, sensor_class="A"
+    )
+
+
+def lookout() -> Lookout:
+    """Of s1, who stands at (10, 10) m and has asked who is there; s3, between him and s2, owns all that is far."""
+    agent = Agent(CONFIG, "s1")
+    made = Lookout(agent.self, Neighbours(CONFIG, "s1"), 1)
+    seen = Observation(sender="world", incarnation=1, recipient="s1", tick=0, time=0.0, pose=(10.0, 10.0, 0.0))
+    made.arrive(seen, agent.outcome, 0.0)
+    return made
+
+
+def about_s2(effects: list[Effect]) -> list[Effect]:
+    return [effect for effect in effects if isinstance(effect, Subscribe | Unsubscribe) and effect.expression in (GOSSIP, TOKEN)]
+
+
+def look(watcher: Lookout, tick: int, x: float) -> list[Effect]:
+    """What follows for s2 from a choice, when it says that it is at (x, 10) m."""
+    watcher.hear(beacon("s2", tick, x))
+    watcher.hear(beacon("s3", tick, 60.0))
+    return about_s2(watcher.look(HOME, beacon("s1", tick, 10.0), tick))
+
+
+def test_who_goes_and_comes_back_is_listened_to_all_the_while() -> None:
+    watcher = lookout()
+    assert look(watcher, 0, 30.0) == [Subscribe(GOSSIP), Subscribe(TOKEN)]
+    assert [look(watcher, 1 + tick, 190.0) for tick in range(int(LINGER) - 1)] == [[]] * (int(LINGER) - 1)
+    assert look(watcher, int(LINGER), 30.0) == []
+
+
+def test_who_stays_away_is_dropped_and_its_token_when_it_is_forgotten() -> None:
+    watcher = lookout()
+    look(watcher, 0, 30.0)
+    said = [look(watcher, tick, 190.0) for tick in range(1, 10)]
+    assert said[int(LINGER) - 1] == [Unsubscribe(GOSSIP)] and sum(map(len, said)) == 1
+    assert look(watcher, 10, 30.0) == [Subscribe(GOSSIP)]
+    silent = 11 + int(FORGOTTEN * PERIOD)
+    watcher.hear(beacon("s3", silent, 60.0))
+    assert about_s2(watcher.look(HOME, beacon("s1", silent, 10.0), silent)) == [Unsubscribe(GOSSIP), Unsubscribe(TOKEN)]
