@@ -13,6 +13,7 @@ from agents.births import prior, prior_around
 from agents.capacity import place, sensor_facts
 from agents.config import AgentConfig
 from agents.control import control_law
+from agents.greetings import SOON, Greetings
 from agents.lookout import Lookout
 from agents.neighbours import Neighbours
 from agents.particles import NONE
@@ -28,9 +29,6 @@ from protocol.sensing import WedgeSensor
 from protocol.settings import sensor_of
 
 VERSION = "0.1.0"
-HELLO_SOON = 0.05  # s between the appearance of somebody new and a greeting
-CROWD = 12  # peers from which on greetings become rarer, for everybody's go to everybody
-HELLO_EARLY, HELLO_LATE = 0.25, 2.0  # s between greetings while somebody is unknown or nothing has been observed, and later
 EXIT_FENCED = 3
 MANY = 1 << 30
 
@@ -65,7 +63,7 @@ class Agent:
         self._lonely = 0  # and rounds left in which I do not believe that nobody else is there
         self._close_at: float | None = None
         self._answer_at: float | None = None
-        self._greet_at: float | None = None
+        self._greetings = Greetings(len(config.members) - 1, self.neighbours.are_all_there)
         self._opened_at = 0.0
 
     def handle(self, event: Event, now: float) -> list[Effect]:
@@ -83,14 +81,14 @@ class Agent:
                     self._presence.appear(event.name, event.incarnation)
                     self.neighbours.alive(event.name, event.incarnation)
                 if event.role != "agent" or not self.local:
-                    self._greet_soon(now)
+                    self._greetings.news(len(self.neighbours.peers), now)
             case Gone(role="agent"):
                 self._presence.leave(event.name, event.incarnation)
                 self.neighbours.gone(event.name, event.incarnation, self.tick)
                 self._awaited.discard(event.name)
                 return self._close_if_complete(now)
             case Started():
-                self._greet_at = now + HELLO_EARLY
+                self._greetings.start(now)
                 return [*map(Subscribe, [*self._expressions(), one_of(self.run, "observation", self.name)]), self._hello(now)]
             case Rejected(reason=reason):
                 self.counters[f"rejected.{reason}"] += 1
@@ -103,7 +101,7 @@ class Agent:
             return self._on_hello(message, now)
         if not isinstance(message, Beacon) or self._lookout is None or message.sender == self.name or not self._lookout.hear(message):
             return QUIET
-        self._answer_at = now + HELLO_SOON if self._answer_at is None else self._answer_at
+        self._answer_at = now + SOON if self._answer_at is None else self._answer_at
         return []
 
     def _expressions(self) -> list[str]:
@@ -120,9 +118,9 @@ class Agent:
     def deadline(self) -> float | None:
         """When the open round closes, or the next greeting, answer or choice is due, whichever is earliest (Node)."""
         if self._lookout is None:
-            close, greet = self._close_at, self._greet_at
+            close, greet = self._close_at, self._greetings.due
             return greet if close is None or (greet is not None and greet < close) else close
-        times = [time for time in (self._close_at, self._greet_at, self._answer_at, self._lookout.due) if time is not None]
+        times = [time for time in (self._close_at, self._greetings.due, self._answer_at, self._lookout.due) if time is not None]
         return min(times, default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
@@ -138,8 +136,7 @@ class Agent:
         elif observation.tick > self.tick + 1:
             self.counters["skipped"] += observation.tick - self.tick - 1
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
-        if self._greet_at is not None:
-            self._greet_at = min(self._greet_at, now + HELLO_LATE)  # later only if the clock has jumped back
+        self._greetings.observe(now)
         if self._lookout is not None and not self._lookout.settled:
             return [*effects, *self._lookout.arrive(observation, self.outcome, now)]
         return [*effects, *self._speak(observation, now)]
@@ -168,6 +165,8 @@ class Agent:
         if gossip.sender == self.name:
             return self._fence(gossip.incarnation)
         self._presence.speak(gossip.sender, now)
+        if self.tick < 0:
+            self._greetings.go_on()
         reason = self.neighbours.hear(gossip)
         if reason:
             if reason != "unasked":
@@ -189,26 +188,16 @@ class Agent:
             return []
         is_new = self._presence.greet(hello.sender, now)
         if is_new:
-            self._greet_soon(now)
+            self._greetings.news(len(self.neighbours.peers), now)
         reason = self._presence.split(hello, now) if hello.role == "agent" else ""
         if not reason:
             return [] if is_new else QUIET
         self.counters["reopened"] += 1
         return [Reopen(reason)]
 
-    def _greet_soon(self, now: float) -> None:
-        """Somebody is new: say Hello, but once for all who appear within a moment."""
-        soon = now + HELLO_SOON * self._crowd()
-        self._greet_at = soon if self._greet_at is None else min(self._greet_at, soon)
-
-    def _crowd(self) -> float:
-        return max(1.0, len(self.neighbours.peers) / CROWD)
-
     def _on_timer(self, now: float) -> list[Effect]:
         effects: list[Effect] = []
-        if self._greet_at is not None and now >= self._greet_at:
-            early = self.tick < 0 or self.neighbours.strangers()
-            self._greet_at = now + (min(HELLO_EARLY * self._crowd(), HELLO_LATE) if early else HELLO_LATE)
+        if self._greetings.is_due(len(self.neighbours.peers), self.tick < 0 or self.neighbours.strangers(), now):
             effects.append(self._hello(now))
         if self._lookout is not None:
             effects += self._on_time(self._lookout, now)

@@ -215,6 +215,11 @@ class Neighbours:
         """Whether some peer was silent in the last round."""
         return not self._calm and any(peer.missed for peer in self.circle.values())
 
+    def are_all_there(self) -> bool:
+        """Whether the tokens of all other members of the team are up."""
+        there = [peer for name, peer in self.peers.items() if peer.token and name in self._config.members]
+        return len(there) >= len(self._config.members) - 1
+
     def strangers(self) -> bool:
         """Whether somebody alive has not said yet in a Hello what its sensor is."""
         return not self.local and any(peer.token and peer.outfit is None for peer in self.peers.values())

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from agents.agent import CROWD, EXIT_FENCED, HELLO_EARLY, HELLO_SOON, Agent
+from agents.agent import EXIT_FENCED, Agent
 from agents.config import AgentConfig, ControlSettings
+from agents.greetings import CROWD, EARLY, SOON
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
 from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
 from protocol.sensing import SENSOR_CLASSES
@@ -92,7 +93,7 @@ def test_alone_it_closes_at_once_and_owns_the_arena() -> None:
 def test_in_real_time_the_deadline_is_a_share_of_the_period() -> None:
     agent = met()
     agent.handle(see(0), 1.0)
-    assert agent.deadline() == pytest.approx(HELLO_SOON) or agent.deadline() == pytest.approx(1.125)
+    assert agent.deadline() == pytest.approx(SOON) or agent.deadline() == pytest.approx(1.125)
     agent.handle(Timer(), 1.0)  # the greeting
     assert agent.deadline() == pytest.approx(1.0 + 0.5 * 0.5 / 2.0)
     effects = agent.handle(Timer(), 1.125)
@@ -199,10 +200,26 @@ def test_it_greets_once_for_all_who_appear_within_a_moment_and_the_rarer_the_mor
     agent.handle(Started(), 0.0)
     for number in range(2, 30):
         assert agent.handle(Alive("agent", f"s{number}", 1), 0.01) == []
-    assert agent.deadline() == pytest.approx(0.01 + HELLO_SOON)
-    greeting = only(agent.handle(Timer(), 0.01 + HELLO_SOON), Hello)
+    assert agent.deadline() == pytest.approx(0.01 + SOON)
+    greeting = only(agent.handle(Timer(), 0.01 + SOON), Hello)
     assert isinstance(greeting, Hello)
-    assert agent.deadline() == pytest.approx(0.01 + HELLO_SOON + HELLO_EARLY * 28 / CROWD)
+    assert agent.deadline() == pytest.approx(0.01 + SOON + EARLY * 28 / CROWD)
+
+
+def test_while_the_team_gathers_only_the_rhythm_and_the_last_to_come_make_it_greet() -> None:
+    team = AgentConfig(members={f"s{number}": "A" for number in range(1, 25)})
+    agent = Agent(team, "s1")
+    agent.handle(Started(), 0.0)
+    for number in range(2, 24):
+        agent.handle(Alive("agent", f"s{number}", 1), 0.01)
+    assert agent.deadline() == EARLY
+    agent.handle(Alive("agent", "s24", 1), 0.02)
+    assert agent.deadline() == pytest.approx(0.02 + SOON * 23 / CROWD)
+    late = Agent(team, "s1")
+    late.handle(Started(), 0.0)
+    late.handle(word(7), 0.01)
+    late.handle(Alive("agent", "s2", 1), 0.02)
+    assert late.deadline() == pytest.approx(0.02 + SOON), "the run goes on: others wait for nobody"
 
 
 def test_rejected_bytes_are_counted_by_reason_and_foreign_kinds_are_ignored() -> None:
