@@ -4,6 +4,8 @@ import os
 import re
 import socket
 
+from msgspec import structs
+
 from protocol.settings import BadSetting, NetworkSettings
 
 ENCRYPTED = ("tls/", "quic/")
@@ -48,6 +50,18 @@ def own_endpoints(settings: NetworkSettings) -> tuple[str, ...]:
     if settings.encrypted and settings.listen == NetworkSettings().listen:
         return (f"tls/{settings.listen[0].partition('/')[2]}",)
     return settings.listen
+
+
+def elsewhere(settings: NetworkSettings) -> NetworkSettings:
+    """The same on any free ports: where a session listens that is opened anew while the old one does not let go of its port."""
+    return structs.replace(settings, listen=tuple(re.sub(r":\d+$", ":0", endpoint) for endpoint in settings.listen))
+
+
+def refused(settings: NetworkSettings, text: str) -> BadSetting:
+    """One line for what Zenoh says of endpoints that cannot be used."""
+    text = re.sub(r" at \S+\.rs:\d+\.?", "", text).strip()
+    hint = "the port is in use; choose a free one, or port 0 for any" if "already in use" in text else text
+    return BadSetting(f"network.listen = {', '.join(settings.listen)}: {hint}")
 
 
 def free_port(lowest: int = 20000, highest: int = 32000) -> int:

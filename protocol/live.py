@@ -9,7 +9,6 @@ import contextlib
 import json
 import logging
 import os
-import re
 import signal
 import threading
 from collections import Counter
@@ -25,7 +24,7 @@ import zenoh
 
 from protocol import codec, keys
 from protocol.access import common_name, secured
-from protocol.endpoints import check_endpoints, check_files
+from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
 from protocol.fields import Malformed
 from protocol.inbox import Arrival, Flow, Inbox, Quarantine, awaited, patient_kind
 from protocol.linger import Sockets
@@ -40,6 +39,7 @@ from protocol.transport import session_values
 CLOSE_SECONDS = 2.0
 LINGER_SECONDS = 0.5  # between two looks at new sockets; links live for the lease at least
 RETRY_SECONDS = 0.5  # between attempts to open a session anew
+MOST_TRIES = 4  # on the same port; then on any
 SETTLE_SECONDS = 2.0  # in which a new session sees again whom the old one saw
 SLICE = 64  # messages between two looks at the timers
 
@@ -61,10 +61,7 @@ def open_session(settings: NetworkSettings, own: keys.Token | None = None) -> ze
     try:
         return zenoh.open(session_config(settings, own))
     except zenoh.ZError as error:
-        text = re.sub(r" at \S+\.rs:\d+\.?", "", str(error)).strip()
-        used = "already in use" in text
-        hint = "the port is in use; choose a free one, or port 0 for any" if used else text
-        raise BadSetting(f"network.listen = {', '.join(settings.listen)}: {hint}") from None
+        raise refused(settings, str(error)) from None
 
 
 class Driver:
@@ -132,14 +129,15 @@ class Driver:
             liveliness.declare_token(keys.token_key(*self._own)),
         ]
 
-    async def _close(self) -> None:
-        """Close the session, for 2 s at most; in a thread of its own, for asyncio would wait for one of its pool without end."""
+    async def _close(self, declared: list[Any] | None = None) -> None:
+        """Close the session, for 2 s at most, in a thread of its own, for asyncio would wait for one of its pool without end; what it
+        has `declared` is let go of afterwards."""
         session, self._session = self._session, None
         if session is None:
             return
         closed = asyncio.Event()
 
-        def close() -> None:
+        def close(held: Any = declared) -> None:
             with contextlib.suppress(zenoh.ZError, RuntimeError):
                 session.close()
                 self._loop.call_soon_threadsafe(closed.set)
@@ -231,11 +229,11 @@ class Driver:
 
     async def _reopen(self) -> None:
         """Leave the network and join it anew, with the same subscriptions; what is sent meanwhile is lost."""
-        old = self._publishers, self._subscribers, self._declared  # nothing of it is undeclared before the session is closed
+        old = [self._publishers, self._subscribers, self._declared]
         self._publishers, self._subscribers, self._declared = {}, {}, []
         self._tokens.doubt()
-        await self._close()
-        del old
+        await self._close(old)
+        tries = 0
         while not self._declared and not self._stopped.done():
             try:
                 await self.open()
@@ -244,6 +242,8 @@ class Driver:
                 self._declare()
             except (BadSetting, zenoh.ZError) as error:  # the old session may still hold the port
                 log.warning("could not open the session anew: %s", error)
+                tries += 1
+                self._settings = elsewhere(self._settings) if tries == MOST_TRIES else self._settings
                 await self._close()
                 await asyncio.sleep(RETRY_SECONDS)
         self.counts["reopened"] += 1

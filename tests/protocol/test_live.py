@@ -199,6 +199,37 @@ def test_a_session_that_is_opened_anew_keeps_its_subscriptions_and_reports_nobod
     asyncio.run(scene())
 
 
+def test_a_session_that_does_not_let_go_of_its_port_is_opened_anew_on_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "RETRY_SECONDS", 0.05)
+
+    async def scene() -> None:
+        left, right = Scribe("a"), Scribe("b")
+        left.first = [Subscribe(keys.all_of(left.run, "command"))]
+        both = Pair(left, right)
+        other = f"tcp/127.0.0.1:{free_port()}"
+        ends = ((left, both.endpoint, other), (right, other, both.endpoint))
+        both.drivers = [live.Driver(node, NetworkSettings(listen=(own,), seeds=(seed,))) for node, own, seed in ends]
+        async with both as pair:
+            await until(lambda: Alive("agent", "b", 1) in left.events)
+            driver, stuck = pair.drivers[0], []
+
+            async def hang(declared: object = None) -> None:
+                stuck.append((driver._session, declared))
+                driver._session = None
+
+            with monkeypatch.context() as patch:
+                patch.setattr(driver, "_close", hang)
+                driver._carry_out(Reopen("for the test"))
+                await until(lambda: driver.counts["reopened"] == 1)
+            heard = len(left.texts())
+            await until(lambda: bool(pair.drivers[1]._carry_out(command("b", 1))) or len(left.texts()) > heard)
+            for session, _ in stuck:
+                if session is not None:
+                    await asyncio.to_thread(session.close)
+
+    asyncio.run(scene())
+
+
 def test_who_is_not_there_any_more_after_the_session_was_opened_anew_is_reported_gone() -> None:
     async def scene() -> None:
         left, right = Scribe("a"), Scribe("b")
