@@ -4,8 +4,10 @@ The world waits for every live agent (lockstep), messages travel at once as real
 come. Without faults the trajectory is that of a live lockstep run, to the last bit.
 """
 
+import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Literal
 
 import msgspec
@@ -21,6 +23,19 @@ from deploy.scenario import Scenario, world_config
 from protocol.messages import Truth
 from protocol.virtual import Link, VirtualBus
 from world.world import World
+
+
+@contextmanager
+def rare_collections() -> Iterator[None]:
+    """Look for cycles rarely and among new objects only: messages and beliefs hold none, and the search took 6 to 9 % of a simulation."""
+    before = gc.get_threshold()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        gc.unfreeze()
 
 
 def compiled() -> Arithmetic:
@@ -78,8 +93,9 @@ class Simulation:
 
     def run(self) -> Result:
         """Play the run to its end."""
-        while not self.done and self.bus.step():
-            pass
+        with rare_collections():
+            while not self.done and self.bus.step():
+                pass
         return self.result()
 
     def result(self) -> Result:
