@@ -63,7 +63,7 @@ class Agent:
         self._lonely = 0  # and rounds left in which I do not believe that nobody else is there
         self._close_at: float | None = None
         self._answer_at: float | None = None
-        self._greetings = Greetings(len(config.members) - 1, self.neighbours.are_all_there)
+        self._greetings = Greetings(0 if self.local else len(config.members) - 1, self.neighbours.are_all_there)
         self._opened_at = 0.0
 
     def handle(self, event: Event, now: float) -> list[Effect]:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from agents.agent import EXIT_FENCED, Agent
-from agents.config import AgentConfig, ControlSettings
+from agents.config import AgentConfig, ControlSettings, TimingSettings
 from agents.greetings import CROWD, EARLY, SOON
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
 from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
@@ -220,6 +220,16 @@ def test_while_the_team_gathers_only_the_rhythm_and_the_last_to_come_make_it_gre
     late.handle(word(7), 0.01)
     late.handle(Alive("agent", "s2", 1), 0.02)
     assert late.deadline() == pytest.approx(0.02 + SOON), "the run goes on: others wait for nobody"
+
+
+def test_who_hears_its_neighbours_only_answers_the_world_at_once_however_large_the_team() -> None:
+    team = AgentConfig(members={f"s{number}": "A" for number in range(1, 97)}, timing=TimingSettings(interest="neighbours"))
+    agent = Agent(team, "s1")
+    agent.handle(Started(), 0.0)
+    agent.handle(Received(Hello(sender="world", incarnation=1, role="world")), 0.01)
+    assert agent.deadline() == pytest.approx(0.01 + SOON)
+    agent.handle(Timer(), 0.01 + SOON)
+    assert agent.deadline() == pytest.approx(0.01 + SOON + EARLY)
 
 
 def test_rejected_bytes_are_counted_by_reason_and_foreign_kinds_are_ignored() -> None:
