@@ -1,10 +1,12 @@
 """Bytes to messages and back: msgpack maps, checked for size, type, range and sender before anyone sees them."""
 
+from collections.abc import Iterable
+
 import msgspec
 
 from protocol.fields import Malformed
-from protocol.keys import Key, parse_message_key
-from protocol.messages import KINDS, WIRE_VERSION, Beacon, Message, Observation
+from protocol.keys import NAME, Key, parse_message_key
+from protocol.messages import KINDS, WIRE_VERSION, Beacon, Gossip, Message, Observation, plain_arrays
 
 MAX_BYTES = 512 * 1024
 
@@ -30,6 +32,39 @@ def decode(key: str, payload: bytes) -> Message:
 
     Raises `Malformed` and nothing else: `reason` is one of key, size, format, version, shape, range, sender.
     """
+    message = _parse(key, payload)
+    message.check()
+    return message
+
+
+def decode_all(arrivals: Iterable[tuple[str, bytes]]) -> list[Message | Malformed]:
+    """What `decode` returns or raises for each key and payload; the numbers of many gossips are checked side by side, which costs less."""
+    found: list[Message | Malformed] = []
+    plain: list[Gossip] = []
+    for key, payload in arrivals:
+        try:
+            message = _parse(key, payload)
+            if type(message) is Gossip and message.is_plain():
+                plain.append(message)
+            else:
+                message.check()
+            found.append(message)
+        except Malformed as error:
+            found.append(error)
+    return found if plain_arrays(plain) else [_checked(message) for message in found]
+
+
+def _checked(message: Message | Malformed) -> Message | Malformed:
+    try:
+        if isinstance(message, Message):
+            message.check()
+    except Malformed as error:
+        return error
+    return message
+
+
+def _parse(key: str, payload: bytes) -> Message:
+    """The message under a key, of which only the types, the version and the sender have been checked."""
     parts = parse_message_key(key)
     if parts is None or parts.kind not in _decoders:
         raise Malformed("key", f"{key!r} is no key of a known message")
@@ -43,7 +78,6 @@ def decode(key: str, payload: bytes) -> Message:
     if message.wire != WIRE_VERSION:
         raise Malformed("version", f"wire = {message.wire}: this software speaks version {WIRE_VERSION}")
     _check_name(parts, message)
-    message.check()
     return message
 
 
@@ -62,4 +96,6 @@ def _check_name(parts: Key, message: Message) -> None:
     if isinstance(message, Beacon) and message.tile != parts.tile:
         raise Malformed("sender", f"tile = {message.tile}: was said in the tile {parts.tile}")
     if parts.kind != "truth" and named != parts.name:
+        if not NAME.match(named):
+            raise Malformed("format", f"{parts.kind}: {named[:64]!r} is no name")
         raise Malformed("sender", f"{named!r} speaks under the key of {parts.name!r}")

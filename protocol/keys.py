@@ -9,11 +9,13 @@ a beacon is said.
 """
 
 import re
+from functools import lru_cache
 from typing import NamedTuple
 
 from protocol.messages import Beacon, Message, Observation
 
 ROOT = "covey"
+LONGEST = 256  # characters of a message key: three names and two numbers
 NAME = re.compile(r"^[A-Za-z0-9_.-]{1,64}\Z")
 
 INCARNATION = re.compile(r"^(0|[1-9][0-9]{0,18})\Z")
@@ -93,12 +95,19 @@ def all_tokens(run: str) -> str:
 
 def parse_message_key(text: str) -> Key | None:
     """The parts of a message key, or None for anything else."""
+    return _parse_message_key(text) if len(text) <= LONGEST else None
+
+
+@lru_cache(maxsize=8192)  # the same keys come in every round
+def _parse_message_key(text: str) -> Key | None:
     parts = text.split("/")
     if len(parts) == 3 and parts[0] == ROOT and parts[2] == "truth":
         return Key(parts[1], "truth", "")
-    if len(parts) == 4 and parts[0] == ROOT and parts[2] not in ("alive", "beacon"):
+    if parts[0] != ROOT or not NAME.match(parts[-1]):
+        return None
+    if len(parts) == 4 and parts[2] not in ("alive", "beacon"):
         return Key(parts[1], parts[2], parts[3])
-    if len(parts) == 6 and parts[0] == ROOT and parts[2] == "beacon" and TILE.match(parts[3]) and TILE.match(parts[4]):
+    if len(parts) == 6 and parts[2] == "beacon" and TILE.match(parts[3]) and TILE.match(parts[4]):
         return Key(parts[1], "beacon", parts[5], (int(parts[3]), int(parts[4])))
     return None
 

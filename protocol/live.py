@@ -13,7 +13,6 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 os.environ.setdefault(  # read by zenoh when it is imported: fewer threads, less CPU
@@ -25,19 +24,19 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
-from protocol.fields import Malformed
-from protocol.inbox import Arrival, Flow, Inbox, Quarantine, awaited, patient_kind
+from protocol.inbox import Arrival, Flow, Inbox, awaited, patient_kind
 from protocol.linger import Sockets
 from protocol.links import LinkFaults
 from protocol.messages import Message
-from protocol.node import QUIET, Effect, Event, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import QUIET, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.reception import Reception
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin
 from protocol.tokens import ALONE_SECONDS, Tokens, sees_all_tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
-LINGER_SECONDS = 0.5  # between two looks at new sockets; links live for the lease at least
+LINGER_SECONDS = 1.0  # between two looks at new sockets; links live for the lease at least, 2 s
 RETRY_SECONDS = 0.5  # between attempts to open a session anew
 MOST_TRIES = 4  # on the same port; then on any
 SETTLE_SECONDS = 2.0  # in which a new session sees again whom the old one saw
@@ -74,9 +73,9 @@ class Driver:
         self._link = link
         self._inbox = Inbox(newest="/observation/" if node.role == "agent" else "", patient=patient_kind(node))
         self._flow = Flow()
-        self._quarantine = Quarantine()
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
+        self._reception = Reception(self._tokens, self.counts)
         self._reopening: asyncio.Task[None] | None = None
         self._sockets = Sockets()
         self._wanted: Counter[str] = Counter()  # expression -> how often the node subscribed
@@ -167,38 +166,24 @@ class Driver:
     # ------------------------------------------------------------------ the event loop
 
     def _drain(self) -> None:
-        receive = self._receive if self._link is None else partial(self._spoil, self._link)
-        for arrival in self._inbox.take(SLICE):
-            self._token(arrival) if arrival.token is not None else receive(arrival)
+        arrivals = self._inbox.take(SLICE)
+        if self._link is None:
+            self._receive(arrivals)
+        else:
+            self._spoil(self._link, arrivals)
         if self._inbox.rest(awaited(self._node)):
             self._loop.call_soon(self._drain)
 
-    def _token(self, arrival: Arrival) -> None:
-        """Report a token once when it appears and once when it vanishes; the own one never."""
-        event = self._tokens.see(arrival.key, bool(arrival.token))
-        if event is not None:
+    def _spoil(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
+        for arrival in arrivals:
+            spoilt = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload)
+            for delay, payload in spoilt:
+                changed = [arrival._replace(payload=payload)]
+                self._loop.call_later(delay, self._receive, changed) if delay > 0.0 else self._receive(changed)
+
+    def _receive(self, arrivals: list[Arrival]) -> None:
+        for event in self._reception.events(arrivals, self._loop.time()):
             self._handle(event)
-
-    def _spoil(self, link: LinkFaults, arrival: Arrival) -> None:
-        for delay, payload in link.incoming(arrival.key, arrival.payload):
-            changed = Arrival(arrival.key, payload, arrival.source)
-            self._loop.call_later(delay, self._receive, changed) if delay > 0.0 else self._receive(changed)
-
-    def _receive(self, arrival: Arrival) -> None:
-        source, now = arrival.source or arrival.key, self._loop.time()
-        if self._quarantine.holds(source, now):
-            self.counts["quarantined"] += 1
-            self._handle(Rejected(arrival.key.rpartition("/")[2], "quarantine", arrival.key, arrival.payload))
-            return
-        try:
-            message = codec.decode(arrival.key, arrival.payload)
-        except Malformed as error:
-            self.counts["rejected"] += 1
-            self._quarantine.offend(source, now)
-            self._handle(Rejected(arrival.key.rpartition("/")[2], error.reason, arrival.key, arrival.payload))
-            return
-        self.counts["received"] += 1
-        self._handle(Received(message, len(arrival.payload), arrival.payload))
 
     def _handle(self, event: Event) -> None:
         """Let the node take an event; an exception in the node ends the process, never only the event."""

@@ -5,6 +5,7 @@ built is well-formed in type and range; what only the context can tell (sender a
 checked where bytes enter, in `codec` and in the agent. All lengths in m, times in s, angles in rad.
 """
 
+from itertools import accumulate
 from typing import Annotated, Any, Union
 
 import msgspec
@@ -14,6 +15,8 @@ from protocol.fields import (
     CELL,
     CLAIM,
     DETECTIONS,
+    F4,
+    F8,
     FARTHEST,
     IDS,
     LARGEST_ANGLE,
@@ -21,7 +24,9 @@ from protocol.fields import (
     LATEST,
     LEAST_ANGLE,
     LEAST_RADIUS,
+    MAX_DETECTIONS,
     MAX_NAMES,
+    MAX_PARTICLES,
     POSES,
     STATES,
     TARGET_IDS,
@@ -117,6 +122,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
 class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     """One agent's round: where I am and what I see at `tick`, and what I owned after round `claim_tick`."""
 
+    sender: str  # a Name like any sender, which the key says as well, and there it is checked: once, not in every round
     tick: Tick
     pose: Triple  # x, y, heading
     cod: Vector  # generator of the power cell (14)
@@ -165,6 +171,26 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
             if 0 in (ids[1:] > ids[:-1]).tobytes():
                 raise Malformed("range", "ids: should be strictly ascending")
 
+    def is_plain(self) -> bool:
+        """Whether all is well-formed but for what the arrays hold, which `plain_arrays` proves for many at once; False: ask `check`."""
+        detections, claim, ids = len(self.detections_bytes), len(self.claim_bytes), len(self.ids_bytes)
+        (x, y, heading), (east, north) = self.pose, self.cod
+        total = abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + self.power_radius + self.weight
+        return (
+            total < 0.5 * FARTHEST
+            and self.power_radius >= 0.0
+            and self.weight >= 0.0
+            and 0.0 <= self.unused <= LARGEST_AREA
+            and not (detections % 8 or claim % 24 or ids % 8)
+            and detections <= 8 * MAX_DETECTIONS
+            and ids <= 8 * MAX_PARTICLES
+            and len(self.states_bytes) == 2 * ids
+            and claim == 24 * len(self.claim_names)
+            and claim <= 24 * MAX_NAMES
+            and (self.claim_names[0] == self.sender if claim else not ids)
+            and (self.claim_tick < self.tick or not self.claim_tick)
+        )
+
     def _check_numbers(self) -> None:
         """One sum of magnitudes proves all numbers at once, as in `check_rows`; only where it does not each is looked at."""
         (x, y, heading), (east, north) = self.pose, self.cod
@@ -186,6 +212,19 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
             raise Malformed("shape", "states: particles without a claim")
         if self.claim_tick and self.claim_tick >= self.tick:
             raise Malformed("range", f"claim_tick = {self.claim_tick}: should be earlier than tick = {self.tick}")
+
+
+def plain_arrays(gossips: list[Gossip]) -> bool:
+    """Whether the arrays of gossips that are plain hold nothing but finite numbers in range and ascending ids, shown for all at once as in
+    `check_rows`; False: ask each."""
+    states = np.frombuffer(b"".join([gossip.states_bytes for gossip in gossips]), F4)
+    claims = np.frombuffer(b"".join([gossip.claim_bytes for gossip in gossips]), F8)
+    detections = np.frombuffer(b"".join([gossip.detections_bytes for gossip in gossips]), F4)
+    if not np.vdot(states, states) + np.vdot(claims, claims) + np.vdot(detections, detections) < 0.5 * FARTHEST**2:
+        return False
+    ids = np.frombuffer(b"".join([gossip.ids_bytes for gossip in gossips]), U8)
+    falls = (np.flatnonzero(ids[1:] <= ids[:-1]) + 1).tolist()  # none but where the next gossip begins
+    return not falls or set(falls).issubset(accumulate([len(gossip.ids_bytes) // 8 for gossip in gossips]))
 
 
 class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observation"):

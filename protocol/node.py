@@ -8,6 +8,8 @@ under its key.
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import msgspec
+
 from protocol.messages import Message
 
 
@@ -16,8 +18,7 @@ class Started:
     """The driver is ready; the node's own liveliness token is declared."""
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(msgspec.Struct, frozen=True):
     """A message of which key, sender and contents have been checked. `size` is its length on the wire in bytes, 0 if unknown.
 
     `payload` is what was on the wire, for recorders.
@@ -25,7 +26,7 @@ class Received:
 
     message: Message
     size: int = 0
-    payload: bytes = field(default=b"", compare=False, repr=False)
+    payload: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import numpy as np
 import pytest
 
@@ -345,6 +346,83 @@ def fuzz(count: int, seed: int) -> dict[str, int]:
             pytest.fail(f"mutant {number} of COVEY_FUZZ_SEED={seed} under {key} raised {error!r}: {mutant.hex()}")
         found[reason] = found.get(reason, 0) + 1
     return found
+
+
+def outcomes(pairs: list[tuple[str, bytes]]) -> list[Message | str]:
+    """Each alone: the message, or why it is none."""
+    found: list[Message | str] = []
+    for key, payload in pairs:
+        try:
+            found.append(codec.decode(key, payload))
+        except Malformed as error:
+            found.append(f"{error.reason}: {error}")
+    return found
+
+
+def together(pairs: list[tuple[str, bytes]]) -> list[Message | str]:
+    return [f"{found.reason}: {found}" if isinstance(found, Malformed) else found for found in codec.decode_all(pairs)]
+
+
+def gossips(count: int) -> list[tuple[str, bytes]]:
+    """Well-formed gossips of several senders, some without claim or particles."""
+    found = []
+    for number in range(count):
+        name = f"s{number + 1}"
+        gossip = msgspec.structs.replace(GOSSIP, sender=name, claim_names=(name, *GOSSIP.claim_names[1:]))
+        if number % 3 == 1:
+            gossip = msgspec.structs.replace(gossip, states_bytes=b"", ids_bytes=b"")
+        if number % 3 == 2:
+            gossip = msgspec.structs.replace(
+                gossip, states_bytes=b"", ids_bytes=b"", claim_names=(), claim_bytes=b"", claim_tick=0, detections_bytes=b""
+            )
+        found.append((message_key(RUN, gossip), codec.encode(gossip)))
+    return found
+
+
+def test_many_read_together_are_what_each_is_alone() -> None:
+    pairs = gossips(9) + [(key, payload) for key, payload, _ in SAMPLES]
+    assert together(pairs) == outcomes(pairs) and all(isinstance(found, Message) for found in together(pairs))
+    assert together([]) == [] and together(pairs[:1]) == outcomes(pairs[:1])
+
+
+@pytest.mark.parametrize("place", range(7))
+def test_one_bad_gossip_among_many_is_refused_alone_and_for_its_own_reason(place: int) -> None:
+    ids, states = GOSSIP.ids.copy(), GOSSIP.states.copy()
+    states[5, 1] = np.nan
+    beyond = GOSSIP.claim.copy()
+    beyond[2, 0] = 2.0e6
+    twice = np.concatenate([ids[:4], ids[3:-1]])
+    faults: list[dict[str, Any]] = [
+        {"states": pack(states, "<f4")},
+        {"claim": pack(beyond, "<f8")},
+        {"ids": pack(ids[::-1], "<u8")},
+        {"ids": pack(twice, "<u8")},
+        {"detections": pack(np.array([[np.inf, 0.0]]), "<f4")},
+        {"detections": b"1234567"},
+        {"ids": pack(ids[:-1], "<u8")},
+        {"power_radius": -1.0},
+        {"weight": math.nan},
+        {"claim_tick": 4},
+        {"claim_names": ["s2", "s1", "s3"]},
+        {"claim_names": [], "claim": b""},
+        {"unused": 1.0e13},
+    ]
+    for fault in faults:
+        pairs = gossips(6)
+        pairs.insert(place, (GOSSIP_KEY, altered(GOSSIP_KEY, GOSSIP_BYTES, **fault)))
+        alone = outcomes(pairs)
+        assert together(pairs) == alone and isinstance(alone[place], str), f"{fault}: {alone[place]}"
+
+
+@pytest.mark.filterwarnings("error")
+def test_mutated_messages_read_together_have_the_outcome_of_each_alone() -> None:
+    seed = int(os.environ.get("COVEY_FUZZ_SEED", "6"))
+    dice = random.Random(seed)
+    for number in range(200):
+        samples_here = [SAMPLES[dice.randrange(len(SAMPLES))] for _ in range(4)] + [SAMPLES[2]] * 4
+        pairs = [(key, mutate(dice, payload)) for key, payload, _ in samples_here] + gossips(5)
+        dice.shuffle(pairs)
+        assert repr(together(pairs)) == repr(outcomes(pairs)), f"batch {number} of COVEY_FUZZ_SEED={seed}"
 
 
 @pytest.mark.filterwarnings("error")
