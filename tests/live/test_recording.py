@@ -16,13 +16,13 @@ LAST_SECOND = 1.0  # s that a recorder which is killed may lose
 SPARE = 3.0  # s more for a machine that is busy
 
 
-def newest(path: Path) -> tuple[int, float]:
-    """Tick of the newest truth in a recording, -1 when there is none, and the Unix time, s, at which it was heard."""
-    found = -1, 0.0
+def truths(path: Path) -> list[tuple[int, float]]:
+    """Tick of each truth in a recording, and the Unix time, s, at which it was heard."""
+    found = []
     for entry in Recording(path).entries():
         event = event_of(entry)
         if isinstance(event, Received) and isinstance(event.message, Truth):
-            found = event.message.tick, entry.published / 1e9
+            found.append((event.message.tick, entry.published / 1e9))
     return found
 
 
@@ -34,7 +34,7 @@ def test_a_recorder_that_is_killed_loses_the_last_second_and_nobody_notices(cove
     assert recorder.stdout.readline().startswith("recording into")
     file = covey.folder / "outside.mcap"
     end = time.monotonic() + BOUND
-    while newest(file)[0] < 12:
+    while len(truths(file)) < 12:  # it may have begun late
         assert time.monotonic() < end, "nothing is recorded"
         time.sleep(0.1)
     heard = covey.wait(lambda data: True)["swarm"]["tick"]
@@ -43,13 +43,13 @@ def test_a_recorder_that_is_killed_loses_the_last_second_and_nobody_notices(cove
     killed_at = time.time()
 
     recording = Recording(file)
-    tick, heard_at = newest(file)
+    (first, _), (tick, heard_at) = truths(file)[0], truths(file)[-1]
     assert not recording.is_whole
     assert killed_at - heard_at < LAST_SECOND + SPARE
     covey.wait(lambda data: data["swarm"]["tick"] > heard + 4)
     assert covey.run("down")[0] == 0
     whole = {entry.payload for entry in Recording(covey.folder / "runs" / "covey" / "recording.mcap").entries()}
-    messages = [entry for entry in recording.entries() if isinstance(event_of(entry), Received) and 2 < entry.time < 0.25 * tick]
+    messages = [entry for entry in recording.entries() if isinstance(event_of(entry), Received) and 0.25 * first < entry.time < 0.25 * tick]
     assert len(messages) > 0
     assert all(entry.payload in whole for entry in messages)
 
