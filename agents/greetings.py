@@ -9,6 +9,8 @@ from collections.abc import Callable
 SOON = 0.05  # s between the appearance of somebody new and a greeting
 CROWD = 12  # peers from which on greetings become rarer
 EARLY, LATE = 0.25, 2.0  # s between greetings while somebody is unknown or nothing has been observed, and later
+LATEST = 4.0  # s between greetings in a crowd; a second below `presence.PATIENCE`, for which what a greeting says of others holds
+MANY = 48  # peers from which on the later rhythm slows down too
 
 
 class Greetings:
@@ -38,13 +40,14 @@ class Greetings:
         """An observation has come."""
         self.go_on()
         if self.due is not None:
-            self.due = min(self.due, now + LATE)  # later only if the clock has jumped back
+            self.due = min(self.due, now + LATEST)  # later only if the clock has jumped back
 
     def is_due(self, peers: int, early: bool, now: float) -> bool:
         """Whether to greet now; if so the next greeting is planned. `early`: somebody is unknown, or nothing has been observed."""
         if self.due is None or now < self.due:
             return False
-        self.due = now + (min(EARLY * crowd(max(peers, self._team)), LATE) if early else LATE)
+        late = min(LATE * max(1.0, peers / MANY), LATEST)
+        self.due = now + (min(EARLY * crowd(max(peers, self._team)), LATE) if early else late)
         return True
 
 
