@@ -115,15 +115,14 @@ class Neighbours:
 
     def hear(self, gossip: Gossip) -> str | None:
         """A gossip arrived; the reason for refusing it, if there is one."""
-        return None if self._calm and self._is_usual(gossip) else self._judge(gossip)
-
-    def _is_usual(self, gossip: Gossip) -> bool:
-        """Take a gossip in which all is as in the last round, when nothing was missing: the commonest case, made short."""
-        said, peer = self._said.get(gossip.tick), self.circle.get(gossip.sender)
-        if said is None or peer is None or peer.incarnation != gossip.incarnation or not self._believable(gossip, peer):
-            return False
-        said[peer.name] = gossip
-        return True
+        if self._calm:  # all is as in the last round, when nothing was missing: the commonest case, made short
+            said, peer = self._said.get(gossip.tick), self.circle.get(gossip.sender)
+            if said is None or peer is None or peer.incarnation != gossip.incarnation:
+                return self._judge(gossip)
+            if gossip.memo.get("plausible") or self._believable(gossip, peer):
+                said[gossip.sender] = gossip
+                return None
+        return self._judge(gossip)
 
     def _judge(self, gossip: Gossip) -> str | None:
         name = gossip.sender

@@ -180,10 +180,7 @@ class VirtualBus:
             return False
         entry = self._ready.popleft()
         if isinstance(entry, _Fan):
-            event, sender = entry.event, entry.sender
-            for seat in entry.listeners:
-                if seat is not sender:
-                    self._hand(seat, event)
+            self._hand_all(entry)
         elif isinstance(entry, _Call):
             entry.function()
         elif isinstance(entry[1], _Done):
@@ -193,13 +190,29 @@ class VirtualBus:
             self._hand(entry[0], entry[1])
         return True
 
+    def _hand_all(self, fan: _Fan) -> None:
+        """Let the listeners take a message, one after the other; what `_hand` does, made short for those who only note it."""
+        sender, event, now = fan.sender, fan.event, self.now
+        for seat in fan.listeners:
+            if seat is sender:
+                continue
+            if seat.paused or seat.at_work or seat.clock:
+                self._hand(seat, event)
+                continue
+            effects = seat.handle(event, now)
+            if effects is not QUIET or seat.armed is None or self.tap is not None:
+                self._taken(seat, event, effects)
+
     def _hand(self, seat: _Seat, event: Event) -> None:
         """Let a node take an event, or keep it until the node can."""
         if seat.paused or seat.at_work:
             if not isinstance(event, Timer):
                 seat.waiting.append(event)
             return
-        effects = seat.handle(event, self._time_of(seat) if seat.clock else self.now)
+        self._taken(seat, event, seat.handle(event, self._time_of(seat) if seat.clock else self.now))
+
+    def _taken(self, seat: _Seat, event: Event, effects: list[Effect]) -> None:
+        """A node has taken an event: what follows."""
         for effect in effects:
             self._carry_out(seat, effect)
         if self.tap is not None:
