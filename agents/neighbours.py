@@ -226,7 +226,7 @@ class Neighbours:
         return not self.local and any(peer.token and peer.outfit is None for peer in self.peers.values())
 
     def see(self, beacon: Beacon) -> bool:
-        """A beacon arrived: where a peer is. Whether that peer is new, or was gone: then it may not know me either."""
+        """A beacon arrived: where a peer is. Whether that peer is new, or was gone or silent: then it may not know me either."""
         peer = known = self.peers.get(beacon.sender)
         if peer is None or peer.incarnation != beacon.incarnation:
             peer = self._peer(beacon.sender, beacon.incarnation)
@@ -236,11 +236,12 @@ class Neighbours:
             peer.outfit = beacon.memo.get("outfit") or _outfit(beacon, self._config)
             beacon.memo["outfit"] = peer.outfit
         back = peer.gone_at is not None and beacon.tick > peer.gone_at
-        if back:
-            peer.gone_at, self.changed = None, True
+        silent = peer.missed >= self._silent
+        if back or silent:
+            peer.gone_at, peer.missed, self.changed = None if back else peer.gone_at, 0, True
         peer.beacon = beacon
         self._put(peer, beacon)
-        return back or peer is not known
+        return back or silent or peer is not known
 
     def _put(self, peer: Peer, word: Beacon | Gossip) -> None:
         """Note where a peer is, unless it is gone or has been silent for long."""

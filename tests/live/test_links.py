@@ -38,7 +38,9 @@ def test_who_hears_neighbours_only_covers_the_arena_on_each_side_of_a_cut_and_me
     assert covey.run("heal")[0] == 0
     tick = covey.status()["swarm"]["tick"]
     whole = covey.wait(lambda data: data["swarm"]["tick"] > tick and max(data["swarm"]["hole"], data["swarm"]["overlap"]) <= 1e-6)
-    print(f"one claim per place {0.5 * (whole['swarm']['tick'] - tick):.1f} s of world time after the heal")
+    healed = 0.5 * (whole["swarm"]["tick"] - tick)
+    print(f"one claim per place {healed:.1f} s of world time after the heal")
+    assert healed <= 3.0
     assert covey.run("down")[0] == 0
     covey.wait_until_gone()
 

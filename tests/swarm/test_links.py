@@ -114,3 +114,13 @@ def test_who_hears_neighbours_only_covers_the_arena_on_each_side_and_meets_again
     print(f"{kind}: one claim per place {(late[-1] + 1) * 0.25 - 5.0 - seconds:.2f} s after the heal; mass {masses.min():.4f} at least")
     assert max(*seen.holes[after:], *seen.overlaps[after:]) <= 1e-9
     assert mass <= masses.min() and masses.max() <= 1.01
+
+
+@pytest.mark.parametrize("seconds", [2.0, 4.0])
+def test_who_hears_neighbours_only_meets_again_after_a_cut_shorter_than_anybodys_memory(seconds: float) -> None:
+    """The silent are still known then, and the first beacon says that they are back; so it is when their tokens stayed up."""
+    cut = fault(5.0, "partition", "50%", seconds=seconds, tokens=False)
+    seen = watch(ledger(cut, agents=16, side=80.0, run__seconds=9.0 + seconds, timing__interest="neighbours"), clock="realtime")
+    healed = seen.at(5.0 + seconds)
+    assert seen.overlaps[healed - 1] > 0.9
+    assert max(*seen.holes[healed + 4 :], *seen.overlaps[healed + 4 :]) <= 1e-9
