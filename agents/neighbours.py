@@ -1,8 +1,8 @@
 """Who else is there: peers, what they announced, what they said last, and whose word a round waits for.
 
 A *peer* is a live agent. Its liveliness token is a suspicion: when the token goes the peer stops being a generator at once, and
-its next gossip of the same incarnation brings it back. A peer that falls silent with its token up stays a generator, where it was
-last heard, for `silent_rounds` rounds.
+the first gossip of the same incarnation that it cannot have said before brings it back. A peer that falls silent with its token up
+stays a generator, where it was last heard, for `silent_rounds` rounds.
 """
 
 import math
@@ -41,7 +41,7 @@ class Peer:
     incarnation: int
     token: bool = False  # its liveliness token is up
     outfit: Outfit | None = None
-    gone_at: int | None = None  # the tick in which its token went; a later gossip revives it
+    gone_at: int | None = None  # the newest tick of which it may have spoken before its token went; a later gossip revives it
     missed: int = 0  # rounds without a word in a row
     beacon: Beacon | None = None  # the newest
     rank: tuple[int, str] = (0, "")  # in the order of names
@@ -90,10 +90,10 @@ class Neighbours:
                 self._put(peer, peer.beacon)
 
     def gone(self, name: str, incarnation: int, tick: int) -> None:
-        """A token vanished in the round `tick`."""
+        """A token vanished in the round `tick`. The peer may have been a tick ahead, and its last words may still be on their way."""
         peer = self.peers.get(name)
         if peer and peer.incarnation == incarnation:
-            peer.token, peer.gone_at, self._calm = False, tick, False
+            peer.token, peer.gone_at, self._calm = False, tick + 1, False
             self.places.remove(name)
             self.changed = True
 
@@ -235,7 +235,7 @@ class Neighbours:
         if peer.outfit is None:
             peer.outfit = beacon.memo.get("outfit") or _outfit(beacon, self._config)
             beacon.memo["outfit"] = peer.outfit
-        back = peer.gone_at is not None and beacon.tick > peer.gone_at
+        back = peer.gone_at is not None and beacon.tick > peer.gone_at + 1  # a beacon says where somebody will be
         silent = peer.missed >= self._silent
         if back or silent:
             peer.gone_at, peer.missed, self.changed = None if back else peer.gone_at, 0, True
