@@ -173,6 +173,10 @@ class Agent:
                 self.counters[f"rejected.{reason}"] += 1
             return QUIET
         self.counters["heard"] += 1
+        if self._lookout is not None and gossip.tick > self.tick + 1:
+            doubts = self._lookout.lag(self.tick, now)
+            self.counters["reopened"] += len(doubts)
+            return doubts or QUIET
         if gossip.tick == self.tick and gossip.sender in self._awaited:
             self._awaited.remove(gossip.sender)
             if not self._awaited:

@@ -1,4 +1,4 @@
-"""Whom my neighbours' claims name though I do not know them: the sign of a session that has stayed split, where neighbours alone are heard.
+"""Signs of a session that has stayed split, where neighbours alone are heard: they name whom I do not know, or go on without me.
 
 Two Zenoh peers can be left with half a session (`protocol.presence`), and who hears its neighbours only is told by no Hello whom
 the others hear. Their claims tell it: they name who bounds their cells, and where. Whoever stands where I listen to all beacons, is named
@@ -15,7 +15,7 @@ Place = tuple[float, float]  # x, y, m
 
 
 class Since(NamedTuple):
-    """When somebody was named first."""
+    """When something began."""
 
     tick: int
     now: float
@@ -50,6 +50,26 @@ class Hearsay:
         self._named = {}
         self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
         return min(late)
+
+
+class LeftBehind:
+    """Whether the others go on while I am told of no new tick: the sign of a session that is split from the world's alone.
+
+    Whoever hears all is told by their Hellos that they hear the world (`protocol.presence`); who does not sees it by their ticks.
+    """
+
+    def __init__(self) -> None:
+        self._since = Since(-1, NEVER)
+        self._rest, self._not_before = FIRST_REST, NEVER
+
+    def hear(self, tick: int, now: float) -> bool:
+        """Somebody speaks of a tick that is more than one ahead of mine, `tick`; whether my session is to be opened anew."""
+        if tick != self._since.tick or now < self._since.now:
+            self._since = Since(tick, now)
+        if now - self._since.now < PATIENCE or now < self._not_before:
+            return False
+        self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
+        return True
 
 
 def _place(gossip: Gossip, name: str) -> Place:

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.capacity import place
 from agents.config import AgentConfig
-from agents.hearsay import Hearsay
+from agents.hearsay import Hearsay, LeftBehind
 from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
 from agents.neighbours import Neighbours
 from agents.places import EAST, RADIUS, spot
@@ -56,7 +56,7 @@ class Lookout:
         self._known: Rectangle | None = None  # where I know of everybody; None: nowhere yet
         self._known_since = 0  # tick; from then on I know the whole box
         self._chosen_at = 0
-        self._hearsay = Hearsay(me.name, 2 * self._period)
+        self._hearsay, self._behind = Hearsay(me.name, 2 * self._period), LeftBehind()
         self._spread = bounds.offset + JUMP  # m: a generator is so far at most from where its agent says its beacons
         self._heard: dict[str, int] = {}  # whose gossip comes, and in which tick it was needed last
         self._watched: set[str] = set()  # whose token I see
@@ -163,6 +163,10 @@ class Lookout:
         gossips = [gossip for gossip in self._neighbours.last.values() if gossip.tick == tick]
         unheard = self._hearsay.listen(gossips, self._neighbours.acquainted(), self._overlooks, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._me.name} does not")] if unheard else []
+
+    def lag(self, tick: int, now: float) -> list[Effect]:
+        """A neighbour is more than one tick ahead of mine, `tick`: a new session, if that has been so for long."""
+        return [Reopen(f"the others go on, and {self._me.name} has heard of no tick after {tick}")] if self._behind.hear(tick, now) else []
 
     def _overlooks(self, place: tuple[float, float]) -> bool:
         return self._known is not None and self._known.holds(Rectangle(*place, *place).wider(self._spread))

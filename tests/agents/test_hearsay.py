@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from agents.hearsay import Hearsay
+from agents.hearsay import Hearsay, LeftBehind
 from deploy.simulate import Simulation
 from protocol.fields import pack
 from protocol.messages import Gossip, Truth
@@ -74,3 +74,30 @@ def test_when_two_of_sixteen_do_not_hear_each_other_both_ask_for_a_new_session_a
     simulation.run()
     reopened = {name: agent.counters["reopened"] for name, agent in simulation.agents.items()}
     assert {name for name, count in reopened.items() if count} == split.pair
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_who_is_cut_off_from_the_world_alone_asks_for_a_new_session_and_nobody_else_does(clock: Literal["lockstep", "realtime"]) -> None:
+    split = Split()
+    simulation = Simulation(ledger(agents=9, side=60.0, run__seconds=24.0, timing__interest="neighbours"), link=split, clock=clock)
+
+    def cut(truth: Truth) -> None:
+        if truth.tick == 20:
+            split.pair = {"s1", "world"}
+
+    simulation.on_truth = cut
+    simulation.run()
+    assert {name for name, agent in simulation.agents.items() if agent.counters["reopened"]} == {"s1"}
+    assert simulation.agents["s1"].tick < 25
+
+
+def test_who_is_left_behind_says_so_after_its_seconds_and_then_rarely() -> None:
+    behind = LeftBehind()
+    times = [0.5 * step for step in range(200) if behind.hear(7, 0.5 * step)]
+    assert times[0] == PATIENCE and times[1] == PATIENCE + FIRST_REST and times[2] == times[1] + 2.0 * FIRST_REST
+
+
+def test_who_follows_at_a_distance_is_not_left_behind() -> None:
+    behind = LeftBehind()
+    assert not any(behind.hear(step // 4, 0.5 * step) for step in range(400))
+    assert not any(behind.hear(9, 1000.0 - 0.5 * step) for step in range(400))  # a clock that runs back
