@@ -47,3 +47,23 @@ def test_a_killed_child_is_reported_and_the_others_live_until_the_zygote_goes(zy
     while not ended(other.pid) and time.monotonic() < end:
         time.sleep(0.02)
     assert ended(other.pid)
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="Linux only")
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_in_lockstep_agents_let_each_other_finish_and_in_real_time_nobody_is_held_back(zygote: Zygote, tmp_path: Path, clock: str) -> None:
+    config = tmp_path / "run.toml"
+    config.write_text(f'[run]\nclock = "{clock}"\n[members]\ns1 = "A"\n', encoding="utf-8")
+    child = zygote.fork(["--name", "s1", "--config", str(config), "--supervised"], tmp_path / "s1.log")
+    wanted = os.SCHED_BATCH if clock == "lockstep" else os.SCHED_OTHER
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end and (threads := policies(child.pid)) != {wanted}:
+        time.sleep(0.02)
+    assert threads == {wanted}
+    zygote.close()
+
+
+def policies(pid: int) -> set[int]:
+    """How the threads of a process are scheduled, once Zenoh has some as well."""
+    threads = [int(entry.name) for entry in Path(f"/proc/{pid}/task").iterdir()]
+    return {os.sched_getscheduler(thread) for thread in threads} if len(threads) > 3 else set()
