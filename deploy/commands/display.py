@@ -1,5 +1,6 @@
 """Progress for people: a live panel in a terminal, plain lines elsewhere."""
 
+import select
 import sys
 import time
 from typing import TYPE_CHECKING, Any
@@ -14,16 +15,21 @@ if TYPE_CHECKING:  # they bring scipy and shapely, which `ps` has no use for
     from deploy.result import Result
 
 PLAIN_PERIOD = 5.0  # s between two plain lines
+LIVE_PERIOD = 0.25  # s between two pictures of the panel
 
 
 class Display:
-    """Shows the status of one run while it runs; use as a context. With `to_stderr` standard output stays free for the result."""
+    """Shows the status of one run while it runs; use as a context. With `to_stderr` standard output stays free for the result.
+
+    What cannot be written at once is left out: neither a pipe that nobody reads nor a terminal that is held (Ctrl-S) may hold up the run.
+    """
 
     def __init__(self, title: str = "", to_stderr: bool = False) -> None:
         self._title = title
         self._console = Console(stderr=to_stderr, highlight=False)
-        self._live = Live(console=self._console, refresh_per_second=4, transient=True) if self._console.is_terminal else None
-        self._shown_at = -PLAIN_PERIOD
+        self._live = Live(console=self._console, auto_refresh=False, transient=True) if self._console.is_terminal else None
+        self._period = LIVE_PERIOD if self._live else PLAIN_PERIOD
+        self._shown_at = -self._period
 
     def __enter__(self) -> "Display":
         if self._live:
@@ -38,16 +44,26 @@ class Display:
 
     def event(self, text: str) -> None:
         """One line that stays."""
-        self._console.print(text, markup=False, soft_wrap=True)
-        sys.stdout.flush()
+        if self._is_ready():
+            self._console.print(text, markup=False, soft_wrap=True)
+            sys.stdout.flush()
 
     def status(self, status: "Status") -> None:
         """The newest figures, in place of the last ones."""
+        if time.monotonic() - self._shown_at < self._period or not self._is_ready():
+            return
+        self._shown_at = time.monotonic()
         if self._live:
-            self._live.update(status_table(status))
-        elif time.monotonic() - self._shown_at >= PLAIN_PERIOD:
-            self._shown_at = time.monotonic()
+            self._live.update(status_table(status), refresh=True)
+        else:
             self.event(status_line(status))
+
+    def _is_ready(self) -> bool:
+        """Whether some lines can be written without waiting for a reader."""
+        try:
+            return bool(select.select([], [self._console.file], [], 0.0)[1])
+        except (OSError, ValueError):  # no descriptor, so nothing to wait for
+            return True
 
 
 def status_line(status: "Status") -> str:

@@ -1,5 +1,6 @@
 """Real processes: none survives its supervisor, and bad input is one clear line with exit code 2."""
 
+import contextlib
 import os
 import socket
 from pathlib import Path
@@ -18,6 +19,25 @@ def test_no_process_survives_a_killed_supervisor_not_even_a_paused_one(covey: Co
     assert covey.run("pause", "s2")[0] == 0
     assert len(covey.processes()) == 9  # six agents, the world, the zygote, the supervisor
     supervisor.kill()
+    covey.wait_until_gone()
+
+
+def test_a_reader_who_stops_reading_holds_up_neither_the_run_nor_an_order(covey: Covey) -> None:
+    """As under a held terminal or a stopped pager: the pipe of the supervisor's output is full from the start."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while os.write(writing, bytes(4096)):
+            pass
+    os.set_blocking(writing, True)
+    supervisor = covey.start("up", *LONG, limit=lambda: [os.dup2(writing, number) for number in (1, 2)] and None)
+    os.close(writing)
+    covey.wait(lambda data: data["swarm"]["tick"] > 100)  # a line every 5 s, and a round every 1/16 s
+    assert covey.run("kill", "s2")[:2] == (0, "killed s2\n")
+    assert covey.run("down")[0] == 0
+    with os.fdopen(reading, "rb") as pipe:  # the result of the run waits for a reader
+        assert b"rounds" in pipe.read().rpartition(b"\0")[2]
+    assert supervisor.wait(20.0) == 0
     covey.wait_until_gone()
 
 
