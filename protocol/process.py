@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import ctypes
-import gc
 import json
 import logging
 import os
@@ -116,8 +115,6 @@ def main(role: str, into: type[Config], build: Callable[[Config, str, int], Node
             let_others_finish()
         incarnation = options.incarnation if options.incarnation is not None else time.time_ns() // 1_000_000
         node = build(config, options.name, incarnation)
-        gc.freeze()
-        gc.set_threshold(50_000, 20, 50)  # messages hold no cycles: looking for some rarely is enough
         link = LiveLink(config.run.seed, options.name, logging.getLogger(__name__).warning) if config.network.link_faults else None
         on_line = link.on_line if link else None
         code = live.run(node, network_of(config, options), watch_stdin=options.supervised, on_line=on_line, link=link)
