@@ -36,7 +36,7 @@ from protocol.tokens import ALONE_SECONDS, Tokens, sees_all_tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
-LINGER_SECONDS = 1.0  # between two looks at new sockets; links live for the lease at least, 2 s
+LINGER_SECONDS = 0.5  # between two looks at new sockets; links live for the lease at least
 RETRY_SECONDS = 0.5  # between attempts to open a session anew
 MOST_TRIES = 4  # on the same port; then on any
 SETTLE_SECONDS = 2.0  # in which a new session sees again whom the old one saw
