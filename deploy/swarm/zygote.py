@@ -41,6 +41,7 @@ class Forked:
         while self.poll() is None:
             time.sleep(0.005)
         assert self.returncode is not None
+        self.stdin.close()
         return self.returncode
 
     def send_signal(self, number: int) -> None:
@@ -131,6 +132,8 @@ class Zygote:
 
     def close(self) -> None:
         """End the zygote; the children must have ended before, or they go with it."""
+        for child in self._children.values():
+            child.stdin.close()
         self._channel.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(2.0)

@@ -91,7 +91,8 @@ def test_a_study_that_was_stopped_goes_on_and_writes_tables_and_a_figure(
     first = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert set(first) == {"trials.jsonl", "lock", "curves.csv", "bouts.csv", "robustness.csv", "robustness.pdf", "robustness.png"}
     assert len(first["curves.csv"].splitlines()) == 1 + 5 * 92 and first["robustness.png"].startswith(b"\x89PNG")
-    assert [line["kind"] for line in csv.DictReader((tmp_path / "bouts.csv").open())] == ["none", "kill", "loss", "partition"]
+    bouts = csv.DictReader((tmp_path / "bouts.csv").read_text().splitlines())
+    assert [line["kind"] for line in bouts] == ["none", "kill", "loss", "partition"]
 
     kept = first["trials.jsonl"].splitlines(keepends=True)
     (tmp_path / "trials.jsonl").write_bytes(b"".join(kept[:3]) + kept[3][:100])  # as if killed in the middle of a line

@@ -414,7 +414,7 @@ def test_one_bad_gossip_among_many_is_refused_alone_and_for_its_own_reason(place
         assert together(pairs) == alone and isinstance(alone[place], str), f"{fault}: {alone[place]}"
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_mutated_messages_read_together_have_the_outcome_of_each_alone() -> None:
     seed = int(os.environ.get("COVEY_FUZZ_SEED", "6"))
     dice = random.Random(seed)
@@ -425,7 +425,7 @@ def test_mutated_messages_read_together_have_the_outcome_of_each_alone() -> None
         assert repr(together(pairs)) == repr(outcomes(pairs)), f"batch {number} of COVEY_FUZZ_SEED={seed}"
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_nothing_but_malformed_leaves_the_decoder_in_20_000_mutated_messages() -> None:
     seed = int(os.environ.get("COVEY_FUZZ_SEED", "1"))
     found = fuzz(20_000, seed)
@@ -435,7 +435,7 @@ def test_nothing_but_malformed_leaves_the_decoder_in_20_000_mutated_messages() -
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_nothing_but_malformed_leaves_the_decoder_in_a_million_mutated_messages_and_memory_stays_flat() -> None:
     fuzz(20_000, 2)
     tracemalloc.start()

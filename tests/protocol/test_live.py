@@ -4,7 +4,7 @@ import asyncio
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -318,27 +318,26 @@ sys.exit(live.run(Idle(), NetworkSettings(), watch_stdin=True, on_line=lambda te
 """
 
 
-def child() -> subprocess.Popen[str]:
-    process = subprocess.Popen(
+@pytest.fixture
+def child() -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(
         [sys.executable, "-c", CHILD], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "started\n"
-    return process
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "started\n"
+        yield process
 
 
 @pytest.mark.parametrize(("number", "code"), [(15, 143), (2, 130)])
-def test_a_signal_ends_the_process_with_its_code(number: int, code: int) -> None:
-    process = child()
-    process.send_signal(number)
-    assert process.wait(20) == code
+def test_a_signal_ends_the_process_with_its_code(child: subprocess.Popen[str], number: int, code: int) -> None:
+    child.send_signal(number)
+    assert child.wait(20) == code
 
 
-def test_lines_on_stdin_are_handed_on_and_its_end_stops_the_process() -> None:
-    process = child()
-    assert process.stdin is not None and process.stdout is not None
-    process.stdin.write("hello\n")
-    process.stdin.flush()
-    assert process.stdout.readline() == "line hello\n"
-    process.stdin.close()
-    assert process.wait(20) == 143
+def test_lines_on_stdin_are_handed_on_and_its_end_stops_the_process(child: subprocess.Popen[str]) -> None:
+    assert child.stdin is not None and child.stdout is not None
+    child.stdin.write("hello\n")
+    child.stdin.flush()
+    assert child.stdout.readline() == "line hello\n"
+    child.stdin.close()
+    assert child.wait(20) == 143

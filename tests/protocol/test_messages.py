@@ -163,7 +163,7 @@ ARRAYS = [
 ]
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("bad", [*BAD_NUMBERS, float(np.float32(1e38))])
 @pytest.mark.parametrize(("message", "field", "dtype"), ARRAYS, ids=[f"{type(message).__name__}-{field}" for message, field, _ in ARRAYS])
 def test_one_bad_number_anywhere_in_an_array_is_found(message: Message, field: str, dtype: str, bad: float) -> None:
