@@ -269,8 +269,9 @@ class Driver:
         if keys.is_of_tokens(expression):
             self._subscribers[expression] = self._session.liveliness().declare_subscriber(expression, self._on_token, history=True)
         else:
-            declare = self._session.declare_subscriber
-            self._subscribers[expression] = declare(expression, self._on_sample, allowed_origin=zenoh.Locality.REMOTE)
+            # Zenoh keeps a thread for every callback that is indirect, which pays only where the messages of many come.
+            callback = zenoh.handlers.Callback(self._on_sample, indirect="*" in expression)
+            self._subscribers[expression] = self._session.declare_subscriber(expression, callback, allowed_origin=zenoh.Locality.REMOTE)
 
     def _unsubscribe(self, expression: str) -> None:
         self._wanted[expression] -= 1
