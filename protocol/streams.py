@@ -23,7 +23,7 @@ def _mix(word: int) -> int:
     return word ^ (word >> 31)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=128)  # in a simulation all agents ask for those of a tick; more would only be kept
 def key(*parts: int | str) -> int:
     """The 64-bit key of a tuple of integers and words: the same tuple, the same key, on every machine."""
     word = _GOLDEN
