@@ -266,12 +266,13 @@ class Driver:
     def _listen(self, expression: str) -> None:
         if self._session is None or expression in self._subscribers:
             return
+        # Zenoh keeps a thread for every callback that is indirect, which pays only where the messages of many come.
         if keys.is_of_tokens(expression):
-            self._subscribers[expression] = self._session.liveliness().declare_subscriber(expression, self._on_token, history=True)
+            declare, called = self._session.liveliness().declare_subscriber, zenoh.handlers.Callback(self._on_token, indirect=False)
+            self._subscribers[expression] = declare(expression, called, history=True)
         else:
-            # Zenoh keeps a thread for every callback that is indirect, which pays only where the messages of many come.
-            callback = zenoh.handlers.Callback(self._on_sample, indirect="*" in expression)
-            self._subscribers[expression] = self._session.declare_subscriber(expression, callback, allowed_origin=zenoh.Locality.REMOTE)
+            told = zenoh.handlers.Callback(self._on_sample, indirect="*" in expression)
+            self._subscribers[expression] = self._session.declare_subscriber(expression, told, allowed_origin=zenoh.Locality.REMOTE)
 
     def _unsubscribe(self, expression: str) -> None:
         self._wanted[expression] -= 1
