@@ -29,6 +29,7 @@ SETTLE = 0.25  # s for a question to reach everybody and for the answers to come
 ROUNDS = 4  # so many times SETTLE pass before anybody's first word, so that those who must ask again have subscribed as well
 TILE = 10.0  # m: a tile is wider than the largest reach by this (docs/protocol.md)
 FIRST = 2  # tiles on every side of the own one that a newcomer listens to
+BUSY, LONGEST = 8.0, 5.0  # on a busy machine an agent is called late, and so are the others: it waits so many times longer, and at most so many s
 MOST_QUESTIONS = 8  # in a row: then an agent speaks, certified or not
 AHEAD = 12.0  # m: a tile is listened to before it is needed, so that a period of beacons has been heard when it is
 FORGOTTEN = 2.5  # periods after which somebody whose beacons no longer come is gone
@@ -76,7 +77,9 @@ class Lookout:
 
     def on_time(self, observation: Observation, outcome: Outcome, now: float) -> list[Effect]:
         """The answers should have come."""
-        self.due = now + SETTLE
+        late = now - self.due if self.due is not None else 0.0
+        settle = min(max(SETTLE, BUSY * late), LONGEST)
+        self.due = now + settle
         mine = self._mine(observation, outcome)
         if self._asking:
             choice, table = self._judge(self._first_cell(mine, observation.tick), mine, observation.tick)
@@ -87,7 +90,7 @@ class Lookout:
             if not self._tiling.ground(self._box or box).holds(soon) and self._questions < MOST_QUESTIONS:
                 return self._listen(_union(box, self._box), mine)
             self._asking = False
-            self.due = max(now + SETTLE, self._speak_at)
+            self.due = max(now + settle, self._speak_at)
             return self._choose(choice, table, observation.tick)
         late, self._questions = self._neighbours.changed and self._questions < MOST_QUESTIONS, self._questions + 1
         if late:  # somebody has been heard only now: both need time to listen

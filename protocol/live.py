@@ -266,12 +266,14 @@ class Driver:
     def _listen(self, expression: str) -> None:
         if self._session is None or expression in self._subscribers:
             return
-        # Zenoh keeps a thread for every callback that is indirect, which pays only where the messages of many come.
+        # Zenoh keeps a thread for every callback that is indirect. An agent listens to many single keys, and is never busy for long; others
+        # may be, and hold up the thread of Zenoh that calls them directly.
+        few = self._node.role == "agent" and (keys.is_of_tokens(expression) or "*" not in expression)
         if keys.is_of_tokens(expression):
-            declare, called = self._session.liveliness().declare_subscriber, zenoh.handlers.Callback(self._on_token, indirect=False)
-            self._subscribers[expression] = declare(expression, called, history=True)
+            declare, told = self._session.liveliness().declare_subscriber, zenoh.handlers.Callback(self._on_token, indirect=not few)
+            self._subscribers[expression] = declare(expression, told, history=True)
         else:
-            told = zenoh.handlers.Callback(self._on_sample, indirect="*" in expression)
+            told = zenoh.handlers.Callback(self._on_sample, indirect=not few)
             self._subscribers[expression] = self._session.declare_subscriber(expression, told, allowed_origin=zenoh.Locality.REMOTE)
 
     def _unsubscribe(self, expression: str) -> None:

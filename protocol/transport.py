@@ -21,6 +21,7 @@ def session_values(settings: NetworkSettings) -> dict[str, Any]:
         "scouting/gossip/autoconnect_strategy": {"peer": {"to_peer": "greater-zid", "to_router": "always"}},
         "transport/link/tx/lease": round(1000.0 * settings.lease),
         "transport/link/tx/keep_alive": 4,
+        "transport/link/tx/queue/size/data": 16,  # of 64 kB: what all say in a round comes to everybody within a moment
         "transport/link/rx/max_message_size": MAX_BYTES,
         "transport/unicast/open_timeout": 60000,
         "transport/unicast/accept_timeout": 60000,
