@@ -1,9 +1,11 @@
 """Whom an agent listens to as others come near and go away: who is needed no longer still comes for a while."""
 
+import pytest
+
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
 from agents.interest import PERIOD
-from agents.lookout import FORGOTTEN, LINGER, Lookout
+from agents.lookout import BUSY, FORGOTTEN, LINGER, LONGEST, SETTLE, Lookout
 from agents.neighbours import Neighbours
 from protocol.geometry import rectangle
 from protocol.keys import one_of, tokens_of
@@ -19,6 +21,7 @@ CONFIG = AgentConfig(
 )
 GOSSIP, TOKEN = one_of(CONFIG.run.name, "gossip", "s2"), tokens_of(CONFIG.run.name, "agent", "s2")
 HOME = rectangle(20.0, 20.0)
+SEEN = Observation(sender="world", incarnation=1, recipient="s1", tick=0, time=0.0, pose=(10.0, 10.0, 0.0))
 
 
 def beacon(name: str, tick: int, x: float) -> Beacon:
@@ -32,8 +35,7 @@ def lookout() -> Lookout:
     """Of s1, who stands at (10, 10) m and has asked who is there; s3, between him and s2, owns all that is far."""
     agent = Agent(CONFIG, "s1")
     made = Lookout(agent.self, Neighbours(CONFIG, "s1"), 1)
-    seen = Observation(sender="world", incarnation=1, recipient="s1", tick=0, time=0.0, pose=(10.0, 10.0, 0.0))
-    made.arrive(seen, agent.outcome, 0.0)
+    made.arrive(SEEN, agent.outcome, 0.0)
     return made
 
 
@@ -64,3 +66,11 @@ def test_who_stays_away_is_dropped_and_its_token_when_it_is_forgotten() -> None:
     silent = 11 + int(FORGOTTEN * PERIOD)
     watcher.hear(beacon("s3", silent, 60.0))
     assert about_s2(watcher.look(HOME, beacon("s1", silent, 10.0), silent)) == [Unsubscribe(GOSSIP), Unsubscribe(TOKEN)]
+
+
+@pytest.mark.parametrize(("late", "pause"), [(0.0, SETTLE), (0.02, SETTLE), (0.3, BUSY * 0.3), (60.0, LONGEST)])
+def test_who_is_called_late_gives_the_others_more_time_for_their_answers(late: float, pause: float) -> None:
+    watcher = lookout()
+    assert watcher.due == SETTLE
+    watcher.on_time(SEEN, Agent(CONFIG, "s1").outcome, SETTLE + late)
+    assert watcher.due == pytest.approx(SETTLE + late + pause)
