@@ -30,6 +30,7 @@ ROUNDS = 4  # so many times SETTLE pass before anybody's first word, so that tho
 TILE = 10.0  # m: a tile is wider than the largest reach by this (docs/protocol.md)
 FIRST = 2  # tiles on every side of the own one that a newcomer listens to
 BUSY, LONGEST = 8.0, 5.0  # an agent that is called late waits so many times longer, at most so many s: the others are late as well
+UNHEARD = 3  # times that who hears nobody asks again before it looks farther: the others may only be late
 MOST_QUESTIONS = 8  # in a row: then an agent speaks, certified or not
 AHEAD = 12.0  # m: a tile is listened to before it is needed, so that a period of beacons has been heard when it is
 FORGOTTEN = 2.5  # periods after which somebody whose beacons no longer come is gone
@@ -81,6 +82,9 @@ class Lookout:
         settle = min(max(SETTLE, BUSY * late), LONGEST)
         self.due = now + settle
         mine = self._mine(observation, outcome)
+        if self._asking and not self._neighbours.peers and self._questions < UNHEARD:
+            self._questions += 1
+            return [self._said] if self._said else []
         if self._asking:
             choice, table = self._judge(self._first_cell(mine, observation.tick), mine, observation.tick)
             soon = choice.needed.wider(AHEAD)

@@ -5,7 +5,7 @@ import pytest
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
 from agents.interest import PERIOD
-from agents.lookout import BUSY, FORGOTTEN, LINGER, LONGEST, SETTLE, Lookout
+from agents.lookout import BUSY, FORGOTTEN, LINGER, LONGEST, SETTLE, UNHEARD, Lookout
 from agents.neighbours import Neighbours
 from protocol.geometry import rectangle
 from protocol.keys import one_of, tokens_of
@@ -74,3 +74,17 @@ def test_who_is_called_late_gives_the_others_more_time_for_their_answers(late: f
     assert watcher.due == SETTLE
     watcher.on_time(SEEN, Agent(CONFIG, "s1").outcome, SETTLE + late)
     assert watcher.due == pytest.approx(SETTLE + late + pause)
+
+
+def test_who_hears_nobody_asks_again_nearby_before_it_looks_farther() -> None:
+    watcher, outcome = lookout(), Agent(CONFIG, "s1").outcome
+    said: list[list[Effect]] = []
+    for _ in range(UNHEARD + 1):
+        assert watcher.due is not None
+        said.append(watcher.on_time(SEEN, outcome, watcher.due))
+    assert [[type(effect) for effect in effects] for effects in said[:UNHEARD]] == [[Beacon]] * UNHEARD
+    assert any(isinstance(effect, Subscribe) for effect in said[UNHEARD])  # the arena is larger than what it listens to
+    neighbour = lookout()
+    neighbour.hear(beacon("s2", 0, 30.0))
+    assert neighbour.due is not None
+    assert any(isinstance(effect, Subscribe) for effect in neighbour.on_time(SEEN, outcome, neighbour.due))
