@@ -53,6 +53,8 @@ class ControlServer:
                 await writer.drain()
         except (ConnectionError, ValueError):
             pass  # a client that left or wrote an endless line
+        except asyncio.CancelledError:
+            pass  # the run ends; were it raised again, asyncio before 3.12 would log an error
         finally:
             writer.close()
 
