@@ -1,0 +1,123 @@
+"""One well-formed message of every kind, as bytes; and why bytes are refused."""
+
+from typing import Any
+
+import msgpack
+import numpy as np
+
+from protocol import codec
+from protocol.fields import Malformed, pack
+from protocol.keys import message_key
+from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, Truth
+from protocol.sensing import SENSOR_CLASSES
+
+REASONS = frozenset({"key", "size", "format", "version", "shape", "range", "sender"})
+RUN = "fuzz"
+
+
+HUGE = [
+    b"\xdd\xff\xff\xff\xff",
+    b"\xdf\xff\xff\xff\xff",
+    b"\xdb\xff\xff\xff\xff",
+    b"\xc6\xff\xff\xff\xff",
+    b"\xc9\xff\xff\xff\xff\x00",
+    b"\xdc\xff\xff",
+    b"\xde\xff\xff",
+    b"\xda\xff\xff",
+]  # headers that declare far more than follows
+
+
+def _samples() -> list[Message]:
+    """One message of every kind with every field set, the gossip with 60 particles."""
+    rng = np.random.default_rng(7)
+    places = rng.uniform(0.0, 100.0, (60, 4))
+    return [
+        Hello(
+            sender="s1",
+            incarnation=9,
+            sensor_class="A",
+            sensor=SENSOR_CLASSES["A"],
+            max_speed=2.0,
+            max_turn_rate=5.0,
+            heard=("s2", "s3"),
+            software="0.1",
+        ),
+        Beacon(sender="s1", incarnation=9, tick=4, position=(1.0, 2.0), cod=(2.0, 2.0), power_radius=6.5, reach=8.0, column=1, row=0),
+        Gossip(
+            sender="s1",
+            incarnation=9,
+            tick=4,
+            pose=(1.0, 2.0, 0.3),
+            cod=(2.0, 2.0),
+            power_radius=6.5,
+            unused=130.0,
+            detections_bytes=pack(places[:3, :2], "<f4"),
+            claim_tick=3,
+            claim_names=("s1", "s2", "s3"),
+            claim_bytes=pack(places[:3, :3], "<f8"),
+            view=2**62,
+            weight=0.02,
+            states_bytes=pack(places, "<f4"),
+            ids_bytes=pack(np.sort(rng.integers(0, 2**64, 60, dtype=np.uint64)), "<u8"),
+        ),
+        Observation(
+            sender="world",
+            incarnation=9,
+            recipient="s1",
+            tick=4,
+            time=1.0,
+            pose=(1.0, 2.0, 0.3),
+            detections_bytes=pack(places[:3, :2], "<f4"),
+        ),
+        Command(sender="s1", incarnation=9, tick=4, velocity=(1.0, -1.0), turn_rate=0.5),
+        Estimate(
+            sender="s1",
+            incarnation=9,
+            tick=4,
+            pose=(1.0, 2.0, 0.3),
+            cod=(2.0, 2.0),
+            power_radius=6.5,
+            unused=130.0,
+            load=1.5,
+            mass=2.5,
+            cell_bytes=pack(places[:5, :2], "<f8"),
+            targets_bytes=pack(places[:2, :2], "<f8"),
+            neighbours=("s2",),
+            counters={"rounds": 4, "rejected.format": 1},
+            round_seconds=0.001,
+        ),
+        Truth(
+            sender="world",
+            incarnation=9,
+            tick=4,
+            time=1.0,
+            targets_bytes=pack(places[:2, :2], "<f8"),
+            ids_bytes=pack(np.array([1, 2]), "<u8"),
+            bodies=("s1",),
+            poses_bytes=pack(places[:1, :3], "<f8"),
+            in_view=1,
+            alive=("s1",),
+        ),
+    ]
+
+
+SAMPLES = [(message_key(RUN, message), codec.encode(message), message) for message in _samples()]
+GOSSIP_KEY, GOSSIP_BYTES, GOSSIP = SAMPLES[2]
+
+
+def reason_of(key: str, payload: bytes) -> str:
+    """The reason why the bytes are refused, or "accepted"; any other exception fails the test."""
+    try:
+        codec.decode(key, payload)
+    except Malformed as error:
+        assert error.reason in REASONS, f"undocumented reason {error.reason!r} for {payload.hex()}"
+        assert 0 < len(str(error)) < 2000
+        return error.reason
+    return "accepted"
+
+
+def altered(key: str, payload: bytes, **fields: Any) -> bytes:
+    """The payload with some fields replaced (None removes one), written by plain msgpack."""
+    plain = msgpack.unpackb(payload)
+    plain.update(fields)
+    return msgpack.packb({name: value for name, value in plain.items() if value is not None})
