@@ -27,6 +27,11 @@ def test_any_plain_data_reads_back_the_same(data: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(data)) == data
 
 
+def test_a_key_that_ends_in_a_line_break_is_quoted() -> None:
+    data = {"a\n": 1, "b\n": {"c\n": []}}
+    assert tomllib.loads(toml_text(data)) == data
+
+
 def test_none_is_left_out_and_tuples_come_back_as_lists() -> None:
     assert tomllib.loads(toml_text({"a": None, "b": (1, 2.5), "c": {"d": None}})) == {"b": [1, 2.5], "c": {}}
 
