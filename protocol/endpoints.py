@@ -9,7 +9,7 @@ from msgspec import structs
 from protocol.settings import BadSetting, NetworkSettings
 
 ENCRYPTED = ("tls/", "quic/")
-FORM = re.compile(r"^[a-z-]+/\S+$")
+FORM = re.compile(r"^[a-z-]+/\S+\Z")
 GUARDED = re.compile(r"^(tls/|quic/|unixsock-stream/|[a-z]+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+)")
 
 
