@@ -78,8 +78,8 @@ class Lookout:
 
     def on_time(self, observation: Observation, outcome: Outcome, now: float) -> list[Effect]:
         """The answers should have come."""
-        late = now - self.due if self.due is not None else 0.0
-        settle = min(max(SETTLE, BUSY * late), LONGEST)
+        overdue = now - self.due if self.due is not None else 0.0
+        settle = min(max(SETTLE, BUSY * overdue), LONGEST)
         self.due = now + settle
         mine = self._mine(observation, outcome)
         if self._asking and not self._neighbours.peers and self._questions < UNHEARD:
