@@ -7,6 +7,7 @@ import numpy as np
 
 from agents import cells, phd
 from agents.births import background_births, near_part
+from agents.calm import Reader
 from agents.cells import Cell, Claim
 from agents.extraction import estimate_targets
 from agents.interest import Choice, wanted
@@ -64,6 +65,7 @@ class Arithmetic(NamedTuple):
     in_view: Callable[[Particles, SensorModel, Pose], tuple[float, float]]
     refresh: Callable[[Task], Refreshed]  # all the steps from `gather` on
     wanted: Callable[..., Choice]
+    reader: Reader | None = None  # of many gossips at once; None: they are read one by one
 
 
 def births(step: Step) -> Particles:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.config import BirthSettings, FilterSettings
+from agents.config import AgentConfig, BirthSettings, FilterSettings
 from agents.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 from protocol.settings import ArenaSettings
@@ -41,6 +41,13 @@ def sensor_row(sensor: WedgeSensor, pose: Pose) -> tuple[float, ...]:
 def near_part(scan: Scan, close: np.ndarray) -> Scan:
     """The scan with only those detections that a mask (M,) names."""
     return scan if close.all() else scan._replace(detections=scan.detections[close], numbers=scan.numbers[close])
+
+
+def prior_size(config: AgentConfig) -> int:
+    """Particles of the prior over the whole arena: enough for the mass, and for every owner of a cell."""
+    filters, arena = config.filter, config.arena
+    mass = filters.prior_density * arena.width * arena.height
+    return max(round(filters.particles_per_target * mass), filters.least_particles * len(config.members))
 
 
 def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings) -> Particles:

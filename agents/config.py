@@ -94,3 +94,12 @@ class AgentConfig(Common, frozen=True, kw_only=True):
     control: ControlSettings = ControlSettings()
     extraction: ExtractionSettings = ExtractionSettings()
     timing: TimingSettings = TimingSettings()
+
+    def patience(self, *, missed: bool) -> float:
+        """How long an open round waits for missing gossips, s: less for peers that were missing already.
+
+        A share of what the world waits for a command, or the command of a round that has waited would always come too late.
+        """
+        if self.run.clock == "realtime":
+            return self.timing.deadline * self.run.dt / self.run.rate
+        return self.timing.deadline * self.run.patience * (0.1 if missed else 1.0)

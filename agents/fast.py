@@ -9,11 +9,23 @@ from itertools import pairwise
 
 import numpy as np
 
-from agents import birth_kernels, cell_kernels, extraction_kernels, interest, interest_kernels, kernels, phd, round_kernels, update_kernels
+from agents import (
+    birth_kernels,
+    cell_kernels,
+    extraction_kernels,
+    gossip_kernels,
+    interest,
+    interest_kernels,
+    kernels,
+    phd,
+    round_kernels,
+    update_kernels,
+)
 from agents.arithmetic import Arithmetic, Refreshed, Task, in_steps
 from agents.arithmetic import in_view as plain_in_view
 from agents.arithmetic import update as plain_update
 from agents.births import DIRECTIONS, inflow, sensor_row
+from agents.calm import Reader
 from agents.cells import NO_CELL, TOUCH, Cell, Claim
 from agents.config import AgentConfig, ExtractionSettings
 from agents.particles import NONE, Particles
@@ -239,4 +251,5 @@ FAST = Arithmetic(
     in_view=in_view,
     refresh=refresh,
     wanted=wanted,
+    reader=Reader(gossip_kernels.read, gossip_kernels.lay_out),
 )

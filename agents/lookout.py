@@ -167,7 +167,7 @@ class Lookout:
 
     def doubt(self, tick: int, now: float) -> list[Effect]:
         """At the end of a round: a new session, if the others have long been naming somebody here of whom I hear nothing."""
-        gossips = [gossip for gossip in self._neighbours.last.values() if gossip.tick == tick]
+        gossips = [gossip for gossip in self._neighbours.said.last.values() if gossip.tick == tick]
         unheard = self._hearsay.listen(gossips, self._neighbours.acquainted(), self._overlooks, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._me.name} does not")] if unheard else []
 

@@ -6,6 +6,8 @@ stays a generator, where it was last heard, for `silent_rounds` rounds.
 """
 
 import math
+from bisect import bisect_left
+from collections.abc import KeysView, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from operator import attrgetter
@@ -13,16 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agents.calm import CalmRound, Expected, Reader, Roll
 from agents.capacity import SensorFacts, sensor_facts
 from agents.config import AgentConfig
 from agents.places import EAST, RADIUS, Places, spot
-from agents.words import learn
+from agents.said import Said
+from agents.words import eye_of, learn
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.sensing import SensorModel
 from protocol.settings import BadSetting, sensor_of
 
-MOST_TICKS = 16  # for which gossips wait; the newest count
 _SLACK = 1.0 + 1e-9
 
 
@@ -58,6 +61,7 @@ class Far(NamedTuple):
     radii: np.ndarray
 
 
+Heard = dict[str, Gossip] | CalmRound  # the gossips of a tick by living peers, by name
 NOBODY = Far((), np.empty((0, 2)), np.empty(0))
 LOCAL_VIEW = 1  # of all who have heard everybody whom they must hear: their cells are those of one diagram
 
@@ -76,9 +80,9 @@ class Neighbours:
         self.changed = False  # local: somebody has come or gone since the circle was chosen
         self._config, self._silent = config, config.timing.silent_rounds
         self._name = name
-        self._said: dict[int, dict[str, Gossip]] = {}  # by tick and name, of rounds that are not closed yet
-        self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
+        self.said = Said()
         self._calm = False  # all peers live and spoke in the last round, and nothing has changed since
+        self._roll: Roll | None = None  # who is expected in calm rounds, made when it is needed
 
     def alive(self, name: str, incarnation: int) -> None:
         """A token appeared."""
@@ -110,13 +114,17 @@ class Neighbours:
                 sensor = hello.sensor or sensor_of(self._config, hello.sensor_class)
             except BadSetting:
                 return "sensor"
-            peer.outfit = Outfit(sensor, sensor_facts(sensor))
+            peer.outfit, self._roll = Outfit(sensor, sensor_facts(sensor)), None
         return None
+
+    def hear_all(self, reader: Reader, keys: Sequence[str], payloads: Sequence[bytes]) -> KeysView[str] | None:
+        """Gossips arrived; whose they were, if they could be read together. None: it is as if they had not come."""
+        return self.said.read(self._roll or self._call_roll(reader), keys, payloads) if self._calm else None
 
     def hear(self, gossip: Gossip) -> str | None:
         """A gossip arrived; the reason for refusing it, if there is one."""
         if self._calm:  # all is as in the last round, when nothing was missing: the commonest case, made short
-            said, peer = self._said.get(gossip.tick), self.circle.get(gossip.sender)
+            said, peer = self.said.spell_out().get(gossip.tick), self.circle.get(gossip.sender)
             if said is None or peer is None or peer.incarnation != gossip.incarnation:
                 return self._judge(gossip)
             if gossip.memo.get("plausible") or self._believable(gossip, peer):
@@ -136,19 +144,14 @@ class Neighbours:
         if peer.outfit is None:
             return "stranger"
         tick = gossip.tick
-        last = self.last.get(name)
+        last = self.said.last.get(name)
         if last is not None and tick <= last.tick:
             return "stale"
         if peer.gone_at is not None and tick <= peer.gone_at:
             return "dead"
         if not self._believable(gossip, peer):
             return "bounds"
-        said = self._said.get(tick)
-        if said is None:
-            said = self._said[tick] = {}
-            if len(self._said) > MOST_TICKS:
-                del self._said[min(self._said)]
-        said[name] = gossip
+        self.said.note(gossip)
         peer.missed = 0
         if peer.gone_at is not None:
             peer.gone_at, self.changed = None, True
@@ -162,9 +165,12 @@ class Neighbours:
             learn(gossip, peer.outfit.sensor, self._config)
         return bool(believable)
 
-    def fresh(self, tick: int) -> dict[str, Gossip]:
+    def fresh(self, tick: int) -> Heard:
         """The gossips of `tick` by living peers, in the order of names."""
-        said = self._said.get(tick, {})
+        together = self._whole(tick)
+        if together is not None:
+            return together
+        said = self.said.spell_out().get(tick, {})
         if self._calm and len(said) == len(self.circle):
             return {name: said[name] for name in self.circle}
         return {name: said[name] for name, peer in self.circle.items() if name in said and peer.gone_at is None}
@@ -174,7 +180,10 @@ class Neighbours:
 
         A newcomer waits for every live peer, since it has heard none of them yet.
         """
-        said = self._said.get(tick, {})
+        together = self.said.together(tick) if self._calm else None
+        if together is not None:
+            return self.circle.keys() - together.names()
+        said = self.said.spell_out().get(tick, {})
         if len(said) == len(self.circle):
             return set()
         if self._calm:
@@ -187,23 +196,24 @@ class Neighbours:
         """The gossip from which each peer's generator in the diagram of `tick` is read: fresh, or the last of the lately silent."""
         found, oldest = {}, tick - self._silent
         for name, peer in self.circle.items():
-            gossip = fresh.get(name) or self._newest(peer, tick)
+            gossip = fresh.get(name) or self.said.newest(name, tick)
             if gossip is not None and gossip.tick >= oldest and not gossip.listening and peer.gone_at is None:
                 found[name] = gossip
         return found
 
     def close(self, tick: int, *, newcomer: bool = False) -> int:
         """The round `tick` is over: put away what it used, count who was missing; how many were."""
+        if self._whole(tick) is not None:
+            self.said.close_together()
+            return 0
         missing = self.missing(tick, newcomer=newcomer)
         for name in missing:
             self.peers[name].missed += 1
             if self.peers[name].missed >= self._silent:
                 self.places.remove(name)
-        complete = len(self._said.get(tick, ())) == len(self.circle)
+        complete = len(self.said.spell_out().get(tick, ())) == len(self.circle)
         self._calm = complete and (self._calm or all(peer.token and peer.gone_at is None for peer in self.circle.values()))
-        for stamp in sorted([stamp for stamp in self._said if stamp <= tick]):
-            said = self._said.pop(stamp)
-            self.last = said if len(said) == len(self.circle) else {**self.last, **said}
+        for said in self.said.close(tick, len(self.circle)):
             if self.local:
                 for name, gossip in said.items():
                     if name in self.peers:
@@ -271,24 +281,34 @@ class Neighbours:
 
     def _listen_to(self, circle: list[Peer]) -> None:
         """Count these in, in the order of names, and nobody else."""
-        before, self.circle, self._calm = self.circle, {peer.name: peer for peer in circle}, False
+        before, self.circle, self._calm, self._roll = self.circle, {peer.name: peer for peer in circle}, False, None
         for name in before.keys() - self.circle.keys():
-            self.last.pop(name, None)
+            self.said.last.pop(name, None)
 
     def acquainted(self) -> frozenset[str]:
         """Who has been counted in, so that claims cut from one diagram are expected of them."""
         return self._acquainted
 
-    def _newest(self, peer: Peer, tick: int) -> Gossip | None:
-        """The newest gossip of a peer that is not younger than `tick`."""
-        stamps = [stamp for stamp, said in self._said.items() if stamp <= tick and peer.name in said]
-        return self._said[max(stamps)][peer.name] if stamps else self.last.get(peer.name)
+    def _whole(self, tick: int) -> CalmRound | None:
+        """What all peers have said of a tick if it was read together and nothing has changed since."""
+        together = self.said.together(tick) if self._calm else None
+        return together if together is not None and len(together) == len(self.circle) else None
+
+    def _call_roll(self, reader: Reader) -> Roll:
+        """Whom a calm round expects; all of them have been believed before, so their sensors are known."""
+        clutter, expected = self._config.detection.clutter, []
+        for peer in self.circle.values():
+            assert peer.outfit is not None
+            sensor, facts = peer.outfit
+            expected.append(Expected(peer.name, peer.incarnation, eye_of(peer.name, sensor, clutter), facts.capability, sensor.reach))
+        self._roll = Roll(self._config, reader, expected, bisect_left(list(self.circle), order(self._name), key=order))
+        return self._roll
 
     def _awaits(self, peer: Peer, never_heard_counts: bool) -> bool:
         return peer.token and self._speaks(peer, never_heard_counts)
 
     def _speaks(self, peer: Peer, never_heard_counts: bool) -> bool:
-        if peer.name not in self.last and not any(peer.name in said for said in self._said.values()):
+        if not self.said.knows(peer.name):
             return never_heard_counts
         return peer.missed < self._silent
 
@@ -308,9 +328,8 @@ class Neighbours:
                 self.peers = {other: self.peers[other] for other in sorted(self.peers, key=order)}
             if not self.local or name in self.circle:
                 self.circle = {other: known for other, known in self.peers.items() if other == name or other in self.circle}
-            self._calm, self.changed = False, True
-            for said in (self.last, *self._said.values()):
-                said.pop(name, None)
+            self._calm, self._roll, self.changed = False, None, True
+            self.said.forget(name)
         return peer if incarnation == peer.incarnation else None
 
 

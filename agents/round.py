@@ -12,11 +12,12 @@ import numpy as np
 
 from agents.arithmetic import Arithmetic, Refreshed, Task
 from agents.belief import NO_CLAIM, Belief, Copies, Round, Share
+from agents.calm import CalmRound
 from agents.capacity import SensorFacts, power_radius, unused_capacity
 from agents.cells import NO_CELL, Cell, Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation
-from agents.neighbours import LOCAL_VIEW, Far, Neighbours
+from agents.neighbours import LOCAL_VIEW, Far, Heard, Neighbours
 from agents.step import Step
 from agents.words import Words, side_by_side
 from protocol.geometry import EMPTY, polygon_centroid
@@ -58,11 +59,11 @@ class Outcome:
         return power_radius(self.unused)
 
 
-def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> Outcome:
+def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: Heard) -> Outcome:
     """The outcome of the round of `mine.tick`, given the gossips of that tick by name, in the order of names."""
     config, tick, arithmetic = me.config, mine.tick, me.arithmetic
     step = Step(config, tick)
-    words = _with_mine(heard, mine)
+    words = heard.words(mine) if isinstance(heard, CalmRound) else _with_mine(heard, mine)
     speaking = _speaking(neighbours, mine, heard, words)
     cell = _own_cell(me, speaking, neighbours.far)
     claim = _claim(speaking, cell, neighbours.far)
@@ -93,15 +94,15 @@ def _with_mine(heard: dict[str, Gossip], mine: Gossip) -> Words:
     return side_by_side(gossips)
 
 
-def _speaking(neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip], words: Words) -> Words:
+def _speaking(neighbours: Neighbours, mine: Gossip, heard: Heard, words: Words) -> Words:
     """All generators of the tick, mine included unless I listen."""
     if len(heard) == len(neighbours.circle) and not words.listening:
         return words
-    speaking = neighbours.generators(mine.tick, heard)
+    speaking = neighbours.generators(mine.tick, heard.gossips() if isinstance(heard, CalmRound) else heard)
     return side_by_side(list(speaking.values())) if mine.listening else _with_mine(speaking, mine)
 
 
-def _view(neighbours: Neighbours, heard: dict[str, Gossip], speaking: Words, claim: Claim) -> int:
+def _view(neighbours: Neighbours, heard: Heard, speaking: Words, claim: Claim) -> int:
     """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, that this part was whole.
 
     Two who heard their whole circles at the same tick cannot differ about a generator that both know.

@@ -6,8 +6,9 @@ A row is packed once per gossip (`learn`), so that a round over many gossips is 
 import hashlib
 import struct
 from collections import deque
+from collections.abc import Callable
 from math import cos, sin
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,20 +77,33 @@ def learn(gossip: Gossip, sensor: SensorModel, config: AgentConfig) -> None:
     memo["sensor"] = sensor
 
 
+def _table(rows: bytearray) -> np.ndarray:
+    return np.frombuffer(rows, dtype=float).reshape(-1, ROW.size // 8)
+
+
 class Words:
     """Gossips of one round that have been `learn`ed, in the order of names."""
 
-    def __init__(self, gossips: list[Gossip], rows: bytearray) -> None:
-        self.gossips, self.rows = gossips, rows
-        self.names = tuple([gossip.sender for gossip in gossips])
-        self.table = np.frombuffer(rows, dtype=float).reshape(-1, ROW.size // 8)  # (N, columns)
+    def __init__(self, names: tuple[str, ...], table: np.ndarray, told: Callable[[], list[Gossip]], known: dict[str, Any]) -> None:
+        """`table`: a row each (N, columns). `told`: asked when somebody wants them one by one. `known`: attributes known already."""
+        self.names, self.table = names, table
+        self._told = told
+        self.__dict__.update(known)
+
+    @classmethod
+    def of_gossips(cls, gossips: list[Gossip], rows: bytearray) -> "Words":
+        """The gossips themselves, and their rows end to end."""
+        return cls(tuple([gossip.sender for gossip in gossips]), _table(rows), lambda: gossips, {"gossips": gossips})
 
     @classmethod
     def of_scans(cls, rows: bytearray, detections: np.ndarray) -> "Words":
         """Scans that nobody has put into a gossip: their rows, and all detections (D, 2)."""
-        words = cls([], rows)
-        words.__dict__["detections"] = detections
-        return words
+        return cls((), _table(rows), list, {"detections": detections})
+
+    @once
+    def gossips(self) -> list[Gossip]:
+        """One by one."""
+        return self._told()
 
     @once
     def salts(self) -> np.ndarray:
@@ -175,17 +189,18 @@ def particles_of(told: Words | Particles) -> Particles:
     return told.particles if isinstance(told, Words) else told
 
 
-_RECENT: deque[Words] = deque(maxlen=2)  # in a simulation all agents hear the same
+_RECENT: deque[tuple[bytearray, Words]] = deque(maxlen=2)  # in a simulation all agents hear the same
 
 
 def side_by_side(gossips: list[Gossip]) -> Words:
     """The gossips side by side; the same object for the same gossips, if they were the last ones asked for."""
     rows = bytearray().join([gossip.memo["row"] for gossip in gossips])
-    for words in _RECENT:
-        if words.rows == rows and words.gossips == gossips:
+    for known, words in _RECENT:
+        if known == rows and words.gossips == gossips:
             return words
-    _RECENT.append(Words(gossips, rows))
-    return _RECENT[-1]
+    words = Words.of_gossips(gossips, rows)
+    _RECENT.append((rows, words))
+    return words
 
 
 def forget() -> None:

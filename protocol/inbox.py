@@ -5,9 +5,10 @@ Pure bookkeeping without sockets; `live` owns one of each.
 
 import threading
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from protocol.node import Node
+from protocol.node import Effect, Node
 
 MOST_ENTRIES = 4096
 MOST_BYTES = 16 * 1024 * 1024
@@ -73,7 +74,7 @@ class Inbox:
         with self._lock:
             self._queue.append(arrival)
             self._bytes += len(arrival.payload)
-            patient = self._waits(arrival)
+            patient = self.waits(arrival)
             self._waiting += patient
             if len(self._queue) > self._most_entries or self._bytes > self._most_bytes:
                 self._thin_out()
@@ -85,9 +86,13 @@ class Inbox:
     def take(self, most: int) -> list[Arrival]:
         """The oldest entries, `most` at most; an empty list hands the duty to call back to `add`."""
         with self._lock:
-            batch = [self._queue.popleft() for _ in range(min(most, len(self._queue)))]
-            self._bytes -= sum([len(arrival.payload) for arrival in batch])
-            self._waiting -= sum(map(self._waits, batch))
+            if len(self._queue) <= most:
+                batch, self._bytes, self._waiting = list(self._queue), 0, 0
+                self._queue.clear()
+            else:
+                batch = [self._queue.popleft() for _ in range(most)]
+                self._bytes -= sum([len(arrival.payload) for arrival in batch])
+                self._waiting -= sum(map(self.waits, batch))
             self._called = bool(batch)
             return self._without_old(batch) if self._newest else batch
 
@@ -98,7 +103,8 @@ class Inbox:
             self._called = len(self._queue) > self._waiting or self._waiting >= max(enough, 1)
             return self._called
 
-    def _waits(self, arrival: Arrival) -> bool:
+    def waits(self, arrival: Arrival) -> bool:
+        """Whether an arrival can wait for others of its kind."""
         return self._patient != "" and arrival.token is None and self._patient in arrival.key
 
     def _without_old(self, batch: list[Arrival]) -> list[Arrival]:
@@ -123,7 +129,7 @@ class Inbox:
         self.dropped += len(self._queue) - len(kept)
         self._queue = deque(kept)
         self._bytes = sum(len(arrival.payload) for arrival in kept)
-        self._waiting = sum(map(self._waits, kept))
+        self._waiting = sum(map(self.waits, kept))
 
 
 class Quarantine:
@@ -146,6 +152,12 @@ class Quarantine:
         del self._until[source]
         return False
 
+    def holds_any(self, now: float) -> bool:
+        """Whether there is any source of which messages are to be thrown away unread."""
+        if self._until:
+            self._until = {source: until for source, until in self._until.items() if now < until}
+        return bool(self._until)
+
     def offend(self, source: str, now: float) -> None:
         """Note one bad message; the oldest sources are forgotten beyond a fixed number."""
         times = self._offences.pop(source, None) or deque(maxlen=self._most)
@@ -162,6 +174,16 @@ class Quarantine:
 def awaited(node: Node) -> int:
     """How many messages of the kind `patient` (part of their keys) a node waits for: it need not be woken for fewer of them."""
     found: int = getattr(node, "awaiting", 1)
+    return found
+
+
+Together = Callable[[Sequence[str], Sequence[bytes], float], list[Effect] | None]
+
+
+def together(node: Node) -> Together:
+    """What a node makes of several messages of the kind `patient` at once, given their keys, payloads and `now` in s; None: one of them
+    is out of the ordinary, so it will take them one by one, and is as it was before. So it is with all nodes that have no `hear_all`."""
+    found: Together = getattr(node, "hear_all", lambda keys, payloads, now: None)
     return found
 
 

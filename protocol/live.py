@@ -24,7 +24,7 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
-from protocol.inbox import Arrival, Flow, Inbox, awaited, patient_kind
+from protocol.inbox import Arrival, Flow, Inbox, awaited, patient_kind, together
 from protocol.linger import Sockets
 from protocol.links import LinkFaults
 from protocol.messages import Message
@@ -67,11 +67,12 @@ class Driver:
     """Drives one node over one Zenoh session inside a running event loop."""
 
     def __init__(self, node: Node, settings: NetworkSettings, link: LinkFaults | None = None) -> None:
-        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts
+        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, together, rejected, quarantined, flooded, failed_puts
         self._node = node
         self._settings = settings
         self._link = link
         self._inbox = Inbox(newest="/observation/" if node.role == "agent" else "", patient=patient_kind(node))
+        self._together = together(node)
         self._flow = Flow()
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
@@ -182,21 +183,31 @@ class Driver:
                 self._loop.call_later(delay, self._receive, changed) if delay > 0.0 else self._receive(changed)
 
     def _receive(self, arrivals: list[Arrival]) -> None:
-        for event in self._reception.events(arrivals, self._loop.time()):
-            self._handle(event)
+        for part, whole in self._reception.parts(arrivals, self._inbox.waits, self._loop.time()):
+            if whole and self._told(self._together, *whole):
+                self.counts.update(received=len(part), together=len(part))
+                continue
+            for event in self._reception.events(part, self._loop.time()):
+                self._handle(event)
 
     def _handle(self, event: Event) -> None:
-        """Let the node take an event; an exception in the node ends the process, never only the event."""
+        self._told(self._node.handle, event)
+
+    def _told(self, node: Callable[..., list[Effect] | None], *what: Any) -> bool:
+        """Let the node take something, if it will; an exception in the node ends the process, never only the event."""
         if self._stopped.done():
-            return
+            return True
         try:
-            effects = self._node.handle(event, self._loop.time())
+            effects = node(*what, self._loop.time())
+            if effects is None:
+                return False
             if effects is not QUIET:
                 for effect in effects:
                     self._carry_out(effect)
                 self._arm()
         except Exception as error:
             self._stopped.set_exception(error)
+        return True
 
     def _carry_out(self, effect: Effect) -> None:
         if isinstance(effect, Message):

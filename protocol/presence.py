@@ -37,6 +37,10 @@ class Presence:
         """A message of somebody has come."""
         self._words[name] = now
 
+    def speak_all(self, names: Iterable[str], now: float) -> None:
+        """Messages of several have come."""
+        self._words.update(dict.fromkeys(names, now))
+
     def greet(self, name: str, now: float) -> bool:
         """A Hello of somebody has come; whether it is the first."""
         self._words[name] = now

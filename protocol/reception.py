@@ -4,13 +4,16 @@ Pure bookkeeping without sockets; `live` owns one.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import groupby
 
 from protocol.codec import decode_all
 from protocol.fields import Malformed
 from protocol.inbox import Arrival, Quarantine
 from protocol.node import Event, Received, Rejected
 from protocol.tokens import Tokens
+
+Whole = tuple[tuple[str, ...], tuple[bytes, ...]]  # keys and payloads
 
 
 class Reception:
@@ -20,6 +23,14 @@ class Reception:
         self._tokens = tokens
         self._counts = counts
         self._quarantine = Quarantine()
+
+    def parts(self, arrivals: list[Arrival], waits: Callable[[Arrival], bool], now: float) -> Iterator[tuple[list[Arrival], Whole | None]]:
+        """The arrivals in parts, in their order: what `waits` apart from the rest, and of that the keys and payloads if it may be read
+        together, because nobody's messages have to be thrown away. `now` is the driver's, s."""
+        for alike, group in groupby(arrivals, waits):
+            part = list(group)
+            keys, payloads, _, _ = zip(*part)
+            yield part, (keys, payloads) if alike and not self._quarantine.holds_any(now) else None
 
     def events(self, arrivals: list[Arrival], now: float) -> Iterator[Event]:
         """The events in the order of arrival; what comes from a source that is shut out is thrown away unread.

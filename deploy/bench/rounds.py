@@ -38,7 +38,8 @@ def recorded(arithmetic: Arithmetic, calls: dict[str, list[Call]]) -> Arithmetic
 
         return noted
 
-    return Arithmetic(*(noting(name, function) for name, function in zip(Arithmetic._fields, arithmetic)))
+    functions: dict[str, Any] = {name: noting(name, function) for name, function in arithmetic._asdict().items() if callable(function)}
+    return arithmetic._replace(**functions)
 
 
 def read(captured: Captured) -> None:

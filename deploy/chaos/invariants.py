@@ -8,8 +8,8 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.belief import MOST_COPIES, share_of
-from agents.neighbours import MOST_TICKS
 from agents.round import Outcome
+from agents.said import MOST_TICKS
 from deploy.chaos.oracle import Oracle, distance, united
 from deploy.simulate import Simulation
 from protocol.geometry import polygon_area
@@ -199,7 +199,7 @@ def check_round(agent: Agent, is_first: bool) -> None:
     arena = agent.config.arena
     need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
     need(not (is_first and outcome.belief.stamp > 0 and share.claim.names), f"{name}: a newcomer with a cell before it has listened")
-    need(len(agent.neighbours._said) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.neighbours._said)} ticks")
+    need(len(agent.neighbours.said.rounds) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.neighbours.said.rounds)} ticks")
     need(len(near.ids) <= 4 * MOST_COPIES, f"{name}: {len(near.ids)} copies")
 
 
@@ -208,7 +208,7 @@ def check_words(agent: Agent) -> None:
     every cell."""
     outfits = [peer.outfit for peer in agent.neighbours.peers.values() if peer.outfit is not None]
     most = SLACK * max([agent.self.facts.capability, *(outfit.facts.capability for outfit in outfits)])
-    for name, gossip in agent.neighbours.last.items():
+    for name, gossip in agent.neighbours.said.last.items():
         if gossip.tick == agent.outcome.belief.stamp:
             numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)
             need(all(map(math.isfinite, numbers)) and gossip.weight >= 0.0, f"{agent.name}: believes {numbers} of {name}")
@@ -220,7 +220,7 @@ def check_diagram(agent: Agent) -> None:
     """Whoever is alive and was heard in the last `SILENT_ROUNDS` rounds has a generator (rule 7)."""
     belief, neighbours = agent.outcome.belief, agent.neighbours
     for name, peer in neighbours.circle.items():
-        last = neighbours.last.get(name)
+        last = neighbours.said.last.get(name)
         if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.gone_at is not None:
             continue
         lately = belief.stamp - last.tick <= SILENT_ROUNDS
@@ -234,6 +234,6 @@ def fingerprint(agent: Agent) -> tuple[Any, ...]:
     """Everything about an agent that a message could change, but for the counters."""
     neighbours = agent.neighbours
     peers = tuple((name, p.incarnation, p.token, p.gone_at, p.missed, p.outfit is None) for name, p in neighbours.peers.items())
-    last = tuple((name, gossip.incarnation, gossip.tick) for name, gossip in neighbours.last.items())
-    said = tuple((tick, tuple((name, id(gossip)) for name, gossip in found.items())) for tick, found in neighbours._said.items())
+    last = tuple((name, gossip.incarnation, gossip.tick) for name, gossip in neighbours.said.last.items())
+    said = tuple((tick, tuple((name, id(gossip)) for name, gossip in found.items())) for tick, found in neighbours.said.spell_out().items())
     return agent.tick, id(agent.outcome), peers, last, said

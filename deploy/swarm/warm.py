@@ -8,6 +8,8 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
+from protocol.codec import encode
+from protocol.keys import message_key
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Received, Started, Timer
 from protocol.settings import ArenaSettings
@@ -74,6 +76,8 @@ def _sees(agent: Agent, tick: int) -> bool:
 
 def _tell(agent: Agent, effects: list[Effect]) -> None:
     for effect in effects:
+        if isinstance(effect, Gossip) and agent.hear_all([message_key(agent.run, effect)], [encode(effect)], 0.0) is not None:
+            continue
         if isinstance(effect, Hello | Beacon | Gossip):
             agent.handle(Received(effect), 0.0)
 

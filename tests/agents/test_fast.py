@@ -98,7 +98,7 @@ def words(rng: np.random.Generator, particles: Particles) -> Words:
         )
         learn(gossip, sensor, AgentConfig())
         said.append(gossip)
-    return Words(said, bytearray().join([gossip.memo["row"] for gossip in said]))
+    return Words.of_gossips(said, bytearray().join([gossip.memo["row"] for gossip in said]))
 
 
 def step(seed: int = 3, tick: int = 7, **filters: Any) -> Step:
@@ -107,7 +107,8 @@ def step(seed: int = 3, tick: int = 7, **filters: Any) -> Step:
 
 def test_every_function_is_compared_here() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
-    assert [name for name in Arithmetic._fields if f'assert_same("{name}"' not in text] == []
+    others = [name for name in Arithmetic._fields if name != "reader"]  # that is what test_calm is about
+    assert [name for name in others if f'assert_same("{name}"' not in text] == []
 
 
 @given(seeds, st.integers(1, 14))
@@ -235,8 +236,8 @@ def test_refresh(seed: int, size: int, count: int, in_words: bool, kind: str) ->
 def test_nothing_at_all() -> None:
     assert_same("predict", NONE, step())
     assert_same("gather", NONE, NONE, BOX, (0.0, 0.0), 5.0, step())
-    assert_same("update", NONE, Words([], bytearray()), BOX, step())
-    assert_same("update", NONE, Words([], bytearray()), EMPTY, step())
+    assert_same("update", NONE, Words.of_gossips([], bytearray()), BOX, step())
+    assert_same("update", NONE, Words.of_gossips([], bytearray()), EMPTY, step())
     assert_same("take", NONE, make_claim((), np.empty((0, 3)), ()), ARENA)
     assert_same("resample", NONE, "s1", step())
     assert_same("estimate_targets", NONE)
