@@ -187,8 +187,13 @@ class Agent:
     def hear_all(self, keys: Sequence[str], payloads: Sequence[bytes], now: float) -> list[Effect] | None:
         """Gossips have come, unchecked, in this order; None: take them one by one (Node). In a calm round it saves most of the work."""
         reader = self.self.arithmetic.reader
-        if reader is None or self._listening or self.local or self.tick > self.neighbours.said.next:
+        if reader is None or self._listening or self.tick > self.neighbours.said.next:
             return None
+        if self._lookout and not self._lookout.spare.isdisjoint(keys):
+            needed = [(key, payload) for key, payload in zip(keys, payloads) if key not in self._lookout.spare]
+            if not needed:
+                return QUIET
+            keys, payloads = zip(*needed)
         names = self.neighbours.hear_all(reader, keys, payloads)
         if names is None:
             return None

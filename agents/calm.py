@@ -101,6 +101,10 @@ class CalmRound:
     def __iter__(self) -> Iterator[str]:
         return iter([name for name in self.roll.names if name in self._said])
 
+    def drop(self, name: str) -> None:
+        """Leave out what somebody has said, after the round."""
+        self._said.pop(name, None)
+
     def names(self) -> KeysView[str]:
         """Who has spoken."""
         return self._said.keys()

@@ -34,6 +34,7 @@ UNHEARD = 3  # times that who hears nobody asks again before it looks farther: t
 MOST_QUESTIONS = 8  # in a row: then an agent speaks, certified or not
 AHEAD = 12.0  # m: a tile is listened to before it is needed, so that a period of beacons has been heard when it is
 FORGOTTEN = 2.5  # periods after which somebody whose beacons no longer come is gone
+LOOK = 4  # ticks between two looks at whom the neighbours name
 LINGER = 4.0  # s of world time for which the gossip of somebody who is needed no longer still comes: half of all are needed again by then
 
 
@@ -62,6 +63,7 @@ class Lookout:
         self._spread = bounds.offset + JUMP  # m: a generator is so far at most from where its agent says its beacons
         self._heard: dict[str, int] = {}  # whose gossip comes, and in which tick it was needed last
         self._watched: set[str] = set()  # whose token I see
+        self.spare: frozenset[str] = frozenset()  # keys of the gossips that come and are not needed
 
     # ------------------------------------------------------------------ before the first word
 
@@ -167,6 +169,8 @@ class Lookout:
 
     def doubt(self, tick: int, now: float) -> list[Effect]:
         """At the end of a round: a new session, if the others have long been naming somebody here of whom I hear nothing."""
+        if tick % LOOK:
+            return []
         gossips = [gossip for gossip in self._neighbours.said.last.values() if gossip.tick == tick]
         unheard = self._hearsay.listen(gossips, self._neighbours.acquainted(), self._overlooks, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._me.name} does not")] if unheard else []
@@ -204,9 +208,10 @@ class Lookout:
         dropped = [name for name, last in heard.items() if last + self._linger <= tick]
         for name in dropped:
             del heard[name]
+        gossip, token = partial(one_of, run, "gossip"), partial(tokens_of, run, "agent")
+        self.spare = frozenset(map(gossip, heard.keys() - needed))
         seen, unseen = needed - watched, watched - self._neighbours.peers.keys()
         self._watched = (watched | seen) - unseen
-        gossip, token = partial(one_of, run, "gossip"), partial(tokens_of, run, "agent")
         return [
             *(Subscribe(gossip(name)) for name in sorted(added, key=order)),
             *(Subscribe(token(name)) for name in sorted(seen, key=order)),

@@ -5,10 +5,8 @@ the first gossip of the same incarnation that it cannot have said before brings 
 stays a generator, where it was last heard, for `silent_rounds` rounds.
 """
 
-import math
 from bisect import bisect_left
 from collections.abc import KeysView, Sequence
-from dataclasses import dataclass
 from itertools import compress
 from operator import attrgetter
 from typing import NamedTuple
@@ -16,41 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.calm import CalmRound, Expected, Reader, Roll
-from agents.capacity import SensorFacts, sensor_facts
 from agents.config import AgentConfig
+from agents.peers import Peer, outfit_of, plausible
 from agents.places import EAST, RADIUS, Places, spot
 from agents.said import Said
 from agents.words import eye_of, learn
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
-from protocol.sensing import SensorModel
-from protocol.settings import BadSetting, sensor_of
-
-_SLACK = 1.0 + 1e-9
-
-
-class Outfit(NamedTuple):
-    """The sensor that a peer announced."""
-
-    sensor: SensorModel
-    facts: SensorFacts
-
-
-@dataclass
-class Peer:
-    """What is known of another agent."""
-
-    name: str
-    incarnation: int
-    token: bool = False  # its liveliness token is up
-    outfit: Outfit | None = None
-    gone_at: int | None = None  # the newest tick of which it may have spoken before its token went; a later gossip revives it
-    missed: int = 0  # rounds without a word in a row
-    beacon: Beacon | None = None  # the newest
-    rank: tuple[int, str] = (0, "")  # in the order of names
-
-    def __post_init__(self) -> None:
-        self.rank = order(self.name)
 
 
 class Far(NamedTuple):
@@ -81,7 +51,7 @@ class Neighbours:
         self._config, self._silent = config, config.timing.silent_rounds
         self._name = name
         self.said = Said()
-        self._calm = False  # all peers live and spoke in the last round, and nothing has changed since
+        self._calm = False  # all in the circle are alive and missed no round, and nothing has changed since
         self._roll: Roll | None = None  # who is expected in calm rounds, made when it is needed
 
     def alive(self, name: str, incarnation: int) -> None:
@@ -89,7 +59,7 @@ class Neighbours:
         peer = self._peer(name, incarnation, token=True)
         if peer:
             self.changed |= peer.gone_at is not None
-            peer.token, peer.gone_at, self._calm = True, None, False
+            peer.token, peer.gone_at = True, None
             if peer.beacon is not None:
                 self._put(peer, peer.beacon)
 
@@ -110,11 +80,10 @@ class Neighbours:
         if peer is None:
             return "incarnation"
         if peer.outfit is None or (hello.sensor is not None and hello.sensor != peer.outfit.sensor):
-            try:
-                sensor = hello.sensor or sensor_of(self._config, hello.sensor_class)
-            except BadSetting:
+            outfit = outfit_of(hello, self._config)
+            if outfit is None:
                 return "sensor"
-            peer.outfit, self._roll = Outfit(sensor, sensor_facts(sensor)), None
+            peer.outfit, self._roll = outfit, None
         return None
 
     def hear_all(self, reader: Reader, keys: Sequence[str], payloads: Sequence[bytes]) -> KeysView[str] | None:
@@ -161,7 +130,7 @@ class Neighbours:
         """Whether a gossip stays within what its sender's sensor can do; what the sensor makes of it is noted, once in a process."""
         believable: bool | None = gossip.memo.get("plausible")
         if believable is None and peer.outfit is not None:
-            believable = gossip.memo["plausible"] = _plausible(gossip, peer.outfit)
+            believable = gossip.memo["plausible"] = plausible(gossip, peer.outfit)
             learn(gossip, peer.outfit.sensor, self._config)
         return bool(believable)
 
@@ -203,7 +172,10 @@ class Neighbours:
 
     def close(self, tick: int, *, newcomer: bool = False) -> int:
         """The round `tick` is over: put away what it used, count who was missing; how many were."""
-        if self._whole(tick) is not None:
+        together = self._whole(tick)
+        if together is not None:
+            for name, spot_of in together.spots().items() if self.local else ():
+                self.places.put(name, tick, spot_of)
             self.said.close_together()
             return 0
         missing = self.missing(tick, newcomer=newcomer)
@@ -212,7 +184,7 @@ class Neighbours:
             if self.peers[name].missed >= self._silent:
                 self.places.remove(name)
         complete = len(self.said.spell_out().get(tick, ())) == len(self.circle)
-        self._calm = complete and (self._calm or all(peer.token and peer.gone_at is None for peer in self.circle.values()))
+        self._calm = complete and (self._calm or self._steady())
         for said in self.said.close(tick, len(self.circle)):
             if self.local:
                 for name, gossip in said.items():
@@ -243,7 +215,7 @@ class Neighbours:
         if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
             return False
         if peer.outfit is None:
-            peer.outfit = beacon.memo.get("outfit") or _outfit(beacon, self._config)
+            peer.outfit = beacon.memo.get("outfit") or outfit_of(beacon, self._config)
             beacon.memo["outfit"] = peer.outfit
         back = peer.gone_at is not None and beacon.tick > peer.gone_at + 1  # a beacon says where somebody will be
         silent = peer.missed >= self._silent
@@ -281,13 +253,18 @@ class Neighbours:
 
     def _listen_to(self, circle: list[Peer]) -> None:
         """Count these in, in the order of names, and nobody else."""
-        before, self.circle, self._calm, self._roll = self.circle, {peer.name: peer for peer in circle}, False, None
-        for name in before.keys() - self.circle.keys():
-            self.said.last.pop(name, None)
+        before, self.circle, self._roll = self.circle, {peer.name: peer for peer in circle}, None
+        self.said.drop(before.keys() - self.circle.keys())
+        self._calm = self._steady()
 
     def acquainted(self) -> frozenset[str]:
         """Who has been counted in, so that claims cut from one diagram are expected of them."""
         return self._acquainted
+
+    def _steady(self) -> bool:
+        """Whether everybody's gossip will be taken that is well-formed and of the next tick."""
+        local, peers = self.local, self.circle.values()
+        return all(peer.gone_at is None and not peer.missed and peer.outfit is not None and (peer.token or local) for peer in peers)
 
     def _whole(self, tick: int) -> CalmRound | None:
         """What all peers have said of a tick if it was read together and nothing has changed since."""
@@ -295,7 +272,7 @@ class Neighbours:
         return together if together is not None and len(together) == len(self.circle) else None
 
     def _call_roll(self, reader: Reader) -> Roll:
-        """Whom a calm round expects; all of them have been believed before, so their sensors are known."""
+        """Whom a calm round expects; their sensors are known."""
         clutter, expected = self._config.detection.clutter, []
         for peer in self.circle.values():
             assert peer.outfit is not None
@@ -331,19 +308,3 @@ class Neighbours:
             self._calm, self._roll, self.changed = False, None, True
             self.said.forget(name)
         return peer if incarnation == peer.incarnation else None
-
-
-def _outfit(beacon: Beacon, config: AgentConfig) -> Outfit | None:
-    """The sensor that a beacon announces; None when nobody knows its class."""
-    try:
-        sensor = beacon.sensor or sensor_of(config, beacon.sensor_class)
-    except BadSetting:
-        return None
-    return Outfit(sensor, sensor_facts(sensor))
-
-
-def _plausible(gossip: Gossip, outfit: Outfit) -> bool:
-    """Whether a gossip stays within what its sender's sensor can do: U <= D, and the COD within reach."""
-    most = outfit.facts.capability * _SLACK
-    apart = math.dist(gossip.cod, gossip.pose[:2])
-    return gossip.unused <= most and math.pi * gossip.power_radius**2 <= most and apart <= outfit.sensor.reach * _SLACK

@@ -1,6 +1,6 @@
 """What peers have said: the gossips of open rounds, and the newest of each in closed ones; one by one, or read together in calm rounds."""
 
-from collections.abc import KeysView, Sequence
+from collections.abc import Iterable, KeysView, Sequence
 
 from agents.calm import CalmRound, Roll
 from protocol.messages import Gossip
@@ -66,6 +66,14 @@ class Said:
         """Nothing counts any more that somebody has said."""
         for said in (self.last, *self.spell_out().values()):
             said.pop(name, None)
+
+    def drop(self, names: Iterable[str]) -> None:
+        """What these have said in closed rounds counts no more."""
+        for name in names:
+            if self._closed is not None:
+                self._closed.drop(name)
+            else:
+                self._last.pop(name, None)
 
     def close_together(self) -> None:
         """The round that was read together is over."""
