@@ -54,10 +54,10 @@ def up(
 @app.command
 def simulate(scenario: str = "convergence", /, *, record: Record = False, trace: Trace = None, options: Options = RunOptions()) -> int:
     """Run the same nodes in one process, in virtual time; with --rate the world waits for nobody, as on a clock."""
-    from deploy.commands import running
+    from deploy.commands import simulating
 
     clock: Literal["lockstep", "realtime"] = "lockstep" if options.rate is None or options.lockstep else "realtime"
-    return running.simulate_here(options.scenario(scenario), options.json, record, trace, clock)
+    return simulating.simulate_here(options.scenario(scenario), options.json, record, trace, clock)
 
 
 @app.command

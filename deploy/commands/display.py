@@ -1,8 +1,10 @@
 """Progress for people: a live panel in a terminal, plain lines elsewhere."""
 
+import os
 import select
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -118,3 +120,12 @@ def process_cells(row: dict[str, Any]) -> list[str]:
     if "tick" in row and row["tick"] >= 0:
         figures = [str(row["tick"]), f"{100.0 * row['cell']:.1f}", f"{row['mass']:.2f}", str(row["targets"]), f"{row['round_ms']:.1f}"]
     return [row["name"], row["class"], state, str(row["pid"] or ""), str(row["incarnation"]), *figures]
+
+
+def show_result(result: "Result", path: Path | None, as_json: bool) -> None:
+    """The result as a table, or as the last line of standard output."""
+    console = Console(stderr=as_json, highlight=False)
+    where = f"; logs and result in {os.path.relpath(path)}" if path else ""
+    console.print(result_table(result, f"{result.scenario}, seed {result.seed}: {result.agents} agents{where}"))
+    if as_json:
+        print(result.to_json())

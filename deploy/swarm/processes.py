@@ -12,11 +12,14 @@ import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import RunDirectory
 from deploy.swarm.zygote import Forked, Zygote
 from protocol.settings import BadSetting
+
+Spawn = Literal["zygote", "exec"]  # how agents are started
 
 ROOT = Path(__file__).resolve().parents[2]
 EXIT_FENCED = 3  # of an agent that has met a younger process of its name

@@ -21,7 +21,7 @@ from deploy.monitor_node import Scorer, Status
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario
 from deploy.swarm.control import Answer, ControlServer
-from deploy.swarm.processes import Child, check_names, child_environment
+from deploy.swarm.processes import Child, check_names
 from deploy.swarm.rundir import RunDirectory
 from deploy.swarm.seeds import seed_listeners
 from deploy.swarm.zygote import Zygote
@@ -36,8 +36,6 @@ START_LINE = 20.0  # s that the last agent is held back at most
 GRACE = 2.5  # s for children to end by themselves
 EXIT_BAD_INPUT = 2
 
-Spawn = Literal["zygote", "exec"]
-
 log = logging.getLogger(__name__)
 
 
@@ -50,9 +48,9 @@ class Supervisor:
         directory: RunDirectory,
         on_event: Callable[[str], None] = lambda text: None,
         on_status: Callable[[Status], None] = lambda status: None,
-        *,
-        spawn: Spawn = "exec",
+        zygote: Zygote | None = None,
     ) -> None:
+        """`zygote`: from now on the supervisor's, which ends it; None: agents are started from nothing."""
         check_faults(scenario.faults, list(scenario.members), live=True, link_faults=scenario.network.link_faults)
         check_endpoints(scenario.network)
         check_names(scenario)
@@ -73,7 +71,7 @@ class Supervisor:
         self.scorer.on_truth = self._on_truth
         self.scorer.on_twin = self._on_twin
         self.children = {name: Child(name, room, directory, self._endpoints(name)) for name, room in self._rooms().items()}
-        self._zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
+        self._zygote = zygote
         for name in scenario.members:
             self.children[name].zygote = self._zygote
         self._schedule = Schedule(scenario.run.seed, scenario.faults)
