@@ -88,7 +88,7 @@ class Neighbours:
 
     def hear_all(self, reader: Reader, keys: Sequence[str], payloads: Sequence[bytes]) -> KeysView[str] | None:
         """Gossips arrived; whose they were, if they could be read together. None: it is as if they had not come."""
-        return self.said.read(self._roll or self._call_roll(reader), keys, payloads) if self._calm else None
+        return self.said.read(self._roll or self.call_roll(reader), keys, payloads) if self._calm else None
 
     def hear(self, gossip: Gossip) -> str | None:
         """A gossip arrived; the reason for refusing it, if there is one."""
@@ -271,7 +271,7 @@ class Neighbours:
         together = self.said.together(tick) if self._calm else None
         return together if together is not None and len(together) == len(self.circle) else None
 
-    def _call_roll(self, reader: Reader) -> Roll:
+    def call_roll(self, reader: Reader) -> Roll:
         """Whom a calm round expects; their sensors are known."""
         clutter, expected = self._config.detection.clutter, []
         for peer in self.circle.values():

@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 from agents.arithmetic import Arithmetic, in_steps
+from agents.calm import CalmRound, Roll
 from agents.round import play
 from agents.words import forget, learn
 from deploy.bench.capture import Captured, capture, cold
@@ -13,9 +14,11 @@ from deploy.bench.timing import Row, cpu_seconds, median_seconds
 from deploy.scenario import Scenario, resolve
 from protocol import codec
 from protocol.keys import message_key
+from protocol.messages import Gossip
 
 Work = Callable[[Captured], None]
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
+Texts, Payloads = tuple[str, ...], tuple[bytes, ...]
 TEAMS = {"5": 50, "20E+4H": 30, "A12,C48,D36": 100}  # 48, 24 and 96 agents, and their targets
 BATCHES = 6  # how often each round is played
 SIDES = {"A12,C48,D36": 141.4}  # m: the density of team 5
@@ -113,12 +116,43 @@ def wire(rounds: list[Captured]) -> Row:
     return {"heard": heard, "encode": 1000.0 * encode, "decode": 1000.0 * decode * heard, "decode one": 1000.0 * decode}
 
 
+def from_bytes(rounds: list[Captured]) -> Row:
+    """Milliseconds of CPU per round from the bytes of what was heard to the outcome: read one by one, and together as in calm rounds."""
+    by_themselves, together = [], []
+    for captured in cold(rounds):
+        reader, run = captured.me.arithmetic.reader, captured.me.config.run.name
+        if reader is None:
+            return {}
+        roll = captured.neighbours.call_roll(reader)
+        keys, payloads = zip(*[(message_key(run, gossip), codec.encode(gossip)) for gossip in captured.heard.values()])
+        learn(captured.mine, captured.me.sensor, captured.me.config)
+
+        def one_by_one(captured: Captured = captured, keys: Texts = keys, payloads: Payloads = payloads) -> None:
+            found = codec.decode_all(list(zip(keys, payloads)))
+            heard = {gossip.sender: gossip for gossip in found if isinstance(gossip, Gossip)}
+            read(captured._replace(heard=heard))
+            play(*captured._replace(heard=heard))
+
+        def at_once(captured: Captured = captured, roll: Roll = roll, keys: Texts = keys, payloads: Payloads = payloads) -> None:
+            reading = CalmRound(roll, captured.mine.tick)
+            if reading.read(keys, payloads) is None:
+                raise RuntimeError("a captured round is not calm")
+            play(captured.me, captured.last, captured.neighbours, captured.mine, reading)
+
+        by_themselves.append(median_seconds(one_by_one))
+        together.append(median_seconds(at_once))
+    return {
+        "from bytes, one by one": 1000.0 * statistics.median(by_themselves),
+        "from bytes, together": 1000.0 * statistics.median(together),
+    }
+
+
 def measure(teams: list[str] | None = None, tick: int = 60) -> list[Row]:
     """One row per team: ms of CPU per agent-round, each gossip decoded and predicted by the agent itself."""
     rows = []
     for team in teams or list(TEAMS):
         rounds = capture(scenario_of(team), tick)
-        rows.append({"team": team, "agents": len(rounds), **wire(rounds), **phases(rounds)})
+        rows.append({"team": team, "agents": len(rounds), **wire(rounds), **phases(rounds), **from_bytes(rounds)})
     return rows
 
 
