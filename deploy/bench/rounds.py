@@ -18,7 +18,8 @@ from protocol.messages import Gossip
 
 Work = Callable[[Captured], None]
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
-Texts, Payloads = tuple[str, ...], tuple[bytes, ...]
+Texts = tuple[str, ...]
+Payloads = tuple[bytes, ...]
 TEAMS = {"5": 50, "20E+4H": 30, "A12,C48,D36": 100}  # 48, 24 and 96 agents, and their targets
 BATCHES = 6  # how often each round is played
 SIDES = {"A12,C48,D36": 141.4}  # m: the density of team 5
