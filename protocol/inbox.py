@@ -6,7 +6,7 @@ Pure bookkeeping without sockets; `live` owns one of each.
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from protocol.node import Effect, Node
 
@@ -16,33 +16,59 @@ MOST_PER_SECOND = 1000  # of one session under one key; a swarm that runs as fas
 
 
 class Arrival(NamedTuple):
-    """A payload under a key, from a Zenoh session (`source`, empty if it does not say); a token has no payload but a state."""
+    """A payload under a key; a token has no payload but a state."""
 
     key: str
     payload: bytes = b""
-    source: str = ""
+    origin: Any = ""  # what Zenoh says of where it comes from, or the name of that session; empty or None: nothing
     token: bool | None = None  # True: the liveliness token appeared, False: it vanished
+
+    @property
+    def source(self) -> str:
+        """The Zenoh session that it comes from; empty if it does not say."""
+        return session_of(self.origin)
+
+
+def session_of(origin: Any) -> str:
+    """The name of the session that an `Arrival` comes from. To ask Zenoh for it costs a third of taking a message, so that is done late."""
+    return origin if isinstance(origin, str) else str(origin.source_id.zid) if origin else ""
 
 
 class Flow:
-    """How much one session may say under one key: `most` messages at once, and as many a second in the long run."""
+    """How much may be said under one key: `most` messages in a second by whomever; a key under which it was more is suspect, and under that
+    each session may say `most` at once and as many a second in the long run.
+    """
 
     MOST_KEYS = 4096
 
     def __init__(self, most: int = MOST_PER_SECOND) -> None:
         self._most = float(most)
         self._lock = threading.Lock()
+        self._said: dict[str, int] = {}  # in this second, by key
+        self._second = 0.0  # its end
+        self._suspect: dict[str, None] = {}  # keys
         self._left: dict[tuple[str, str], tuple[float, float]] = {}  # messages that may still come, and when that was so, s
 
-    def admits(self, key: str, source: str, now: float) -> bool:
+    def admits(self, key: str, origin: Any, now: float) -> bool:
         """Count one message; whether it is within the limit. The keys that were quiet for longest are forgotten beyond a fixed number."""
+        if now >= self._second or len(self._said) > self.MOST_KEYS:
+            self._said, self._second = {}, now + 1.0
+        said = self._said[key] = self._said.get(key, 0) + 1
+        if said <= self._most and key not in self._suspect:
+            return True
         with self._lock:
-            left, then = self._left.pop((key, source), (self._most, now))
-            left = min(self._most, left + (now - then) * self._most)
-            self._left[key, source] = (left - 1.0 if left >= 1.0 else left), now
-            if len(self._left) > self.MOST_KEYS:
-                del self._left[next(iter(self._left))]
-            return left >= 1.0
+            self._suspect[key] = None
+            return self._admits(key, session_of(origin), now)
+
+    def _admits(self, key: str, source: str, now: float) -> bool:
+        left, then = self._left.pop((key, source), (self._most, now))
+        left = min(self._most, left + (now - then) * self._most)
+        self._left[key, source] = (left - 1.0 if left >= 1.0 else left), now
+        if len(self._left) > self.MOST_KEYS:
+            del self._left[next(iter(self._left))]
+        if len(self._suspect) > self.MOST_KEYS:
+            del self._suspect[next(iter(self._suspect))]
+        return left >= 1.0
 
 
 class Inbox:
@@ -112,7 +138,7 @@ class Inbox:
         last = {(arrival.key, arrival.source): arrival for arrival in (*batch, *self._queue) if self._newest in arrival.key}
         if not last:
             return batch
-        kept = [arrival for arrival in batch if last.get((arrival.key, arrival.source), arrival) is arrival]
+        kept = [arrival for arrival in batch if self._newest not in arrival.key or last[arrival.key, arrival.source] is arrival]
         self.dropped += len(batch) - len(kept)
         return kept
 

@@ -149,10 +149,9 @@ class Driver:
     # ------------------------------------------------------------------ Zenoh's threads
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        key, info = str(sample.key_expr), sample.source_info
-        source = str(info.source_id.zid) if info else ""
-        if self._flow.admits(key, source, self._loop.time()):
-            self._arrive(Arrival(key, sample.payload.to_bytes(), source))
+        key, origin = str(sample.key_expr), sample.source_info
+        if self._flow.admits(key, origin, self._loop.time()):
+            self._arrive(Arrival(key, sample.payload.to_bytes(), origin))
         else:
             self.counts["flooded"] += 1
 

@@ -38,7 +38,8 @@ class Reception:
         A token is reported once when it appears and once when it vanishes, the own one never. `now` is the driver's, s.
         """
         holds = self._quarantine.holds
-        shut = [arrival.token is None and holds(arrival.source or arrival.key, now) for arrival in arrivals]
+        anybody = self._quarantine.holds_any(now)
+        shut = [anybody and arrival.token is None and holds(arrival.source or arrival.key, now) for arrival in arrivals]
         unread = [(key, payload) for (key, payload, _, token), out in zip(arrivals, shut) if token is None and not out]
         messages = iter(decode_all(unread))
         for arrival, out in zip(arrivals, shut):
