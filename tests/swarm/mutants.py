@@ -82,7 +82,7 @@ def latest_heard_view(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def nan_let_through(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     for check in ("check_rows", "check_vector", "check_number"):
         patch.setattr(f"protocol.messages.{check}", lambda *values, **limits: None)
-    patch.setattr("agents.neighbours._plausible", lambda gossip, outfit: True)
+    patch.setattr("agents.neighbours.plausible", lambda gossip, outfit: True)
     return fuzz.play(case)
 
 
