@@ -24,7 +24,7 @@ class Greetings:
 
     def start(self, now: float) -> None:
         """I have just greeted for the first time."""
-        self.due = now + EARLY
+        self.due = now + self._early(0)
 
     def news(self, peers: int, now: float) -> None:
         """Somebody is new, who makes it so many peers: greet, but once for all who appear within a moment."""
@@ -47,8 +47,11 @@ class Greetings:
         if self.due is None or now < self.due:
             return False
         late = min(LATE * max(1.0, peers / MANY), LATEST)
-        self.due = now + (min(EARLY * crowd(max(peers, self._team)), LATE) if early else late)
+        self.due = now + (self._early(peers) if early else late)
         return True
+
+    def _early(self, peers: int) -> float:
+        return min(EARLY * crowd(max(peers, self._team)), LATE)
 
 
 def crowd(peers: int) -> float:

@@ -51,7 +51,7 @@ def decode_all(arrivals: Iterable[tuple[str, bytes]]) -> list[Message | Malforme
             found.append(message)
         except Malformed as error:
             found.append(error)
-    return found if plain_arrays(plain) else [_checked(message) for message in found]
+    return found if not plain or plain_arrays(plain) else [_checked(message) for message in found]
 
 
 def _checked(message: Message | Malformed) -> Message | Malformed:

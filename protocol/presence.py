@@ -92,10 +92,11 @@ class Presence:
             return alarm
         words, others = self._words, [name for name in self._expected if name not in (self._name, hello.sender)]
         silent = [name for name in others if not now - words.get(name, NEVER) <= WITHIN_HEARING]
-        for name in [name for name in others if name in self._since and name not in silent]:
+        for name in self._since.keys() - silent:
             del self._claims[name], self._since[name]
+        spoken_of = self._since.keys() | hello.heard  # while a swarm gathers most are silent, and nobody has heard them yet
         for name in silent:
-            if self._is_split(name, hello, now):
+            if name in spoken_of and self._is_split(name, hello, now):
                 alarm = f"the others hear {name}, {self._name} does not"
         if not silent and not self._since:
             self._calm_until = min([words[name] for name in others], default=now) + WITHIN_HEARING
@@ -111,7 +112,10 @@ class Presence:
         else:
             claims.pop(hello.sender, None)
         self._claims[name] = claims
-        if not claims or now - self._since[name] < PATIENCE or now < self._not_before:
+        if not claims:
+            del self._claims[name], self._since[name]
+            return False
+        if now - self._since[name] < PATIENCE or now < self._not_before:
             return False
         voters = sum(self._hears(other, now) for other in self._voters if other != name)
         return 2 * len(claims) >= voters

@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from protocol.fields import MAX_DETECTIONS
 from protocol.sensing import Pose, SensorModel
@@ -56,6 +55,8 @@ def _near(places: np.ndarray, reaches: np.ndarray, positions: np.ndarray) -> tup
         x, y = positions[:, 0] - places[:, :1], positions[:, 1] - places[:, 1:]
         who, what = np.nonzero(x * x + y * y <= limits[:, None])
         return who, what
+    from scipy.spatial import cKDTree  # a fifth of a second that a small swarm need not wait for before it starts
+
     found = cKDTree(positions).query_ball_point(places, reaches * 1.001, return_sorted=True)
     who = np.repeat(np.arange(len(places)), [len(some) for some in found])
     what = np.concatenate([np.asarray(some, dtype=np.intp) for some in found])

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from protocol.sensing import Pose, SensorModel
 from world.detector import sightings
@@ -89,6 +88,8 @@ def _assigned_costs(truth: np.ndarray, estimate: np.ndarray, cutoff: float, orde
     costs = np.minimum(np.sqrt(offset_x * offset_x + offset_y * offset_y), cutoff)
     if order != 1.0:
         costs **= order
+    from scipy.optimize import linear_sum_assignment  # a quarter of a second that a swarm need not wait for before it starts
+
     return costs[linear_sum_assignment(costs)]
 
 

@@ -6,6 +6,7 @@ Everything runs in one event loop in the main thread (children must be started f
 
 import asyncio
 import contextlib
+import importlib
 import logging
 import signal
 import time
@@ -120,6 +121,7 @@ class Supervisor:
             if child.zygote is not None:
                 await asyncio.to_thread(child.zygote.wait_until_ready)
             child.start()
+        await asyncio.to_thread(importlib.import_module, "scipy.optimize")  # for the first score, while the agents gather
         end = time.monotonic() + START_LINE
         while not self._over.done() and time.monotonic() < end:
             if all(child.name in self.scorer.greeted or not child.is_running for child in first):

@@ -12,7 +12,7 @@ from protocol.codec import encode
 from protocol.keys import message_key
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Received, Started, Timer
-from protocol.settings import ArenaSettings
+from protocol.settings import ArenaSettings, convert
 
 NAMES = ("s1", "s2")
 ROUNDS = 24
@@ -42,6 +42,7 @@ def warm() -> None:
         arena, timing = ArenaSettings(width=30.0, height=30.0), TimingSettings(interest=interest)
         _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing))
     _measure()
+    convert({"members": {"s1": "A"}}, AgentConfig, "")  # what is looked up about its types once is looked up for all who are forked
 
 
 def _play(config: AgentConfig) -> None:
