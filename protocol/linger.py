@@ -15,23 +15,24 @@ OFF = struct.pack("ii", 0, 0)
 
 
 class Sockets:
-    """The sockets of this process, as far as they have been looked at."""
+    """The sockets of this process whose option has been taken off. One that has been seen without it may be so new that it gets it yet."""
 
     def __init__(self) -> None:
-        self._seen: set[str] = set()  # "socket:[inode]"
+        self._done: set[str] = set()  # "socket:[inode]"
 
     def let_go(self) -> int:
-        """Take SO_LINGER off every socket that is new since the last look; of how many."""
-        changed, seen = 0, set()
+        """Take SO_LINGER off every socket of which that has not been done yet; of how many."""
+        there, changed = set(), set()
         with contextlib.suppress(OSError):  # there is no such folder elsewhere
             for number in os.listdir(FOLDER):
                 with contextlib.suppress(OSError):  # closed meanwhile
                     name = os.readlink(f"{FOLDER}/{number}")
                     if name.startswith("socket:"):
-                        seen.add(name)
-                        changed += name not in self._seen and _let_go(int(number))
-        self._seen = seen
-        return changed
+                        there.add(name)
+                        if name not in self._done and _let_go(int(number)):
+                            changed.add(name)
+        self._done = (self._done & there) | changed
+        return len(changed)
 
 
 def _let_go(descriptor: int) -> bool:

@@ -32,3 +32,12 @@ def test_lingering_sockets_are_let_go_once_and_still_work() -> None:
             link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 0, 0))
             link.sendall(b"still open")
             assert other.recv(100) == b"still open"
+
+
+def test_a_socket_that_gets_its_option_only_after_the_first_look_is_let_go_all_the_same() -> None:
+    sockets = Sockets()
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as link:
+        sockets.let_go()
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
+        sockets.let_go()
+        assert linger(link)[0] == 0
