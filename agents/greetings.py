@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 SOON = 0.05  # s between the appearance of somebody new and a greeting
 CROWD = 12  # peers from which on greetings become rarer
+THRONG = 24  # and from which on the moment becomes longer, for the greetings of all have to come through
 EARLY, LATE = 0.25, 2.0  # s between greetings while somebody is unknown or nothing has been observed, and later
 LATEST = 4.0  # s between greetings in a crowd; a second below `presence.PATIENCE`, for which what a greeting says of others holds
 MANY = 48  # peers from which on the later rhythm slows down too
@@ -29,7 +30,7 @@ class Greetings:
     def news(self, peers: int, now: float) -> None:
         """Somebody is new, who makes it so many peers: greet, but once for all who appear within a moment."""
         if self._going_on or self._gathered():
-            soon = now + SOON * crowd(peers)
+            soon = now + SOON * max(1.0, peers / THRONG)
             self.due = soon if self.due is None else min(self.due, soon)
 
     def go_on(self) -> None:

@@ -214,7 +214,7 @@ def test_while_the_team_gathers_only_the_rhythm_and_the_last_to_come_make_it_gre
         agent.handle(Alive("agent", f"s{number}", 1), 0.01)
     assert agent.deadline() == pytest.approx(EARLY * 23 / CROWD)
     agent.handle(Alive("agent", "s24", 1), 0.02)
-    assert agent.deadline() == pytest.approx(0.02 + SOON * 23 / CROWD)
+    assert agent.deadline() == pytest.approx(0.02 + SOON)
     late = Agent(team, "s1")
     late.handle(Started(), 0.0)
     late.handle(word(7), 0.01)

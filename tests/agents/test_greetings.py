@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from agents.greetings import SOON, Greetings
+from agents.greetings import SOON, THRONG, Greetings
 from protocol.presence import PATIENCE
 
 
@@ -38,6 +38,13 @@ def test_all_who_come_within_a_moment_get_one_greeting() -> None:
     for now in (1.0, 1.01, 1.02):
         greetings.news(3, now)
     assert greetings.due == pytest.approx(1.0 + SOON)
+
+
+def test_the_moment_is_longer_among_many() -> None:
+    greetings = Greetings(2 * THRONG, lambda: True)
+    greetings.start(0.0)
+    greetings.news(2 * THRONG, 0.1)
+    assert greetings.due == pytest.approx(0.1 + 2 * SOON)
 
 
 def test_a_clock_that_jumps_back_does_not_silence_greetings() -> None:
