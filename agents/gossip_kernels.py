@@ -16,7 +16,6 @@ from protocol.fields import FARTHEST, LARGEST_AREA, MAX_DETECTIONS, MAX_NAMES, M
 HEAD, TICK, POSE, COD, POWER_RADIUS, UNUSED, SEEN, SCANNED = range(8)  # tokens, see `calm`
 CLAIM_TICK, NAMES, CLAIM, VIEW, MASS, STATES, IDS, INCARNATION = range(8, 16)
 SCAN_AT, SCAN_COUNT, STATES_AT, COUNT, IDS_AT, STAMP, CUT = range(7)  # columns of the spans: bytes from the start, rows, claim tick, view
-SPANS = 7
 
 
 @njit(cache=True)
