@@ -13,13 +13,13 @@ from agents.words import COS, DETECTIONS, EAST, KIND, NORTH, PARTICLES, RADIUS, 
 from protocol.codec import MAX_BYTES
 from protocol.fields import FARTHEST, LARGEST_AREA, MAX_DETECTIONS, MAX_NAMES, MAX_PARTICLES
 
-HEAD, TICK, POSE, COD, POWER_RADIUS, UNUSED, SEEN, SCANNED = range(8)  # tokens, see `calm`
-CLAIM_TICK, NAMES, CLAIM, VIEW, MASS, STATES, IDS, INCARNATION = range(8, 16)
+# tokens, see `calm`; as numbers of numpy, for each of Python's is a type of its own to numba, which compiled `_after` for every one
+HEAD, TICK, POSE, COD, POWER_RADIUS, UNUSED, SEEN, SCANNED, CLAIM_TICK, NAMES, CLAIM, VIEW, MASS, STATES, IDS, INCARNATION = np.arange(16)
 SCAN_AT, SCAN_COUNT, STATES_AT, COUNT, IDS_AT, STAMP, CUT = range(7)  # columns of the spans: bytes from the start, rows, claim tick, view
 
 
 @njit(cache=True)
-def _after(data: np.ndarray, at: int, end: int, layout: tuple, token: int) -> int:
+def _after(data: np.ndarray, at: int, end: int, layout: tuple, token: np.integer) -> int:
     """The place after a token that must stand at `at`; -1: it does not, or `at` was -1."""
     tokens, ends = layout
     first = ends[token - 1] if token > 0 else 0

@@ -1,6 +1,11 @@
 """Loading the compiled loops before they are needed, and telling the user when they must be compiled first."""
 
+import contextlib
+import fcntl
+import os
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -19,6 +24,7 @@ ROUNDS = 24
 LOST = (4, 5)  # ticks in which nobody hears the other
 SKIPPED = (8, 9)  # ticks that s2 does not see
 LATE = 1e3  # s after which every open round closes
+LONGEST = 90.0  # s to wait while somebody else compiles
 
 
 def compiled_before() -> bool:
@@ -36,13 +42,34 @@ def warm() -> None:
     """Let two agents play a few rounds, good ones and bad ones, so that every compiled loop is in memory; the first time compiles them.
 
     What only a fault calls for must be among them, or the first fault on a machine makes all agents compile, and be silent for it.
+    Of several who begin at once one compiles, and the others wait and load what it has left on disk.
     """
     interests: tuple[Literal["all", "neighbours"], ...] = ("all", "neighbours")
-    for interest in interests:
-        arena, timing = ArenaSettings(width=30.0, height=30.0), TimingSettings(interest=interest)
-        _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing))
-    _measure()
+    with _one_by_one():
+        for interest in interests:
+            arena, timing = ArenaSettings(width=30.0, height=30.0), TimingSettings(interest=interest)
+            _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing))
+        _measure()
     convert({"members": {"s1": "A"}}, AgentConfig, "")  # what is looked up about its types once is looked up for all who are forked
+
+
+@contextlib.contextmanager
+def _one_by_one() -> Iterator[None]:
+    """After the others on this machine who are at it, but those who take too long, for they may have been stopped."""
+    from agents.update_kernels import update
+
+    descriptor = os.open(str(update.stats.cache_path), os.O_RDONLY)  # the folder in which numba keeps what it has compiled
+    try:
+        patience = time.monotonic() + LONGEST
+        while time.monotonic() < patience:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(0.05)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _play(config: AgentConfig) -> None:

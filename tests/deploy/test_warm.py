@@ -1,8 +1,14 @@
 """Warming up compiles all that a swarm will call for, whatever befalls it: who compiles in the middle of a round is silent meanwhile."""
 
+import fcntl
+import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+
+from agents.update_kernels import update
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
@@ -32,3 +38,17 @@ print(sorted(compiled() - before))
 def test_after_warming_up_no_fault_makes_anybody_compile() -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=ROOT, capture_output=True, text=True, timeout=110, check=False)
     assert (done.stdout, done.returncode) == ("[]\n", 0), done.stdout + done.stderr
+
+
+def test_who_warms_up_while_another_does_waits_for_it() -> None:
+    program = "from deploy.swarm.warm import warm; print('begins', flush=True); warm(); print('warm')"
+    held = os.open(update.stats.cache_path, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    try:
+        waiting = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        assert waiting.stdout is not None and waiting.stdout.readline() == "begins\n"
+        with pytest.raises(subprocess.TimeoutExpired):  # longer than warming up takes where all has been compiled
+            waiting.wait(5.0)
+    finally:
+        os.close(held)
+    assert waiting.communicate(timeout=110) == ("warm\n", None)
