@@ -3,12 +3,14 @@
 import math
 import time
 
+from agents.agent import Agent
 from deploy.bench import central
 from deploy.bench.timing import Row, cpu_seconds
 from deploy.scenario import Scenario, resolve
 from deploy.simulate import Simulation, compiled
 
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
+INSIDE = 60.0  # m from every edge of the arena, beyond which nobody listens to
 
 
 def figure_4(seconds: float) -> Scenario:
@@ -62,7 +64,8 @@ def scale(sizes: tuple[int, ...] = (48, 200, 400, 1000, 5000), ticks: int = 24) 
     """Per agent-round at constant density, once all have chosen their neighbours: CPU, deliveries, messages, bytes, peers listened to.
 
     The CPU is that of agents, bus, codec and world; the swarm is not scored, because that is nobody's part of a round. In a small arena
-    most agents live at its edge, where there are fewer to be heard: the time for each gossip heard leaves that out.
+    most agents live at its edge, where there are fewer to be heard: the time for each gossip heard and for each delivery leaves that out,
+    and so does the number of those to whom an agent listens that is far from every edge.
     """
     rows = []
     for agents in sizes:
@@ -96,16 +99,26 @@ def _steady(scenario: Scenario, interest: str) -> Row:
         for groups in zip(*((agent.neighbours.circle, agent.neighbours.peers) for agent in simulation.agents.values()))
     )
     certified = sum(agent.neighbours.certified for agent in simulation.agents.values()) / agents
+    inside = [len(agent.neighbours.circle) for agent in simulation.agents.values() if _is_inside(agent)]
     return {
         "agents": agents,
         "interest": interest,
         "ms per agent-round": 1000.0 * spent,
         "us per gossip heard": 1e6 * spent / max(1.0, heard),
+        "us per delivery": 1e6 * spent / deliveries,
         "deliveries": deliveries,
         "messages": messages,
         "bytes": size,
         "listened to": heard,
+        "listened to inside": sum(inside) / len(inside) if inside else "",
         "known": known,
         "certified": certified,
         "start and first rounds, CPU s": marks[0][0] - begun,
     }
+
+
+def _is_inside(agent: Agent) -> bool:
+    """Whether an agent was last far from every edge of the arena, as its cell says."""
+    arena, cell = agent.config.arena, agent.outcome.cell
+    west, south, east, north = INSIDE, INSIDE, arena.width - INSIDE, arena.height - INSIDE
+    return len(cell) > 0 and bool(((cell >= (west, south)) & (cell <= (east, north))).all())
