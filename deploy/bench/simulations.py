@@ -8,6 +8,7 @@ from deploy.bench import central
 from deploy.bench.timing import Row, cpu_seconds
 from deploy.scenario import Scenario, resolve
 from deploy.simulate import Simulation, compiled
+from protocol.geometry import polygon_centroid
 
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
 INSIDE = 60.0  # m from every edge of the arena, beyond which nobody listens to
@@ -118,7 +119,9 @@ def _steady(scenario: Scenario, interest: str) -> Row:
 
 
 def _is_inside(agent: Agent) -> bool:
-    """Whether an agent was last far from every edge of the arena, as its cell says."""
+    """Whether the middle of an agent's cell is far from every edge of the arena."""
     arena, cell = agent.config.arena, agent.outcome.cell
-    west, south, east, north = INSIDE, INSIDE, arena.width - INSIDE, arena.height - INSIDE
-    return len(cell) > 0 and bool(((cell >= (west, south)) & (cell <= (east, north))).all())
+    if not len(cell):
+        return False
+    x, y = polygon_centroid(cell)
+    return bool(INSIDE <= x <= arena.width - INSIDE and INSIDE <= y <= arena.height - INSIDE)
