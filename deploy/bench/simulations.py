@@ -11,7 +11,7 @@ from deploy.simulate import Simulation, compiled
 from protocol.geometry import polygon_centroid
 
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
-INSIDE = 60.0  # m from every edge of the arena, beyond which nobody listens to
+INSIDE = 60.0  # m from every edge of the arena: who lives farther from them is counted apart
 
 
 def figure_4(seconds: float) -> Scenario:
