@@ -21,7 +21,8 @@ from protocol.keys import order
 from protocol.messages import Gossip
 
 NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
-MOST_COPIES = 6000  # a backstop against growth without bound
+MOST_COPIES = 6000  # a backstop against growth without bound: so many copies,
+MOST_TIMES = 4.0  # or so many times what a fresh draw of their mass would have
 
 
 class Share(NamedTuple):
@@ -75,16 +76,19 @@ class Copies:
             moved = arithmetic.predict(particles_of(told), step)
             away = arithmetic.distances(polygon, moved.states)
             apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
-            self.near, self.round = _kept(join([others, select(moved, apart & within)])), None
+            copies = join([others, select(moved, apart & within)])
+            self.near, self.round = worth_keeping(copies, step.config.filter.particles_per_target), None
         return self.near
 
 
-def _kept(copies: Particles) -> Particles:
-    """The copies worth keeping: those with mass, and at most `MOST_COPIES`, the heaviest."""
+def worth_keeping(copies: Particles, per_target: int) -> Particles:
+    """Copies with mass; the heaviest if they are more than `MOST_COPIES` and than `MOST_TIMES` as many as their mass is drawn with, at
+    `per_target` for an expected target. Whatever the number of targets, only what is much lighter than a drawn particle is given up."""
     copies = select(copies, copies.weights > 0.0)
-    if len(copies.weights) <= MOST_COPIES:
+    most = max(MOST_COPIES, math.ceil(MOST_TIMES * per_target * float(copies.weights.sum())))
+    if len(copies.weights) <= most:
         return copies
-    heaviest = np.argsort(-copies.weights, kind="stable")[:MOST_COPIES]
+    heaviest = np.argsort(-copies.weights, kind="stable")[:most]
     return select(copies, np.sort(heaviest))
 
 

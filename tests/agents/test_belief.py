@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.arithmetic import PLAIN
-from agents.belief import NO_CLAIM, Belief, Copies, Round, Share, share_of, start
+from agents.belief import MOST_COPIES, NO_CLAIM, Belief, Copies, Round, Share, share_of, start, worth_keeping
 from agents.cells import make_claim
 from agents.config import AgentConfig, TimingSettings
 from agents.particles import NONE, Particles, canonical, join
@@ -137,6 +137,23 @@ def test_copies_of_what_was_told_are_moved_on_but_for_those_that_were_corrected(
     assert held.ids.tolist() == [3, 2]
     assert held.states[1, 0] == PLAIN.predict(told, step).states[0, 0]
     assert copies.all() is held
+
+
+def crowd(number: int, weight: float) -> Particles:
+    return Particles(np.full((number, 4), 50.0), np.full(number, weight), np.arange(number, dtype=np.uint64))
+
+
+def test_copies_are_not_given_up_because_there_are_many_targets() -> None:
+    """A hundred targets are drawn with 7500 particles, 75 each."""
+    held = worth_keeping(crowd(7500, 1.0 / 75.0), 75)
+    assert len(held.ids) == 7500
+
+
+def test_of_too_many_copies_the_lightest_are_given_up() -> None:
+    light = crowd(4 * MOST_COPIES, 1e-9)
+    heavy = Particles(light.states[:3], np.full(3, 0.5), np.arange(3, dtype=np.uint64) + np.uint64(10**6))
+    held = worth_keeping(join([light, heavy]), 75)
+    assert len(held.ids) == MOST_COPIES and held.ids[-3:].tolist() == heavy.ids.tolist()
 
 
 def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> None:

@@ -28,6 +28,12 @@ def test_after_deaths_the_rest_cover_the_arena_and_no_mass_is_lost(who: str, clo
     assert len(seen.agents) == {"s2": 7, "30%": 6, "50%": 4}[who]
 
 
+def test_of_a_hundred_targets_none_is_lost_either() -> None:
+    seen = watch(ledger(fault(5.0, "kill", "50%"), side=100.0, run__seconds=10.0))
+    assert seen.masses[0] == pytest.approx(100.0)
+    assert ledger_is_kept(seen, 5.5, 0.9999, 1.0001)
+
+
 def test_the_loss_of_the_token_closes_the_hole_in_the_next_tick() -> None:
     seen = watch(ledger(fault(5.0, "kill", "50%")))
     assert seen.holes[20] > 0.1 and max(seen.holes[21:]) == 0.0
