@@ -71,20 +71,27 @@ class LimitSettings(Section, frozen=True, kw_only=True):
 
 
 class SensorSettings(Section, frozen=True, kw_only=True):
-    """[sensors.X] a sensor class of the user's own: a wedge, or any model as `module:Class`."""
+    """[sensors.X] a sensor class of the user's own: a wedge, or any model as `module:Class`.
+
+    A wedge under a name of Table I is that of the paper but for what is given.
+    """
 
     angle: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None  # viewing angle, degrees
     radius: Annotated[float, msgspec.Meta(gt=0.0, le=1.0e6)] | None = None  # m
-    prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 1.0
+    prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # 1 unless given
     model: str = "wedge"
     parameters: dict[str, Any] = {}
 
-    def build(self) -> SensorModel:
-        """The sensor; raises ValueError or ImportError with what is wrong."""
+    def build(self, paper: WedgeSensor | None = None) -> SensorModel:
+        """The sensor, given the one of this name in the paper, if there is one; raises ValueError or ImportError with what is wrong."""
         if self.model == "wedge":
-            if self.angle is None or self.radius is None:
-                raise ValueError("a wedge needs an angle (degrees) and a radius (m)")
-            return WedgeSensor(math.radians(self.angle), self.radius, self.prob_detection)
+            if paper is None:
+                if self.angle is None or self.radius is None:
+                    raise ValueError("a wedge needs an angle (degrees) and a radius (m)")
+                paper = WedgeSensor(math.radians(self.angle), self.radius, 1.0)
+            angle = paper.angle if self.angle is None else math.radians(self.angle)
+            radius = paper.radius if self.radius is None else self.radius
+            return WedgeSensor(angle, radius, paper.prob_detection if self.prob_detection is None else self.prob_detection)
         sensor = load_named(self.model)(**self.parameters)
         missing = [part for part in ("reach", "area", "probability", "footprint") if not hasattr(sensor, part)]
         if missing:
@@ -148,7 +155,7 @@ def sensor_of(settings: Common, sensor_class: str) -> SensorModel:
     if own is None:
         raise BadSetting(f"sensor class {sensor_class!r} does not exist; known are {', '.join(known)}")
     try:
-        return own.build()
+        return own.build(SENSOR_CLASSES.get(sensor_class))
     except (ValueError, ImportError, TypeError) as error:
         raise BadSetting(f"sensors.{sensor_class}: {error}") from None
 

@@ -35,7 +35,7 @@ def compiled_before() -> bool:
 def announce() -> None:
     """Say what the very first start on a machine spends its time on."""
     if not compiled_before():
-        print("covey: compiling the particle loops, once on this machine; about half a minute", file=sys.stderr, flush=True)
+        print("covey: compiling the particle loops, once on this machine; some 40 s", file=sys.stderr, flush=True)
 
 
 def warm() -> None:

@@ -158,6 +158,18 @@ def test_a_sensor_of_the_scenario_comes_before_one_of_the_paper() -> None:
     assert sensor_of(settings, "A") == WedgeSensor(math.pi / 2.0, 3.0, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("given", "sensor"),
+    [
+        ({"prob_detection": 0.5}, WedgeSensor(math.radians(240.0), 8.0, 0.5)),
+        ({"radius": 12.0}, WedgeSensor(math.radians(240.0), 12.0, 0.99)),
+        ({"angle": 90.0}, WedgeSensor(math.pi / 2.0, 8.0, 0.99)),
+    ],
+)
+def test_what_a_class_of_the_paper_is_not_given_is_that_of_the_paper(given: dict[str, float], sensor: WedgeSensor) -> None:
+    assert sensor_of(convert({"sensors": {"A": given}}, Common, "x"), "A") == sensor
+
+
 def test_360_degrees_is_a_full_disc() -> None:
     assert sensor_of(Common(sensors={"X": SensorSettings(angle=360.0, radius=3.0)}), "X") == WedgeSensor(2.0 * math.pi, 3.0, 1.0)
 
