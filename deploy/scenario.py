@@ -11,6 +11,9 @@ from agents.config import AgentConfig
 from protocol.settings import BadSetting, NotNegative, Section, Share, convert, read_toml, sensor_of
 from world.config import BodySettings, TargetSettings, WorldConfig
 
+LOCKSTEP_HASTE = (
+    5  # times as many messages a second are no flood where the world waits for nothing but its agents: one alone does 700 ticks/s
+)
 FOLDER = Path(__file__).parent / "scenarios"
 PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4": (5, 20, 15), "5": (6, 24, 18)}
 
@@ -103,8 +106,10 @@ def resolve(name: str, overrides: dict[str, Any] | None = None) -> Scenario:
     except BadSetting as error:
         field = "" if str(error).startswith(("team.", "sensors.")) else "members: " if scenario.members else "team.composition: "
         raise BadSetting(f"{source}: {field}{error}") from None
-    run = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name)
-    return msgspec.structs.replace(scenario, members=members, run=run)
+    run, network = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name), scenario.network
+    if run.clock == "lockstep" and "most_per_second" not in data.get("network", {}):
+        network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)
+    return msgspec.structs.replace(scenario, members=members, run=run, network=network)
 
 
 def _name_members(counts: dict[str, int]) -> dict[str, str]:

@@ -12,7 +12,6 @@ from protocol.node import Effect, Node
 
 MOST_ENTRIES = 4096
 MOST_BYTES = 16 * 1024 * 1024
-MOST_PER_SECOND = 1000  # of one session under one key; a swarm that runs as fast as it goes says some 250 a second
 
 
 class Arrival(NamedTuple):
@@ -41,7 +40,7 @@ class Flow:
 
     MOST_KEYS = 4096
 
-    def __init__(self, most: int = MOST_PER_SECOND) -> None:
+    def __init__(self, most: int) -> None:
         self._most = float(most)
         self._lock = threading.Lock()
         self._said: dict[str, int] = {}  # in this second, by key

@@ -73,7 +73,7 @@ class Driver:
         self._link = link
         self._inbox = Inbox(newest="/observation/" if node.role == "agent" else "", patient=patient_kind(node))
         self._together = together(node)
-        self._flow = Flow()
+        self._flow = Flow(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
         self._reception = Reception(self._tokens, self.counts)

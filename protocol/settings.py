@@ -106,6 +106,7 @@ class NetworkSettings(Section, frozen=True, kw_only=True):
     listen: tuple[str, ...] = ("tcp/127.0.0.1:0",)
     seeds: tuple[str, ...] = ()  # endpoints to dial
     lease: Positive = 2.0  # s
+    most_per_second: Annotated[int, msgspec.Meta(ge=1)] = 1000  # messages of one session under one key; more is a flood. In lockstep 5000
     insecure: bool = False  # allow endpoints beyond loopback without TLS
     ca: str = ""  # mutual TLS: the file of the authority that all trust; in the next two, {name} stands for the process's name
     certificate: str = ""

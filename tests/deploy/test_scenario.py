@@ -210,3 +210,11 @@ def test_set_reads_a_toml_value_and_bare_words_as_text(text: str, expected: tupl
 def test_set_without_a_section_a_key_or_a_value_is_refused(text: str) -> None:
     with pytest.raises(BadSetting, match=r"should read section\.key=value"):
         parse_set(text)
+
+
+def test_in_lockstep_more_messages_a_second_are_no_flood_unless_the_scenario_says_how_many() -> None:
+    assert resolve("efficacy").network.most_per_second == 1000
+    assert resolve("efficacy", {"run.clock": "lockstep"}).network.most_per_second == 5000
+    assert resolve("efficacy", {"run.clock": "lockstep", "network.most_per_second": 70}).network.most_per_second == 70
+    with pytest.raises(BadSetting, match=r"network\.most_per_second = 0: should be a whole number >= 1"):
+        resolve("efficacy", {"network.most_per_second": 0})

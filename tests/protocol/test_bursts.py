@@ -1,4 +1,4 @@
-"""What many say at the same moment reaches who listens to all of them, though it meets on one link."""
+"""What many say at the same moment reaches who listens to all of them, though it meets on one link; what one says too often does not."""
 
 import asyncio
 
@@ -8,9 +8,9 @@ from protocol import live
 from protocol.endpoints import free_port
 from protocol.keys import all_of
 from protocol.messages import Estimate, Hello
-from protocol.node import Effect, Event, Received, Started, Subscribe
+from protocol.node import Alive, Effect, Event, Received, Started, Subscribe
 from protocol.settings import NetworkSettings
-from tests.protocol.test_live import Scribe, until
+from tests.protocol.test_live import Pair, Scribe, command, until
 
 pytestmark = pytest.mark.live
 MOUTHS, BYTES = 24, 16 * 1024
@@ -74,3 +74,20 @@ async def talk() -> None:
             driver.stop(0, "the test is over")
         await asyncio.gather(*tasks, return_exceptions=True)
     assert {message.sender for message in ear.texts()} == {mouth.name for mouth in mouths}
+
+
+def test_what_exceeds_the_rate_of_the_settings_is_counted_and_not_read() -> None:
+    asyncio.run(chatter())
+
+
+async def chatter() -> None:
+    left, right = Scribe("a"), Scribe("b")
+    left.first = [Subscribe(all_of(left.run, "command"))]
+    async with Pair(left, right, most_per_second=10) as pair:
+        await until(lambda: Alive("agent", "b", 1) in left.events)
+        ear, mouth = pair.drivers
+        await until(lambda: bool(mouth._carry_out(command("b", 0))) or bool(left.texts()))
+        for tick in range(1, 200):
+            mouth._carry_out(command("b", tick))
+        await until(lambda: len(left.texts()) + ear.counts["flooded"] >= 200)
+        assert 10 <= len(left.texts()) <= 100 and ear.counts["flooded"] >= 100

@@ -59,13 +59,13 @@ async def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 class Pair:
     """Two drivers in one loop, the second dialling the first; both gone at the end."""
 
-    def __init__(self, left: Scribe, right: Scribe) -> None:
+    def __init__(self, left: Scribe, right: Scribe, most_per_second: int = 1000) -> None:
         right.run = left.run
         port = free_port()
         listen = f"tcp/127.0.0.1:{port}"
         self.endpoint = listen
         self.drivers = [
-            live.Driver(left, NetworkSettings(listen=(listen,))),
+            live.Driver(left, NetworkSettings(listen=(listen,), most_per_second=most_per_second)),
             live.Driver(right, NetworkSettings(seeds=(listen,))),
         ]
 
