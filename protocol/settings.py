@@ -78,7 +78,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
 
     angle: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None  # viewing angle, degrees
     radius: Annotated[float, msgspec.Meta(gt=0.0, le=1.0e6)] | None = None  # m
-    prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # 1 unless given
+    prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # else that of the paper, or 1
     model: str = "wedge"
     parameters: dict[str, Any] = {}
 
