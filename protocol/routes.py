@@ -1,5 +1,6 @@
 """Who has subscribed to a key: an index of expressions, so that a message costs what its listeners cost, however many others there are."""
 
+from bisect import bisect_left
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -25,7 +26,14 @@ class Routes(Generic[T]):
         """Someone listens to an expression."""
         table, place = self._table(expression)
         table.setdefault(place, {})[listener] = None
-        self._forget(table, place)
+        known = self._looked_up(table, place)
+        if known is None:
+            self._forget(table, place)
+            return
+        listeners = known[place]
+        at = bisect_left(listeners, self._order(listener), key=self._order)
+        if listeners[at : at + 1] != [listener]:
+            known[place] = [*listeners[:at], listener, *listeners[at:]]
 
     def remove(self, expression: str, listener: T) -> None:
         """Someone listens to it no longer."""
@@ -33,7 +41,13 @@ class Routes(Generic[T]):
         del table[place][listener]
         if not table[place]:
             del table[place]
-        self._forget(table, place)
+        known = self._looked_up(table, place)
+        if known is None or listener in self._below.get(place.rpartition("/")[0], {}):
+            self._forget(table, place)
+            return
+        listeners = known[place]
+        at = bisect_left(listeners, self._order(listener), key=self._order)
+        known[place] = [*listeners[:at], *listeners[at + 1 :]]
 
     def listeners(self, key: str) -> list[T]:
         """Who listens to a key, in order; not to be changed."""
@@ -51,6 +65,11 @@ class Routes(Generic[T]):
             return self._exact, expression
         parent, _, last = expression.rpartition("/")
         return (self._below, parent) if last == "*" and "*" not in parent else (self._other, expression)
+
+    def _looked_up(self, table: dict[str, dict[T, None]], place: str) -> dict[str, list[T]] | None:
+        """Where the listeners of a key stand that are all known and change by one; None: they must be looked up anew."""
+        known = self._found.get(place.rpartition("/")[0], {}) if table is self._exact and not self._other else {}
+        return known if place in known else None
 
     def _forget(self, table: dict[str, dict[T, None]], place: str) -> None:
         if table is self._other:

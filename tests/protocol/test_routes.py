@@ -2,12 +2,16 @@
 
 import random
 
+import pytest
+
 from protocol.keys import matches
 from protocol.routes import Routes
 
+EXPRESSIONS = ["covey/r/a/1", "covey/r/a/2", "covey/r/b/1", "covey/r/a/*", "covey/r/b/*", "covey/r/**", "covey/*/a/1", "covey/r/b/*/1"]
 
-def test_it_finds_the_listeners_that_a_comparison_with_every_expression_finds() -> None:
-    expressions = ["covey/r/a/1", "covey/r/a/2", "covey/r/b/1", "covey/r/a/*", "covey/r/b/*", "covey/r/**", "covey/*/a/1", "covey/r/b/*/1"]
+
+@pytest.mark.parametrize("expressions", [EXPRESSIONS, EXPRESSIONS[:5]])  # without the rare ones the listeners of a key change one by one
+def test_it_finds_the_listeners_that_a_comparison_with_every_expression_finds(expressions: list[str]) -> None:
     keys = ["covey/r/a/1", "covey/r/a/2", "covey/r/b/1", "covey/r/b/7/1", "covey/r/b/8/1", "covey/q/a/1"]
     for seed in range(20):
         print(f"seed {seed}")
