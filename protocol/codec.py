@@ -99,3 +99,5 @@ def _check_name(parts: Key, message: Message) -> None:
         if not NAME.match(named):
             raise Malformed("format", f"{parts.kind}: {named[:64]!r} is no name")
         raise Malformed("sender", f"{named!r} speaks under the key of {parts.name!r}")
+    if not isinstance(message, Observation) and parts.kind != "truth":
+        msgspec.structs.force_setattr(message, "sender", parts.name)  # one string for all that somebody says is looked up faster

@@ -10,6 +10,7 @@ a beacon is said.
 
 import re
 from functools import lru_cache
+from sys import intern
 from typing import NamedTuple
 
 from protocol.messages import Beacon, Message, Observation
@@ -106,9 +107,9 @@ def _parse_message_key(text: str) -> Key | None:
     if parts[0] != ROOT or not NAME.match(parts[-1]):
         return None
     if len(parts) == 4 and parts[2] not in ("alive", "beacon"):
-        return Key(parts[1], parts[2], parts[3])
+        return Key(parts[1], parts[2], intern(parts[3]))
     if len(parts) == 6 and parts[2] == "beacon" and TILE.match(parts[3]) and TILE.match(parts[4]):
-        return Key(parts[1], "beacon", parts[5], (int(parts[3]), int(parts[4])))
+        return Key(parts[1], "beacon", intern(parts[5]), (int(parts[3]), int(parts[4])))
     return None
 
 
