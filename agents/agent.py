@@ -7,11 +7,14 @@ and drive. The mathematics lives in `phd`, `belief`, `cells`, `capacity` and `co
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import groupby
+from typing import Any
 
+from agents import speech
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.belief import start
 from agents.births import prior, prior_around, prior_size
-from agents.capacity import place, sensor_facts
+from agents.capacity import sensor_facts
 from agents.config import AgentConfig
 from agents.control import control_law
 from agents.greetings import SOON, Greetings
@@ -19,17 +22,13 @@ from agents.lookout import Lookout
 from agents.neighbours import Neighbours
 from agents.particles import NONE
 from agents.round import Outcome, Self, play
-from agents.words import learn
-from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.keys import all_of, one_of, tokens_of
-from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
+from protocol.messages import Beacon, Gossip, Hello, Message, Observation
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
-from protocol.sensing import WedgeSensor
 from protocol.settings import sensor_of
 
-VERSION = "0.1.0"
 EXIT_FENCED = 3
 MANY = 1 << 30
 
@@ -144,7 +143,7 @@ class Agent:
 
     def _speak(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: say my gossip, and wait for those of the others."""
-        self._gossip = self._say(observation)
+        self._gossip = speech.gossip(self.self, self.incarnation, self.outcome, observation, listening=self._listening > 0)
         self._awaited = self.neighbours.missing(self.tick, newcomer=self._listening > 0)
         self._close_at = now + self.config.patience(missed=self.neighbours.anyone_missed())
         return [self._gossip, *self._close_if_complete(now)]
@@ -165,7 +164,8 @@ class Agent:
     def _on_gossip(self, gossip: Gossip, now: float) -> list[Effect]:
         if gossip.sender == self.name:
             return self._fence(gossip.incarnation)
-        self._presence.speak(gossip.sender, now)
+        if not self.local:
+            self._presence.speak(gossip.sender, now)
         if self.tick < 0:
             self._greetings.go_on()
         reason = self.neighbours.hear(gossip)
@@ -184,6 +184,36 @@ class Agent:
                 return self._close_if_complete(now)
         return QUIET
 
+    def take_all(self, messages: list[Message], now: float) -> list[Effect]:
+        """Gossips and beacons have come, in this order: as if `handle` had taken one after the other, only cheaper (Node)."""
+        effects: list[Effect] = QUIET
+        for kind, group in groupby(messages, type):
+            alike: list[Any] = list(group)
+            more = self._hear_each(alike, now) if kind is Gossip else self._see_each(alike, now)
+            effects = more if effects is QUIET else [*effects, *more]
+        return effects
+
+    def _see_each(self, beacons: list[Beacon], now: float) -> list[Effect]:
+        if self._lookout is None or not self._lookout.hear_all(beacons):
+            return QUIET
+        self._answer_at = now + SOON if self._answer_at is None else self._answer_at
+        return []
+
+    def _hear_each(self, gossips: list[Gossip], now: float) -> list[Effect]:
+        effects, at = QUIET, 0
+        while at < len(gossips):
+            calm, taken = self.neighbours.hear_calmly(gossips, at, self.tick, self._awaited) if self._gossip else (0, 0)
+            if calm:
+                self.counters["heard"] += taken
+                if not self.local:
+                    self._presence.speak_all([gossip.sender for gossip in gossips[at : at + calm]], now)
+                more = QUIET if self._awaited else self._close_if_complete(now)
+            else:
+                more, calm = self._on_gossip(gossips[at], now), 1
+            at += calm
+            effects = more if effects is QUIET else [*effects, *more]
+        return effects
+
     def hear_all(self, keys: Sequence[str], payloads: Sequence[bytes], now: float) -> list[Effect] | None:
         """Gossips have come, unchecked, in this order; None: take them one by one (Node). In a calm round it saves most of the work."""
         reader = self.self.arithmetic.reader
@@ -197,7 +227,8 @@ class Agent:
         names = self.neighbours.hear_all(reader, keys, payloads)
         if names is None:
             return None
-        self._presence.speak_all(names, now)
+        if not self.local:
+            self._presence.speak_all(names, now)
         self.counters["heard"] += len(names)
         if self._awaited and self._gossip is not None:
             self._awaited -= names
@@ -266,12 +297,12 @@ class Agent:
         self.counters["missing"] += missing
         self.counters["rounds"] += 1
         self._observation = self._gossip = self._close_at = None
-        velocity, turn_rate = self.outcome.command
-        command = Command(sender=self.name, incarnation=self.incarnation, tick=self.tick, velocity=velocity, turn_rate=turn_rate)
+        command = speech.command(self.self, self.incarnation, self.outcome, self.tick)
         effects = self._look_out(self._lookout, gossip, now) if self._lookout else []
         if self.tick % self.config.timing.estimate_every:
             return [*effects, command]
-        return [*effects, self._estimate(gossip, now), command]
+        seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
+        return [*effects, speech.estimate(self.self, self.incarnation, self.outcome, gossip, self.counters, seconds), command]
 
     def _listen_on(self, heard: int, missing: int) -> None:
         """A listening round is over: I get a cell once I have heard everybody; or after some rounds in which I heard but a part; or
@@ -282,65 +313,8 @@ class Agent:
             self._lonely -= 1
             self._listening = self._listening if self._lonely > 0 else 0
 
-    def _say(self, observation: Observation) -> Gossip:
-        """The gossip of a tick: my pose and scan, and what I own if my last round was the one before."""
-        share = self.outcome.belief.mine
-        current = self.outcome.belief.stamp == observation.tick - 1
-        particles = share.particles if current else NONE
-        gossip = Gossip(
-            sender=self.name,
-            incarnation=self.incarnation,
-            tick=observation.tick,
-            pose=observation.pose,
-            cod=place(self.self.facts.cod_offset, observation.pose),
-            power_radius=self.outcome.power_radius,
-            unused=self.outcome.unused,
-            detections_bytes=observation.detections_bytes,
-            listening=self._listening > 0,
-            claim_tick=max(0, observation.tick - 1),
-            claim_names=share.claim.names if current else (),
-            claim_bytes=pack(share.claim.generators, "<f8") if current else b"",
-            view=share.view if current else 0,
-            weight=float(particles.weights[0]) if len(particles.weights) else 0.0,
-            states_bytes=pack(particles.states, "<f4"),
-            ids_bytes=pack(particles.ids, "<u8"),
-        )
-        learn(gossip, self.self.sensor, self.config)
-        return gossip
-
-    def _estimate(self, gossip: Gossip, now: float) -> Estimate:
-        outcome = self.outcome
-        return Estimate(
-            sender=self.name,
-            incarnation=self.incarnation,
-            tick=gossip.tick,
-            pose=gossip.pose,
-            cod=gossip.cod,
-            power_radius=gossip.power_radius,
-            unused=outcome.unused,
-            load=outcome.load,
-            mass=outcome.mass,
-            cell_bytes=pack(outcome.cell, "<f8"),
-            targets_bytes=pack(outcome.targets, "<f8"),
-            view=outcome.belief.mine.view,
-            neighbours=outcome.belief.mine.claim.names[1:],
-            counters=dict(self.counters),
-            round_seconds=max(0.0, now - self._opened_at),  # a clock may have jumped
-        )
-
     def _hello(self, now: float) -> Hello:
-        sensor = self.self.sensor
-        return Hello(
-            sender=self.name,
-            incarnation=self.incarnation,
-            software=f"covey {VERSION}",
-            sensor_class=self.sensor_class,
-            sensor=sensor if isinstance(sensor, WedgeSensor) else None,
-            max_speed=self.config.limits.speed,
-            max_turn_rate=self.config.limits.turn_rate,
-            heard=self._presence.heard(now if self.tick >= 0 else None),
-            local=self.local,
-        )
+        return speech.hello(self.self, self.incarnation, self._presence.heard(now if self.tick >= 0 else None), local=self.local)
 
     def _fence(self, incarnation: int) -> list[Effect]:
         """Another process speaks under my name: the older incarnation leaves."""

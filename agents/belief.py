@@ -7,12 +7,14 @@ lands in exactly one cell, and the particles of a dead agent live on in the copi
 
 import math
 from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from agents.arithmetic import Arithmetic
-from agents.cells import Claim, depths, in_arena, make_claim, power_distances
+from agents.cells import Claim, depths, in_arena, make_claim, paired_power_distances, power_distances
 from agents.config import AgentConfig
 from agents.particles import NONE, Particles, canonical, join, select
 from agents.step import Step
@@ -100,7 +102,7 @@ class Belief:
     mine: Share
     copies: Copies
     everyone: frozenset[str] = frozenset()  # whose generators made the diagram that `mine` was cut from
-    acquainted: frozenset[str] | None = None  # of whom I knew then, if I hear but a part of all
+    acquainted: frozenset[str] | None = None  # of what others I knew then, if I hear but a part of all
 
     def merge(self, words: Words, tick: int, arithmetic: Arithmetic, config: AgentConfig) -> Words | Particles:
         """Everything at `stamp` that counts, given what all say in the round `tick`, myself included; an id may occur twice.
@@ -110,19 +112,19 @@ class Belief:
         of whom I did not know has cut another one, whatever he says.
         """
         # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
-        strangers = set() if self.acquainted is None else set(words.names) - self.acquainted
+        strangers = set() if self.acquainted is None else set(words.names) - self.acquainted - {self.mine.owner}
         agreed = self.mine.view != 0 and words.claimed == (tick - 1, self.mine.view) and not strangers
         if agreed and self.everyone and self.everyone.issubset(words.names):
             return words
         shares = [share_of(gossip) for gossip in words.gossips if gossip.claim_tick == tick - 1 and gossip.sender != self.mine.owner]
         claims = [self.mine, *(share._replace(view=~share.view) if share.owner in strangers else share for share in shares)]
-        parts = [_uncontested(share, claims, config.timing.overlap) for share in claims]
+        told = _uncontested(claims, config.timing.overlap)
         copies = self.copies.all()
-        free = np.ones(len(copies.ids), dtype=bool)
+        free = np.arange(len(copies.ids))
         for share in claims:
             if share.claim.names:
-                free &= ~arithmetic.owned(copies.states, share.claim, config.arena)
-        return canonical(join([*parts, select(copies, free)]))
+                free = free[~arithmetic.owned(copies.states[free], share.claim, config.arena)]
+        return canonical(join([told, select(copies, free)]))
 
     def awake(self, step: Step, arithmetic: Arithmetic) -> "Belief":
         """This belief as a copy of the tick before `step.tick`, for an agent that missed rounds: nothing in it is claimed any more."""
@@ -134,19 +136,25 @@ class Belief:
         return Belief(step.tick - 1, Share(self.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
 
 
-def _uncontested(share: Share, claims: list[Share], overlap: float) -> Particles:
-    """The particles of a share but for those deep inside another's claim and nearer to its owner in power distance."""
-    states = share.particles.states
-    rivals = [other.claim for other in claims if other.owner != share.owner and other.view != share.view and other.claim.names]
-    if not len(states) or not rivals:
-        return share.particles
-    own = power_distances(states, share.claim.generators[:1])
-    nearer = power_distances(states, np.array([claim.generators[0] for claim in rivals])) < own
-    keep = np.ones(len(states), dtype=bool)
-    for number in np.flatnonzero(nearer.any(axis=0)).tolist():
-        theirs = np.flatnonzero(nearer[:, number] & keep)
-        keep[theirs] = depths(states[theirs], rivals[number]) <= overlap
-    return select(share.particles, keep)
+def _uncontested(claims: list[Share], overlap: float) -> Particles:
+    """The particles of all shares but for those deep inside another's claim and nearer to its owner in power distance."""
+    told = join([share.particles for share in claims])
+    keep, start = np.ones(len(told.ids), dtype=bool), 0
+    for view, group in groupby(claims, attrgetter("view")):
+        shares = list(group)
+        sizes = [len(share.particles.ids) for share in shares]
+        first, start = start, start + sum(sizes)
+        rivals = [other.claim for other in claims if other.view != view and other.claim.names]
+        if start == first or not rivals:
+            continue
+        states = told.states[first:start]
+        centres = np.array([share.claim.generators[0] for share, size in zip(shares, sizes) if size])
+        own = paired_power_distances(states, np.repeat(centres, [size for size in sizes if size], axis=0))
+        nearer = power_distances(states, np.array([claim.generators[0] for claim in rivals])) < own[:, None]
+        for number in np.flatnonzero(nearer.any(axis=0)).tolist():
+            theirs = np.flatnonzero(nearer[:, number] & keep[first:start])
+            keep[first + theirs] = depths(states[theirs], rivals[number]) <= overlap
+    return select(told, keep)
 
 
 def start(prior: Particles, name: str) -> Belief:

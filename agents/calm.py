@@ -137,13 +137,16 @@ class CalmRound:
         detections, stated, numbers, agreed = self.roll.reader.lay_out(np.frombuffer(b"".join([*self._buffers, *own]), np.uint8), spans)
         names = (*self.roll.names[:place], mine.sender, *self.roll.names[place:])
         claimed = (mine.claim_tick, mine.view) if agreed else None
+        said = dict(self._said)  # whatever is dropped later
 
         def gossips() -> list[Gossip]:
-            others = list(self.gossips().values())
+            others = list(self._spelled_out(said).values())
             return [*others[:place], mine, *others[place:]]
 
-        known = {"detections": detections, "stated": (stated, numbers), "claimed": claimed, "listening": mine.listening}
-        return Words(names, table, gossips, known)
+        known = {"detections": detections, "claimed": claimed, "listening": mine.listening}
+        words = Words(names, table, gossips, known)
+        words.remember(stated, numbers)
+        return words
 
     def spots(self) -> dict[str, bytes]:
         """Rows of `places` of all who have spoken, by name."""
@@ -152,10 +155,13 @@ class CalmRound:
 
     def gossips(self) -> dict[str, Gossip]:
         """What was read, one by one, by name and in the order of names."""
+        return self._spelled_out(self._said)
+
+    def _spelled_out(self, said: dict[str, bytes]) -> dict[str, Gossip]:
         roll, found = self.roll, {}
         for key, name in roll.speakers.items():
-            if name in self._said:
-                gossip = decode(key, self._said[name])
+            if name in said:
+                gossip = decode(key, said[name])
                 assert isinstance(gossip, Gossip)
                 learn(gossip, roll.eyes[name].sensor, roll.config)
                 gossip.memo["plausible"] = True

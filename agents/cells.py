@@ -132,6 +132,12 @@ def power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
     return dx * dx + dy * dy - generators[None, :, 2] * generators[None, :, 2]
 
 
+def paired_power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
+    """|x - p|^2 - r^2 in m^2 of each point (N, 2) to the generator (N, 3) in the same row: (N,)."""
+    dx, dy, radii = points[:, 0] - generators[:, 0], points[:, 1] - generators[:, 1], generators[:, 2]
+    return dx * dx + dy * dy - radii * radii  # type: ignore[no-any-return]
+
+
 def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
     """Which points (N, 2 or more columns) lie in the arena and in the claimed cell: (N,) bool."""
     if not claim.names:

@@ -63,7 +63,15 @@ class Lookout:
         self._spread = bounds.offset + JUMP  # m: a generator is so far at most from where its agent says its beacons
         self._heard: dict[str, int] = {}  # whose gossip comes, and in which tick it was needed last
         self._watched: set[str] = set()  # whose token I see
-        self.spare: frozenset[str] = frozenset()  # keys of the gossips that come and are not needed
+        self._spare: frozenset[str] | None = None  # see `spare`, when it has been asked for
+
+    @property
+    def spare(self) -> frozenset[str]:
+        """Keys of the gossips that come and are not needed."""
+        if self._spare is None:
+            needed = self._neighbours.circle.keys()
+            self._spare = frozenset([one_of(self._me.config.run.name, "gossip", name) for name in self._heard.keys() - needed])
+        return self._spare
 
     # ------------------------------------------------------------------ before the first word
 
@@ -125,6 +133,13 @@ class Lookout:
     def hear(self, beacon: Beacon) -> bool:
         """A beacon of somebody else; whether it should be answered."""
         return self._neighbours.see(beacon) or beacon.asks
+
+    def hear_all(self, beacons: list[Beacon]) -> bool:
+        """Beacons of others; whether one of them should be answered."""
+        asking = False
+        for beacon in self._neighbours.places.see_all(beacons, self._neighbours.peers):
+            asking |= self.hear(beacon)
+        return asking
 
     def answer(self) -> list[Effect]:
         """My newest beacon again."""
@@ -192,7 +207,7 @@ class Lookout:
         return me.arithmetic.wanted(cell, mine.position, me.sensor.reach, me.config.filter.halo, table, self._ground), table
 
     def _choose(self, choice: Choice, table: np.ndarray, tick: int) -> list[Effect]:
-        self._neighbours.choose(table, choice.chosen)
+        self._neighbours.choose(table, choice)
         self._neighbours.certified = self._known is not None and self._known.holds(choice.needed) and tick >= self._young
         self._chosen_at = tick
         return self._subscribe(tick)
@@ -205,12 +220,14 @@ class Lookout:
         heard, watched, needed, run = self._heard, self._watched, self._neighbours.circle.keys(), self._me.config.run.name
         added = needed - heard.keys()
         heard.update(dict.fromkeys(needed, tick))
-        dropped = [name for name, last in heard.items() if last + self._linger <= tick]
+        dropped = [name for name, last in heard.items() if last + self._linger <= tick] if len(heard) > len(needed) else []
         for name in dropped:
             del heard[name]
         gossip, token = partial(one_of, run, "gossip"), partial(tokens_of, run, "agent")
-        self.spare = frozenset(map(gossip, heard.keys() - needed))
+        self._spare = None
         seen, unseen = needed - watched, watched - self._neighbours.peers.keys()
+        if not (added or dropped or seen or unseen):
+            return []
         self._watched = (watched | seen) - unseen
         return [
             *(Subscribe(gossip(name)) for name in sorted(added, key=order)),

@@ -7,7 +7,7 @@ stays a generator, where it was last heard, for `silent_rounds` rounds.
 
 from bisect import bisect_left
 from collections.abc import KeysView, Sequence
-from itertools import compress
+from itertools import compress, islice
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -15,9 +15,11 @@ import numpy as np
 
 from agents.calm import CalmRound, Expected, Reader, Roll
 from agents.config import AgentConfig
+from agents.interest import Choice
 from agents.peers import Peer, outfit_of, plausible
-from agents.places import EAST, RADIUS, Places, spot
+from agents.places import EAST, RADIUS
 from agents.said import Said
+from agents.whereabouts import Whereabouts
 from agents.words import eye_of, learn
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
@@ -44,9 +46,9 @@ class Neighbours:
         self.peers: dict[str, Peer] = {}  # in the order of names, unless local
         self.circle: dict[str, Peer] = {}  # those whose gossip I listen to, in the order of names; all, unless local
         self.far = NOBODY  # the others, if local
-        self.places = Places()  # local: of those who are there, by the newest word of each
+        self.places = Whereabouts(config)  # local: of those who are there, by the newest word of each
         self.certified = False  # local: nobody whom I do not know could own anything that matters to me
-        self._acquainted, self._version = frozenset([name]), -1  # local: who has been counted in, and with which version of the places
+        self._acquainted, self._version = frozenset[str](), -1  # local: who has been counted in, and with which version of the places
         self.changed = False  # local: somebody has come or gone since the circle was chosen
         self._config, self._silent = config, config.timing.silent_rounds
         self._name = name
@@ -61,7 +63,7 @@ class Neighbours:
             self.changed |= peer.gone_at is not None
             peer.token, peer.gone_at = True, None
             if peer.beacon is not None:
-                self._put(peer, peer.beacon)
+                self.places.see(peer, peer.beacon)
 
     def gone(self, name: str, incarnation: int, tick: int) -> None:
         """A token vanished in the round `tick`. The peer may have been a tick ahead, and its last words may still be on their way."""
@@ -100,6 +102,30 @@ class Neighbours:
                 said[gossip.sender] = gossip
                 return None
         return self._judge(gossip)
+
+    def hear_calmly(self, gossips: list[Gossip], start: int, tick: int, awaited: set[str]) -> tuple[int, int]:
+        """Hear gossips of a calm round `tick`, from that of index `start` on, until nobody is awaited any more or one is out of the
+        ordinary: how many, and how many of them I had asked for. As if `hear` had taken one after the other."""
+        said, circle = self.said.spell_out().get(tick) if self._calm else None, self.circle
+        if said is None:
+            return 0, 0
+        taken, at = 0, start
+        for gossip in islice(gossips, start, None):
+            name = gossip.sender
+            peer = circle.get(name)
+            if peer is None:
+                if not self.local or name == self._name:
+                    break
+            elif gossip.tick != tick or gossip.incarnation != peer.incarnation or not gossip.memo.get("plausible"):
+                break
+            else:
+                said[name] = gossip
+                taken += 1
+                awaited.discard(name)
+            at += 1
+            if not awaited:
+                break
+        return at - start, taken
 
     def _judge(self, gossip: Gossip) -> str | None:
         name = gossip.sender
@@ -174,8 +200,8 @@ class Neighbours:
         """The round `tick` is over: put away what it used, count who was missing; how many were."""
         together = self._whole(tick)
         if together is not None:
-            for name, spot_of in together.spots().items() if self.local else ():
-                self.places.put(name, tick, spot_of)
+            if self.local:
+                self.places.close(together, self.peers)
             self.said.close_together()
             return 0
         missing = self.missing(tick, newcomer=newcomer)
@@ -187,9 +213,7 @@ class Neighbours:
         self._calm = complete and (self._calm or self._steady())
         for said in self.said.close(tick, len(self.circle)):
             if self.local:
-                for name, gossip in said.items():
-                    if name in self.peers:
-                        self._put(self.peers[name], gossip)
+                self.places.close(said, self.peers)
         return len(missing)
 
     def anyone_missed(self) -> bool:
@@ -211,7 +235,9 @@ class Neighbours:
         """A beacon arrived: where a peer is. Whether that peer is new, or was gone or silent: then it may not know me either."""
         peer = known = self.peers.get(beacon.sender)
         if peer is None or peer.incarnation != beacon.incarnation:
+            changed = self.changed or known is not None or self.places.matters(beacon)
             peer = self._peer(beacon.sender, beacon.incarnation)
+            self.changed = changed
         if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
             return False
         if peer.outfit is None:
@@ -222,25 +248,23 @@ class Neighbours:
         if back or silent:
             peer.gone_at, peer.missed, self.changed = None if back else peer.gone_at, 0, True
         peer.beacon = beacon
-        self._put(peer, beacon)
+        self.places.see(peer, beacon)
         return back or silent or peer is not known
-
-    def _put(self, peer: Peer, word: Beacon | Gossip) -> None:
-        """Note where a peer is, unless it is gone or has been silent for long."""
-        if peer.gone_at is None and peer.outfit is not None and peer.missed < self._silent:
-            self.places.put(peer.name, word.tick, word.memo.get("spot") or spot(word, self._config))
 
     def forget(self, since: int) -> None:
         """Who has not said for long where he is is not there any more; `since` is a tick."""
+        self.places.catch_up(self.peers)
+        before = len(self.peers)
         for name in self.places.forget(since):
             del self.peers[name]
         if len(self.peers) > len(self.places):
             self.peers = {name: peer for name, peer in self.peers.items() if name in self.places or (peer.gone_at or -1) >= since}
-        if not self.circle.keys() <= self.peers.keys():
+        if len(self.peers) < before and not self.circle.keys() <= self.peers.keys():
             self._listen_to([peer for name, peer in self.circle.items() if name in self.peers])
 
-    def choose(self, table: np.ndarray, chosen: np.ndarray) -> None:
-        """From now on listen to the chosen (N,) of those whose places stand in a table (N or more, 6)."""
+    def choose(self, table: np.ndarray, choice: Choice) -> None:
+        """From now on listen to the chosen of those N whose places stand in a table (N or more, 6)."""
+        chosen, self.places.needed = choice
         names, peers = self.places.names, self.peers
         wanted = list(compress(names, chosen.tolist()))
         if self.circle.keys() != set(wanted):
@@ -249,7 +273,7 @@ class Neighbours:
         generators = table[: len(names)][others]
         self.far = Far(tuple(compress(names, others.tolist())), generators[:, EAST:RADIUS].copy(), generators[:, RADIUS].copy())
         if self._version != self.places.version:
-            self._acquainted, self._version = frozenset([self._name, *names]), self.places.version
+            self._acquainted, self._version = self.places.everybody(), self.places.version
 
     def _listen_to(self, circle: list[Peer]) -> None:
         """Count these in, in the order of names, and nobody else."""
@@ -258,7 +282,7 @@ class Neighbours:
         self._calm = self._steady()
 
     def acquainted(self) -> frozenset[str]:
-        """Who has been counted in, so that claims cut from one diagram are expected of them."""
+        """Who has been counted in beside me, so that claims cut from one diagram are expected of them."""
         return self._acquainted
 
     def _steady(self) -> bool:
@@ -305,6 +329,8 @@ class Neighbours:
                 self.peers = {other: self.peers[other] for other in sorted(self.peers, key=order)}
             if not self.local or name in self.circle:
                 self.circle = {other: known for other, known in self.peers.items() if other == name or other in self.circle}
-            self._calm, self._roll, self.changed = False, None, True
-            self.said.forget(name)
+            self.changed = True
+            if not self.local or name in self.circle:
+                self._calm, self._roll = False, None
+                self.said.forget(name)
         return peer if incarnation == peer.incarnation else None

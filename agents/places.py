@@ -36,6 +36,7 @@ class Places:
         self.names: list[str] = []  # of the rows
         self.version = 0  # another one whenever somebody has come or gone
         self._ticks: list[int] = []  # of the words
+        self._oldest = 0  # none of them is older
         self._rows: dict[str, int] = {}
         self._numbers = bytearray(SIZE * 8)
 
@@ -52,6 +53,7 @@ class Places:
             row = self._rows[name] = len(self.names)
             self.names.append(name)
             self._ticks.append(tick)
+            self._oldest = min(self._oldest, tick)
             self.version += 1
             if SIZE * (row + 2) > len(self._numbers):  # there is always room for one more
                 self._numbers = self._numbers + bytes(len(self._numbers))
@@ -60,6 +62,10 @@ class Places:
         else:
             self._ticks[row] = tick
         self._numbers[SIZE * row : SIZE * (row + 1)] = packed
+
+    def everybody(self) -> frozenset[str]:
+        """All names at present."""
+        return frozenset(self._rows)
 
     def remove(self, name: str) -> None:
         """Nobody knows any more where somebody is; the last takes the free row."""
@@ -75,8 +81,9 @@ class Places:
 
     def forget(self, since: int) -> list[str]:
         """Remove those whose last word is older than the tick `since`; who they were."""
-        if not self._ticks or min(self._ticks) >= since:
+        if since <= self._oldest:
             return []
+        self._oldest = min([tick for tick in self._ticks if tick >= since], default=since)
         old = [name for name, tick in zip(self.names, self._ticks) if tick < since]
         for name in old:
             self.remove(name)

@@ -105,9 +105,10 @@ def _speaking(neighbours: Neighbours, mine: Gossip, heard: Heard, words: Words) 
 def _view(neighbours: Neighbours, heard: Heard, speaking: Words, claim: Claim) -> int:
     """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, that this part was whole.
 
-    Two who heard their whole circles at the same tick cannot differ about a generator that both know.
+    Two who heard their whole circles at the same tick cannot differ about a generator that both know. Who owns nothing needs no
+    certificate: whom he does not know could only take from him.
     """
-    if neighbours.local and neighbours.certified and len(heard) == len(neighbours.circle):
+    if neighbours.local and (neighbours.certified or not claim.names) and len(heard) == len(neighbours.circle):
         return LOCAL_VIEW if neighbours.circle.keys() >= set(claim.names[1:]) else speaking.view
     return speaking.view
 

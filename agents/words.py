@@ -81,6 +81,9 @@ def _table(rows: bytearray) -> np.ndarray:
     return np.frombuffer(rows, dtype=float).reshape(-1, ROW.size // 8)
 
 
+Stated = tuple[np.ndarray, np.ndarray]  # states (N, 4) float32 and ids (N,) uint64
+
+
 class Words:
     """Gossips of one round that have been `learn`ed, in the order of names."""
 
@@ -159,12 +162,22 @@ class Words:
                 return None
         return tick, view
 
-    @once
-    def stated(self) -> tuple[np.ndarray, np.ndarray]:
-        """States (N, 4) float32 and ids (N,) of all their particles, gossip after gossip, as they were stamped."""
+    @property
+    def stated(self) -> Stated:
+        """States (N, 4) float32 and ids (N,) of all their particles, gossip after gossip, as they were stamped.
+
+        It is most of what a round reads, and nobody else asks before the next one: so only the last that was asked keeps it.
+        """
+        if _LATEST and _LATEST[0][0] is self:
+            return _LATEST[0][1]
         states = np.frombuffer(bytearray().join([gossip.states_bytes for gossip in self.gossips]), dtype=np.float32)
         ids = np.frombuffer(bytearray().join([gossip.ids_bytes for gossip in self.gossips]), dtype=np.uint64)
-        return states.reshape(-1, 4), ids
+        return self.remember(states.reshape(-1, 4), ids)
+
+    def remember(self, states: np.ndarray, ids: np.ndarray) -> Stated:
+        """Take these as what was `stated`, until somebody else is asked."""
+        _LATEST.append((self, (states, ids)))
+        return states, ids
 
     @once
     def particles(self) -> Particles:
@@ -189,6 +202,7 @@ def particles_of(told: Words | Particles) -> Particles:
     return told.particles if isinstance(told, Words) else told
 
 
+_LATEST: deque[tuple[Words, Stated]] = deque(maxlen=1)  # who was asked last
 _RECENT: deque[tuple[bytearray, Words]] = deque(maxlen=2)  # in a simulation all agents hear the same
 
 
@@ -206,3 +220,4 @@ def side_by_side(gossips: list[Gossip]) -> Words:
 def forget() -> None:
     """Share nothing of what was asked for so far, as if in another process."""
     _RECENT.clear()
+    _LATEST.clear()

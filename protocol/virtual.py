@@ -6,18 +6,20 @@ slowed down, started twice under one name, and given clocks that jump.
 """
 
 import heapq
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import codec
 from protocol.fields import Malformed
-from protocol.keys import is_of_tokens, message_key, token_key, tokens_of
-from protocol.messages import Command, Message, Observation
+from protocol.keys import is_of_tokens, message_key, tokens_of
+from protocol.messages import Beacon, Command, Gossip, Message, Observation
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.routes import Routes
-from protocol.tokens import sees_all_tokens as sees_all
+from protocol.seats import Seat, place_of
+
+BOXED = (Gossip, Beacon)  # said to many; a listener takes all of them that have come in an instant together
 
 
 class Link(Protocol):
@@ -25,30 +27,6 @@ class Link(Protocol):
 
     def carry(self, sender: str, receiver: str, key: str, payload: bytes, now: float) -> Sequence[tuple[float, bytes]]:
         """(delay s, payload) of each copy that arrives; the very object `payload` where nothing was spoilt."""
-
-
-@dataclass(eq=False)
-class _Seat:
-    """A node on the bus, and what the bus knows of it."""
-
-    node: Node
-    place: int  # in the order of coming
-    expressions: Counter[str] = field(default_factory=Counter)
-    timer: float | None = None
-    paused: bool = False
-    waiting: list[Event] = field(default_factory=list)  # what arrived while it was paused or at work
-    clock: float = 0.0  # how far its clock is ahead, s
-    work: float = 0.0  # how long it takes over an observation, s
-    at_work: bool = False
-    armed: float | None = None  # the deadline for which the timer is set
-
-    def __post_init__(self) -> None:
-        self.handle, self.deadline = self.node.handle, self.node.deadline  # looked up once
-        self.sees_all = sees_all(self.node)
-
-    @property
-    def token(self) -> str:
-        return token_key(self.node.run, self.node.role, self.node.name, self.node.incarnation)
 
 
 class _Done:
@@ -64,14 +42,14 @@ class _Call:
 
 @dataclass(slots=True)
 class _Fan:
-    """A message on its way to all its listeners; they take it one after the other."""
+    """A message on its way to all its listeners."""
 
-    listeners: list[_Seat]
-    sender: _Seat
+    listeners: list[Seat]
+    sender: Seat
     event: Event
 
 
-_Entry = tuple[_Seat, Event | _Done] | _Fan | _Call  # of the queue
+_Entry = tuple[Seat, Event | _Done] | _Fan | _Call  # of the queue
 
 
 class VirtualBus:
@@ -88,14 +66,15 @@ class VirtualBus:
         self._use_codec = use_codec
         self._link = link
         self._pace = pace
-        self._seats: dict[str, _Seat] = {}
+        self._seats: dict[str, Seat] = {}
         self._ready: deque[_Entry] = deque()
+        self._boxed: list[Seat] = []  # whose box may hold something
         self._later: list[tuple[float, int, _Entry]] = []
         self._sequence = 0
-        self._routes: Routes[_Seat] = Routes(_place)  # of messages
-        self._all_seeing: dict[_Seat, None] = {}  # who sees every token
-        self._holders: dict[str, dict[_Seat, None]] = {}  # of tokens, by role and name
-        self._watchers: Routes[_Seat] = Routes(_place)  # of tokens, by those who do not see all of them
+        self._routes: Routes[Seat] = Routes(place_of)  # of messages
+        self._all_seeing: dict[Seat, None] = {}  # who sees every token
+        self._holders: dict[str, dict[Seat, None]] = {}  # of tokens, by role and name
+        self._watchers: Routes[Seat] = Routes(place_of)  # of tokens, by those who do not see all of them
 
     def nodes(self) -> list[str]:
         """Labels of the nodes on the bus, paused ones included."""
@@ -107,7 +86,7 @@ class VirtualBus:
         if label in self._seats:
             raise ValueError(f"{label} is on the bus already")
         self._sequence += 1
-        seat = self._seats[label] = _Seat(node, self._sequence)
+        seat = self._seats[label] = Seat(node, self._sequence)
         self._ready.append((seat, Started()))
         self._holders.setdefault(_parent(seat.token), {})[seat] = None
         if seat.sees_all:
@@ -135,7 +114,7 @@ class VirtualBus:
     def announce(self, event: Alive | Gone, delay: float = 0.0, to: Iterable[str] | None = None) -> None:
         """Let nodes (all but the subject, or those named) see a token appear or vanish, if they look for it."""
         named = {self._seats[label] for label in to if label in self._seats} if to is not None else self._seats.values()
-        for seat in sorted(named, key=_place):
+        for seat in sorted(named, key=place_of):
             subject = (seat.node.name, seat.node.incarnation) == (event.name, event.incarnation)
             if not subject and (seat.sees_all or tokens_of(seat.node.run, event.role, event.name) in seat.expressions):
                 self._schedule(seat, event, delay)
@@ -159,7 +138,7 @@ class VirtualBus:
         """From now on a node takes `seconds` of work over every observation and looks at nothing else meanwhile; 0: none."""
         self._seats[name].work = seconds
 
-    def _wake(self, seat: _Seat) -> None:
+    def _wake(self, seat: Seat) -> None:
         """Hand a node what has waited for it; of observations the newest only, for nobody works off a queue of them."""
         if seat.paused or seat.at_work:
             return
@@ -176,8 +155,11 @@ class VirtualBus:
 
     def step(self, until: float = float("inf")) -> bool:
         """Deliver the next event that is due by `until`, a message to all its listeners; False when there is none."""
-        if not self._ready and not self._advance(until):
-            return False
+        while not self._ready:
+            if self._boxed:
+                self._empty_boxes()
+            elif not self._advance(until):
+                return False
         entry = self._ready.popleft()
         if isinstance(entry, _Fan):
             self._hand_all(entry)
@@ -191,27 +173,48 @@ class VirtualBus:
         return True
 
     def _hand_all(self, fan: _Fan) -> None:
-        """Let the listeners take a message, one after the other; what `_hand` does, made short for those who only note it."""
-        sender, event, now = fan.sender, fan.event, self.now
+        """Bring a message to all its listeners; what agents say to each other goes into their boxes."""
+        sender, event, boxed = fan.sender, fan.event, self._boxed
         for seat in fan.listeners:
             if seat is sender:
                 continue
-            if seat.paused or seat.at_work or seat.clock:
+            if not isinstance(event, Received) or not isinstance(event.message, BOXED):
                 self._hand(seat, event)
                 continue
-            effects = seat.handle(event, now)
-            if effects is not QUIET or seat.armed is None or self.tap is not None:
-                self._taken(seat, event, effects)
+            if not seat.box:
+                boxed.append(seat)
+            seat.box.append(event)
 
-    def _hand(self, seat: _Seat, event: Event) -> None:
+    def _empty_boxes(self) -> None:
+        """Nothing else is left of this instant: let everybody take what has come, one listener after the other.
+
+        With all that a node has heard in hand at once it is not fetched into the caches of the machine anew for every message.
+        """
+        seats, self._boxed = self._boxed, []
+        for seat in seats:
+            self._empty(seat)
+
+    def _empty(self, seat: Seat) -> None:
+        events, seat.box = seat.box, []
+        if events and seat.take_all is not None and seat.can_take() and self.tap is None:
+            effects = seat.take_all([event.message for event in events], self.now)
+            if effects is not QUIET or seat.armed is None:
+                self._taken(seat, events[-1], effects)
+            return
+        for event in events:
+            self._hand(seat, event)
+
+    def _hand(self, seat: Seat, event: Event) -> None:
         """Let a node take an event, or keep it until the node can."""
+        if seat.box:
+            self._empty(seat)
         if seat.paused or seat.at_work:
             if not isinstance(event, Timer):
                 seat.waiting.append(event)
             return
         self._taken(seat, event, seat.handle(event, self._time_of(seat) if seat.clock else self.now))
 
-    def _taken(self, seat: _Seat, event: Event, effects: list[Effect]) -> None:
+    def _taken(self, seat: Seat, event: Event, effects: list[Effect]) -> None:
         """A node has taken an event: what follows."""
         for effect in effects:
             self._carry_out(seat, effect)
@@ -225,7 +228,7 @@ class VirtualBus:
         elif seat.deadline() != seat.armed:
             self._rearm(seat)
 
-    def _time_of(self, seat: _Seat) -> float:
+    def _time_of(self, seat: Seat) -> float:
         """What a node's clock shows; never just short of its deadline by rounding, or its timer would fire for ever."""
         now = self.now + seat.clock
         due = seat.node.deadline() if seat.clock else None
@@ -246,7 +249,7 @@ class VirtualBus:
         """Call a function in `delay` s."""
         self._push(self.now + delay, _Call(function))
 
-    def _schedule(self, seat: _Seat, event: Event | _Done, delay: float) -> None:
+    def _schedule(self, seat: Seat, event: Event | _Done, delay: float) -> None:
         if delay <= 0.0:
             self._ready.append((seat, event))
         else:
@@ -256,7 +259,7 @@ class VirtualBus:
         self._sequence += 1
         heapq.heappush(self._later, (time, self._sequence, entry))
 
-    def _rearm(self, seat: _Seat) -> None:
+    def _rearm(self, seat: Seat) -> None:
         deadline = seat.armed = seat.deadline()
         if deadline is None:
             seat.timer = None
@@ -264,7 +267,7 @@ class VirtualBus:
             seat.timer = max(deadline - seat.clock, self.now)
             self._push(seat.timer, (seat, Timer()))
 
-    def _carry_out(self, seat: _Seat, effect: Effect) -> None:
+    def _carry_out(self, seat: Seat, effect: Effect) -> None:
         if isinstance(effect, Message):
             self._publish(seat, effect)
         elif isinstance(effect, Subscribe):
@@ -276,7 +279,7 @@ class VirtualBus:
                 self.stopped[label] = effect
                 self.remove(label)
 
-    def _subscribe(self, seat: _Seat, expression: str) -> None:
+    def _subscribe(self, seat: Seat, expression: str) -> None:
         seat.expressions[expression] += 1
         if seat.expressions[expression] > 1:
             return
@@ -288,18 +291,18 @@ class VirtualBus:
             if other is not seat:
                 self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
 
-    def _unsubscribe(self, seat: _Seat, expression: str) -> None:
+    def _unsubscribe(self, seat: Seat, expression: str) -> None:
         seat.expressions[expression] -= 1
         if seat.expressions[expression] == 0:
             del seat.expressions[expression]
             (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, seat)
 
-    def _watching(self, token: str) -> dict[_Seat, None]:
+    def _watching(self, token: str) -> dict[Seat, None]:
         """Who sees a token come and go, in the order in which they came to the bus."""
         watching = self._watchers.listeners(token)
-        return dict.fromkeys(sorted([*self._all_seeing, *watching], key=_place)) if watching else self._all_seeing
+        return dict.fromkeys(sorted([*self._all_seeing, *watching], key=place_of)) if watching else self._all_seeing
 
-    def _publish(self, seat: _Seat, message: Message) -> None:
+    def _publish(self, seat: Seat, message: Message) -> None:
         key = message_key(seat.node.run, message)
         listeners = self._routes.listeners(key)
         payload = codec.encode(message) if self._use_codec else b""
@@ -317,12 +320,12 @@ class VirtualBus:
                     self.deliveries += 1
                     self._schedule(listener, event if arrived is payload else self._event(seat, key, message, arrived), pace + delay)
 
-    def _carried(self, seat: _Seat, listener: _Seat, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
+    def _carried(self, seat: Seat, listener: Seat, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
         if self._link is None:
             return [(0.0, payload)]
         return self._link.carry(seat.node.name, listener.node.name, key, payload, self.now)
 
-    def _event(self, seat: _Seat, key: str, message: Message, payload: bytes) -> Event:
+    def _event(self, seat: Seat, key: str, message: Message, payload: bytes) -> Event:
         if not self._use_codec:
             return Received(message)
         try:
@@ -333,10 +336,6 @@ class VirtualBus:
 
 def _parent(key: str) -> str:
     return key.rpartition("/")[0]
-
-
-def _place(seat: _Seat) -> int:
-    return seat.place
 
 
 def _is_observation(event: Event) -> bool:

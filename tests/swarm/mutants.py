@@ -13,7 +13,7 @@ import pytest
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic, in_steps
 from agents.neighbours import Neighbours, Peer
-from agents.particles import Particles, select
+from agents.particles import Particles, join, select
 from deploy.chaos import fuzz
 from deploy.chaos.fuzz import Case
 from deploy.scenario import Scenario
@@ -97,7 +97,7 @@ def old_incarnation_kept(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    patch.setattr("agents.belief._uncontested", lambda share, claims, overlap: share.particles)
+    patch.setattr("agents.belief._uncontested", lambda claims, overlap: join([share.particles for share in claims]))
     return fuzz.play(case)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from agents.arithmetic import PLAIN
-from deploy.simulate import compiled
+from deploy.simulate import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,6 +33,20 @@ def test_another_seed_gives_another_run() -> None:
 
 def test_bytes_on_the_wire_change_nothing() -> None:
     assert transcript(use_codec=True) == transcript(use_codec=False)
+
+
+@pytest.mark.parametrize("interest", ["all", "neighbours"])
+def test_taking_what_comes_in_an_instant_together_changes_nothing(interest: str) -> None:
+    """Whoever watches every event makes the driver hand out the messages one by one."""
+    faults = fault(2.0, "kill", "25%", seconds=2.0), fault(3.0, "pause", "1", seconds=1.0), fault(4.0, "slow", "1", 0.3, seconds=2.0)
+    alone, together = [], []
+    for said, tap in ((alone, lambda node, event: None), (together, None)):
+        simulation = Simulation(tracking(*faults, run__seconds=8.0, timing__interest=interest))
+        simulation.bus.tap = tap
+        result = simulation.run()
+        counters = {name: dict(agent.counters) for name, agent in simulation.agents.items()}
+        said += [result.transcript, simulation.bus.messages, simulation.bus.deliveries, counters]
+    assert alone == together
 
 
 def test_compiled_loops_change_nothing() -> None:

@@ -3,6 +3,8 @@
 import msgspec
 import pytest
 
+from agents.neighbours import LOCAL_VIEW
+from deploy.bench.simulations import crowd
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
 from protocol.geometry import polygon_area, polygon_centroid
@@ -49,6 +51,17 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
 def test_it_does_so_for_many_seeds(seed: int) -> None:
     (_, everything), (_, all_the_same) = (play(large(seed, "4", interest, seconds=100.0)) for interest in ("all", "neighbours"))
     assert everything == all_the_same
+
+
+def test_who_owns_nothing_agrees_with_all_the_others() -> None:
+    """Whom it does not know could only take from it; so nobody has to look for an overlap of its claim with his own."""
+    simulation = Simulation(crowd(200, "neighbours", 24), use_codec=False, scores=False)
+    listener = Listener(simulation.scenario.run.name)
+    simulation.bus.add(listener)
+    simulation.run()
+    said = [one for tick, estimates in listener.estimates.items() if tick > 0 for one in estimates.values()]
+    unsure = [one for one in said if one.view != LOCAL_VIEW]
+    assert [one.tick for one in unsure if not len(one.cell)] == [] and len(unsure) < 0.01 * len(said)
 
 
 def test_the_dead_are_taken_over_and_a_restarted_agent_gets_a_cell() -> None:
