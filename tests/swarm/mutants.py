@@ -10,13 +10,16 @@ import msgspec
 import numpy as np
 import pytest
 
+from agents import speech
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic, in_steps
 from agents.neighbours import Neighbours, Peer
 from agents.particles import Particles, join, select
+from agents.round import Outcome, Self
 from deploy.chaos import fuzz
 from deploy.chaos.fuzz import Case
 from deploy.scenario import Scenario
+from protocol.messages import Gossip, Observation
 from protocol.streams import key, scramble
 
 Mutant = Callable[[Case, pytest.MonkeyPatch], str | None]  # plays a case with the rule left out
@@ -102,13 +105,13 @@ def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    right = Agent._say
+    right = speech.gossip
 
-    def say(self: Agent, observation):  # type: ignore[no-untyped-def]
-        self.outcome.belief.stamp = observation.tick - 1
-        return right(self, observation)
+    def gossip(me: Self, incarnation: int, outcome: Outcome, observation: Observation, *, listening: bool) -> Gossip:
+        outcome.belief.stamp = observation.tick - 1
+        return right(me, incarnation, outcome, observation, listening=listening)
 
-    patch.setattr(Agent, "_say", say)
+    patch.setattr(speech, "gossip", gossip)
     return fuzz.play(case)
 
 
