@@ -235,9 +235,10 @@ class Neighbours:
         """A beacon arrived: where a peer is. Whether that peer is new, or was gone or silent: then it may not know me either."""
         peer = known = self.peers.get(beacon.sender)
         if peer is None or peer.incarnation != beacon.incarnation:
-            changed = self.changed or known is not None or self.places.matters(beacon)
+            before = self.changed
             peer = self._peer(beacon.sender, beacon.incarnation)
-            self.changed = changed
+            if known is None:
+                self.changed = before or self.places.matters(beacon)
         if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
             return False
         if peer.outfit is None:

@@ -1,8 +1,8 @@
 """The virtual driver: many nodes in one process and in virtual time, on a bus of events.
 
-Events of one instant are delivered first come, first served; time moves on only when none is left. With `codec` the real bytes
-travel (each message is encoded and decoded once); a `Link` may drop, delay, copy or spoil them per receiver. Nodes can be stopped,
-slowed down, started twice under one name, and given clocks that jump.
+Events of one instant are delivered first come, first served, but gossips and beacons after all others, those of a listener together;
+time moves on only when none is left. With `codec` the real bytes travel (each message is encoded and decoded once); a `Link` may drop,
+delay, copy or spoil them per receiver. Nodes can be stopped, slowed down, started twice under one name, and given clocks that jump.
 """
 
 import heapq

@@ -88,3 +88,5 @@ def test_a_newcomer_calls_for_a_choice_only_where_it_may_matter() -> None:
     assert found.see(beacon("s5", 1, 40.0)) and found.changed
     choose(found)
     assert found.see(beacon("s4", 1, 60.0, incarnation=2)) and found.changed  # somebody known has been restarted
+    choose(found)
+    assert not found.see(beacon("s4", 2, 60.0, incarnation=1)) and not found.changed  # an older incarnation is nobody
