@@ -19,6 +19,7 @@ class Routes(Generic[T]):
         self._order = order
         self._exact: dict[str, dict[T, None]] = {}  # by key
         self._below: dict[str, dict[T, None]] = {}  # by parent
+        self._in_order: dict[str, list[T]] = {}  # those below a parent, in order; a list is replaced, never changed
         self._other: dict[str, dict[T, None]] = {}  # by expression
         self._found: dict[str, dict[str, list[T]]] = {}  # what has been looked up, by parent and key
 
@@ -26,14 +27,13 @@ class Routes(Generic[T]):
         """Someone listens to an expression."""
         table, place = self._table(expression)
         table.setdefault(place, {})[listener] = None
+        if table is self._below:
+            self._in_order[place] = self._with(self._in_order.get(place, []), listener)
         known = self._looked_up(table, place)
         if known is None:
             self._forget(table, place)
-            return
-        listeners = known[place]
-        at = bisect_left(listeners, self._order(listener), key=self._order)
-        if listeners[at : at + 1] != [listener]:
-            known[place] = [*listeners[:at], listener, *listeners[at:]]
+        else:
+            known[place] = self._with(known[place], listener)
 
     def remove(self, expression: str, listener: T) -> None:
         """Someone listens to it no longer."""
@@ -41,17 +41,29 @@ class Routes(Generic[T]):
         del table[place][listener]
         if not table[place]:
             del table[place]
+        if table is self._below:
+            self._in_order[place] = self._without(self._in_order[place], listener)
+            if not self._in_order[place]:
+                del self._in_order[place]
         known = self._looked_up(table, place)
         if known is None or listener in self._below.get(place.rpartition("/")[0], {}):
             self._forget(table, place)
-            return
-        listeners = known[place]
+        else:
+            known[place] = self._without(known[place], listener)
+
+    def _with(self, listeners: list[T], listener: T) -> list[T]:
         at = bisect_left(listeners, self._order(listener), key=self._order)
-        known[place] = [*listeners[:at], *listeners[at + 1 :]]
+        return listeners if listeners[at : at + 1] == [listener] else [*listeners[:at], listener, *listeners[at:]]
+
+    def _without(self, listeners: list[T], listener: T) -> list[T]:
+        at = bisect_left(listeners, self._order(listener), key=self._order)
+        return [*listeners[:at], *listeners[at + 1 :]]
 
     def listeners(self, key: str) -> list[T]:
         """Who listens to a key, in order; not to be changed."""
         parent = key.rpartition("/")[0]
+        if not self._other and key not in self._exact:
+            return self._in_order.get(parent, [])
         known = self._found.setdefault(parent, {})
         listeners = known.get(key)
         if listeners is None:
