@@ -63,6 +63,12 @@ def check_vector(field: str, values: tuple[float, ...]) -> None:
             raise Malformed("range", f"{field} = {values}: every number should be finite and within +-{FARTHEST:g}")
 
 
+def are_plain(pose: tuple[float, float, float], cod: tuple[float, float], lengths: tuple[float, ...]) -> bool:
+    """Whether all these numbers are in range and none of the lengths is negative; one sum of magnitudes proves it, as in `check_rows`."""
+    (x, y, heading), (east, north) = pose, cod
+    return abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + sum(lengths) < 0.5 * FARTHEST and min(lengths) >= 0.0
+
+
 def check_rows(rows: Rows, data: bytes) -> int:
     """Refuse NaN, infinity and anything beyond `FARTHEST`; how many rows there are.
 

@@ -33,6 +33,7 @@ from protocol.fields import (
     TARGETS,
     U8,
     Malformed,
+    are_plain,
     check_number,
     check_rows,
     check_vector,
@@ -174,12 +175,8 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     def is_plain(self) -> bool:
         """Whether all is well-formed but for what the arrays hold, which `plain_arrays` proves for many at once; False: ask `check`."""
         detections, claim, ids = len(self.detections_bytes), len(self.claim_bytes), len(self.ids_bytes)
-        (x, y, heading), (east, north) = self.pose, self.cod
-        total = abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + self.power_radius + self.weight
         return (
-            total < 0.5 * FARTHEST
-            and self.power_radius >= 0.0
-            and self.weight >= 0.0
+            are_plain(self.pose, self.cod, (self.power_radius, self.weight))
             and 0.0 <= self.unused <= LARGEST_AREA
             and not (detections % 8 or claim % 24 or ids % 8)
             and detections <= 8 * MAX_DETECTIONS
@@ -192,10 +189,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         )
 
     def _check_numbers(self) -> None:
-        """One sum of magnitudes proves all numbers at once, as in `check_rows`; only where it does not each is looked at."""
-        (x, y, heading), (east, north) = self.pose, self.cod
-        total = abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + self.power_radius + self.weight
-        if total < 0.5 * FARTHEST and min(self.power_radius, self.weight) >= 0.0 and 0.0 <= self.unused <= LARGEST_AREA:
+        if are_plain(self.pose, self.cod, (self.power_radius, self.weight)) and 0.0 <= self.unused <= LARGEST_AREA:
             return
         check_vector("pose", self.pose)
         check_vector("cod", self.cod)
@@ -287,6 +281,11 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
         return TARGETS.read(self.targets_bytes)
 
     def check(self) -> None:
+        check_rows(CELL, self.cell_bytes)
+        check_rows(TARGETS, self.targets_bytes)
+        plain = are_plain(self.pose, self.cod, (self.power_radius, self.load, self.mass))
+        if plain and 0.0 <= self.unused <= LARGEST_AREA and 0.0 <= self.round_seconds <= LATEST:
+            return
         check_vector("pose", self.pose)
         check_vector("cod", self.cod)
         check_number("power_radius", self.power_radius, least=0.0)
@@ -294,8 +293,6 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
         check_number("mass", self.mass, least=0.0)
         check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
         check_number("round_seconds", self.round_seconds, least=0.0, most=LATEST)
-        check_rows(CELL, self.cell_bytes)
-        check_rows(TARGETS, self.targets_bytes)
 
 
 class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
