@@ -5,6 +5,7 @@ their numbers with them, so a peer can announce one on the wire; other models ar
 """
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -75,6 +76,21 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True):
         bearings = pose[2] + np.linspace(-self.angle / 2.0, self.angle / 2.0, steps + 1)
         arc = np.column_stack([pose[0] + self.radius * np.cos(bearings), pose[1] + self.radius * np.sin(bearings)])
         return arc[:-1] if self.angle >= 2.0 * math.pi else np.vstack([[pose[:2]], arc])
+
+
+def wedge_probabilities(sensors: Sequence[WedgeSensor], poses: Sequence[Pose], who: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """p_d (P,) of the points (P, 2), each for the sensor whose index stands in `who` (P,): bit for bit as by `probability`, all at once."""
+    facts = np.array(
+        [
+            (x, y, math.cos(heading), math.sin(heading), one.radius * one.radius, one.cos_half_angle, one.prob_detection)
+            for one, (x, y, heading) in zip(sensors, poses)
+        ]
+    )
+    x, y, cos, sin, radius2, cos_half, prob = facts.reshape(-1, 7)[who].T
+    dx, dy = points[:, 0] - x, points[:, 1] - y
+    range2 = dx * dx + dy * dy
+    inside = (range2 <= radius2) & (dx * cos + dy * sin >= cos_half * np.sqrt(range2))
+    return np.where(inside, prob, 0.0)
 
 
 def _degrees(angle: float, radius: float, prob_detection: float) -> WedgeSensor:

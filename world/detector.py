@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.fields import MAX_DETECTIONS
-from protocol.sensing import Pose, SensorModel
+from protocol.sensing import Pose, SensorModel, WedgeSensor, wedge_probabilities
 from protocol.settings import DetectionSettings
 from protocol.streams import key, scramble, uniform
 
@@ -38,12 +38,14 @@ def sightings(sensors: Sequence[SensorModel], poses: Sequence[Pose], positions: 
     who, what = _near(places[:, :2], reaches, positions)
     if not len(who):
         return empty
-    starts = np.searchsorted(who, np.arange(len(sensors) + 1)).tolist()
-    close = positions[what]
-    probabilities = np.zeros(len(who))
-    for index, (start, end) in enumerate(pairwise(starts)):
-        if end > start:
-            probabilities[start:end] = sensors[index].probability(close[start:end], poses[index])
+    close, wedges = positions[what], [sensor for sensor in sensors if isinstance(sensor, WedgeSensor)]
+    if len(wedges) == len(sensors):
+        probabilities = wedge_probabilities(wedges, poses, who, close)
+    else:
+        probabilities, starts = np.zeros(len(who)), np.searchsorted(who, np.arange(len(sensors) + 1)).tolist()
+        for index, (start, end) in enumerate(pairwise(starts)):
+            if end > start:
+                probabilities[start:end] = sensors[index].probability(close[start:end], poses[index])
     seen = probabilities > 0.0
     return Sightings(who[seen], what[seen], probabilities[seen])
 

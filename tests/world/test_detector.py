@@ -29,6 +29,28 @@ def test_a_tree_finds_the_sightings_that_a_look_at_all_pairs_finds(seed: int, mo
         assert len(found) and np.array_equal(found, expected)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_wedges_together_see_what_each_sees_alone(seed: int) -> None:
+    """Bit for bit; a sensor of another kind among them makes no difference."""
+    print(f"seed {seed}")
+
+    class Other:
+        """A wedge by another name."""
+
+        reach, area = DISC.reach, DISC.area
+        probability, footprint = DISC.probability, DISC.footprint
+
+    rng = np.random.default_rng(seed)
+    sensors: list[SensorModel] = [SENSOR_CLASSES[name] for name in "ABCDEFGH" * 5]
+    poses = [(x, y, turn) for x, y, turn in (rng.random((40, 3)) * [100.0, 100.0, 6.0]).tolist()]
+    positions = rng.random((60, 2)) * 100.0
+    for some in (sensors, [*sensors[:20], Other(), *sensors[21:]]):
+        seen = sightings(some, poses, positions)
+        alone = [sensor.probability(positions, pose) for sensor, pose in zip(some, poses)]
+        assert [np.nonzero(p_d)[0].tolist() for p_d in alone] == [seen.targets[seen.sensors == index].tolist() for index in range(40)]
+        assert np.array_equal(np.concatenate([p_d[p_d > 0.0] for p_d in alone]), seen.probabilities)
+
+
 def ids_of(positions: np.ndarray) -> np.ndarray:
     return np.arange(1, len(positions) + 1, dtype=np.uint64)
 
