@@ -8,6 +8,7 @@ from numba import njit
 from agents.cell_kernels import distance
 
 Limits = tuple[float, float, float, float]
+BLOCK = 4  # points of a grid along each side of a block
 
 
 @njit
@@ -48,39 +49,64 @@ def _rivals(points: np.ndarray, table: np.ndarray, spacing: float) -> np.ndarray
 
 
 @njit
-def _owners(points: np.ndarray, table: np.ndarray, spacing: float, behind: float) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `interest.owners`."""
+def _candidates(points: np.ndarray, rivals: np.ndarray, behind: float, away: np.ndarray, found: np.ndarray) -> int:
+    """The indices of those rivals (K, 4) that may own anything near one of a few points, in ascending order: how many are `found`.
+    `away`: room for (K,).
+
+    From a circle around the points: the best of all is no worse anywhere in it than from its far side, at best the others are as near
+    as it allows, and who is best cannot be farther than his power distance and the largest radius say.
+    """
+    west, south, east, north = _limits(points)
+    x, y = 0.5 * (west + east), 0.5 * (south + north)
+    dx, dy = 0.5 * (east - west), 0.5 * (north - south)
+    radius, limit, most = math.sqrt(dx * dx + dy * dy), np.inf, 0.0
+    for n in range(len(rivals)):
+        dx, dy = rivals[n, 1] - x, rivals[n, 2] - y
+        away[n] = math.sqrt(dx * dx + dy * dy)
+        far = away[n] + radius
+        limit, most = min(limit, far * far - rivals[n, 3]), max(most, rivals[n, 3])
+    slack, count = behind * (2.0 * radius + math.sqrt(max(limit + most, 0.0))) + 1e-6, 0
+    for n in range(len(rivals)):
+        near = max(away[n] - radius, 0.0)
+        if near * near - rivals[n, 3] - behind * near <= limit + slack:
+            found[count] = n
+            count += 1
+    return count
+
+
+@njit
+def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray, spacing: float, behind: float) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `interest.owners`, of points that come in blocks."""
     rivals = _rivals(points, table, spacing)
     number = len(rivals)
-    power, missing = np.empty(number), np.arange(number)
-    found, least = np.zeros(len(table), np.bool_), np.empty(len(points))
-    left = number
-    for p in range(len(points)):
-        best = 0
-        for n in range(number):
-            dx, dy = rivals[n, 1] - points[p, 0], rivals[n, 2] - points[p, 1]
-            power[n] = dx * dx + dy * dy - rivals[n, 3]
-            if power[n] < power[best]:
-                best = n
-        least[p] = power[best]
-        kept = 0
-        for m in range(left):
-            n = missing[m]
-            dx, dy = rivals[n, 1] - rivals[best, 1], rivals[n, 2] - rivals[best, 2]
-            if power[n] - power[best] <= behind * math.sqrt(dx * dx + dy * dy):
-                found[int(rivals[n, 0])] = True
-            else:
-                missing[kept] = n
-                kept += 1
-        left = kept
+    power, near = np.empty(number), np.empty(number, np.int64)
+    found, least, start = np.zeros(len(table), np.bool_), np.empty(len(points)), 0
+    for end in ends:
+        count = _candidates(points[start:end], rivals, behind, power, near)
+        for p in range(start, end):
+            best, smallest = 0, np.inf
+            for m in range(count):
+                n = near[m]
+                dx, dy = rivals[n, 1] - points[p, 0], rivals[n, 2] - points[p, 1]
+                power[m] = dx * dx + dy * dy - rivals[n, 3]
+                if power[m] < smallest:
+                    best, smallest = n, power[m]
+            least[p] = smallest
+            for m in range(count):
+                n = near[m]
+                row = int(rivals[n, 0])
+                if not found[row]:
+                    dx, dy = rivals[n, 1] - rivals[best, 1], rivals[n, 2] - rivals[best, 2]
+                    found[row] = power[m] - smallest <= behind * math.sqrt(dx * dx + dy * dy)
+        start = end
     return found, least
 
 
 @njit
 def _region(
     cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float, arena: np.ndarray, margin: float, spacing: float
-) -> np.ndarray:
-    """Twin of `interest.region`."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `interest.region`, block after block of neighbouring points, and where each block ends."""
     west, south, east, north = _limits(cell)
     width = max(halo, reach) + margin + spacing
     first, bottom, last, top = _limits(arena)
@@ -88,16 +114,23 @@ def _region(
     last, top = min(max(east, eye[0]) + width, last), min(max(north, eye[1]) + width, top)
     columns, rows = 2 + int(max(last - first, 0.0) / spacing), 2 + int(max(top - bottom, 0.0) / spacing)
     points, count = np.empty((columns * rows, 2)), 0
+    ends, blocks = np.empty(columns * rows, np.int64), 0
     disc, ring = (reach + margin + spacing) * (reach + margin + spacing), halo + margin + spacing
-    for row in range(rows):
-        y = bottom + spacing * row
-        for column in range(columns):
-            x = first + spacing * column
-            dx, dy = x - eye[0], y - eye[1]
-            if dx * dx + dy * dy <= disc or distance(cell, x, y) <= ring:
-                points[count, 0], points[count, 1] = x, y
-                count += 1
-    return points[:count]
+    for south_row in range(0, rows, BLOCK):
+        for west_column in range(0, columns, BLOCK):
+            start = count
+            for row in range(south_row, min(south_row + BLOCK, rows)):
+                y = bottom + spacing * row
+                for column in range(west_column, min(west_column + BLOCK, columns)):
+                    x = first + spacing * column
+                    dx, dy = x - eye[0], y - eye[1]
+                    if dx * dx + dy * dy <= disc or distance(cell, x, y) <= ring:
+                        points[count, 0], points[count, 1] = x, y
+                        count += 1
+            if count > start:
+                ends[blocks] = count
+                blocks += 1
+    return points[:count], ends[:blocks]
 
 
 @njit
@@ -146,8 +179,8 @@ def wanted(
     number, home = len(table) - 1, cell
     if len(cell) == 0:
         home, halo = _threshold(table, arena, around, spacing), halo + appearing
-    points = _region(home, eye, halo, reach, arena, margin, spacing)
-    owning, least = _owners(points, table, spacing, behind)
+    points, ends = _region(home, eye, halo, reach, arena, margin, spacing)
+    owning, least = _owners(points, ends, table, spacing, behind)
     west, south, east, north = _limits(home)
     chosen = owning[:number]
     for n in range(number):
