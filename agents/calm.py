@@ -13,14 +13,13 @@ import msgspec
 import numpy as np
 
 from agents.config import AgentConfig
-from agents.words import COS, EAST, NORTH, RADIUS, REACH, ROW, SIN, Eye, Words, X, Y, learn
+from agents.words import COLUMNS, COS, EAST, NORTH, RADIUS, REACH, ROW, SIN, Eye, Words, X, Y, learn
 from protocol.codec import decode
 from protocol.keys import one_of
 from protocol.messages import WIRE_VERSION, Gossip
 
 SPOT = [X, Y, REACH, EAST, NORTH, RADIUS]  # the columns of `places`
 DIAGRAMS = ("voronoi", "voronoi-cod", "power")
-COLUMNS = ROW.size // 8
 SPANS = 7  # columns of the spans, see `gossip_kernels`
 _SLACK = 1.0 + 1e-12  # less than `neighbours` allows: who is not believed here is judged there
 

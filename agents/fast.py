@@ -31,7 +31,7 @@ from agents.config import AgentConfig, ExtractionSettings
 from agents.particles import NONE, Particles
 from agents.step import Step
 from agents.tiles import Rectangle
-from agents.words import Words
+from agents.words import COLUMNS, Words
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 from protocol.settings import ArenaSettings
 from protocol.streams import key
@@ -177,7 +177,7 @@ def in_view(particles: Particles, sensor: SensorModel, pose: Pose) -> tuple[floa
 
 _PREPARED: deque[tuple[AgentConfig, np.ndarray, np.ndarray]] = deque(maxlen=8)
 _NO_CORNERS = np.empty((0, 2))  # not read-only, for the sake of one compilation
-_NOTHING_SAID = np.empty((0, 4), np.float32), np.empty(0, np.uint64)
+_NOTHING_SAID = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty((0, COLUMNS))
 
 
 def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -196,13 +196,28 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     return prepared(config)
 
 
+def _box(states_bytes: bytes) -> bytes:
+    return round_kernels.box(np.frombuffer(states_bytes, dtype=np.float32).reshape(-1, 4)).tobytes()  # type: ignore[no-any-return]
+
+
+def said_near(words: Words, polygon: np.ndarray, task: Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States, ids and rows of gossips: of all who hear the same together, else only of those who say something of what is near."""
+    config = task.step.config
+    if config.timing.interest == "all" or words.stands_ready:
+        return *words.stated, words.table
+    (x, y), reach = task.pose[:2], task.sensor.reach + task.step.reach
+    near = round_kernels.touching(words.boxes(_box), polygon, config.filter.halo + task.step.reach, x, y, reach)
+    return *words.stated_by(near.tolist()), words.table[near]
+
+
 def refresh(task: Task) -> Refreshed:
     """See `arithmetic.in_steps`."""
     words, told, claim, config = task.words, task.told, task.claim, task.step.config
     if not words.all_wedges:
         return in_steps(FAST, task)
     settings, keys = prepared(config)
-    said, others = (told.stated, NONE) if isinstance(told, Words) else (_NOTHING_SAID, told)
+    polygon = task.polygon if len(task.polygon) else _NO_CORNERS
+    said, others = (said_near(told, polygon, task), NONE) if isinstance(told, Words) else (_NOTHING_SAID, told)
     updated, own, kept, *rest = round_kernels.refresh(
         settings,
         keys,
@@ -214,7 +229,7 @@ def refresh(task: Task) -> Refreshed:
         said,
         tuple(others),
         tuple(task.births),
-        task.polygon if len(task.polygon) else _NO_CORNERS,
+        polygon,
         claim.generators,
         claim.first,
         np.uint64(key(config.run.seed, "resample", task.owner)),

@@ -20,19 +20,51 @@ TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
 _S11 = np.uint64(11)
 
 
-@njit(cache=True)
-def _within_reach(
-    said: tuple, told: tuple, table: np.ndarray, polygon: np.ndarray, width: float, eye: tuple[float, float], reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the particles in gossips (states float32, ids; `table` says how many each and their weight) and of those told otherwise
-    (states, weights, ids): those within `width` m of the box around a polygon, or within `reach` m of a point."""
-    said_states, said_ids = said
-    states, weights, ids = told
+@njit
+def _around(polygon: np.ndarray, width: float) -> tuple[float, float, float, float]:
+    """West, south, east and north of the ground within `width` m of the box around a polygon."""
     west = south = np.inf
     east = north = -np.inf
     for c in range(len(polygon)):
         west, east = min(west, polygon[c, 0] - width), max(east, polygon[c, 0] + width)
         south, north = min(south, polygon[c, 1] - width), max(north, polygon[c, 1] + width)
+    return west, south, east, north
+
+
+@njit(cache=True)
+def box(states: np.ndarray) -> np.ndarray:
+    """West, south, east and north of some particles, (4,) m; inside out when there are none."""
+    limits = np.array([np.inf, np.inf, -np.inf, -np.inf])
+    for n in range(len(states)):
+        x, y = np.float64(states[n, 0]), np.float64(states[n, 1])
+        limits[0], limits[2] = min(limits[0], x), max(limits[2], x)
+        limits[1], limits[3] = min(limits[1], y), max(limits[3], y)
+    return limits
+
+
+@njit(cache=True)
+def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
+    """Which of these boxes (N, 4) hold anything that `_within_reach` could choose, by their indices in ascending order."""
+    west, south, east, north = _around(polygon, width)
+    found, count = np.empty(len(boxes), np.int64), 0
+    for n in range(len(boxes)):
+        left, low, right, high = boxes[n]
+        near = left <= east and right >= west and low <= north and high >= south
+        if near or (left <= x + reach and right >= x - reach and low <= y + reach and high >= y - reach):
+            found[count] = n
+            count += 1
+    return found[:count]
+
+
+@njit(cache=True)
+def _within_reach(
+    said: tuple, told: tuple, polygon: np.ndarray, width: float, eye: tuple[float, float], reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the particles in gossips (states float32, ids, and rows that say how many each and their weight) and of those told otherwise
+    (states, weights, ids): those within `width` m of the box around a polygon, or within `reach` m of a point."""
+    said_states, said_ids, table = said
+    states, weights, ids = told
+    west, south, east, north = _around(polygon, width)
     chosen, count = np.empty(len(said_ids) + len(ids), np.int64), 0
     for n in range(len(said_ids)):
         x, y = np.float64(said_states[n, 0]), np.float64(said_states[n, 1])
@@ -99,7 +131,7 @@ def refresh(
     )
     sensor, halo, step = table[mine], settings[HALO], settings[STEP]
     eye, reach = (sensor[0], sensor[1]), sensor[4]
-    states, weights, ids = _within_reach(said, told, table, polygon, halo + step, eye, reach + step)
+    states, weights, ids = _within_reach(said, told, polygon, halo + step, eye, reach + step)
     near_states, near_weights, near_ids, far_states, far_weights, _ = gather(
         states, weights, ids, births[0], births[1], births[2], polygon, halo, eye, reach, step, motion
     )

@@ -21,6 +21,7 @@ from protocol.sensing import Pose, SensorModel, WedgeSensor
 from protocol.streams import key
 
 ROW = struct.Struct("<15dQ")
+COLUMNS = ROW.size // 8
 _pack = ROW.pack
 X, Y, COS, SIN, REACH, COS_HALF, PROB, KAPPA, KIND, DETECTIONS, WEIGHT, EAST, NORTH, RADIUS, PARTICLES, SALT = range(16)  # columns
 SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
@@ -78,7 +79,7 @@ def learn(gossip: Gossip, sensor: SensorModel, config: AgentConfig) -> None:
 
 
 def _table(rows: bytearray) -> np.ndarray:
-    return np.frombuffer(rows, dtype=float).reshape(-1, ROW.size // 8)
+    return np.frombuffer(rows, dtype=float).reshape(-1, COLUMNS)
 
 
 Stated = tuple[np.ndarray, np.ndarray]  # states (N, 4) float32 and ids (N,) uint64
@@ -168,11 +169,28 @@ class Words:
 
         It is most of what a round reads, and nobody else asks before the next one: so only the last that was asked keeps it.
         """
-        if _LATEST and _LATEST[0][0] is self:
+        if self.stands_ready:
             return _LATEST[0][1]
-        states = np.frombuffer(bytearray().join([gossip.states_bytes for gossip in self.gossips]), dtype=np.float32)
-        ids = np.frombuffer(bytearray().join([gossip.ids_bytes for gossip in self.gossips]), dtype=np.uint64)
-        return self.remember(states.reshape(-1, 4), ids)
+        return self.remember(*self.stated_by([*range(len(self.gossips))]))
+
+    @property
+    def stands_ready(self) -> bool:
+        """Whether what is `stated` has been put together already."""
+        return bool(_LATEST) and _LATEST[0][0] is self
+
+    def stated_by(self, rows: list[int]) -> Stated:
+        """What is `stated` by some of them."""
+        gossips = self.gossips
+        states = np.frombuffer(bytearray().join([gossips[row].states_bytes for row in rows]), dtype=np.float32)
+        ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
+        return states.reshape(-1, 4), ids
+
+    def boxes(self, box: Callable[[bytes], bytes]) -> np.ndarray:
+        """West, south, east and north of the particles of each (N, 4), m; `box` finds them in bytes of states, once for each gossip."""
+        found: list[bytes] = [gossip.memo.get("box", b"") for gossip in self.gossips]
+        for place, gossip in enumerate(self.gossips) if b"" in found else ():
+            found[place] = gossip.memo["box"] = found[place] or box(gossip.states_bytes)
+        return np.frombuffer(b"".join(found), dtype=float).reshape(-1, 4)
 
     def remember(self, states: np.ndarray, ids: np.ndarray) -> Stated:
         """Take these as what was `stated`, until somebody else is asked."""

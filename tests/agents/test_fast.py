@@ -2,8 +2,9 @@
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from agents.arithmetic import PLAIN, Arithmetic, Task
 from agents.cells import NO_CELL, make_claim
-from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings
+from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings
 from agents.interest import Ground
 from agents.particles import NONE, Particles, join, select
 from agents.step import Step
@@ -24,7 +25,8 @@ from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 from protocol.streams import scramble
 
-FAST = pytest.importorskip("agents.fast").FAST
+fast = pytest.importorskip("agents.fast")
+FAST, said = fast.FAST, fast.said_near
 SIDE = 40.0
 ARENA, BOX = ArenaSettings(width=SIDE, height=SIDE), rectangle(SIDE, SIDE)
 seeds = st.integers(0, 2**32 - 1)
@@ -72,8 +74,9 @@ def diagram(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarra
     return points, radii
 
 
-def words(rng: np.random.Generator, particles: Particles) -> Words:
-    """Up to five scans of the paper's sensors, detections near particles and elsewhere; each says some of the particles."""
+def words(rng: np.random.Generator, particles: Particles, width: float = math.inf) -> Words:
+    """Up to five scans of the paper's sensors, detections near particles and elsewhere; each says some of the particles, those in a strip
+    of some width, m."""
     said = []
     for number in range(int(rng.integers(0, 6))):
         sensor = SENSOR_CLASSES["ABCDEFGH"[int(rng.integers(8))]]
@@ -81,7 +84,9 @@ def words(rng: np.random.Generator, particles: Particles) -> Words:
         detections = rng.random((count, 2)) * SIDE
         if count and len(particles.ids):
             detections[0] = particles.states[int(rng.integers(len(particles.ids))), :2] + 0.1
-        posed, held = pose(rng), select(particles, rng.random(len(particles.ids)) < 0.3)
+        middle = float(rng.random()) * SIDE
+        in_strip = np.abs(particles.states[:, 0] - middle) <= 0.5 * width
+        posed, held = pose(rng), select(particles, (rng.random(len(particles.ids)) < 0.3) & in_strip)
         gossip = Gossip(
             sender=f"s{number}",
             incarnation=1,
@@ -213,24 +218,43 @@ def test_moments_and_in_view(seed: int, count: int, name: str) -> None:
     assert_same("in_view", particles, SENSOR_CLASSES[name], pose(rng))
 
 
-@given(seeds, st.integers(0, 150), st.integers(1, 8), st.booleans(), st.sampled_from(["power", "none"]))
-@some
-def test_refresh(seed: int, size: int, count: int, in_words: bool, kind: str) -> None:
-    """All steps at once, with particles from gossips or from elsewhere, with a cell and without one."""
+def task(seed: int, size: int, count: int, kind: str, in_words: bool, interest: Literal["all", "neighbours"]) -> Task | None:
+    """A round with particles from gossips or from elsewhere, with a cell ("power") or without one; None if nobody says anything."""
     rng = np.random.default_rng(seed)
-    particles = cloud(rng, size)
-    said = words(rng, particles)
+    said = words(rng, cloud(rng, size), math.inf if interest == "all" else 6.0)
     if not said.names:
-        return
+        return None
     points, radii = diagram(rng, count)
     cell = PLAIN.cut(0, points, radii, BOX) if kind == "power" else NO_CELL
     bounds = list(cell.bounds)
     claim = make_claim(tuple(map(str, bounds)), np.column_stack([points, radii])[bounds], tuple((number, "") for number in bounds))
     mine = said.gossips[int(rng.integers(len(said.gossips)))]
     told = said if in_words else cloud(rng, size, 0.3)
-    born = cloud(rng, 12)
-    task = Task(mine.sender, mine.memo["sensor"], mine.pose, told, said, born, cell.polygon, claim, step(3, seed % 1000))
-    assert_same("refresh", task)
+    born, now = cloud(rng, 12), step(3, seed % 1000)
+    now = now._replace(config=msgspec.structs.replace(now.config, timing=TimingSettings(interest=interest)))
+    return Task(mine.sender, mine.memo["sensor"], mine.pose, told, said, born, cell.polygon, claim, now)
+
+
+@given(
+    seeds,
+    st.integers(0, 150),
+    st.integers(1, 8),
+    st.sampled_from(["power", "none"]),
+    st.booleans(),
+    st.sampled_from(["all", "neighbours"]),
+)
+@settings(max_examples=120)
+def test_refresh(seed: int, size: int, count: int, kind: str, in_words: bool, interest: Literal["all", "neighbours"]) -> None:
+    """All steps at once."""
+    found = task(seed, size, count, kind, in_words, interest)
+    if found is not None:
+        assert_same("refresh", found)
+
+
+def test_who_hears_a_part_reads_no_gossip_of_what_is_far() -> None:
+    found = [task(seed, 150, 8, "power", True, "neighbours") for seed in range(40)]
+    read = [len(said(one.told, one.polygon, one)[2]) for one in found if one is not None and isinstance(one.told, Words)]
+    assert 0 < sum(read) < 0.9 * sum(len(one.words.names) for one in found if one is not None)
 
 
 def test_nothing_at_all() -> None:
