@@ -185,12 +185,22 @@ class Agent:
         return QUIET
 
     def take_all(self, messages: list[Message], now: float) -> list[Effect]:
-        """Gossips and beacons have come, in this order: as if `handle` had taken one after the other, only cheaper (Node)."""
+        """Gossips, beacons and greetings have come, in this order: as if `handle` had taken one after the other, only cheaper (Node)."""
         effects: list[Effect] = QUIET
         for kind, group in groupby(messages, type):
             alike: list[Any] = list(group)
-            more = self._hear_each(alike, now) if kind is Gossip else self._see_each(alike, now)
+            take = self._hear_each if kind is Gossip else self._see_each if kind is Beacon else self._greet_each
+            more = take(alike, now)  # type: ignore[operator]
             effects = more if effects is QUIET else [*effects, *more]
+        return effects
+
+    def _greet_each(self, hellos: list[Hello], now: float) -> list[Effect]:
+        effects: list[Effect] = QUIET
+        for hello in hellos:
+            known = hello.role == "agent" and self.neighbours.knows(hello)
+            if not known or not self._presence.greet_again(hello.sender, now):
+                more = self._on_hello(hello, now)
+                effects = more if effects is QUIET else [*effects, *more]
         return effects
 
     def _see_each(self, beacons: list[Beacon], now: float) -> list[Effect]:
@@ -276,7 +286,7 @@ class Agent:
         doubts = lookout.doubt(gossip.tick, now)
         if doubts:
             self.counters["reopened"] += 1
-        effects = [*lookout.foretell(gossip, self.outcome), *lookout.turn(gossip, self.outcome), *doubts]
+        effects = [*lookout.after(gossip, self.outcome), *doubts]
         self.outcome.belief.everyone &= self.neighbours.circle.keys() | {self.name}
         return effects
 

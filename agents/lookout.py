@@ -16,6 +16,7 @@ from agents.config import AgentConfig
 from agents.hearsay import Hearsay, LeftBehind
 from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
 from agents.neighbours import Neighbours
+from agents.peers import Peer
 from agents.places import EAST, RADIUS, spot
 from agents.round import HORIZON, Outcome, Self
 from agents.tiles import Box, Rectangle, Tiling, bounds_of
@@ -56,21 +57,22 @@ class Lookout:
         self._asking = True
         self._said: Beacon | None = None
         self._box: Box | None = None  # the tiles that I listen to
-        self._known: Rectangle | None = None  # where I know of everybody; None: nowhere yet
+        self.known: Rectangle | None = None  # where I know of everybody; None: nowhere yet
         self._known_since = 0  # tick; from then on I know the whole box
         self._chosen_at = 0
         self._hearsay, self._behind = Hearsay(me.name, 2 * self._period), LeftBehind()
         self._spread = bounds.offset + JUMP  # m: a generator is so far at most from where its agent says its beacons
-        self._heard: dict[str, int] = {}  # whose gossip comes, and in which tick it was needed last
+        self._heard: dict[str, Peer] = {}  # the circle of the last choice
+        self._lingering: dict[str, int] = {}  # whose gossip comes all the same, and in which tick it was needed last
         self._watched: set[str] = set()  # whose token I see
+        self._forgotten = False  # somebody has been forgotten since I looked at the tokens
         self._spare: frozenset[str] | None = None  # see `spare`, when it has been asked for
 
     @property
     def spare(self) -> frozenset[str]:
         """Keys of the gossips that come and are not needed."""
         if self._spare is None:
-            needed = self._neighbours.circle.keys()
-            self._spare = frozenset([one_of(self._me.config.run.name, "gossip", name) for name in self._heard.keys() - needed])
+            self._spare = frozenset([one_of(self._me.config.run.name, "gossip", name) for name in self._lingering])
         return self._spare
 
     # ------------------------------------------------------------------ before the first word
@@ -99,7 +101,7 @@ class Lookout:
             choice, table = self._judge(self._first_cell(mine, observation.tick), mine, observation.tick)
             soon = choice.needed.wider(AHEAD)
             box = self._tiling.box(soon)
-            self._known = self._tiling.ground(self._box) if self._box else None
+            self.known = self._tiling.ground(self._box) if self._box else None
             self._questions += 1
             if not self._tiling.ground(self._box or box).holds(soon) and self._questions < MOST_QUESTIONS:
                 return self._listen(_union(box, self._box), mine)
@@ -125,14 +127,19 @@ class Lookout:
 
     def _table(self, mine: Beacon, tick: int) -> np.ndarray:
         """Where everybody is (`Places.table`), after those who are not there any more have been forgotten."""
-        self._neighbours.forget(tick - math.ceil(FORGOTTEN * self._period))
+        self._forgotten |= self._neighbours.forget(tick - math.ceil(FORGOTTEN * self._period))
         return self._neighbours.places.table(spot(mine, self._me.config))
 
     # ------------------------------------------------------------------ beacons
 
     def hear(self, beacon: Beacon) -> bool:
-        """A beacon of somebody else; whether it should be answered."""
-        return self._neighbours.see(beacon) or beacon.asks
+        """A beacon of somebody else; whether it should be answered.
+
+        Who is new to me may not know me either, unless I have only now come to hear him: he has just entered the ground that I know, or
+        I have just begun to listen where he is.
+        """
+        new = self._neighbours.see(beacon)
+        return beacon.asks or (new and self._knew(beacon.position))
 
     def hear_all(self, beacons: list[Beacon]) -> bool:
         """Beacons of others; whether one of them should be answered."""
@@ -145,9 +152,13 @@ class Lookout:
         """My newest beacon again."""
         return [msgspec.structs.replace(self._said, asks=False)] if self._said else []
 
-    def foretell(self, gossip: Gossip, outcome: Outcome) -> list[Effect]:
-        """At the end of a round: a beacon of where I shall be in the next tick, now and then and when that is a jump."""
+    def after(self, gossip: Gossip, outcome: Outcome) -> list[Effect]:
+        """At the end of a round: what follows from where I shall be in the next tick."""
         next_one = self._beacon(gossip.tick + 1, moved(gossip.pose, outcome.command, self._me.config), outcome.power_radius)
+        return [*self._foretell(next_one, gossip), *self._turn(next_one, gossip, outcome)]
+
+    def _foretell(self, next_one: Beacon, gossip: Gossip) -> list[Effect]:
+        """A beacon, now and then and when that is a jump."""
         if (gossip.tick + self._phase) % self._period and self._said and not _jumped(self._said, next_one):
             return []
         self._said = next_one
@@ -175,12 +186,11 @@ class Lookout:
 
     # ------------------------------------------------------------------ the choice
 
-    def turn(self, gossip: Gossip, outcome: Outcome) -> list[Effect]:
-        """At the end of a round: choose anew if it is time to."""
+    def _turn(self, next_one: Beacon, gossip: Gossip, outcome: Outcome) -> list[Effect]:
+        """Choose anew if it is time to."""
         if gossip.tick < self._chosen_at + self._between and not self._neighbours.changed and len(outcome.cell):
             return []  # an empty cell may appear anywhere, so who has none looks in every round
-        radius = outcome.power_radius
-        return self.look(outcome.cell, self._beacon(gossip.tick, moved(gossip.pose, outcome.command, self._me.config), radius), gossip.tick)
+        return self.look(outcome.cell, next_one, gossip.tick)
 
     def doubt(self, tick: int, now: float) -> list[Effect]:
         """At the end of a round: a new session, if the others have long been naming somebody here of whom I hear nothing."""
@@ -194,8 +204,12 @@ class Lookout:
         """A neighbour is more than one tick ahead of mine, `tick`: a new session, if that has been so for long."""
         return [Reopen(f"the others go on, and {self._me.name} has heard of no tick after {tick}")] if self._behind.hear(tick, now) else []
 
+    def _knew(self, place: tuple[float, float]) -> bool:
+        """Whether I should have heard of everybody who was lately there."""
+        return self.known is None or self.known.holds(Rectangle(*place, *place).wider(self._ground.drift))
+
     def _overlooks(self, place: tuple[float, float]) -> bool:
-        return self._known is not None and self._known.holds(Rectangle(*place, *place).wider(self._spread))
+        return self.known is not None and self.known.holds(Rectangle(*place, *place).wider(self._spread))
 
     def look(self, cell: np.ndarray, mine: Beacon, tick: int) -> list[Effect]:
         """Choose whom to hear from now on, and listen to the tiles that this takes; the subscriptions that follow."""
@@ -208,27 +222,35 @@ class Lookout:
 
     def _choose(self, choice: Choice, table: np.ndarray, tick: int) -> list[Effect]:
         self._neighbours.choose(table, choice)
-        self._neighbours.certified = self._known is not None and self._known.holds(choice.needed) and tick >= self._young
-        self._chosen_at = tick
-        return self._subscribe(tick)
+        self._neighbours.certified = self.known is not None and self.known.holds(choice.needed) and tick >= self._young
+        before, self._chosen_at = self._chosen_at, tick
+        return self._subscribe(before, tick)
 
-    def _subscribe(self, tick: int) -> list[Effect]:
+    def _subscribe(self, before: int, tick: int) -> list[Effect]:
         """Hear those who count now, and who counted a moment ago; see the tokens of all who have counted since I know of them.
 
         To listen and to cease costs more than to hear a few gossips too many, and who goes often comes back; a token costs nothing.
         """
-        heard, watched, needed, run = self._heard, self._watched, self._neighbours.circle.keys(), self._me.config.run.name
-        added = needed - heard.keys()
-        heard.update(dict.fromkeys(needed, tick))
-        dropped = [name for name, last in heard.items() if last + self._linger <= tick] if len(heard) > len(needed) else []
+        circle, run, lingering = self._neighbours.circle, self._me.config.run.name, self._lingering
+        added: set[str] = set()
+        seen: set[str] = set()
+        if circle is not self._heard:
+            needed, heard = circle.keys(), self._heard.keys()
+            added, seen = needed - heard - lingering.keys(), needed - self._watched
+            for name in lingering.keys() & needed:
+                del lingering[name]
+            lingering.update(dict.fromkeys(heard - needed, before))
+            self._heard, self._spare = circle, None
+        dropped = [name for name, last in lingering.items() if last + self._linger <= tick]
         for name in dropped:
-            del heard[name]
-        gossip, token = partial(one_of, run, "gossip"), partial(tokens_of, run, "agent")
-        self._spare = None
-        seen, unseen = needed - watched, watched - self._neighbours.peers.keys()
+            del lingering[name]
+            self._spare = None
+        unseen = self._watched - self._neighbours.peers.keys() if self._forgotten else set()
+        self._forgotten = False
         if not (added or dropped or seen or unseen):
             return []
-        self._watched = (watched | seen) - unseen
+        self._watched = (self._watched | seen) - unseen
+        gossip, token = partial(one_of, run, "gossip"), partial(tokens_of, run, "agent")
         return [
             *(Subscribe(gossip(name)) for name in sorted(added, key=order)),
             *(Subscribe(token(name)) for name in sorted(seen, key=order)),
@@ -240,8 +262,10 @@ class Lookout:
         """Follow the needed ground with the tiles; a tile is given up when it lies a whole side outside."""
         assert self._box is not None
         if tick >= self._known_since:
-            self._known = self._tiling.ground(self._box)
+            self.known = self._tiling.ground(self._box)
         soon = self._tiling.box(needed.wider(AHEAD))
+        if soon == self._box:
+            return []
         late = self._tiling.box(needed.wider(self._tiling.side))
         box = _union(soon, _common(self._box, late))
         if box == self._box:
@@ -249,7 +273,7 @@ class Lookout:
         grown = _union(box, self._box) != self._box
         effects = self._listen(box)
         if grown:  # until the newcomers' beacons have come, only what was known before and is still listened to is certain
-            self._known = _overlap(self._known, self._tiling.ground(box)) if self._known else None
+            self.known = _overlap(self.known, self._tiling.ground(box)) if self.known else None
             self._known_since = tick + self._period + 1
         return effects
 

@@ -6,10 +6,9 @@ stays a generator, where it was last heard, for `silent_rounds` rounds.
 """
 
 from bisect import bisect_left
-from collections.abc import KeysView, Sequence
+from collections.abc import Iterable, KeysView, Sequence
 from itertools import compress, islice
 from operator import attrgetter
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,24 +16,14 @@ from agents.calm import CalmRound, Expected, Reader, Roll
 from agents.config import AgentConfig
 from agents.interest import Choice
 from agents.peers import Peer, outfit_of, plausible
-from agents.places import EAST, RADIUS
+from agents.places import EAST, NOBODY, RADIUS, Far
 from agents.said import Said
 from agents.whereabouts import Whereabouts
 from agents.words import eye_of, learn
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 
-
-class Far(NamedTuple):
-    """Generators of those who are known but not listened to, where they were last: names, points (N, 2) m, radii (N,) m."""
-
-    names: tuple[str, ...]
-    points: np.ndarray
-    radii: np.ndarray
-
-
 Heard = dict[str, Gossip] | CalmRound  # the gossips of a tick by living peers, by name
-NOBODY = Far((), np.empty((0, 2)), np.empty(0))
 LOCAL_VIEW = 1  # of all who have heard everybody whom they must hear: their cells are those of one diagram
 
 
@@ -88,6 +77,13 @@ class Neighbours:
             peer.outfit, self._roll = outfit, None
         return None
 
+    def knows(self, hello: Hello) -> bool:
+        """Whether `greet` would learn nothing from it."""
+        peer = self.peers.get(hello.sender)
+        if peer is None or peer.incarnation != hello.incarnation or peer.outfit is None:
+            return False
+        return hello.sensor is None or hello.sensor is peer.outfit.sensor or hello.sensor == peer.outfit.sensor
+
     def hear_all(self, reader: Reader, keys: Sequence[str], payloads: Sequence[bytes]) -> KeysView[str] | None:
         """Gossips arrived; whose they were, if they could be read together. None: it is as if they had not come."""
         return self.said.read(self._roll or self.call_roll(reader), keys, payloads) if self._calm else None
@@ -116,12 +112,16 @@ class Neighbours:
             if peer is None:
                 if not self.local or name == self._name:
                     break
-            elif gossip.tick != tick or gossip.incarnation != peer.incarnation or not gossip.memo.get("plausible"):
-                break
-            else:
+            elif (
+                gossip.tick == tick
+                and gossip.incarnation == peer.incarnation
+                and (gossip.memo.get("plausible") or self._believable(gossip, peer))
+            ):
                 said[name] = gossip
                 taken += 1
                 awaited.discard(name)
+            else:
+                break
             at += 1
             if not awaited:
                 break
@@ -210,7 +210,7 @@ class Neighbours:
             if self.peers[name].missed >= self._silent:
                 self.places.remove(name)
         complete = len(self.said.spell_out().get(tick, ())) == len(self.circle)
-        self._calm = complete and (self._calm or self._steady())
+        self._calm = complete and (self._calm or self._steady(self.circle.values()))
         for said in self.said.close(tick, len(self.circle)):
             if self.local:
                 self.places.close(said, self.peers)
@@ -252,43 +252,50 @@ class Neighbours:
         self.places.see(peer, beacon)
         return back or silent or peer is not known
 
-    def forget(self, since: int) -> None:
-        """Who has not said for long where he is is not there any more; `since` is a tick."""
-        self.places.catch_up(self.peers)
+    def forget(self, since: int) -> bool:
+        """Who has not said for long where he is is not there any more; `since` is a tick. Whether there was such a one."""
+        self.places.catch_up(self.peers, steady=self._calm)
         before = len(self.peers)
         for name in self.places.forget(since):
             del self.peers[name]
         if len(self.peers) > len(self.places):
             self.peers = {name: peer for name, peer in self.peers.items() if name in self.places or (peer.gone_at or -1) >= since}
-        if len(self.peers) < before and not self.circle.keys() <= self.peers.keys():
-            self._listen_to([peer for name, peer in self.circle.items() if name in self.peers])
+        forgot = len(self.peers) < before
+        if forgot and not self.circle.keys() <= self.peers.keys():
+            self._listen_to([peer for name, peer in self.circle.items() if name in self.peers], [])
+        return forgot
 
     def choose(self, table: np.ndarray, choice: Choice) -> None:
         """From now on listen to the chosen of those N whose places stand in a table (N or more, 6)."""
         chosen, self.places.needed = choice
-        names, peers = self.places.names, self.peers
-        wanted = list(compress(names, chosen.tolist()))
-        if self.circle.keys() != set(wanted):
-            self._listen_to(sorted([peers[name] for name in wanted], key=attrgetter("rank")))
-        self.changed, others = False, ~chosen
-        generators = table[: len(names)][others]
-        self.far = Far(tuple(compress(names, others.tolist())), generators[:, EAST:RADIUS].copy(), generators[:, RADIUS].copy())
-        if self._version != self.places.version:
-            self._acquainted, self._version = self.places.everybody(), self.places.version
+        places, before, number = self.places, self.far, len(self.places)
+        if self._version != places.version:
+            self._acquainted, self._version = places.everybody(), places.version
+            names = tuple(places.names)
+        else:
+            names = before.everybody
+        if names is not before.everybody or chosen.tobytes() != before.chosen.tobytes():
+            wanted = set(compress(names, chosen.tolist()))
+            if self.circle.keys() != wanted:
+                kept = [peer for name, peer in self.circle.items() if name in wanted]
+                added = [self.peers[name] for name in wanted - self.circle.keys()]
+                self._listen_to(sorted([*kept, *added], key=attrgetter("rank")) if added else kept, added)
+        self.changed, self.far = False, Far(table[:number].compress(~chosen, axis=0)[:, EAST : RADIUS + 1], names, chosen)
 
-    def _listen_to(self, circle: list[Peer]) -> None:
-        """Count these in, in the order of names, and nobody else."""
+    def _listen_to(self, circle: list[Peer], added: list[Peer]) -> None:
+        """Count these in, in the order of names, and nobody else; some are `added`."""
         before, self.circle, self._roll = self.circle, {peer.name: peer for peer in circle}, None
-        self.said.drop(before.keys() - self.circle.keys())
-        self._calm = self._steady()
+        if len(circle) < len(before) + len(added):
+            self.said.drop(before.keys() - self.circle.keys())
+        self._calm = self._steady(added if self._calm else circle)
 
     def acquainted(self) -> frozenset[str]:
         """Who has been counted in beside me, so that claims cut from one diagram are expected of them."""
         return self._acquainted
 
-    def _steady(self) -> bool:
-        """Whether everybody's gossip will be taken that is well-formed and of the next tick."""
-        local, peers = self.local, self.circle.values()
+    def _steady(self, peers: Iterable[Peer]) -> bool:
+        """Whether every gossip of these will be taken that is well-formed and of the next tick."""
+        local = self.local
         return all(peer.gone_at is None and not peer.missed and peer.outfit is not None and (peer.token or local) for peer in peers)
 
     def _whole(self, tick: int) -> CalmRound | None:

@@ -21,7 +21,7 @@ class Outfit(NamedTuple):
     facts: SensorFacts
 
 
-@dataclass
+@dataclass(slots=True)
 class Peer:
     """What is known of another agent."""
 

@@ -1,6 +1,9 @@
 """Where everybody was last known to be: a row of numbers for each peer, kept up as its words arrive."""
 
 import struct
+from collections.abc import Iterable
+from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +30,21 @@ def spot(word: Word, config: AgentConfig) -> bytes:
         generator = eye if kind == "voronoi" else word.cod
         packed = word.memo["spot"] = SPOT.pack(*eye, reach, *generator, word.power_radius if kind == "power" else 0.0)
     return packed
+
+
+class Far(NamedTuple):
+    """Generators of those who are known but not listened to, where they were last: (N, 3), x, y and power radius in m."""
+
+    generators: np.ndarray
+    everybody: tuple[str, ...]  # they and those who are listened to
+    chosen: np.ndarray  # of them all: who is listened to, bool
+
+    def names(self) -> tuple[str, ...]:
+        """Theirs, in the order of the generators."""
+        return tuple(compress(self.everybody, (~self.chosen).tolist()))
+
+
+NOBODY = Far(np.empty((0, 3)), (), np.zeros(0, dtype=bool))
 
 
 class Places:
@@ -63,6 +81,19 @@ class Places:
             self._ticks[row] = tick
         self._numbers[SIZE * row : SIZE * (row + 1)] = packed
 
+    def put_all(self, words: Iterable[tuple[str, int, bytes]]) -> None:
+        """Put one after the other: names, ticks and rows."""
+        rows, ticks, numbers, put = self._rows, self._ticks, self._numbers, self.put
+        for name, tick, packed in words:
+            row = rows.get(name)
+            if row is None:
+                put(name, tick, packed)
+                numbers = self._numbers
+            elif tick >= ticks[row]:
+                ticks[row] = tick
+                start = SIZE * row
+                numbers[start : start + SIZE] = packed
+
     def everybody(self) -> frozenset[str]:
         """All names at present."""
         return frozenset(self._rows)
@@ -82,6 +113,9 @@ class Places:
     def forget(self, since: int) -> list[str]:
         """Remove those whose last word is older than the tick `since`; who they were."""
         if since <= self._oldest:
+            return []
+        self._oldest = min(self._ticks, default=since)
+        if self._oldest >= since:
             return []
         self._oldest = min([tick for tick in self._ticks if tick >= since], default=since)
         old = [name for name, tick in zip(self.names, self._ticks) if tick < since]

@@ -17,7 +17,8 @@ from agents.capacity import SensorFacts, power_radius, unused_capacity
 from agents.cells import NO_CELL, Cell, Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation
-from agents.neighbours import LOCAL_VIEW, Far, Heard, Neighbours
+from agents.neighbours import LOCAL_VIEW, Heard, Neighbours
+from agents.places import Far
 from agents.step import Step
 from agents.words import Words, side_by_side
 from protocol.geometry import EMPTY, polygon_centroid
@@ -117,8 +118,9 @@ def _own_cell(me: Self, speaking: Words, far: Far) -> Cell:
     if me.name not in speaking.names:
         return NO_CELL
     points, radii = speaking.points, speaking.radii
-    if far.names:
-        points, radii = np.concatenate([points, far.points]), np.concatenate([radii, far.radii])
+    if len(far.generators):
+        generators = np.concatenate([speaking.generators, far.generators])
+        points, radii = generators[:, :2].copy(), generators[:, 2].copy()
     return me.arithmetic.cut(speaking.names.index(me.name), points, radii, me.arena)
 
 
@@ -126,13 +128,13 @@ def _claim(speaking: Words, cell: Cell, far: Far) -> Claim:
     """The cell as generators, the own one first; the names that speak are in order, so whose index is smaller comes first."""
     if not cell.bounds:
         return NO_CLAIM
-    bounds, heard = np.array(cell.bounds), len(speaking.names)
-    if bounds.max() < heard:
+    bounds = np.array(cell.bounds)
+    if max(cell.bounds) < len(speaking.names):
         names = tuple([speaking.names[index] for index in cell.bounds])
-        return Claim(names, speaking.generators[bounds], bounds < bounds[0])
-    everybody = (*speaking.names, *far.names)
+        return Claim(names, speaking.generators[bounds], bounds < cell.bounds[0])
+    everybody = (*speaking.names, *far.names())
     names = tuple([everybody[index] for index in cell.bounds])
-    generators = np.vstack([speaking.generators, np.column_stack([far.points, far.radii])])[bounds]
+    generators = np.concatenate([speaking.generators, far.generators])[bounds]
     return make_claim(names, generators, tuple([order(name) for name in names]))
 
 

@@ -67,8 +67,8 @@ class Tiling:
 
     def tile(self, point: tuple[float, float]) -> Tile:
         """The tile of a point."""
-        column, row = (max(0, min(last, math.floor(place / self.side))) for place, last in zip(point, self._last))
-        return column, row
+        (x, y), (column, row), side = point, self._last, self.side
+        return max(0, min(column, math.floor(x / side))), max(0, min(row, math.floor(y / side)))
 
     def box(self, rectangle: Rectangle) -> Box:
         """The tiles that a rectangle touches."""

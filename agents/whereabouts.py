@@ -21,11 +21,12 @@ class Whereabouts(Places):
     def see(self, peer: Peer, word: Word) -> None:
         """Note where a peer is, if it is anywhere."""
         if self._counts(peer):
-            self.put(peer.name, word.tick, word.memo.get("spot") or spot(word, self._config))
+            self.put(peer.name, word.tick, self._spot(word))
 
     def see_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
         """Note where those are who are well known, and ask for nothing; the beacons of the others."""
-        others, silent, put = [], self._silent, self.put
+        others, silent = [], self._silent
+        seen: list[tuple[str, int, bytes]] = []
         for beacon in beacons:
             peer = peers.get(beacon.sender)
             if (
@@ -40,7 +41,8 @@ class Whereabouts(Places):
                 others.append(beacon)
             else:
                 peer.beacon = beacon
-                put(peer.name, beacon.tick, beacon.memo.get("spot") or spot(beacon, self._config))
+                seen.append((beacon.sender, beacon.tick, beacon.memo.get("spot") or spot(beacon, self._config)))
+        self.put_all(seen)
         return others
 
     def matters(self, beacon: Beacon) -> bool:
@@ -57,16 +59,19 @@ class Whereabouts(Places):
             self.catch_up(peers)
         self._together = said
 
-    def catch_up(self, peers: dict[str, Peer]) -> None:
-        """Note what was said in the rounds that are over."""
+    def catch_up(self, peers: dict[str, Peer], *, steady: bool = False) -> None:
+        """Note what was said in the rounds that are over. `steady`: all count who said something."""
         said, together, self._said, self._together = self._said, self._together, {}, None
-        for name, word in said.items():
-            if name in peers:
-                self.see(peers[name], word)
+        if said:
+            self._put_those([(name, word.tick, word.memo.get("spot") or self._spot(word)) for name, word in said.items()], peers, steady)
         if together is not None:
-            for name, packed in together.spots().items():
-                if name in peers and self._counts(peers[name]):
-                    self.put(name, together.tick, packed)
+            self._put_those([(name, together.tick, packed) for name, packed in together.spots().items()], peers, steady)
+
+    def _put_those(self, words: list[tuple[str, int, bytes]], peers: dict[str, Peer], steady: bool) -> None:
+        self.put_all(words if steady else [word for word in words if word[0] in peers and self._counts(peers[word[0]])])
+
+    def _spot(self, word: Word) -> bytes:
+        return word.memo.get("spot") or spot(word, self._config)
 
     def _counts(self, peer: Peer) -> bool:
         """Whether a peer is somewhere: it has not gone, and has not been silent for long."""

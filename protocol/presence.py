@@ -48,6 +48,14 @@ class Presence:
         self._greeted.add(name)
         return first
 
+    def greet_again(self, name: str, now: float) -> bool:
+        """A Hello of somebody has come; whether that is no news, and `split` could find nothing in it. Else it is as if it had not come."""
+        if now > self._calm_until or self._lost or name not in self._greeted:
+            return False
+        self._words[name] = now
+        self._voters.add(name)
+        return True
+
     def appear(self, name: str, incarnation: int) -> None:
         """The token of somebody has been seen."""
         self._up[name] = max(incarnation, self._up.get(name, 0))

@@ -24,7 +24,7 @@ class Seat:
     work: float = 0.0  # how long it takes over an observation, s
     at_work: bool = False
     armed: float | None = None  # the deadline for which the timer is set
-    box: list[Received] = field(default_factory=list)  # gossips and beacons of this instant, taken together
+    box: list[Received] = field(default_factory=list)  # what was said to many in this instant, taken together
     handle: Callable[[Event, float], list[Effect]] = field(init=False)  # those of the node, looked up once
     deadline: Callable[[], float | None] = field(init=False)
     take_all: Callable[[list[Message], float], list[Effect]] | None = field(init=False)

@@ -1,6 +1,6 @@
 """The virtual driver: many nodes in one process and in virtual time, on a bus of events.
 
-Events of one instant are delivered first come, first served, but gossips and beacons after all others, those of a listener together;
+Events of one instant are delivered first come, first served, but what is said to many after all others, that of a listener together;
 time moves on only when none is left. With `codec` the real bytes travel (each message is encoded and decoded once); a `Link` may drop,
 delay, copy or spoil them per receiver. Nodes can be stopped, slowed down, started twice under one name, and given clocks that jump.
 """
@@ -14,12 +14,12 @@ from typing import Protocol
 from protocol import codec
 from protocol.fields import Malformed
 from protocol.keys import is_of_tokens, message_key, tokens_of
-from protocol.messages import Beacon, Command, Gossip, Message, Observation
+from protocol.messages import Beacon, Command, Gossip, Hello, Message, Observation
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.routes import Routes
 from protocol.seats import Seat, place_of
 
-BOXED = (Gossip, Beacon)  # said to many; a listener takes all of them that have come in an instant together
+BOXED = (Gossip, Beacon, Hello)  # said to many; a listener takes all of them that have come in an instant together
 
 
 class Link(Protocol):
@@ -175,11 +175,13 @@ class VirtualBus:
     def _hand_all(self, fan: _Fan) -> None:
         """Bring a message to all its listeners; what agents say to each other goes into their boxes."""
         sender, event, boxed = fan.sender, fan.event, self._boxed
+        if not isinstance(event, Received) or not isinstance(event.message, BOXED):
+            for seat in fan.listeners:
+                if seat is not sender:
+                    self._hand(seat, event)
+            return
         for seat in fan.listeners:
             if seat is sender:
-                continue
-            if not isinstance(event, Received) or not isinstance(event.message, BOXED):
-                self._hand(seat, event)
                 continue
             if not seat.box:
                 boxed.append(seat)

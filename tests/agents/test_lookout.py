@@ -1,10 +1,11 @@
 """Whom an agent listens to as others come near and go away: who is needed no longer still comes for a while."""
 
+import msgspec
 import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
-from agents.interest import PERIOD
+from agents.interest import JUMP, PERIOD
 from agents.lookout import BUSY, FORGOTTEN, LINGER, LONGEST, SETTLE, UNHEARD, Lookout
 from agents.neighbours import Neighbours
 from protocol.geometry import rectangle
@@ -88,3 +89,24 @@ def test_who_hears_nobody_asks_again_nearby_before_it_looks_farther() -> None:
     neighbour.hear(beacon("s2", 0, 30.0))
     assert neighbour.due is not None
     assert any(isinstance(effect, Subscribe) for effect in neighbour.on_time(SEEN, outcome, neighbour.due))
+
+
+def settled() -> Lookout:
+    """Of s1, who knows s2 and s3 and has listened to all the tiles that it needs for some periods."""
+    watcher = lookout()
+    for tick in range(3 * int(PERIOD)):
+        look(watcher, tick, 30.0)
+    return watcher
+
+
+def test_a_newcomer_is_answered_who_should_have_been_heard_of_before() -> None:
+    """He may not know me either, unless he has just entered the ground that I know."""
+    watcher, now = settled(), 3 * int(PERIOD)
+    edge = max(box.east for box in [watcher.known] if box is not None)
+    for name, x, answered in (("s4", 20.0, True), ("s5", edge - JUMP - 0.5, False), ("s6", edge + 1.0, False), ("s4", 21.0, False)):
+        assert watcher.hear(beacon(name, now, x)) == answered
+    assert watcher.hear(msgspec.structs.replace(beacon("s7", now, edge + 1.0), asks=True))
+
+
+def test_while_little_is_known_whoever_is_new_is_answered() -> None:
+    assert lookout().hear(beacon("s2", 0, 30.0))

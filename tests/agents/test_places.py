@@ -42,6 +42,12 @@ def test_after_any_comings_and_goings_the_rows_are_those_of_a_dictionary() -> No
             if rng.random() < 0.3:
                 places.remove(name)
                 expected.pop(name, None)
+            elif rng.random() < 0.3:
+                many = [(f"s{other}", tick - int(rng.integers(3)), float(rng.integers(1000))) for other in rng.integers(12, size=5)]
+                places.put_all([(other, said, row(number)) for other, said, number in many])
+                for other, said, number in many:
+                    if said >= expected.get(other, (said, 0.0))[0]:
+                        expected[other] = said, number
             else:
                 places.put(name, tick, row(number))
                 expected[name] = tick, number
