@@ -186,11 +186,14 @@ def replay(recording: str, /, *, page: Page = True, speed: float = 1.0, publish:
 
 
 @app.command
-def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False) -> int:
-    """Measure this machine: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them."""
+def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False, seconds: float | None = None) -> int:
+    """Measure this machine: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them.
+
+    --seconds: how long realtime runs each of its swarms; a minute if it is not given.
+    """
     from deploy.commands import benching
 
-    return benching.bench(what, json)
+    return benching.bench(what, json, seconds)
 
 
 @app.command

@@ -141,32 +141,39 @@ def run(agents: int, spawn: str, settings: tuple[str, ...] = (), *, empty: bool 
     }
 
 
-def start() -> list[Row]:
-    """From `covey up` to the first closed round, and memory, with both ways to start."""
-    return [run(agents, spawn, window=2.0) for agents in (16, 48) for spawn in ("zygote", "exec")]
+ROUTER, NEIGHBOURS = ("network.mode=client",), ("timing.interest=neighbours",)
 
 
-def live(agents: tuple[int, ...] = (16, 48, 96)) -> list[Row]:
+def start() -> Iterator[Row]:
+    """From `covey up` to the first closed round, and memory, with both ways to start, and behind a router."""
+    for agents in (16, 48):
+        for spawn, settings in (("zygote", ()), ("zygote", ROUTER), ("exec", ())):
+            yield run(agents, spawn, settings, window=2.0)
+
+
+def live(agents: tuple[int, ...] = (16, 48, 96)) -> Iterator[Row]:
     """Lockstep rates, each after the same swarm with empty rounds, and the ratio of the two, by rate and by CPU."""
-    rows = []
     for number in agents:
         for settings in _choices(number):
             reference, real = (run(number, "zygote", settings, empty=empty) for empty in (True, False))
             real["of the empty rate"] = real["ticks per s"] / max(reference["ticks per s"], 1e-9)
             real["of the empty CPU"] = reference["CPU per tick, ms"] / max(real["CPU per tick, ms"], 1e-9)
-            rows += [reference, real]
-    return rows
+            yield from (reference, real)
 
 
 def _choices(agents: int) -> list[tuple[str, ...]]:
-    """Everybody linked to everybody or all to a router; and who hears whom. More than 48 hear their neighbours only."""
-    router, neighbours = ("network.mode=client",), ("timing.interest=neighbours",)
-    everybody: list[tuple[str, ...]] = [(), router] if agents <= 48 else [neighbours]
-    return everybody if agents < 48 else [*everybody, (*neighbours, *router)]
+    """Everybody linked to everybody or all to a router; and who hears whom. More than 48 are never linked to everybody."""
+    everybody: list[tuple[str, ...]] = [(), ROUTER] if agents <= 48 else [ROUTER]
+    return everybody if agents < 48 else [*everybody, (*NEIGHBOURS, *ROUTER)]
 
 
-def realtime(agents: int = 48, seconds: float = 60.0, settings: tuple[str, ...] = ()) -> list[Row]:
-    """At 4 Hz: rounds that were skipped, and the CPU that agents and world use."""
+def realtime(agents: int = 48, seconds: float = 60.0) -> Iterator[Row]:
+    """At 4 Hz for so long, behind a router and linked to everybody: rounds that were skipped, and the CPU that agents and world use."""
+    for settings in (ROUTER, ()):
+        yield _in_real_time(agents, seconds, settings)
+
+
+def _in_real_time(agents: int, seconds: float, settings: tuple[str, ...]) -> Row:
     words = [word for setting in settings for word in ("--set", setting)]
     with swarm(agents, "zygote", words) as running:
         time.sleep(SETTLE * agents)
@@ -175,18 +182,16 @@ def realtime(agents: int = 48, seconds: float = 60.0, settings: tuple[str, ...] 
         end = running.mark()
         received = running.deliveries(running.end()["rounds"])
     wall = end.at - begin.at
-    return [
-        {
-            "agents": agents,
-            "settings": " ".join(settings),
-            "wall, s": wall,
-            "ticks": end.tick - begin.tick,
-            "rounds skipped": end.skipped - begin.skipped,
-            "CPU, cores": (end.cpu - begin.cpu) / wall,
-            "received per agent-round": received,
-            "load": os.getloadavg()[0],
-        }
-    ]
+    return {
+        "agents": agents,
+        "settings": " ".join(settings),
+        "wall, s": wall,
+        "ticks": end.tick - begin.tick,
+        "rounds skipped": end.skipped - begin.skipped,
+        "CPU, cores": (end.cpu - begin.cpu) / wall,
+        "received per agent-round": received,
+        "load": os.getloadavg()[0],
+    }
 
 
 def pss(pid: int) -> int:

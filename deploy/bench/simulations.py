@@ -1,14 +1,17 @@
 """`covey bench simulate` and `scale`: how fast a swarm plays in virtual time, beside the centralised reference and as it grows."""
 
 import math
+import statistics
 import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from itertools import compress
 
 import numpy as np
 
 from agents.agent import Agent
 from deploy.bench import central
-from deploy.bench.timing import Row, cpu_seconds
+from deploy.bench.timing import Row, in_turns
 from deploy.scenario import Scenario, resolve
 from deploy.simulate import Simulation, compiled
 from protocol.messages import Message, Truth
@@ -17,6 +20,8 @@ from protocol.node import Effect, Event
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
 INSIDE = 60.0  # m from every edge of the arena: who is farther from them is counted apart
 ALIKE = range(26, 34)  # gossips: who hears so many is timed apart
+SETTLED, END = 26, 34  # ticks of a growing crowd: those between them are measured
+MOST_SEEDS = 20
 
 
 class Timed(Agent):
@@ -42,31 +47,29 @@ def figure_4(seconds: float) -> Scenario:
     return resolve("efficacy", {"team.composition": "4", "run.dt": 0.5, "run.seconds": seconds})
 
 
-def simulate(seconds: float = 60.0) -> list[Row]:
-    """Simulated seconds per second of CPU: with the codec, without, and the central filter without agents and messages."""
+def simulate(seconds: float = 60.0, turns: int = 3) -> Iterator[Row]:
+    """Simulated seconds per second of CPU: with the codec, without, and the central filter without agents and messages. They take turns, so
+    that all meet the machine in the same mood; medians."""
     scenario, arithmetic = figure_4(seconds), compiled()
+    kinds: dict[str, Callable[[], object]] = {
+        "with codec": lambda: Simulation(scenario).run(),
+        "without codec": lambda: Simulation(scenario, use_codec=False).run(),
+        "central": lambda: central.play(scenario, arithmetic),
+    }
     Simulation(figure_4(5.0)).run()
     central.play(figure_4(5.0), arithmetic)
-    reference = cpu_seconds(lambda: central.play(scenario, arithmetic))
-    rows = []
-    for name, codec in (("with codec", True), ("without codec", False)):
-        simulation = Simulation(scenario, use_codec=codec)
-        spent = cpu_seconds(simulation.run)
-        rounds = scenario.run.ticks * len(scenario.members)
-        rows.append(
-            {
-                "what": name,
-                "simulated s per CPU s": seconds / spent,
-                "ms per agent-round": 1000.0 * spent / rounds,
-                "of the central speed": reference / spent,
-            }
-        )
-    each = 1000.0 * reference / (scenario.run.ticks * len(scenario.members))
-    rows.append({"what": "central", "simulated s per CPU s": seconds / reference, "ms per agent-round": each, "of the central speed": 1.0})
-    return rows
+    spent = {name: statistics.median(times) for name, times in in_turns(kinds, turns).items()}
+    rounds = scenario.run.ticks * len(scenario.members)
+    for name, each in spent.items():
+        yield {
+            "what": name,
+            "simulated s per CPU s": seconds / each,
+            "ms per agent-round": 1000.0 * each / rounds,
+            "of the central speed": spent["central"] / each,
+        }
 
 
-def crowd(agents: int, interest: str, ticks: int) -> Scenario:
+def crowd(agents: int, interest: str, ticks: int, seed: int = 1) -> Scenario:
     """A swarm of classes A, C and D as in team 5, at its density of agents and of targets (50 per 48 agents)."""
     side = math.sqrt(agents * AREA_PER_AGENT)
     few, many = agents // 8, agents // 2
@@ -77,6 +80,7 @@ def crowd(agents: int, interest: str, ticks: int) -> Scenario:
         "arena.height": side,
         "run.dt": 0.5,
         "run.seconds": 0.5 * ticks,
+        "run.seed": seed,
         "timing.interest": interest,
         # twelve background births for every hundred metres squared, whatever the size
         "birth.background_particles": max(1, round(12 * side / 100.0)),
@@ -84,71 +88,96 @@ def crowd(agents: int, interest: str, ticks: int) -> Scenario:
     return resolve("efficacy", options)
 
 
-def scale(sizes: tuple[int, ...] = (48, 200, 400, 1000, 5000), ticks: int = 24) -> list[Row]:
-    """Per agent-round at constant density, once all have chosen their neighbours: CPU, deliveries, messages, bytes, peers listened to.
+def scale(sizes: tuple[int, ...] = (48, 200, 400, 1000, 5000), enough: int = 1000) -> Iterator[Row]:
+    """Per agent-round at constant density, once all have chosen their neighbours and whoever was heard of at the start only has been
+    forgotten: CPU, deliveries, messages, bytes, peers listened to. Of small swarms several are played, to measure `enough` agents.
 
     The CPU is that of agents, bus, codec and world; the swarm is not scored, because that is nobody's part of a round. In a small arena
     most agents live at its edge, where there are fewer to be heard: the time for each gossip heard and for each delivery leaves that out,
     and so does the time of those agents (without bus and world) that hear 26 to 33, and the number of those to whom an agent listens that
     is far from every edge.
     """
-    rows = []
+    smallest: dict[str, float] = {}
     for agents in sizes:
         for interest in ("all", "neighbours"):
             if interest == "all" and agents > 200:
                 continue  # grows with the square
-            rows.append(_steady(crowd(agents, interest, ticks if agents < 2000 else ticks // 2), interest))
-    for row in rows:
-        row["of the smallest"] = row["ms per agent-round"] / next(
-            first["ms per agent-round"] for first in rows if first["interest"] == row["interest"]
-        )
-    return rows
+            seeds = range(1, 1 + max(1, min(MOST_SEEDS, enough // agents)))
+            row = _steady([crowd(agents, interest, END + 1, seed) for seed in seeds], interest)
+            spent = row["ms per agent-round"]
+            yield {**row, "of the smallest": spent / smallest.setdefault(interest, spent)}
 
 
-def _steady(scenario: Scenario, interest: str) -> Row:
-    """The second half of a short run."""
-    ticks, begun = scenario.run.ticks, time.process_time()
-    simulation = Simulation(scenario, scores=False, build=Timed)
-    marks: list[tuple[float, int, int, int]] = []
-    half = ticks // 2
-    alike: list[float] = []
-    inside: list[int] = []
+@dataclass
+class _Sums:
+    """Of one or several swarms, in the ticks that count."""
 
-    def mark(truth: Truth) -> None:
-        if truth.tick in (half, ticks - 1):
-            marks.append((time.process_time(), simulation.bus.deliveries, simulation.bus.messages, simulation.bus.bytes))
-        for agent in simulation.agents.values():
-            assert isinstance(agent, Timed)
-            if truth.tick > half and len(agent.neighbours.circle) in ALIKE:
-                alike.append(agent.spent)
-            agent.spent = 0.0
-        if truth.tick == ticks - 1:
-            x, y, _ = truth.poses.T
-            far = np.minimum(np.minimum(x, y), np.minimum(scenario.arena.width - x, scenario.arena.height - y)) > INSIDE
-            inside.extend(len(simulation.agents[name].neighbours.circle) for name in compress(truth.bodies, far.tolist()))
+    spent: float = 0.0  # CPU, s
+    deliveries: int = 0
+    messages: int = 0
+    bytes: int = 0
+    start: float = 0.0  # CPU, s, until these ticks
+    heard: int = 0  # the rest is of the last tick, of all agents
+    known: int = 0
+    certified: int = 0
+    alike: list[float] = field(default_factory=list)  # CPU of the rounds of those who hear about the same number, s
+    inside: list[int] = field(default_factory=list)  # how many those hear who are far from every edge
 
-    simulation.on_truth = mark
-    simulation.run()
-    agents, rounds = len(scenario.members), len(scenario.members) * (ticks - 1 - half)
-    spent, deliveries, messages, size = ((late - early) / rounds for early, late in zip(marks[0], marks[-1]))
-    heard, known = (
-        sum(len(group) for group in groups) / agents
-        for groups in zip(*((agent.neighbours.circle, agent.neighbours.peers) for agent in simulation.agents.values()))
-    )
-    certified = sum(agent.neighbours.certified for agent in simulation.agents.values()) / agents
+
+def _steady(scenarios: list[Scenario], interest: str) -> Row:
+    """Swarms of one size, one after the other."""
+    sums = _Sums()
+    for scenario in scenarios:
+        _add(scenario, sums)
+    agents = len(scenarios[0].members)
+    lives = agents * len(scenarios)
+    rounds = lives * (END - SETTLED)
     return {
         "agents": agents,
         "interest": interest,
-        "ms per agent-round": 1000.0 * spent,
-        "ms if 26 to 33 are heard": 1000.0 * sum(alike) / len(alike) if alike else "",
-        "us per gossip heard": 1e6 * spent / max(1.0, heard),
-        "us per delivery": 1e6 * spent / deliveries,
-        "deliveries": deliveries,
-        "messages": messages,
-        "bytes": size,
-        "listened to": heard,
-        "listened to inside": sum(inside) / len(inside) if inside else "",
-        "known": known,
-        "certified": certified,
-        "start and first rounds, CPU s": marks[0][0] - begun,
+        "swarms": len(scenarios),
+        "ms per agent-round": 1000.0 * sums.spent / rounds,
+        "ms if 26 to 33 are heard": 1000.0 * sum(sums.alike) / len(sums.alike) if sums.alike else "",
+        "us per gossip heard": 1e6 * sums.spent / rounds * lives / max(1, sums.heard),
+        "us per delivery": 1e6 * sums.spent / max(1, sums.deliveries),
+        "deliveries": sums.deliveries / rounds,
+        "messages": sums.messages / rounds,
+        "bytes": sums.bytes / rounds,
+        "listened to": sums.heard / lives,
+        "listened to inside": sum(sums.inside) / len(sums.inside) if sums.inside else "",
+        "known": sums.known / lives,
+        "certified": sums.certified / lives,
+        "start and first rounds, CPU s": sums.start / len(scenarios),
     }
+
+
+def _add(scenario: Scenario, sums: _Sums) -> None:
+    """Play a swarm and count."""
+    begun = time.process_time()
+    simulation = Simulation(scenario, scores=False, build=Timed)
+    marks: list[tuple[float, int, int, int]] = []
+
+    def mark(truth: Truth) -> None:
+        if truth.tick in (SETTLED, END):
+            marks.append((time.process_time(), simulation.bus.deliveries, simulation.bus.messages, simulation.bus.bytes))
+        for agent in simulation.agents.values():
+            assert isinstance(agent, Timed)
+            if SETTLED < truth.tick <= END and len(agent.neighbours.circle) in ALIKE:
+                sums.alike.append(agent.spent)
+            agent.spent = 0.0
+        if truth.tick == END:
+            x, y, _ = truth.poses.T
+            far = np.minimum(np.minimum(x, y), np.minimum(scenario.arena.width - x, scenario.arena.height - y)) > INSIDE
+            sums.inside.extend(len(simulation.agents[name].neighbours.circle) for name in compress(truth.bodies, far.tolist()))
+
+    simulation.on_truth = mark
+    simulation.run()
+    (first, *before), (last, *after) = marks
+    deliveries, messages, size = (late - early for early, late in zip(before, after))
+    agents = simulation.agents.values()
+    sums.start += first - begun
+    sums.spent += last - first
+    sums.deliveries, sums.messages, sums.bytes = sums.deliveries + deliveries, sums.messages + messages, sums.bytes + size
+    sums.heard += sum(len(agent.neighbours.circle) for agent in agents)
+    sums.known += sum(len(agent.neighbours.peers) for agent in agents)
+    sums.certified += sum(agent.neighbours.certified for agent in agents)

@@ -2,7 +2,7 @@
 
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 Row = dict[str, Any]
@@ -22,6 +22,15 @@ def median_seconds(work: Callable[[], object], batches: int = 7, ready: Callable
         ready()
         found.append(cpu_seconds(work))
     return statistics.median(found[1:])
+
+
+def in_turns(kinds: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
+    """CPU times of some kinds of work, s, one after the other, so often; the speed of a machine changes within minutes."""
+    found: dict[str, list[float]] = {name: [] for name in kinds}
+    for _ in range(turns):
+        for name, work in kinds.items():
+            found[name].append(cpu_seconds(work))
+    return found
 
 
 def table(rows: Sequence[Row]) -> str:

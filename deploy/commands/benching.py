@@ -4,77 +4,83 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
+from contextlib import nullcontext
+
+from rich.console import Console
 
 from deploy.bench.timing import Row, table
 from protocol.settings import BadSetting
 
+LONGEST = 86400.0  # s
 
-def _round() -> list[Row]:
+
+def _round() -> Iterable[Row]:
     from deploy.bench import rounds
 
     return rounds.measure()
 
 
-def _codec() -> list[Row]:
+def _codec() -> Iterable[Row]:
     from deploy.bench import rounds
 
     return rounds.codec_rows()
 
 
-def _simulate() -> list[Row]:
+def _simulate() -> Iterable[Row]:
     from deploy.bench import simulations
 
     return simulations.simulate()
 
 
-def _scale() -> list[Row]:
+def _scale() -> Iterable[Row]:
     from deploy.bench import simulations
 
     return simulations.scale()
 
 
-def _start() -> list[Row]:
+def _start() -> Iterable[Row]:
     from deploy.bench import processes
 
     return processes.start()
 
 
-def _live() -> list[Row]:
+def _live() -> Iterable[Row]:
     from deploy.bench import processes
 
     return processes.live()
 
 
-def _realtime() -> list[Row]:
+def _realtime(seconds: float = 60.0) -> Iterable[Row]:
     from deploy.bench import processes
 
-    return processes.realtime()
+    return processes.realtime(seconds=seconds)
 
 
-def _memory() -> list[Row]:
+def _memory() -> Iterable[Row]:
     return [{key: row[key] for key in ("agents", "spawn", "PSS, MB")} for row in _start()]
 
 
-def _peers() -> list[Row]:
+def _peers() -> Iterable[Row]:
     from deploy.bench import peers
 
     return peers.measure()
 
 
-def _page() -> list[Row]:
+def _page() -> Iterable[Row]:
     from deploy.bench import pages
 
     return pages.measure()
 
 
-def _replay() -> list[Row]:
+def _replay() -> Iterable[Row]:
     from deploy.bench import pages
 
     return pages.replay()
 
 
-BENCHES: dict[str, Callable[[], list[Row]]] = {
+BENCHES: dict[str, Callable[[], Iterable[Row]]] = {
     "round": _round,
     "simulate": _simulate,
     "live": _live,
@@ -89,15 +95,32 @@ BENCHES: dict[str, Callable[[], list[Row]]] = {
 }
 
 
-def bench(what: str, as_json: bool) -> int:
-    """Run one benchmark or `all`; a table, and with --json one JSON object on the last line of standard output."""
+def bench(what: str, as_json: bool, seconds: float | None = None) -> int:
+    """Run one benchmark or `all`; a table, and with --json one JSON object on the last line of standard output.
+
+    `seconds`: for how long `realtime` runs each of its swarms.
+    """
     if what not in BENCHES and what != "all":
         raise BadSetting(f"bench {what!r}: should be one of {', '.join(BENCHES)}, or all")
+    if seconds is not None and (what != "realtime" or not 1.0 <= seconds <= LONGEST):
+        raise BadSetting(f"--seconds {seconds:g}: is for `bench realtime`, from 1 to {LONGEST:g}")
+    benches = {**BENCHES, "realtime": lambda: _realtime(seconds)} if seconds is not None else BENCHES
     found = {}
     for name in BENCHES if what == "all" else [what]:
-        found[name] = BENCHES[name]()
+        found[name] = _measure(name, benches[name])
         print(f"\n{name}\n{table(found[name])}", file=sys.stderr if as_json else sys.stdout, flush=True)
     if as_json:
         machine = {"cores": os.cpu_count(), "python": platform.python_version(), "machine": platform.machine(), "load": os.getloadavg()[0]}
         print(json.dumps({"machine": machine, **found}))
     return 0
+
+
+def _measure(name: str, measured: Callable[[], Iterable[Row]]) -> list[Row]:
+    """The rows of a benchmark; people see how many there are while they wait for the next."""
+    console, begun, rows = Console(stderr=True), time.monotonic(), []
+    with console.status(f"{name}: measuring") if console.is_terminal else nullcontext() as spinner:
+        for row in measured():
+            rows.append(row)
+            if spinner is not None:
+                spinner.update(f"{name}: {len(rows)} rows after {time.monotonic() - begun:.0f} s")
+    return rows

@@ -6,7 +6,8 @@ from agents.round import play
 from agents.words import learn
 from deploy.bench import central
 from deploy.bench.capture import capture, cold
-from deploy.bench.timing import median_seconds, table
+from deploy.bench.simulations import scale
+from deploy.bench.timing import in_turns, median_seconds, table
 from deploy.commands.benching import bench
 from deploy.scenario import Scenario, resolve
 from deploy.simulate import compiled, simulate
@@ -40,6 +41,27 @@ def test_cpu_time_is_positive_and_warm_up_is_not_counted() -> None:
     calls: list[int] = []
     assert median_seconds(lambda: calls.append(sum(range(20000))), batches=3) >= 0.0
     assert len(calls) == 4
+
+
+def test_kinds_of_work_take_turns() -> None:
+    done: list[str] = []
+    times = in_turns({"a": lambda: done.append("a"), "b": lambda: done.append("b")}, 2)
+    assert done == ["a", "b", "a", "b"] and [len(found) for found in times.values()] == [2, 2]
+
+
+def test_growing_crowds_are_measured_in_the_same_ticks() -> None:
+    rows = list(scale((24, 48), enough=50))
+    said = [(row["agents"], row["interest"], row["swarms"]) for row in rows]
+    assert said == [(24, "all", 2), (24, "neighbours", 2), (48, "all", 1), (48, "neighbours", 1)]
+    assert [row["of the smallest"] for row in rows[:2]] == [1.0, 1.0] and rows[0]["listened to"] == 23.0
+    assert all(row["ms per agent-round"] > 0.0 and row["certified"] > 0.95 and 4.0 < row["messages"] < 5.5 for row in rows[1::2])
+
+
+def test_only_real_time_is_measured_for_so_long() -> None:
+    with pytest.raises(BadSetting, match="--seconds 5: is for `bench realtime`, from 1 to 86400"):
+        bench("codec", False, 5.0)
+    with pytest.raises(BadSetting, match="--seconds 0"):
+        bench("realtime", False, 0.0)
 
 
 def test_an_unknown_benchmark_is_refused_by_name() -> None:
