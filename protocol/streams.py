@@ -38,8 +38,8 @@ def stream(seed: int, purpose: str, *indices: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(key(seed, purpose, *indices)))
 
 
-def scramble(words: np.ndarray, salt: int) -> np.ndarray:
-    """Independent-looking 64-bit hashes of `words` (N,) uint64 under the key `salt`."""
+def scramble(words: np.ndarray, salt: int | np.ndarray) -> np.ndarray:
+    """Independent-looking 64-bit hashes of `words` (N,) uint64 under the key `salt`, or each under its own key of an array (N,)."""
     words = words ^ np.uint64(salt)
     words = words + np.uint64(_GOLDEN)
     words = (words ^ (words >> np.uint64(30))) * np.uint64(_MIX1)

@@ -131,9 +131,45 @@ class Detector:
         """Sensor indices (M,) and points (M, 2) of the clutter."""
         numbers = np.searchsorted(self._counts, uniform(scramble(words, _COUNT)), side="right")
         busy = np.nonzero(numbers)[0]
-        points = [clutter_points(sensors[index], poses[index], int(numbers[index]), int(words[index])) for index in busy.tolist()]
-        owners = np.repeat(busy, [len(some) for some in points])
-        return owners, np.vstack([np.empty((0, 2)), *points])
+        those, places = [sensors[index] for index in busy.tolist()], [poses[index] for index in busy.tolist()]
+        wedges = [sensor for sensor in those if isinstance(sensor, WedgeSensor)]
+        if wedges and len(wedges) == len(those):
+            owners, points = _first_draws(wedges, places, numbers[busy], words[busy])
+            short = np.nonzero(np.bincount(owners, minlength=len(busy)) < numbers[busy])[0]
+            full = np.isin(owners, short, invert=True)
+            owners, points = owners[full], points[full]
+        else:
+            owners, points, short = np.empty(0, dtype=np.intp), np.empty((0, 2)), np.arange(len(busy))
+        more = [clutter_points(those[index], places[index], int(numbers[busy[index]]), int(words[busy[index]])) for index in short.tolist()]
+        owners = np.concatenate([owners, np.repeat(short, [len(some) for some in more])])
+        return busy[owners], np.vstack([points, *more])
+
+
+def _first_draws(
+    wedges: Sequence[WedgeSensor], poses: Sequence[Pose], numbers: np.ndarray, words: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of each of S wedges the first draws of its `clutter_points`: sensor indices (M,) and points (M, 2), no more than are asked for."""
+    batches = np.array([_batch(sensor, number) for sensor, number in zip(wedges, numbers.tolist())])
+    who = np.repeat(np.arange(len(wedges)), batches)
+    starts = np.cumsum(batches) - batches
+    dice = scramble((np.arange(len(who)) - starts[who]).astype(np.uint64), words[who])
+    points = _in_squares(dice, np.array([sensor.reach for sensor in wedges])[who, None], np.array(poses)[who, :2])
+    inside = wedge_probabilities(wedges, poses, who, points) > 0.0
+    so_far = np.cumsum(inside)
+    before = so_far[starts] - inside[starts]
+    taken = inside & (so_far - before[who] <= numbers[who])
+    return who[taken], points[taken]
+
+
+def _batch(sensor: SensorModel, number: int) -> int:
+    """How many points are drawn at once to get `number` of them inside a footprint."""
+    return 8 + min(2000 + 4 * number, math.ceil(number * 6.0 * sensor.reach**2 / max(sensor.area, 1e-300)))
+
+
+def _in_squares(dice: np.ndarray, reach: np.ndarray | float, places: np.ndarray) -> np.ndarray:
+    """Points (N, 2) uniform in the squares of half a side `reach` around the places."""
+    east, north = uniform(scramble(dice, _EAST)), uniform(scramble(dice, _NORTH))
+    return np.column_stack([2.0 * east - 1.0, 2.0 * north - 1.0]) * reach + places
 
 
 def clutter_points(sensor: SensorModel, pose: Pose, number: int, word: int) -> np.ndarray:
@@ -141,13 +177,12 @@ def clutter_points(sensor: SensorModel, pose: Pose, number: int, word: int) -> n
 
     A footprint that fills less than about 1e-4 of its square may get fewer.
     """
-    batch = 8 + min(2000 + 4 * number, math.ceil(number * 6.0 * sensor.reach**2 / max(sensor.area, 1e-300)))
+    batch = _batch(sensor, number)
     accepted: list[np.ndarray] = []
     found = 0
     for start in range(0, batch * _MOST_BATCHES, batch):
         dice = scramble(np.arange(start, start + batch, dtype=np.uint64), word)
-        east, north = uniform(scramble(dice, _EAST)), uniform(scramble(dice, _NORTH))
-        points = np.column_stack([2.0 * east - 1.0, 2.0 * north - 1.0]) * sensor.reach + np.array(pose[:2])
+        points = _in_squares(dice, sensor.reach, np.array(pose[:2]))
         accepted.append(points[sensor.probability(points, pose) > 0.0])
         found += len(accepted[-1])
         if found >= number:

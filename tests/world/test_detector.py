@@ -8,6 +8,7 @@ import pytest
 from protocol.fields import MAX_DETECTIONS
 from protocol.sensing import SENSOR_CLASSES, Pose, SensorModel, WedgeSensor
 from protocol.settings import DetectionSettings
+from protocol.streams import scramble, uniform
 from world import detector as detector_module
 from world.detector import Detector, clutter_points, count_in_view, poisson_table, sightings
 
@@ -49,6 +50,24 @@ def test_wedges_together_see_what_each_sees_alone(seed: int) -> None:
         alone = [sensor.probability(positions, pose) for sensor, pose in zip(some, poses)]
         assert [np.nonzero(p_d)[0].tolist() for p_d in alone] == [seen.targets[seen.sensors == index].tolist() for index in range(40)]
         assert np.array_equal(np.concatenate([p_d[p_d > 0.0] for p_d in alone]), seen.probabilities)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("clutter", [0.1, 2.0, 40.0])
+def test_the_clutter_of_wedges_together_is_that_of_each_alone(seed: int, clutter: float) -> None:
+    """Bit for bit, those included of whose first draws too few lie in the footprint."""
+    print(f"seed {seed}")
+    rng, detector = np.random.default_rng(seed), Detector(DetectionSettings(clutter=clutter), seed)
+    thin = WedgeSensor(math.radians(1.0), 10.0, 1.0)
+    sensors = [*(SENSOR_CLASSES[name] for name in "ABCDEFGH" * 5), thin, thin]
+    poses = [(x, y, turn) for x, y, turn in (rng.random((42, 3)) * [100.0, 100.0, 6.0]).tolist()]
+    for _ in range(10):
+        words = rng.integers(0, 2**63, size=42, dtype=np.uint64)
+        numbers = np.searchsorted(poisson_table(clutter), uniform(scramble(words, detector_module._COUNT)), side="right").tolist()
+        owners, points = detector._clutter(words, sensors, poses)
+        alone = [clutter_points(one, pose, number, int(word)) for one, pose, number, word in zip(sensors, poses, numbers, words)]
+        assert np.bincount(owners, minlength=42).tolist() == numbers
+        assert np.array_equal(points[np.argsort(owners, kind="stable")], np.vstack(alone))
 
 
 def ids_of(positions: np.ndarray) -> np.ndarray:
