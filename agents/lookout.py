@@ -58,7 +58,7 @@ class Lookout:
         self._said: Beacon | None = None
         self._box: Box | None = None  # the tiles that I listen to
         self.known: Rectangle | None = None  # where I know of everybody; None: nowhere yet
-        self._known_since = 0  # tick; from then on I know the whole box
+        self._soon_known: list[tuple[int, Rectangle]] = []  # from which tick on I know what as well, the earliest and smallest first
         self._chosen_at = 0
         self._hearsay, self._behind = Hearsay(me.name, 2 * self._period), LeftBehind()
         self._spread = bounds.offset + JUMP  # m: a generator is so far at most from where its agent says its beacons
@@ -222,6 +222,8 @@ class Lookout:
 
     def _choose(self, choice: Choice, table: np.ndarray, tick: int) -> list[Effect]:
         self._neighbours.choose(table, choice)
+        while self._soon_known and tick >= self._soon_known[0][0]:
+            self.known = self._soon_known.pop(0)[1]
         self._neighbours.certified = self.known is not None and self.known.holds(choice.needed) and tick >= self._young
         before, self._chosen_at = self._chosen_at, tick
         return self._subscribe(before, tick)
@@ -261,8 +263,6 @@ class Lookout:
     def _look_around(self, needed: Rectangle, tick: int) -> list[Effect]:
         """Follow the needed ground with the tiles; a tile is given up when it lies a whole side outside."""
         assert self._box is not None
-        if tick >= self._known_since:
-            self.known = self._tiling.ground(self._box)
         soon = self._tiling.box(needed.wider(AHEAD))
         if soon == self._box:
             return []
@@ -270,12 +270,12 @@ class Lookout:
         box = _union(soon, _common(self._box, late))
         if box == self._box:
             return []
-        grown = _union(box, self._box) != self._box
-        effects = self._listen(box)
-        if grown:  # until the newcomers' beacons have come, only what was known before and is still listened to is certain
-            self.known = _overlap(self.known, self._tiling.ground(box)) if self.known else None
-            self._known_since = tick + self._period + 1
-        return effects
+        grown, ground = _union(box, self._box) != self._box, self._tiling.ground(box)
+        self.known = _overlap(self.known, ground) if self.known else None
+        self._soon_known = [(since, _overlap(some, ground)) for since, some in self._soon_known]
+        if grown:  # the beacons of all newcomers will have come by then
+            self._soon_known.append((tick + self._period + 1, ground))
+        return self._listen(box)
 
     def _listen(self, box: Box, asking: Beacon | None = None) -> list[Effect]:
         """Listen to the tiles of a box and to no others; ask those who live in the new ones, if there is something to ask with."""

@@ -8,6 +8,7 @@ from agents.config import AgentConfig, TimingSettings
 from agents.interest import JUMP, PERIOD
 from agents.lookout import BUSY, FORGOTTEN, LINGER, LONGEST, SETTLE, UNHEARD, Lookout
 from agents.neighbours import Neighbours
+from agents.tiles import Rectangle
 from protocol.geometry import rectangle
 from protocol.keys import one_of, tokens_of
 from protocol.messages import Beacon, Observation
@@ -110,3 +111,17 @@ def test_a_newcomer_is_answered_who_should_have_been_heard_of_before() -> None:
 
 def test_while_little_is_known_whoever_is_new_is_answered() -> None:
     assert lookout().hear(beacon("s2", 0, 30.0))
+
+
+def test_new_ground_is_known_after_a_period_though_more_has_been_added_since() -> None:
+    watcher, now, period = settled(), 3 * int(PERIOD), int(PERIOD)
+    east = [box.east for step in range(period + 2) for box in [grown(watcher, step, now + step)]]
+    assert east[: period + 1] == [east[0]] * (period + 1)
+    assert east[0] < east[period + 1] < float("inf")
+
+
+def grown(watcher: Lookout, step: int, tick: int) -> Rectangle:
+    """The ground that is known after a choice for a cell that is 18 m wider, one tile, in each step."""
+    watcher.look(rectangle(56.0 + 18.0 * step, 20.0), beacon("s1", tick, 10.0), tick)
+    assert watcher.known is not None
+    return watcher.known
