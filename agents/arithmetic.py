@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents import cells, phd
+from agents import cells, claims, phd
 from agents.births import background_births, near_part
 from agents.calm import Reader
-from agents.cells import Cell, Claim
+from agents.cells import Cell
+from agents.claims import Claim
 from agents.extraction import estimate_targets
 from agents.interest import Choice, wanted
 from agents.particles import Particles, canonical, join, select, total
@@ -54,6 +55,8 @@ class Arithmetic(NamedTuple):
     cut_all: Callable[..., list[Cell]]
     distances: Callable[..., np.ndarray]
     owned: Callable[..., np.ndarray]
+    unclaimed: Callable[..., np.ndarray]
+    undisputed: Callable[..., np.ndarray]
     births: Callable[[Step], Particles]
     predict: Callable[[Particles, Step], Particles]
     gather: Callable[..., tuple[Particles, Particles]]
@@ -104,7 +107,7 @@ def update(particles: Particles, words: Words, polygon: np.ndarray, step: Step) 
 
 def take(particles: Particles, claim: Claim, arena: ArenaSettings) -> Particles:
     """The particles in a claimed cell, in canonical order."""
-    return canonical(select(particles, cells.owned(particles.states, claim, arena)))
+    return canonical(select(particles, claims.owned(particles.states, claim, arena)))
 
 
 def resample(particles: Particles, owner: str, step: Step) -> Particles:
@@ -151,7 +154,9 @@ PLAIN = Arithmetic(
     cut=cells.cut,
     cut_all=cells.cut_all,
     distances=geometry.distances,
-    owned=cells.owned,
+    owned=claims.owned,
+    unclaimed=claims.unclaimed,
+    undisputed=claims.undisputed,
     births=births,
     predict=predict,
     gather=gather,

@@ -7,14 +7,12 @@ lands in exactly one cell, and the particles of a dead agent live on in the copi
 
 import math
 from dataclasses import dataclass
-from itertools import groupby
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from agents.arithmetic import Arithmetic
-from agents.cells import Claim, depths, in_arena, make_claim, paired_power_distances, power_distances
+from agents.claims import NO_CLAIM, Claim, in_arena, make_claim
 from agents.config import AgentConfig
 from agents.particles import NONE, Particles, canonical, join, select
 from agents.step import Step
@@ -22,7 +20,6 @@ from agents.words import Words, particles_of
 from protocol.keys import order
 from protocol.messages import Gossip
 
-NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
 MOST_COPIES = 6000  # a backstop against growth without bound: so many copies,
 MOST_TIMES = 4.0  # or so many times what a fresh draw of their mass would have
 
@@ -117,14 +114,13 @@ class Belief:
         if agreed and self.everyone and self.everyone.issubset(words.names):
             return words
         shares = [share_of(gossip) for gossip in words.gossips if gossip.claim_tick == tick - 1 and gossip.sender != self.mine.owner]
-        claims = [self.mine, *(share._replace(view=~share.view) if share.owner in strangers else share for share in shares)]
-        told = _uncontested(claims, config.timing.overlap)
+        shares.insert(0, self.mine)
+        claims, views = [share.claim for share in shares], [~share.view if share.owner in strangers else share.view for share in shares]
+        told, sizes = join([share.particles for share in shares]), [len(share.particles.ids) for share in shares]
+        kept = arithmetic.undisputed(told.states, sizes, claims, views, config.timing.overlap)
         copies = self.copies.all()
-        free = np.arange(len(copies.ids))
-        for share in claims:
-            if share.claim.names:
-                free = free[~arithmetic.owned(copies.states[free], share.claim, config.arena)]
-        return canonical(join([told, select(copies, free)]))
+        free = arithmetic.unclaimed(copies.states, claims, config.arena)
+        return canonical(join([select(told, kept), select(copies, free)]))
 
     def awake(self, step: Step, arithmetic: Arithmetic) -> "Belief":
         """This belief as a copy of the tick before `step.tick`, for an agent that missed rounds: nothing in it is claimed any more."""
@@ -134,27 +130,6 @@ class Belief:
         for missed in range(self.stamp + 1, step.tick):
             particles = arithmetic.predict(particles, step._replace(tick=missed))
         return Belief(step.tick - 1, Share(self.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
-
-
-def _uncontested(claims: list[Share], overlap: float) -> Particles:
-    """The particles of all shares but for those deep inside another's claim and nearer to its owner in power distance."""
-    told = join([share.particles for share in claims])
-    keep, start = np.ones(len(told.ids), dtype=bool), 0
-    for view, group in groupby(claims, attrgetter("view")):
-        shares = list(group)
-        sizes = [len(share.particles.ids) for share in shares]
-        first, start = start, start + sum(sizes)
-        rivals = [other.claim for other in claims if other.view != view and other.claim.names]
-        if start == first or not rivals:
-            continue
-        states = told.states[first:start]
-        centres = np.array([share.claim.generators[0] for share, size in zip(shares, sizes) if size])
-        own = paired_power_distances(states, np.repeat(centres, [size for size in sizes if size], axis=0))
-        nearer = power_distances(states, np.array([claim.generators[0] for claim in rivals])) < own[:, None]
-        for number in np.flatnonzero(nearer.any(axis=0)).tolist():
-            theirs = np.flatnonzero(nearer[:, number] & keep[first:start])
-            keep[first + theirs] = depths(states[theirs], rivals[number]) <= overlap
-    return select(told, keep)
 
 
 def start(prior: Particles, name: str) -> Belief:

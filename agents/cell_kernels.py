@@ -37,26 +37,6 @@ def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
     return found
 
 
-@njit(cache=True)
-def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Twin of `cells.owned` and the arena test: which points lie in the arena and in the cell of generator 0."""
-    mine = np.empty(len(points), dtype=np.bool_)
-    for n in range(len(points)):
-        x, y = points[n, 0], points[n, 1]
-        inside = len(generators) > 0 and 0.0 <= x <= width and 0.0 <= y <= height
-        if inside:
-            dx, dy = x - generators[0, 0], y - generators[0, 1]
-            own = dx * dx + dy * dy - generators[0, 2] * generators[0, 2]
-            for g in range(1, len(generators)):
-                dx, dy = x - generators[g, 0], y - generators[g, 1]
-                other = dx * dx + dy * dy - generators[g, 2] * generators[g, 2]
-                if not (own < other if first[g] else own <= other):
-                    inside = False
-                    break
-        mine[n] = inside
-    return mine
-
-
 @njit
 def _room(number: int, corners: int) -> tuple:
     """Scratch for cutting cells out of an arena with so many corners among so many generators."""

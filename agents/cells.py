@@ -1,8 +1,7 @@
 """Power cells: the generators are (points (N, 2) m, radii (N,) m); generator k owns x when |x - p_k|^2 - r_k^2 is least (15).
 
 Ties go to the lower index, so coincident equal generators give the cell to the first and nothing to the others. Empty cells are
-normal, and a cell need not hold its own generator. A *claim* states a cell by its generators, the owner's own first, so that a
-receiver decides about a particle with the very arithmetic of the owner.
+normal, and a cell need not hold its own generator.
 """
 
 import math
@@ -11,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.geometry import EMPTY
-from protocol.settings import ArenaSettings
 
 TOUCH = 1.0e-6  # m: a generator this close to bounding a cell belongs to its claim
 
@@ -110,55 +108,3 @@ def _clip(corners: list[tuple[float, float]], nx: float, ny: float, limit: float
 
 def _area(corners: list[tuple[float, float]]) -> float:
     return 0.5 * sum(corners[i - 1][0] * corners[i][1] - corners[i][0] * corners[i - 1][1] for i in range(len(corners)))
-
-
-class Claim(NamedTuple):
-    """A cell as its owner states it: generators (G, 3) of COD x, y and power radius, the owner's first."""
-
-    names: tuple[str, ...]
-    generators: np.ndarray
-    first: np.ndarray  # (G,) bool: this generator comes before the owner in the order of names, and wins ties
-
-
-def make_claim(names: tuple[str, ...], generators: np.ndarray, order: tuple[tuple[int, str], ...]) -> Claim:
-    """The claim of the owner `names[0]`; `order` holds the sort key of each name."""
-    return Claim(names, generators, np.array([other < order[0] for other in order], dtype=bool))
-
-
-def power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
-    """|x - p|^2 - r^2 in m^2 of points (N, 2) to generators (G, 3): (N, G)."""
-    dx = points[:, 0, None] - generators[None, :, 0]
-    dy = points[:, 1, None] - generators[None, :, 1]
-    return dx * dx + dy * dy - generators[None, :, 2] * generators[None, :, 2]
-
-
-def paired_power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
-    """|x - p|^2 - r^2 in m^2 of each point (N, 2) to the generator (N, 3) in the same row: (N,)."""
-    dx, dy, radii = points[:, 0] - generators[:, 0], points[:, 1] - generators[:, 1], generators[:, 2]
-    return dx * dx + dy * dy - radii * radii  # type: ignore[no-any-return]
-
-
-def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
-    """Which points (N, 2 or more columns) lie in the arena and in the claimed cell: (N,) bool."""
-    if not claim.names:
-        return np.zeros(len(points), dtype=bool)
-    distances = power_distances(points, claim.generators)
-    mine = distances[:, :1]
-    inside: np.ndarray = np.all(np.where(claim.first[None, :], mine < distances, mine <= distances), axis=1)
-    return inside & in_arena(points, arena)
-
-
-def in_arena(points: np.ndarray, arena: ArenaSettings) -> np.ndarray:
-    """Which points lie in the arena, its border included: (N,) bool."""
-    x, y = points[:, 0], points[:, 1]
-    return (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
-
-
-def depths(points: np.ndarray, claim: Claim) -> np.ndarray:
-    """How deep in m each point (N, 2) lies inside a claimed cell: distance to its nearest bisector, negative outside; (N,)."""
-    if len(claim.names) < 2:
-        return np.full(len(points), math.inf)
-    distances = power_distances(points, claim.generators)
-    offsets = claim.generators[1:, :2] - claim.generators[0, :2]
-    spans = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
-    return ((distances[:, 1:] - distances[:, :1]) / (2.0 * np.maximum(spans, 1e-9))).min(axis=1)

@@ -5,13 +5,15 @@ Importing this file imports numba. Sensors other than wedges are corrected by th
 
 import math
 from collections import deque
-from itertools import pairwise
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
 
 import numpy as np
 
 from agents import (
     birth_kernels,
     cell_kernels,
+    claim_kernels,
     extraction_kernels,
     gossip_kernels,
     interest,
@@ -26,7 +28,8 @@ from agents.arithmetic import in_view as plain_in_view
 from agents.arithmetic import update as plain_update
 from agents.births import DIRECTIONS, inflow, sensor_row
 from agents.calm import Reader
-from agents.cells import NO_CELL, TOUCH, Cell, Claim
+from agents.cells import NO_CELL, TOUCH, Cell
+from agents.claims import Claim
 from agents.config import AgentConfig, ExtractionSettings
 from agents.particles import NONE, Particles
 from agents.step import Step
@@ -58,8 +61,26 @@ def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
-    """See `cells.owned`."""
-    return cell_kernels.owned(points, claim.generators, claim.first, arena.width, arena.height)  # type: ignore[no-any-return]
+    """See `claims.owned`."""
+    return claim_kernels.owned(points, claim.generators, claim.first, arena.width, arena.height)  # type: ignore[no-any-return]
+
+
+def unclaimed(points: np.ndarray, claims: Sequence[Claim], arena: ArenaSettings) -> np.ndarray:
+    """See `claims.unclaimed`."""
+    generators, first, ends = _end_to_end(claims)
+    return claim_kernels.unclaimed(points, generators, first, ends, arena.width, arena.height)  # type: ignore[no-any-return]
+
+
+def undisputed(points: np.ndarray, sizes: Sequence[int], claims: Sequence[Claim], views: Sequence[int], overlap: float) -> np.ndarray:
+    """See `claims.undisputed`."""
+    generators, _, ends = _end_to_end(claims)
+    return claim_kernels.undisputed(points, np.array(sizes), generators, ends, np.array(views), overlap)  # type: ignore[no-any-return]
+
+
+def _end_to_end(claims: Sequence[Claim]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Generators of all claims (G, 3), who of them wins ties (G,), and where each claim ends (C,)."""
+    ends = np.array(list(accumulate([len(claim.names) for claim in claims])))
+    return np.concatenate([claim.generators for claim in claims]), np.concatenate([claim.first for claim in claims]), ends
 
 
 Motion = tuple[np.uint64, np.uint64, np.uint64, float, float, float, float, float, bool, float, float]
@@ -255,6 +276,8 @@ FAST = Arithmetic(
     cut_all=cut_all,
     distances=distances,
     owned=owned,
+    unclaimed=unclaimed,
+    undisputed=undisputed,
     births=births,
     predict=predict,
     gather=gather,

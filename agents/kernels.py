@@ -9,7 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
-from agents.cell_kernels import distance, owned
+from agents.cell_kernels import distance
+from agents.claim_kernels import owned
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)

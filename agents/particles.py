@@ -34,7 +34,8 @@ def join(parts: list[Particles]) -> Particles:
 
 def select(particles: Particles, chosen: np.ndarray) -> Particles:
     """The particles that a mask or an index array names."""
-    return Particles(particles.states[chosen], particles.weights[chosen], particles.ids[chosen])
+    rows = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
+    return Particles(particles.states.take(rows, axis=0), particles.weights.take(rows), particles.ids.take(rows))
 
 
 def canonical(particles: Particles) -> Particles:

@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.arithmetic import Arithmetic, Refreshed, Task
-from agents.belief import NO_CLAIM, Belief, Copies, Round, Share
+from agents.belief import Belief, Copies, Round, Share
 from agents.calm import CalmRound
 from agents.capacity import SensorFacts, power_radius, unused_capacity
-from agents.cells import NO_CELL, Cell, Claim, make_claim
+from agents.cells import NO_CELL, Cell
+from agents.claims import NO_CLAIM, Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation
 from agents.neighbours import LOCAL_VIEW, Heard, Neighbours

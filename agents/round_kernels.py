@@ -6,7 +6,7 @@ One call instead of ten: what lies between the steps stays in compiled code. Rul
 import numpy as np
 from numba import njit
 
-from agents.cell_kernels import owned
+from agents.claim_kernels import owned
 from agents.extraction_kernels import estimate_targets
 from agents.kernels import first_moments, gather, in_view, resample, scramble, take
 from agents.update_kernels import update

@@ -15,7 +15,8 @@ import pytest
 from agents.arithmetic import in_view, moments
 from agents.births import Scan, prior
 from agents.capacity import centroid_of_detection, detecting_capability, power_radius, unused_capacity
-from agents.cells import power_cell, power_distances
+from agents.cells import power_cell
+from agents.claims import power_distances
 from agents.config import BirthSettings, CapacitySettings, FilterSettings
 from agents.control import STAND, Lloyd, Situation, approach
 from agents.particles import NONE, Particles

@@ -9,7 +9,8 @@ import numpy as np
 from agents.arithmetic import Arithmetic
 from agents.births import background_births, prior
 from agents.capacity import SensorFacts, place, power_radius, sensor_facts, unused_capacity
-from agents.cells import Cell, Claim
+from agents.cells import Cell
+from agents.claims import Claim
 from agents.control import Lloyd, Situation
 from agents.particles import NONE, Particles, join
 from agents.step import Step

@@ -11,7 +11,7 @@ import numpy as np
 
 from agents import agent
 from agents.belief import Belief, Copies, Share
-from agents.cells import make_claim
+from agents.claims import make_claim
 from agents.neighbours import Neighbours
 from agents.particles import NONE, Particles
 from agents.round import Outcome, Self

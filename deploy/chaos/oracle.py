@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.births import background_births
-from agents.cells import Claim
+from agents.claims import Claim
 from agents.config import AgentConfig
 from agents.particles import NONE, Particles, canonical, join, select
 from agents.step import Step

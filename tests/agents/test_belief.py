@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from agents.arithmetic import PLAIN
-from agents.belief import MOST_COPIES, NO_CLAIM, Belief, Copies, Round, Share, share_of, start, worth_keeping
-from agents.cells import make_claim
+from agents.belief import MOST_COPIES, Belief, Copies, Round, Share, share_of, start, worth_keeping
+from agents.claims import NO_CLAIM, make_claim
 from agents.config import AgentConfig, TimingSettings
 from agents.particles import NONE, Particles, canonical, join
 from agents.step import Step

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.arithmetic import PLAIN, Arithmetic, Task
-from agents.cells import NO_CELL, make_claim
+from agents.cells import NO_CELL
+from agents.claims import make_claim
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings
 from agents.interest import Ground
 from agents.particles import NONE, Particles, join, select
@@ -135,6 +136,26 @@ def test_owned(seed: int, count: int, places: int) -> None:
     where = np.vstack([rng.random((places, 2)) * 44.0 - 2.0, np.round(rng.random((places, 2)) * SIDE)])
     assert_same("owned", where, claim, ARENA)
     assert_same("owned", np.column_stack([where, where]), make_claim((), np.empty((0, 3)), ()) if count == 1 else claim, ARENA)
+
+
+@given(seeds, st.integers(1, 14), st.integers(0, 50))
+@some
+def test_what_claims_together_leave_and_dispute(seed: int, count: int, places: int) -> None:
+    """Claims of several diagrams, of which each owner knows a part, and none of some."""
+    rng = np.random.default_rng(seed)
+    points, radii = diagram(rng, count)
+    table, claims = np.column_stack([points, radii]), []
+    for owner in range(count):
+        others = [other for other in rng.permutation(count).tolist() if other != owner and rng.random() < 0.7]
+        names = [owner, *others] if rng.random() < 0.9 else []
+        claims.append(make_claim(tuple(map(str, names)), table[names], tuple((name, "") for name in names)))
+    where = np.vstack([rng.random((places, 4)) * 44.0 - 2.0, np.round(rng.random((places, 4)) * SIDE)])
+    assert_same("unclaimed", where, claims, ARENA)
+    sizes = rng.multinomial(len(where), [1.0 / count] * count)
+    sizes = [int(size) if claim.names else 0 for size, claim in zip(sizes, claims)]
+    views = rng.integers(-2, 2, count).tolist()
+    for overlap in (0.0, 3.0):
+        assert_same("undisputed", where[: sum(sizes)], sizes, claims, views, overlap)
 
 
 @given(seeds, st.integers(1, 10), st.integers(0, 50))

@@ -14,7 +14,7 @@ from agents import speech
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic, in_steps
 from agents.neighbours import Neighbours, Peer
-from agents.particles import Particles, join, select
+from agents.particles import Particles, select
 from agents.round import Outcome, Self
 from deploy.chaos import fuzz
 from deploy.chaos.fuzz import Case
@@ -85,7 +85,7 @@ def latest_heard_view(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def nan_let_through(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     for check in ("check_rows", "check_vector", "check_number"):
         patch.setattr(f"protocol.messages.{check}", lambda *values, **limits: None)
-    patch.setattr("agents.neighbours.plausible", lambda gossip, outfit: True)
+    patch.setattr("agents.peers.plausible", lambda gossip, outfit: True)
     return fuzz.play(case)
 
 
@@ -100,8 +100,10 @@ def old_incarnation_kept(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    patch.setattr("agents.belief._uncontested", lambda claims, overlap: join([share.particles for share in claims]))
-    return fuzz.play(case)
+    def undisputed(points, *claims):  # type: ignore[no-untyped-def]
+        return np.ones(len(points), dtype=bool)
+
+    return fuzz.play(case, arithmetic=in_its_steps(PLAIN._replace(undisputed=undisputed)))
 
 
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
-from agents.cells import Claim
+from agents.claims import Claim
 from agents.particles import Particles
 from deploy.chaos.oracle import Distance, Oracle, distance, united
 from deploy.scenario import Scenario

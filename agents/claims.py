@@ -1,0 +1,90 @@
+"""Claims: a cell stated by its generators, the owner's own first, so that a receiver decides about a particle with the very arithmetic
+of the owner; and what several of them together leave over or disagree about.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.settings import ArenaSettings
+
+
+class Claim(NamedTuple):
+    """A cell as its owner states it: generators (G, 3) of COD x, y and power radius, the owner's first."""
+
+    names: tuple[str, ...]
+    generators: np.ndarray
+    first: np.ndarray  # (G,) bool: this generator comes before the owner in the order of names, and wins ties
+
+
+def make_claim(names: tuple[str, ...], generators: np.ndarray, order: tuple[tuple[int, str], ...]) -> Claim:
+    """The claim of the owner `names[0]`; `order` holds the sort key of each name."""
+    return Claim(names, generators, np.array([other < order[0] for other in order], dtype=bool))
+
+
+NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
+
+
+def power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
+    """|x - p|^2 - r^2 in m^2 of points (N, 2) to generators (G, 3): (N, G)."""
+    dx = points[:, 0, None] - generators[None, :, 0]
+    dy = points[:, 1, None] - generators[None, :, 1]
+    return dx * dx + dy * dy - generators[None, :, 2] * generators[None, :, 2]
+
+
+def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
+    """Which points (N, 2 or more columns) lie in the arena and in the claimed cell: (N,) bool."""
+    if not claim.names:
+        return np.zeros(len(points), dtype=bool)
+    distances = power_distances(points, claim.generators)
+    mine = distances[:, :1]
+    inside: np.ndarray = np.all(np.where(claim.first[None, :], mine < distances, mine <= distances), axis=1)
+    return inside & in_arena(points, arena)
+
+
+def in_arena(points: np.ndarray, arena: ArenaSettings) -> np.ndarray:
+    """Which points lie in the arena, its border included: (N,) bool."""
+    x, y = points[:, 0], points[:, 1]
+    return (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
+
+
+def depths(points: np.ndarray, claim: Claim) -> np.ndarray:
+    """How deep in m each point (N, 2) lies inside a claimed cell: distance to its nearest bisector, negative outside; (N,)."""
+    if len(claim.names) < 2:
+        return np.full(len(points), math.inf)
+    distances = power_distances(points, claim.generators)
+    offsets = claim.generators[1:, :2] - claim.generators[0, :2]
+    spans = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
+    return ((distances[:, 1:] - distances[:, :1]) / (2.0 * np.maximum(spans, 1e-9))).min(axis=1)
+
+
+def unclaimed(points: np.ndarray, claims: Sequence[Claim], arena: ArenaSettings) -> np.ndarray:
+    """Which points (N, 2 or more columns) lie in none of the claimed cells: (N,) bool."""
+    free = np.arange(len(points))
+    for claim in claims:
+        free = free[~owned(points[free], claim, arena)]
+    found = np.zeros(len(points), dtype=bool)
+    found[free] = True
+    return found
+
+
+def undisputed(points: np.ndarray, sizes: Sequence[int], claims: Sequence[Claim], views: Sequence[int], overlap: float) -> np.ndarray:
+    """Which of the points (N, 2 or more columns) that the owners of claims state count, (N,) bool; the first `sizes[0]` are of the first.
+
+    All do but those more than `overlap` m deep inside another claim of another view whose owner is nearer in power distance.
+    """
+    keep, start = np.ones(len(points), dtype=bool), 0
+    for size, claim, view in zip(sizes, claims, views):
+        first, start = start, start + size
+        rivals = [other for other, another in zip(claims, views) if another != view and other.names]
+        if not size or not rivals:
+            continue
+        theirs = points[first:start]
+        own = power_distances(theirs, claim.generators[:1])
+        nearer = power_distances(theirs, np.array([rival.generators[0] for rival in rivals])) < own
+        for number in np.flatnonzero(nearer.any(axis=0)).tolist():
+            there = np.flatnonzero(nearer[:, number] & keep[first:start])
+            keep[first + there] = depths(theirs[there], rivals[number]) <= overlap
+    return keep
