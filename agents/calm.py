@@ -163,6 +163,6 @@ class CalmRound:
                 gossip = decode(key, said[name])
                 assert isinstance(gossip, Gossip)
                 learn(gossip, roll.eyes[name].sensor, roll.config)
-                gossip.memo["plausible"] = True
+                gossip.memo["believed"] = gossip.memo["sensor"]
                 found[name] = gossip
         return found

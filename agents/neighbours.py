@@ -15,11 +15,11 @@ import numpy as np
 from agents.calm import CalmRound, Expected, Reader, Roll
 from agents.config import AgentConfig
 from agents.interest import Choice
-from agents.peers import Peer, outfit_of, plausible
+from agents.peers import Peer, outfit_of, understood
 from agents.places import EAST, NOBODY, RADIUS, Far
 from agents.said import Said
 from agents.whereabouts import Whereabouts
-from agents.words import eye_of, learn
+from agents.words import eye_of
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 
@@ -94,8 +94,9 @@ class Neighbours:
             said, peer = self.said.spell_out().get(gossip.tick), self.circle.get(gossip.sender)
             if said is None or peer is None or peer.incarnation != gossip.incarnation:
                 return self._judge(gossip)
-            if gossip.memo.get("plausible") or self._believable(gossip, peer):
-                said[gossip.sender] = gossip
+            believed = self._believed(gossip, peer)
+            if believed is not None:
+                said[gossip.sender] = believed
                 return None
         return self._judge(gossip)
 
@@ -112,12 +113,15 @@ class Neighbours:
             if peer is None:
                 if not self.local or name == self._name:
                     break
-            elif (
-                gossip.tick == tick
-                and gossip.incarnation == peer.incarnation
-                and (gossip.memo.get("plausible") or self._believable(gossip, peer))
-            ):
-                said[name] = gossip
+            elif gossip.tick == tick and gossip.incarnation == peer.incarnation:
+                outfit = peer.outfit
+                if outfit is None or gossip.memo.get("believed") is not outfit.sensor:
+                    believed = self._believed(gossip, peer)
+                    if believed is None:
+                        break
+                    said[name] = believed
+                else:
+                    said[name] = gossip
                 taken += 1
                 awaited.discard(name)
             else:
@@ -144,21 +148,21 @@ class Neighbours:
             return "stale"
         if peer.gone_at is not None and tick <= peer.gone_at:
             return "dead"
-        if not self._believable(gossip, peer):
+        believed = self._believed(gossip, peer)
+        if believed is None:
             return "bounds"
-        self.said.note(gossip)
+        self.said.note(believed)
         peer.missed = 0
         if peer.gone_at is not None:
             peer.gone_at, self.changed = None, True
         return None
 
-    def _believable(self, gossip: Gossip, peer: Peer) -> bool:
-        """Whether a gossip stays within what its sender's sensor can do; what the sensor makes of it is noted, once in a process."""
-        believable: bool | None = gossip.memo.get("plausible")
-        if believable is None and peer.outfit is not None:
-            believable = gossip.memo["plausible"] = plausible(gossip, peer.outfit)
-            learn(gossip, peer.outfit.sensor, self._config)
-        return bool(believable)
+    def _believed(self, gossip: Gossip, peer: Peer) -> Gossip | None:
+        """The gossip, `understood`, if it stays within what its sender's sensor can do."""
+        outfit = peer.outfit
+        if outfit is None:
+            return None
+        return gossip if gossip.memo.get("believed") is outfit.sensor else understood(gossip, outfit, self._config)
 
     def fresh(self, tick: int) -> Heard:
         """The gossips of `tick` by living peers, in the order of names."""

@@ -2,13 +2,17 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
+
+import msgspec
 
 from agents.capacity import SensorFacts, sensor_facts
 from agents.config import AgentConfig
+from agents.words import learn
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
-from protocol.sensing import SensorModel
+from protocol.sensing import SensorModel, WedgeSensor
 from protocol.settings import BadSetting, sensor_of
 
 _SLACK = 1.0 + 1e-9
@@ -40,10 +44,18 @@ class Peer:
 
 def outfit_of(word: Hello | Beacon, config: AgentConfig) -> Outfit | None:
     """The sensor that somebody announces; None when nobody knows its class."""
+    if word.sensor is not None:
+        return _of_wedge(word.sensor)
     try:
-        sensor = word.sensor or sensor_of(config, word.sensor_class)
+        sensor = sensor_of(config, word.sensor_class)
     except BadSetting:
         return None
+    return Outfit(sensor, sensor_facts(sensor))
+
+
+@lru_cache(maxsize=1024)
+def _of_wedge(sensor: WedgeSensor) -> Outfit:
+    """One outfit for all in a process who announce the same."""
     return Outfit(sensor, sensor_facts(sensor))
 
 
@@ -52,3 +64,19 @@ def plausible(gossip: Gossip, outfit: Outfit) -> bool:
     most = outfit.facts.capability * _SLACK
     apart = math.dist(gossip.cod, gossip.pose[:2])
     return gossip.unused <= most and math.pi * gossip.power_radius**2 <= most and apart <= outfit.sensor.reach * _SLACK
+
+
+def understood(gossip: Gossip, outfit: Outfit, config: AgentConfig) -> Gossip | None:
+    """A gossip with what its sender's sensor makes of it noted, once in a process; None if that sensor cannot say it.
+
+    In virtual time one message has many listeners: who takes the sender for another sensor than they do reads a copy of his own.
+    """
+    memo, sensor = gossip.memo, outfit.sensor
+    noted = memo.get("sensor")
+    if noted is not None and noted is not sensor and noted != sensor:
+        gossip = msgspec.structs.replace(gossip)
+        memo = gossip.memo
+    if "believed" not in memo:
+        memo["believed"] = sensor if plausible(gossip, outfit) else None
+        learn(gossip, sensor, config)
+    return gossip if memo["believed"] is not None else None

@@ -39,6 +39,7 @@ class Condition(Section, frozen=True, kw_only=True):
     flip: Share = 0.0  # share of the messages that are spoilt: one bit is wrong, or eight bytes are all ones, which is no number
 
 
+AT_ONCE = 8  # messages: numpy takes as long to throw the dice of one as of so many
 CLEAR = Condition()
 LOST: list[tuple[float, bytes]] = []
 
@@ -48,13 +49,16 @@ class Channel:
 
     def __init__(self, seed: int, sender: str, receiver: str) -> None:
         self._rng = stream(seed, "link", key(sender), key(receiver))
+        self._dice: list[list[float]] = []  # of the next messages, the last first
         self._bad = False  # Gilbert-Elliott: all is lost while the channel is bad
 
     def copies(self, payload: bytes, condition: Condition) -> list[tuple[float, bytes]]:
         """(delay s, payload) of every copy that arrives; the very object `payload` where nothing was spoilt."""
         if condition == CLEAR:
             return [(0.0, payload)]
-        lost, jitter, twice, later, held, hold, flip, where = self._rng.random(8).tolist()
+        if not self._dice:
+            self._dice = self._rng.random((AT_ONCE, 8)).tolist()[::-1]
+        lost, jitter, twice, later, held, hold, flip, where = self._dice.pop()
         if self._loses(lost, condition):
             return LOST
         delay = condition.delay + jitter * condition.jitter + (hold * condition.spread if held < condition.reorder else 0.0)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from protocol.keys import token_key
-from protocol.messages import Message
+from protocol.messages import Message, Observation
 from protocol.node import Effect, Event, Node, Received
 from protocol.tokens import sees_all_tokens
 
@@ -42,6 +42,17 @@ class Seat:
     def can_take(self) -> bool:
         """Whether it takes what comes at once, and its clock shows the time."""
         return not (self.paused or self.at_work or self.clock)
+
+    def catch_up(self) -> list[Event]:
+        """What has waited for it; of observations the newest only, for nobody works off a queue of them."""
+        events, self.waiting = self.waiting, []
+        newest = max((place for place, event in enumerate(events) if is_observation(event)), default=0)
+        return [event for place, event in enumerate(events) if place >= newest or not is_observation(event)]
+
+
+def is_observation(event: Event) -> bool:
+    """Whether somebody is told where he is and what he sees."""
+    return isinstance(event, Received) and isinstance(event.message, Observation)
 
 
 def place_of(seat: Seat) -> int:

@@ -147,6 +147,10 @@ def load_named(name: str) -> Any:
         raise ValueError(f"module {module} has no {attribute}") from None
 
 
+_BUILT: dict[int, tuple[SensorSettings, SensorModel]] = {}  # one model serves all who have these settings in common, by their id
+_MOST_BUILT = 256
+
+
 def sensor_of(settings: Common, sensor_class: str) -> SensorModel:
     """The sensor model of a class: the scenario's own, or one of Table I; raises BadSetting naming the class."""
     own = settings.sensors.get(sensor_class)
@@ -155,8 +159,15 @@ def sensor_of(settings: Common, sensor_class: str) -> SensorModel:
     known = [*settings.sensors, *SENSOR_CLASSES]
     if own is None:
         raise BadSetting(f"sensor class {sensor_class!r} does not exist; known are {', '.join(known)}")
+    known_as, built = _BUILT.get(id(own), (None, None))
+    if known_as is own and built is not None:
+        return built
     try:
-        return own.build(SENSOR_CLASSES.get(sensor_class))
+        if len(_BUILT) >= _MOST_BUILT:
+            _BUILT.clear()
+        built = own.build(SENSOR_CLASSES.get(sensor_class))
+        _BUILT[id(own)] = own, built
+        return built
     except (ValueError, ImportError, TypeError) as error:
         raise BadSetting(f"sensors.{sensor_class}: {error}") from None
 

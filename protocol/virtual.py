@@ -14,10 +14,10 @@ from typing import Protocol
 from protocol import codec
 from protocol.fields import Malformed
 from protocol.keys import is_of_tokens, message_key, tokens_of
-from protocol.messages import Beacon, Command, Gossip, Hello, Message, Observation
+from protocol.messages import Beacon, Command, Gossip, Hello, Message
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.routes import Routes
-from protocol.seats import Seat, place_of
+from protocol.seats import Seat, is_observation, place_of
 
 BOXED = (Gossip, Beacon, Hello)  # said to many; a listener takes all of them that have come in an instant together
 
@@ -142,9 +142,7 @@ class VirtualBus:
         """Hand a node what has waited for it; of observations the newest only, for nobody works off a queue of them."""
         if seat.paused or seat.at_work:
             return
-        events, seat.waiting = seat.waiting, []
-        newest = max((place for place, event in enumerate(events) if _is_observation(event)), default=0)
-        self._ready.extendleft((seat, event) for event in reversed(_without_older(events, newest)))
+        self._ready.extendleft((seat, event) for event in reversed(seat.catch_up()))
         self._rearm(seat)
 
     def run(self, until: float) -> None:
@@ -224,7 +222,7 @@ class VirtualBus:
             self.tap(seat.node, event)
         if effects is QUIET and seat.armed is not None:
             return
-        if seat.work > 0.0 and _is_observation(event):
+        if seat.work > 0.0 and is_observation(event):
             seat.at_work = True
             self._schedule(seat, _Done(), seat.work)
         elif seat.deadline() != seat.armed:
@@ -316,11 +314,17 @@ class VirtualBus:
             self._ready.append(_Fan(listeners, seat, event))
             self.deliveries += len(listeners)
             return
+        at_once: list[Seat] = []
         for listener in listeners:
             if listener is not seat:
                 for delay, arrived in self._carried(seat, listener, key, payload):
                     self.deliveries += 1
-                    self._schedule(listener, event if arrived is payload else self._event(seat, key, message, arrived), pace + delay)
+                    if arrived is payload and pace + delay <= 0.0:
+                        at_once.append(listener)
+                    else:
+                        self._schedule(listener, event if arrived is payload else self._event(seat, key, message, arrived), pace + delay)
+        if at_once:
+            self._ready.append(_Fan(at_once, seat, event))
 
     def _carried(self, seat: Seat, listener: Seat, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
         if self._link is None:
@@ -338,12 +342,3 @@ class VirtualBus:
 
 def _parent(key: str) -> str:
     return key.rpartition("/")[0]
-
-
-def _is_observation(event: Event) -> bool:
-    return isinstance(event, Received) and isinstance(event.message, Observation)
-
-
-def _without_older(events: list[Event], newest: int) -> list[Event]:
-    """Events without the observations before the place `newest`."""
-    return [event for place, event in enumerate(events) if place >= newest or not _is_observation(event)]

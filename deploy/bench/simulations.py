@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import compress
 
+import msgspec
 import numpy as np
 
 from agents.agent import Agent
 from deploy.bench import central
 from deploy.bench.timing import Row, in_turns
-from deploy.scenario import Scenario, resolve
+from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation, compiled
 from protocol.messages import Message, Truth
 from protocol.node import Effect, Event
@@ -48,12 +49,14 @@ def figure_4(seconds: float) -> Scenario:
 
 
 def simulate(seconds: float = 60.0, turns: int = 3) -> Iterator[Row]:
-    """Simulated seconds per second of CPU: with the codec, without, and the central filter without agents and messages. They take turns, so
-    that all meet the machine in the same mood; medians."""
+    """Simulated seconds per second of CPU: with the codec, without, without and with a tenth of the messages between agents lost, and the
+    central filter without agents and messages. They take turns, so that all meet the machine in the same mood; medians."""
     scenario, arithmetic = figure_4(seconds), compiled()
+    lossy = msgspec.structs.replace(scenario, faults=(FaultSettings(at=0.0, verb="drop", value=0.1),))
     kinds: dict[str, Callable[[], object]] = {
         "with codec": lambda: Simulation(scenario).run(),
         "without codec": lambda: Simulation(scenario, use_codec=False).run(),
+        "without codec, 10 % lost": lambda: Simulation(lossy, use_codec=False).run(),
         "central": lambda: central.play(scenario, arithmetic),
     }
     Simulation(figure_4(5.0)).run()

@@ -173,3 +173,21 @@ def test_a_round_counts_who_was_missing() -> None:
     peers.hear(gossip("s2", 0))
     assert peers.close(0) == 1
     assert peers.close(1) == 1  # s3 has never spoken, and after the first tick nobody waits for it
+
+
+def test_who_takes_the_sender_for_another_sensor_judges_its_words_for_himself() -> None:
+    """In virtual time one message has many listeners, of whom some may have been told wrong what its sender is."""
+    for classes in ("DA", "AD"):
+        said, believed = gossip("s2", 0, radius=15.0), []
+        for sensor_class in classes:
+            listener = Neighbours(CONFIG, "s1")
+            listener.greet(hello("s2", sensor_class=sensor_class))
+            believed.append(listener.hear(said) is None)
+        assert believed == [sensor_class == "D" for sensor_class in classes]
+    said, sensors = gossip("s2", 0), []
+    for sensor_class in "ABA":
+        listener = Neighbours(CONFIG, "s1")
+        listener.greet(hello("s2", sensor_class=sensor_class))
+        listener.hear(said)
+        sensors.append([heard.memo["sensor"] for heard in listener.fresh(0).values()])  # type: ignore[union-attr]
+    assert sensors == [[SENSOR_CLASSES[sensor_class]] for sensor_class in "ABA"]
