@@ -68,10 +68,13 @@ def unclaimed(points: np.ndarray, generators: np.ndarray, first: np.ndarray, end
             if apart < least:
                 nearest, least = k, apart
         likely = owners[nearest]
-        free[n] = not _holds(x, y, generators, first, starts[likely], ends[likely])
+        if _holds(x, y, generators, first, starts[likely], ends[likely]):
+            free[n] = False
+            continue
         for c in owners:
-            if free[n] and _holds(x, y, generators, first, starts[c], ends[c]):
+            if _holds(x, y, generators, first, starts[c], ends[c]):
                 free[n] = False
+                break
     return free
 
 

@@ -114,14 +114,12 @@ class Neighbours:
                 if not self.local or name == self._name:
                     break
             elif gossip.tick == tick and gossip.incarnation == peer.incarnation:
-                outfit = peer.outfit
-                if outfit is None or gossip.memo.get("believed") is not outfit.sensor:
-                    believed = self._believed(gossip, peer)
-                    if believed is None:
-                        break
-                    said[name] = believed
-                else:
-                    said[name] = gossip
+                outfit = peer.outfit  # asked here as well, for the sake of the calls that it saves
+                known = outfit is not None and gossip.memo.get("believed") is outfit.sensor
+                believed = gossip if known else self._believed(gossip, peer)
+                if believed is None:
+                    break
+                said[name] = believed
                 taken += 1
                 awaited.discard(name)
             else:

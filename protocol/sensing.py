@@ -17,7 +17,10 @@ Pose = tuple[float, float, float]
 
 @runtime_checkable
 class SensorModel(Protocol):
-    """What the swarm needs to know of a sensor; time-invariant, shape and falloff are free (paper, section III)."""
+    """What the swarm needs to know of a sensor; time-invariant, shape and falloff are free (paper, section III).
+
+    It keeps nothing between two calls: in a simulation one object serves all agents of its class.
+    """
 
     @property
     def reach(self) -> float:
