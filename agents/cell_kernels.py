@@ -38,6 +38,33 @@ def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @njit
+def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.ndarray:
+    """Of which points the `distance` is at most `width` m, (N,) bool: edge by edge and without branches, for several points at once."""
+    number, corners = len(x), len(polygon)
+    nearest, side = np.full(number, np.inf), np.zeros(number)
+    for c in range(corners):
+        following = c + 1 if c + 1 < corners else 0
+        sx, sy = polygon[c, 0], polygon[c, 1]
+        ex, ey = polygon[following, 0] - sx, polygon[following, 1] - sy
+        length2 = ex * ex + ey * ey
+        if length2 > 0.0:
+            for n in range(number):
+                dx, dy = x[n] - sx, y[n] - sy
+                side[n] = min(side[n], ex * dy - ey * dx)
+                along = min(max((dx * ex + dy * ey) / length2, 0.0), 1.0)
+                dx, dy = dx - along * ex, dy - along * ey
+                nearest[n] = min(nearest[n], dx * dx + dy * dy)
+        else:
+            for n in range(number):
+                dx, dy = x[n] - sx, y[n] - sy
+                nearest[n] = min(nearest[n], dx * dx + dy * dy)
+    found, whole = np.empty(number, np.bool_), corners >= 3 and width >= 0.0
+    for n in range(number):
+        found[n] = (whole & (side[n] >= 0.0)) | (math.sqrt(nearest[n]) <= width)
+    return found
+
+
+@njit
 def _room(number: int, corners: int) -> tuple:
     """Scratch for cutting cells out of an arena with so many corners among so many generators."""
     size = corners + number + 2

@@ -33,10 +33,24 @@ def _holds(x: float, y: float, generators: np.ndarray, first: np.ndarray, start:
 @njit(cache=True)
 def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
     """Twin of `claims.owned`: which points lie in the arena and in the cell of generator 0."""
-    mine = np.empty(len(points), dtype=np.bool_)
-    for n in range(len(points)):
-        x, y = points[n, 0], points[n, 1]
-        mine[n] = 0.0 <= x <= width and 0.0 <= y <= height and _holds(x, y, generators, first, 0, len(generators))
+    number, mine = len(points), np.empty(len(points), dtype=np.bool_)
+    if len(generators) == 0:
+        mine[:] = False
+        return mine
+    x, y, own = np.empty(number), np.empty(number), np.empty(number)
+    for n in range(number):
+        x[n], y[n] = points[n, 0], points[n, 1]
+    east, north, squared = generators[0, 0], generators[0, 1], generators[0, 2] * generators[0, 2]
+    for n in range(number):
+        dx, dy = x[n] - east, y[n] - north
+        own[n] = dx * dx + dy * dy - squared
+        mine[n] = (x[n] >= 0.0) & (x[n] <= width) & (y[n] >= 0.0) & (y[n] <= height)
+    for g in range(1, len(generators)):  # one rival after the other and without branches, for several points at once
+        east, north, squared, wins = generators[g, 0], generators[g, 1], generators[g, 2] * generators[g, 2], first[g]
+        for n in range(number):
+            dx, dy = x[n] - east, y[n] - north
+            other = dx * dx + dy * dy - squared
+            mine[n] &= (own[n] < other) | ((own[n] == other) & (not wins))
     return mine
 
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from agents.cell_kernels import distance
+from agents.cell_kernels import near
 from agents.claim_kernels import owned
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -125,32 +125,53 @@ def gather(
         if (west - step <= x <= east + step and south - step <= y <= north + step) or dx * dx + dy * dy <= far2:
             chosen[count] = n
             count += 1
+    order, unique = sort_by_id(ids, chosen[:count]), 0
     room = count + len(born_ids)
-    near_states, near_weights, near_ids = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64)
-    far_states, far_weights, far_ids = np.empty((count, 4)), np.empty(count), np.empty(count, np.uint64)
-    near = far = 0
-    order = sort_by_id(ids, chosen[:count])
+    moved, kept, names, x, y = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64), np.empty(room), np.empty(room)
     for rank in range(count):
         n = order[rank]
         if rank > 0 and ids[n] == ids[order[rank - 1]]:
             continue
-        x, y, vx, vy, inside = _moved(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
-        weight = weights[n] * motion[7] if inside else 0.0
-        dx, dy = x - eye[0], y - eye[1]
-        if west <= x <= east and south <= y <= north and distance(polygon, x, y) <= halo:
-            near_states[near, 0], near_states[near, 1], near_states[near, 2], near_states[near, 3] = x, y, vx, vy
-            near_weights[near], near_ids[near] = weight, ids[n]
-            near += 1
-        elif dx * dx + dy * dy <= reach * reach:
-            far_states[far, 0], far_states[far, 1], far_states[far, 2], far_states[far, 3] = x, y, vx, vy
-            far_weights[far], far_ids[far] = weight, ids[n]
-            far += 1
+        px, py, vx, vy, inside = _moved(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
+        moved[unique, 0], moved[unique, 1], moved[unique, 2], moved[unique, 3] = px, py, vx, vy
+        kept[unique], names[unique], x[unique], y[unique] = weights[n] * motion[7] if inside else 0.0, ids[n], px, py
+        unique += 1
+    known = unique
     for n in range(len(born_ids)):
-        x, y = born_states[n, 0], born_states[n, 1]
-        if west <= x <= east and south <= y <= north and distance(polygon, x, y) <= halo:
-            near_states[near], near_weights[near], near_ids[near] = born_states[n], born_weights[n], born_ids[n]
-            near += 1
-    return near_states[:near], near_weights[:near], near_ids[:near], far_states[:far], far_weights[:far], far_ids[:far]
+        moved[unique], kept[unique], names[unique], x[unique], y[unique] = (
+            born_states[n],
+            born_weights[n],
+            born_ids[n],
+            born_states[n, 0],
+            born_states[n, 1],
+        )
+        unique += 1
+    around = near(polygon, x[:unique], y[:unique], halo)
+    near_rows, far_rows, close, far = np.empty(unique, np.int64), np.empty(known, np.int64), 0, 0
+    for n in range(unique):
+        if around[n] and west <= x[n] <= east and south <= y[n] <= north:
+            near_rows[close] = n
+            close += 1
+        elif n < known:
+            dx, dy = x[n] - eye[0], y[n] - eye[1]
+            if dx * dx + dy * dy <= reach * reach:
+                far_rows[far] = n
+                far += 1
+    near_states, near_weights, near_ids = _rows(near_rows[:close], moved, kept, names)
+    far_states, far_weights, far_ids = _rows(far_rows[:far], moved, kept, names)
+    return near_states, near_weights, near_ids, far_states, far_weights, far_ids
+
+
+@njit
+def _rows(rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Some of these particles."""
+    some_states, some_weights, some_ids = np.empty((len(rows), 4)), np.empty(len(rows)), np.empty(len(rows), np.uint64)
+    for k in range(len(rows)):
+        n = rows[k]
+        for axis in range(4):
+            some_states[k, axis] = states[n, axis]
+        some_weights[k], some_ids[k] = weights[n], ids[n]
+    return some_states, some_weights, some_ids
 
 
 @njit

@@ -20,7 +20,7 @@ from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
 from protocol.messages import Estimate, Gossip, Hello, Truth
 from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Subscribe
-from world.score import gospa, ospa
+from world.score import errors
 
 CLOSED = 1e-6  # of the arena: cells leave no hole
 LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
@@ -188,14 +188,14 @@ class Scorer:
                 self._transcript.update(said[name].targets_bytes)
         counted = [said.get(name) or self._latest[name] for name in self._names if name in self._alive and name in self._latest]
         counted = [estimate for estimate in counted if estimate.tick >= truth.tick - self._fresh]
-        targets = np.concatenate([np.empty((0, 2)), *(estimate.targets for estimate in counted)])
+        targets = np.frombuffer(b"".join([estimate.targets_bytes for estimate in counted]), dtype="<f8").reshape(-1, 2)
         one_view = len({estimate.view for estimate in counted}) == 1
         hole, overlap = hole_and_overlap([estimate.cell for estimate in counted], self._area, one_view=one_view)
-        parts = gospa(truth.targets, targets)
+        distance, parts = errors(truth.targets, targets)
         score = Score(
             tick=truth.tick,
             time=truth.time,
-            ospa=ospa(truth.targets, targets),
+            ospa=distance,
             gospa=parts.total,
             targets=len(truth.targets),
             in_view=truth.in_view,

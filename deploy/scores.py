@@ -1,6 +1,7 @@
 """Scores of one tick, and what they come to over a run: how wrong the estimate is and why, who covers what."""
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,11 +9,10 @@ import numpy as np
 import shapely
 
 from deploy.scenario import Scenario
-from protocol.geometry import polygon_area
+from protocol.geometry import total_area
 from protocol.messages import Truth
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
-from world.score import in_view
 
 SNAP = 1e-9  # m
 LATTICE = 50  # points per axis on which coverage is read
@@ -48,8 +48,9 @@ class Coverage:
 
     def __init__(self, scenario: Scenario) -> None:
         ticks = (np.arange(LATTICE) + 0.5) / LATTICE
-        axes = np.meshgrid(ticks * scenario.arena.width, ticks * scenario.arena.height)
-        self._points = np.stack(axes, axis=-1).reshape(-1, 2)
+        east, north = ticks * scenario.arena.width, ticks * scenario.arena.height
+        self._points = np.stack(np.meshgrid(east, north), axis=-1)
+        self._east, self._north = east.tolist(), north.tolist()
         self._scenario = scenario
         self._sensors: dict[str, SensorModel] = {}
         self._last = (-1, 0.0)  # period, share
@@ -65,13 +66,25 @@ class Coverage:
         alive = set(truth.alive)
         present = [(name, pose) for name, pose in zip(truth.bodies, truth.poses.tolist()) if name in alive]
         present = [(name, pose) for name, pose in present if name in self._scenario.members]
-        sensors = [self._sensor(name) for name, _ in present]
-        return float(in_view(self._points, sensors, [(x, y, heading) for _, (x, y, heading) in present]).mean())
+        covered = np.zeros((LATTICE, LATTICE), dtype=bool)
+        for name, (x, y, heading) in present:
+            sensor = self._sensor(name)
+            rows, columns = _between(self._north, y, sensor.reach), _between(self._east, x, sensor.reach)
+            points = self._points[rows, columns]
+            inside = sensor.probability(points.reshape(-1, 2), (x, y, heading)) > 0.0
+            covered[rows, columns] |= inside.reshape(points.shape[:2])
+        return float(covered.mean())
 
     def _sensor(self, name: str) -> SensorModel:
         if name not in self._sensors:
             self._sensors[name] = sensor_of(self._scenario, self._scenario.members[name])
         return self._sensors[name]
+
+
+def _between(axis: list[float], middle: float, width: float) -> slice:
+    """Where ascending numbers are no farther than `width` from one, and none is left out by rounding."""
+    wide = 1.001 * width
+    return slice(bisect_left(axis, middle - wide), bisect_right(axis, middle + wide))
 
 
 def steady_part(scores: Sequence[Score], scenario: Scenario) -> Sequence[Score]:
@@ -114,7 +127,7 @@ def hole_and_overlap(cells: list[np.ndarray], area: float, *, one_view: bool = F
     The union is cut out: cells may add up to the arena and still leave a hole as large as an overlap. It is cut on a grid of SNAP,
     because without one a border that two cells give with rounding errors can make the geometry engine swallow a whole cell.
     """
-    total = math.fsum(polygon_area(cell) for cell in cells)
+    total = total_area(cells)
     if one_view and abs(total - area) <= 1e-9 * area:
         return 0.0, 0.0
     union = shapely.union_all([shapely.Polygon(cell) for cell in cells if len(cell) >= 3], grid_size=SNAP).area

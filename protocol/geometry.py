@@ -1,6 +1,7 @@
 """Convex polygons in the plane: float64 arrays (V, 2) in metres, counter-clockwise; the empty polygon is (0, 2)."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,6 +27,17 @@ def polygon_area(polygon: np.ndarray) -> float:
     offset = polygon - polygon[0]
     x, y = offset[:, 0], offset[:, 1]
     return 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+
+
+def total_area(polygons: Sequence[np.ndarray]) -> float:
+    """Sum of the `polygon_area` of several polygons, m^2, correctly rounded but for the products in it."""
+    some = [polygon for polygon in polygons if len(polygon) >= 3]
+    if not some:
+        return 0.0
+    corners, sizes = np.concatenate(some), [len(polygon) for polygon in some]
+    offset = corners - np.repeat(np.array([polygon[0] for polygon in some]), sizes, axis=0)
+    x, y = offset.T  # the first corner of each is the origin, so the step from one polygon to the next adds nothing
+    return 0.5 * math.fsum((x[:-1] * y[1:] - x[1:] * y[:-1]).tolist())
 
 
 def polygon_centroid(polygon: np.ndarray) -> np.ndarray:

@@ -9,9 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protocol.sensing import Pose, SensorModel
-from world.detector import sightings
-
 
 def ospa(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0, order: float = 1.0) -> float:
     """Optimal sub-pattern assignment distance of two sets of points, m (22).
@@ -22,10 +19,12 @@ def ospa(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0, order: f
     >>> ospa(np.array([[0.0, 0.0], [50.0, 0.0]]), np.array([[3.0, 4.0]]))
     7.5
     """
-    most = max(len(truth), len(estimate))
+    return _ospa(_assigned_costs(truth, estimate, cutoff, order), max(len(truth), len(estimate)), cutoff, order)
+
+
+def _ospa(assigned: np.ndarray, most: int, cutoff: float, order: float) -> float:
     if most == 0:
         return 0.0
-    assigned = _assigned_costs(truth, estimate, cutoff, order)
     total = _sum(assigned) + cutoff**order * (most - len(assigned))
     return _root(total / most, order)
 
@@ -52,11 +51,20 @@ def gospa(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0, order: 
     """
     if not 0.0 < alpha <= 2.0:
         raise ValueError(f"alpha = {alpha}: GOSPA is defined for 0 < alpha <= 2")
-    assigned = _assigned_costs(truth, estimate, cutoff, order)
+    return _gospa(_assigned_costs(truth, estimate, cutoff, order), len(truth), len(estimate), cutoff, order, alpha)
+
+
+def errors(truth: np.ndarray, estimate: np.ndarray) -> tuple[float, Gospa]:
+    """`ospa` and `gospa` of two sets of points with their default cutoff, order and alpha, of one assignment."""
+    assigned = _assigned_costs(truth, estimate, 10.0, 1.0)
+    return _ospa(assigned, max(len(truth), len(estimate)), 10.0, 1.0), _gospa(assigned, len(truth), len(estimate), 10.0, 1.0, 2.0)
+
+
+def _gospa(assigned: np.ndarray, targets: int, estimates: int, cutoff: float, order: float, alpha: float) -> Gospa:
     kept = assigned[assigned < cutoff**order] if alpha == 2.0 else assigned
     localisation = _sum(kept)
-    missed = cutoff**order / alpha * (len(truth) - len(kept))
-    false = cutoff**order / alpha * (len(estimate) - len(kept))
+    missed = cutoff**order / alpha * (targets - len(kept))
+    false = cutoff**order / alpha * (estimates - len(kept))
     return Gospa(*(_root(part, order) for part in (localisation + missed + false, localisation, missed, false)))
 
 
@@ -69,13 +77,6 @@ def heterogeneity_level(radii: Sequence[float] | np.ndarray) -> float:
 def total_capacity(capabilities: Sequence[float] | np.ndarray) -> float:
     """Sum of the detecting capabilities of a team, m^2 (20), Definition 3."""
     return math.fsum(capabilities)
-
-
-def in_view(targets: np.ndarray, sensors: Sequence[SensorModel], poses: Sequence[Pose]) -> np.ndarray:
-    """Which targets (T, 2) lie in the footprint of at least one of the sensors at their poses: (T,) bool."""
-    result = np.zeros(len(targets), dtype=bool)
-    result[sightings(sensors, poses, targets).targets] = True
-    return result
 
 
 def _assigned_costs(truth: np.ndarray, estimate: np.ndarray, cutoff: float, order: float) -> np.ndarray:

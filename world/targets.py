@@ -131,6 +131,8 @@ class Targets:
     def _enter(self) -> None:
         rng = stream(self._seed, "arrivals", self.tick)
         number = int(rng.poisson(self._arrivals_per_tick))
+        if not number:
+            return
         positions, headings = arrivals(rng, number, self._arena, self._way)
         room = MAX_DETECTIONS - len(self.ids)  # more would not fit into one message
         positions, headings = positions[:room], headings[:room]

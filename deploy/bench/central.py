@@ -22,7 +22,7 @@ from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
 from world.bodies import Bodies, start_pose
 from world.detector import Detector, sightings
-from world.score import gospa, ospa
+from world.score import errors
 from world.targets import Targets
 
 
@@ -72,8 +72,7 @@ class Central:
             self._unused[index] = self._capacity(member, updated)
         self._particles = join(owned) if owned else NONE
         estimates = arithmetic.estimate_targets(updated, scenario.extraction)
-        score = ospa(self._targets.positions, estimates)
-        gospa(self._targets.positions, estimates)
+        score, _ = errors(self._targets.positions, estimates)
         self._bodies.move(commands)
         self._targets.step()
         self._tick += 1

@@ -7,6 +7,7 @@ from deploy.scenario import Scenario, resolve
 from deploy.scores import Coverage, Score, hole_and_overlap, share_in_view, steady_part, why
 from protocol.fields import pack
 from protocol.messages import Truth
+from protocol.sensing import SENSOR_CLASSES
 
 
 @pytest.fixture
@@ -54,6 +55,18 @@ def test_coverage_is_the_area_of_the_footprints_of_the_living(scenario: Scenario
     assert Coverage(scenario).share(truth(0, (10.0, 10.0, 0.0))) == pytest.approx(np.pi * 25.0 / 400.0, abs=0.01)
     assert Coverage(scenario).share(truth(0, (0.0, 0.0, 0.0))) == pytest.approx(np.pi * 25.0 / 1600.0, abs=0.01)
     assert Coverage(scenario).share(truth(0, (10.0, 10.0, 0.0), ())) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_coverage_counts_the_points_that_any_sensor_may_detect(seed: int) -> None:
+    scenario = resolve("quick", {"team.composition": "A3,B3,D2", "arena.width": 60.0, "arena.height": 35.0})
+    rng = np.random.default_rng(seed)
+    names, poses = tuple(scenario.members), rng.random((8, 3)) * [70.0, 45.0, 7.0] - [5.0, 5.0, 0.0]
+    world = Truth(sender="world", incarnation=1, tick=0, time=0.0, bodies=names, poses_bytes=pack(poses, "<f8"), alive=names[1:])
+    points = np.array([[1.2 * (column + 0.5), 0.7 * (row + 0.5)] for row in range(50) for column in range(50)])
+    sensors = [(SENSOR_CLASSES[scenario.members[name]], pose) for name, pose in zip(names[1:], poses[1:].tolist())]
+    covered = np.any([sensor.probability(points, tuple(pose)) > 0.0 for sensor, pose in sensors], axis=0)
+    assert Coverage(scenario).share(world) == covered.mean() > 0.1
 
 
 def test_coverage_is_read_every_ten_ticks(scenario: Scenario) -> None:

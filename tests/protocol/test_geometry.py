@@ -7,7 +7,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.geometry import EMPTY, contains, distances, polygon_area, polygon_centroid, rectangle, wrap_angle
+from protocol.geometry import EMPTY, contains, distances, polygon_area, polygon_centroid, rectangle, total_area, wrap_angle
 
 TRIANGLE = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 6.0]])
 coordinates = st.floats(-100.0, 100.0).map(lambda value: round(value, 3))
@@ -74,6 +74,11 @@ def test_area_and_centroid_agree_with_shapely(polygon: np.ndarray) -> None:
     oracle = shapely.Polygon(polygon)
     assert math.isclose(polygon_area(polygon), oracle.area, rel_tol=1e-9)
     assert np.allclose(polygon_centroid(polygon), [oracle.centroid.x, oracle.centroid.y], rtol=0.0, atol=1e-6)
+
+
+@given(st.lists(st.one_of(convex_polygons(), st.just(EMPTY), st.just(TRIANGLE[:2])), max_size=6))
+def test_the_area_of_several_is_the_sum_of_their_areas(polygons: list[np.ndarray]) -> None:
+    assert math.isclose(total_area(polygons), math.fsum(map(polygon_area, polygons)), rel_tol=1e-9)
 
 
 @given(convex_polygons(), st.lists(points, min_size=1, max_size=20))

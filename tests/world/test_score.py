@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.sensing import SENSOR_CLASSES
-from world.score import gospa, heterogeneity_level, in_view, ospa, total_capacity
+from world.score import errors, gospa, heterogeneity_level, ospa, total_capacity
 
 NOTHING = np.empty((0, 2))
 coordinates = st.floats(-30.0, 30.0, allow_nan=False, width=32)
@@ -96,6 +96,12 @@ def test_gospa_equals_the_best_of_all_partial_assignments(truth: np.ndarray, est
 
 
 @quickly
+@given(point_sets, point_sets)
+def test_both_errors_of_one_assignment_are_those_of_two(truth: np.ndarray, estimate: np.ndarray) -> None:
+    assert errors(truth, estimate) == (ospa(truth, estimate), gospa(truth, estimate))
+
+
+@quickly
 @given(point_sets, point_sets, point_sets, orders)
 def test_ospa_is_a_metric(first: np.ndarray, second: np.ndarray, third: np.ndarray, order: float) -> None:
     assert ospa(first, first, order=order) == 0.0
@@ -137,11 +143,3 @@ def test_the_levels_of_the_teams_of_section_iv_c(letter: str, number: int, level
 def test_the_capacities_of_the_teams_of_section_iv_c(letter: str, number: int, capacity: float) -> None:
     team = [SENSOR_CLASSES["E"]] * 20 + [SENSOR_CLASSES[letter]] * number
     assert total_capacity([sensor.area * sensor.prob_detection for sensor in team]) == pytest.approx(capacity, abs=0.05)
-
-
-def test_a_target_is_in_view_of_any_sensor() -> None:
-    targets = np.array([[5.0, 0.0], [50.0, 0.0], [45.0, 0.0], [5.0, 9.0]])
-    seen = in_view(targets, [SENSOR_CLASSES["E"], SENSOR_CLASSES["B"]], [(0.0, 0.0, 0.0), (52.0, 0.0, math.pi)])
-    assert seen.tolist() == [True, True, True, False]
-    assert in_view(NOTHING, [SENSOR_CLASSES["E"]], [(0.0, 0.0, 0.0)]).shape == (0,)
-    assert not in_view(targets, [], []).any()
