@@ -48,6 +48,13 @@ class Refreshed(NamedTuple):
     targets: np.ndarray  # estimates in the cell (M, 2), m
 
 
+class Parts(NamedTuple):
+    """The cells and the claims of all who speak, in the order of names."""
+
+    cells: list[Cell]
+    claims: list[Claim]
+
+
 class Arithmetic(NamedTuple):
     """One implementation of everything that a round computes per particle or per corner."""
 
@@ -67,6 +74,7 @@ class Arithmetic(NamedTuple):
     moments: Callable[[Particles], tuple[float, float, float]]
     in_view: Callable[[Particles, SensorModel, Pose], tuple[float, float]]
     refresh: Callable[[Task], Refreshed]  # all the steps from `gather` on
+    refresh_all: Callable[[Words, Particles, Parts, Step], list[Refreshed]]  # of all whose words these are
     wanted: Callable[..., Choice]
     reader: Reader | None = None  # of many gossips at once; None: they are read one by one
 
@@ -150,6 +158,19 @@ def refresh(task: Task) -> Refreshed:
     return in_steps(PLAIN, task)
 
 
+def one_by_one(refresh: Callable[[Task], Refreshed], words: Words, births: Particles, parts: Parts, step: Step) -> list[Refreshed]:
+    """What each of those who speak makes of its part of the PHD, when nothing counts but what they say."""
+    return [
+        refresh(Task(gossip.sender, gossip.memo["sensor"], gossip.pose, words, words, births, cell.polygon, claim, step))
+        for gossip, cell, claim in zip(words.gossips, parts.cells, parts.claims)
+    ]
+
+
+def refresh_all(words: Words, births: Particles, parts: Parts, step: Step) -> list[Refreshed]:
+    """Each `refresh` one after the other."""
+    return one_by_one(refresh, words, births, parts, step)
+
+
 PLAIN = Arithmetic(
     cut=cells.cut,
     cut_all=cells.cut_all,
@@ -167,5 +188,6 @@ PLAIN = Arithmetic(
     moments=moments,
     in_view=in_view,
     refresh=refresh,
+    refresh_all=refresh_all,
     wanted=wanted,
 )

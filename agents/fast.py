@@ -6,6 +6,7 @@ Importing this file imports numba. Sensors other than wedges are corrected by th
 import math
 from collections import deque
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from agents import (
     birth_kernels,
     cell_kernels,
+    chorus_kernels,
     claim_kernels,
     extraction_kernels,
     gossip_kernels,
@@ -23,7 +25,7 @@ from agents import (
     round_kernels,
     update_kernels,
 )
-from agents.arithmetic import Arithmetic, Refreshed, Task, in_steps
+from agents.arithmetic import Arithmetic, Parts, Refreshed, Task, in_steps, one_by_one
 from agents.arithmetic import in_view as plain_in_view
 from agents.arithmetic import update as plain_update
 from agents.births import DIRECTIONS, inflow, sensor_row
@@ -259,6 +261,53 @@ def refresh(task: Task) -> Refreshed:
     return Refreshed(Particles(*updated), Particles(*own), Particles(*kept), *rest)
 
 
+@lru_cache(maxsize=8)
+def _draws(seed: int, names: tuple[str, ...]) -> np.ndarray:
+    """Keys of the draws of some owners."""
+    return np.array([key(seed, "resample", name) for name in names], dtype=np.uint64)
+
+
+def refresh_all(words: Words, births: Particles, parts: Parts, step: Step) -> list[Refreshed]:
+    """See `arithmetic.refresh_all`."""
+    if not words.names or not words.all_wedges:
+        return one_by_one(refresh, words, births, parts, step)
+    settings, keys = prepared(step.config)
+    polygons = [cell.polygon for cell in parts.cells]
+    updated, own, kept, targets, sizes, sums = chorus_kernels.refresh_all(
+        settings,
+        keys,
+        step.tick,
+        words.table,
+        words.salts,
+        words.detections,
+        words.stated,
+        tuple(births),
+        np.concatenate(polygons),
+        _starts(polygons),
+        np.concatenate([claim.generators for claim in parts.claims]),
+        np.concatenate([claim.first for claim in parts.claims]),
+        _starts([claim.first for claim in parts.claims]),
+        _draws(step.config.run.seed, words.names),
+        DIRECTIONS,
+    )
+    found, starts = [], [0] * chorus_kernels.SIZES
+    for ends, (mass, east, north, load, detected) in zip(np.cumsum(sizes, axis=0).tolist(), sums.tolist()):
+        first, second, third = [_rows(*part) for part in zip((updated, own, kept), starts, ends)]
+        found.append(Refreshed(first, second, third, mass, east, north, load, detected, targets[starts[3] : ends[3]]))
+        starts = ends
+    return found
+
+
+def _rows(whole: tuple[np.ndarray, np.ndarray, np.ndarray], start: int, end: int) -> Particles:
+    states, weights, ids = whole
+    return Particles(states[start:end], weights[start:end], ids[start:end])
+
+
+def _starts(arrays: list[np.ndarray]) -> np.ndarray:
+    """Where each of some arrays begins when they lie end to end, and where the last one ends, (N + 1,)."""
+    return np.array([0, *accumulate(map(len, arrays))])
+
+
 _MARGINS = interest.MARGIN, interest.APPEARING, interest.SPACING, interest.THRESHOLD, interest.BEHIND
 
 
@@ -288,6 +337,7 @@ FAST = Arithmetic(
     moments=moments,
     in_view=in_view,
     refresh=refresh,
+    refresh_all=refresh_all,
     wanted=wanted,
     reader=Reader(gossip_kernels.read, gossip_kernels.lay_out),
 )

@@ -36,7 +36,7 @@ def normal(bits: np.uint64) -> float:
 
 
 @njit
-def _moved(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
+def move_one(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
     """One particle a step on, and whether it is still in the arena; `motion` is `fast.motion`."""
     turn_salt, east_salt, north_salt, dt, half_turn, speed, position_noise, _, reflect, width, height = motion
     turn = normal(scramble(name, turn_salt)) * half_turn
@@ -62,7 +62,7 @@ def predict(states: np.ndarray, weights: np.ndarray, ids: np.ndarray, motion: tu
     """Twin of `phd.predict`: new states (N, 4) and weights (N,)."""
     moved, kept = np.empty_like(states), np.empty_like(weights)
     for n in range(len(weights)):
-        x, y, vx, vy, inside = _moved(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
+        x, y, vx, vy, inside = move_one(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
         moved[n, 0], moved[n, 1], moved[n, 2], moved[n, 3] = x, y, vx, vy
         kept[n] = weights[n] * motion[7] if inside else 0.0
     return moved, kept
@@ -125,40 +125,52 @@ def gather(
         if (west - step <= x <= east + step and south - step <= y <= north + step) or dx * dx + dy * dy <= far2:
             chosen[count] = n
             count += 1
-    order, unique = sort_by_id(ids, chosen[:count]), 0
+    order, known = sort_by_id(ids, chosen[:count]), 0
     room = count + len(born_ids)
-    moved, kept, names, x, y = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64), np.empty(room), np.empty(room)
+    moved, kept, names = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64)
     for rank in range(count):
         n = order[rank]
         if rank > 0 and ids[n] == ids[order[rank - 1]]:
             continue
-        px, py, vx, vy, inside = _moved(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
-        moved[unique, 0], moved[unique, 1], moved[unique, 2], moved[unique, 3] = px, py, vx, vy
-        kept[unique], names[unique], x[unique], y[unique] = weights[n] * motion[7] if inside else 0.0, ids[n], px, py
-        unique += 1
-    known = unique
+        x, y, vx, vy, inside = move_one(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
+        moved[known, 0], moved[known, 1], moved[known, 2], moved[known, 3] = x, y, vx, vy
+        kept[known], names[known] = weights[n] * motion[7] if inside else 0.0, ids[n]
+        known += 1
     for n in range(len(born_ids)):
-        moved[unique], kept[unique], names[unique], x[unique], y[unique] = (
-            born_states[n],
-            born_weights[n],
-            born_ids[n],
-            born_states[n, 0],
-            born_states[n, 1],
-        )
-        unique += 1
-    around = near(polygon, x[:unique], y[:unique], halo)
-    near_rows, far_rows, close, far = np.empty(unique, np.int64), np.empty(known, np.int64), 0, 0
-    for n in range(unique):
-        if around[n] and west <= x[n] <= east and south <= y[n] <= north:
+        moved[known + n], kept[known + n], names[known + n] = born_states[n], born_weights[n], born_ids[n]
+    return divide(moved, kept, names, known, known + len(born_ids), polygon, halo, (west, south, east, north), eye, reach)
+
+
+@njit
+def divide(
+    states: np.ndarray,
+    weights: np.ndarray,
+    ids: np.ndarray,
+    known: int,
+    number: int,
+    polygon: np.ndarray,
+    halo: float,
+    box: tuple[float, float, float, float],
+    eye: tuple[float, float],
+    reach: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of the first `number` particles those within the halo of a polygon, whose `box` that is, and of the others among the `known` ones,
+    which come first, those within reach of a point."""
+    west, south, east, north = box
+    around = near(polygon, states[:number, 0].copy(), states[:number, 1].copy(), halo)
+    near_rows, far_rows, close, far = np.empty(number, np.int64), np.empty(known, np.int64), 0, 0
+    for n in range(number):
+        x, y = states[n, 0], states[n, 1]
+        if around[n] and west <= x <= east and south <= y <= north:
             near_rows[close] = n
             close += 1
         elif n < known:
-            dx, dy = x[n] - eye[0], y[n] - eye[1]
+            dx, dy = x - eye[0], y - eye[1]
             if dx * dx + dy * dy <= reach * reach:
                 far_rows[far] = n
                 far += 1
-    near_states, near_weights, near_ids = _rows(near_rows[:close], moved, kept, names)
-    far_states, far_weights, far_ids = _rows(far_rows[:far], moved, kept, names)
+    near_states, near_weights, near_ids = _rows(near_rows[:close], states, weights, ids)
+    far_states, far_weights, far_ids = _rows(far_rows[:far], states, weights, ids)
     return near_states, near_weights, near_ids, far_states, far_weights, far_ids
 
 

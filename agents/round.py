@@ -15,6 +15,7 @@ from agents.belief import Belief, Copies, Round, Share
 from agents.calm import CalmRound
 from agents.capacity import SensorFacts, power_radius, unused_capacity
 from agents.cells import NO_CELL, Cell
+from agents.chorus import chorus_of
 from agents.claims import NO_CLAIM, Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation
@@ -67,10 +68,15 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: H
     step = Step(config, tick)
     words = heard.words(mine) if isinstance(heard, CalmRound) else _with_mine(heard, mine)
     speaking = _speaking(neighbours, mine, heard, words)
-    cell = _own_cell(me, speaking, neighbours.far)
-    claim = _claim(speaking, cell, neighbours.far)
     told = last.belief.awake(step, arithmetic).merge(words, tick, arithmetic, config)
-    near = arithmetic.refresh(Task(me.name, me.sensor, mine.pose, told, words, arithmetic.births(step), cell.polygon, claim, step))
+    chorus = chorus_of(words, me.name, arithmetic, config, me.arena) if speaking is words is told else None
+    if chorus is not None:
+        place = words.names.index(me.name)
+        cell, claim, near = chorus.parts.cells[place], chorus.parts.claims[place], chorus.refreshed(step)[place]
+    else:
+        cell = _own_cell(me, speaking, neighbours.far)
+        claim = _claim(speaking, cell, neighbours.far)
+        near = arithmetic.refresh(Task(me.name, me.sensor, mine.pose, told, words, arithmetic.births(step), cell.polygon, claim, step))
     updated, kept = near.updated, near.kept
     return Outcome(
         belief=Belief(

@@ -116,7 +116,17 @@ def refresh(
 ) -> tuple:
     """Twin of `arithmetic.in_steps` for wedges: the arrays and numbers of `Refreshed`; `mine` is the own row of the table."""
     now = np.uint64(tick)
-    motion = (
+    sensor, halo, step = table[mine], settings[HALO], settings[STEP]
+    eye, reach = (sensor[0], sensor[1]), sensor[4]
+    states, weights, ids = _within_reach(said, told, polygon, halo + step, eye, reach + step)
+    around = gather(states, weights, ids, births[0], births[1], births[2], polygon, halo, eye, reach, step, motion_of(settings, keys, now))
+    return correct(settings, keys, now, mine, table, salts, detections, around, polygon, generators, first, owner, directions)
+
+
+@njit
+def motion_of(settings: np.ndarray, keys: np.ndarray, now: np.uint64) -> tuple:
+    """`fast.motion` of a tick."""
+    return (
         scramble(now, keys[TURN]),
         scramble(now, keys[EASTWARD]),
         scramble(now, keys[NORTHWARD]),
@@ -129,12 +139,27 @@ def refresh(
         settings[WIDTH],
         settings[HEIGHT],
     )
-    sensor, halo, step = table[mine], settings[HALO], settings[STEP]
-    eye, reach = (sensor[0], sensor[1]), sensor[4]
-    states, weights, ids = _within_reach(said, told, polygon, halo + step, eye, reach + step)
-    near_states, near_weights, near_ids, far_states, far_weights, _ = gather(
-        states, weights, ids, births[0], births[1], births[2], polygon, halo, eye, reach, step, motion
-    )
+
+
+@njit
+def correct(
+    settings: np.ndarray,
+    keys: np.ndarray,
+    now: np.uint64,
+    mine: int,
+    table: np.ndarray,
+    salts: np.ndarray,
+    detections: np.ndarray,
+    around: tuple,
+    polygon: np.ndarray,
+    generators: np.ndarray,
+    first: np.ndarray,
+    owner: np.uint64,
+    directions: np.ndarray,
+) -> tuple:
+    """The rest of a `refresh`, when the particles around a cell are known (those of `gather`)."""
+    near_states, near_weights, near_ids, far_states, far_weights, _ = around
+    sensor, halo = table[mine], settings[HALO]
     birth = (
         settings[BIRTHS] != 0.0,
         np.int64(settings[COPIES]),

@@ -92,6 +92,7 @@ class Words:
         """`table`: a row each (N, columns). `told`: asked when somebody wants them one by one. `known`: attributes known already."""
         self.names, self.table = names, table
         self._told = told
+        self.chorus: Any = None  # who asked first for what all who hear this share, or what they share (`chorus`)
         self.__dict__.update(known)
 
     @classmethod

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.arithmetic import PLAIN, Arithmetic, Task
+from agents.arithmetic import PLAIN, Arithmetic, Parts, Task
 from agents.cells import NO_CELL
 from agents.claims import make_claim
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings
@@ -270,6 +270,41 @@ def test_refresh(seed: int, size: int, count: int, kind: str, in_words: bool, in
     found = task(seed, size, count, kind, in_words, interest)
     if found is not None:
         assert_same("refresh", found)
+
+
+@given(seeds, st.integers(0, 150), st.booleans())
+@settings(max_examples=80)
+def test_refresh_all(seed: int, size: int, wedges: bool) -> None:
+    """All owners in one call: as each by itself."""
+    rng = np.random.default_rng(seed)
+    said = words(rng, cloud(rng, size), 12.0)
+    points, radii = diagram(rng, max(1, len(said.names)))
+    cells = PLAIN.cut_all(points, radii, BOX)[: len(said.names)]
+    generators = np.column_stack([points, radii])
+    claims = [
+        make_claim(tuple(map(str, cell.bounds)), generators[list(cell.bounds)], tuple((number, "") for number in cell.bounds))
+        for cell in cells
+    ]
+    if not wedges and said.gossips:
+        said.gossips[0] = msgspec.structs.replace(said.gossips[0], scanned=True)
+        for gossip, sensor in zip(said.gossips, [_Disc(), *[gossip.memo["sensor"] for gossip in said.gossips[1:]]]):
+            learn(gossip, sensor, AgentConfig())
+        said = Words.of_gossips(said.gossips, bytearray().join([gossip.memo["row"] for gossip in said.gossips]))
+    now = step(3, seed % 1000)
+    now = now._replace(config=msgspec.structs.replace(now.config, timing=TimingSettings(interest="all")))
+    assert_same("refresh_all", said, cloud(rng, 12), Parts(cells, claims), now)
+
+
+class _Disc:
+    """A sensor that is no wedge."""
+
+    reach, area = 9.0, 81.0 * math.pi
+
+    def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
+        return np.where((points[:, 0] - pose[0]) ** 2 + (points[:, 1] - pose[1]) ** 2 <= 81.0, 0.8, 0.0)
+
+    def footprint(self, pose: Pose) -> np.ndarray:
+        return EMPTY
 
 
 def test_who_hears_a_part_reads_no_gossip_of_what_is_far() -> None:

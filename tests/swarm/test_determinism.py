@@ -4,10 +4,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from agents.arithmetic import PLAIN
+from agents.arithmetic import PLAIN, Arithmetic, Refreshed
 from deploy.simulate import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 
@@ -47,6 +48,22 @@ def test_taking_what_comes_in_an_instant_together_changes_nothing(interest: str)
         counters = {name: dict(agent.counters) for name, agent in simulation.agents.items()}
         said += [result.transcript, simulation.bus.messages, simulation.bus.deliveries, counters]
     assert alone == together
+
+
+@pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
+def test_what_all_work_out_together_changes_nothing(arithmetic: Arithmetic, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A round of all who hear the same in one call, and everybody by himself."""
+    calls = []
+
+    def refresh_all(*task: Any) -> list[Refreshed]:
+        calls.append(len(task[0].names))
+        return arithmetic.refresh_all(*task)
+
+    counted = arithmetic._replace(refresh_all=refresh_all)
+    together = transcript(arithmetic=counted)
+    assert len(calls) > 10 and max(calls) > 5
+    monkeypatch.setattr("agents.round.chorus_of", lambda *asked: None)
+    assert transcript(arithmetic=counted) == together
 
 
 def test_compiled_loops_change_nothing() -> None:
