@@ -10,6 +10,17 @@ from numba import njit
 
 
 @njit
+def around(polygon: np.ndarray, width: float) -> tuple[float, float, float, float]:
+    """West, south, east and north of the ground within `width` m of the box around a polygon."""
+    west = south = np.inf
+    east = north = -np.inf
+    for c in range(len(polygon)):
+        west, east = min(west, polygon[c, 0] - width), max(east, polygon[c, 0] + width)
+        south, north = min(south, polygon[c, 1] - width), max(north, polygon[c, 1] + width)
+    return west, south, east, north
+
+
+@njit
 def distance(polygon: np.ndarray, px: float, py: float) -> float:
     """Twin of `geometry.distances` for one point; infinite for the empty polygon."""
     corners = len(polygon)

@@ -6,6 +6,7 @@ Every particle is predicted once and sorted once, and each owner takes from thos
 import numpy as np
 from numba import njit
 
+from agents.cell_kernels import around
 from agents.kernels import divide, move_one, sort_by_id
 from agents.round_kernels import HALO, STEP, correct, motion_of
 from agents.words import PARTICLES, WEIGHT
@@ -35,27 +36,22 @@ def _predicted(states: np.ndarray, ids: np.ndarray, table: np.ndarray, motion: t
 
 
 @njit
-def _around(
+def _close_by(
     said: tuple, births: tuple, polygon: np.ndarray, halo: float, eye: tuple[float, float], reach: float, step: float, room: tuple
 ) -> tuple:
     """What `round_kernels._within_reach` and then `kernels.gather` find, of particles that have been `_predicted`."""
     x, y, moved, kept, names = said
     born_states, born_weights, born_ids = births
-    chosen, states, weights, ids = room
-    west = south = np.inf
-    east = north = -np.inf
-    left = low = np.inf
-    right = high = -np.inf
-    for c in range(len(polygon)):
-        west, east = min(west, polygon[c, 0] - halo), max(east, polygon[c, 0] + halo)
-        south, north = min(south, polygon[c, 1] - halo), max(north, polygon[c, 1] + halo)
-        left, right = min(left, polygon[c, 0] - (halo + step)), max(right, polygon[c, 0] + (halo + step))
-        low, high = min(low, polygon[c, 1] - (halo + step)), max(high, polygon[c, 1] + (halo + step))
+    within, chosen, states, weights, ids = room
+    west, south, east, north = around(polygon, halo)
+    left, low, right, high = around(polygon, halo + step)
     far2, count = (reach + step) * (reach + step), 0
-    for k in range(len(x)):  # without branches
+    for k in range(len(x)):  # without branches, for several at once
         dx, dy = x[k] - eye[0], y[k] - eye[1]
+        within[k] = ((left <= x[k]) & (x[k] <= right) & (low <= y[k]) & (y[k] <= high)) | (dx * dx + dy * dy <= far2)
+    for k in range(len(x)):
         chosen[count] = k
-        count += ((left <= x[k]) & (x[k] <= right) & (low <= y[k]) & (y[k] <= high)) | (dx * dx + dy * dy <= far2)
+        count += within[k]
     known, last = 0, -1
     for j in range(count):
         k = chosen[j]
@@ -122,15 +118,15 @@ def refresh_all(
     halo, step = settings[HALO], settings[STEP]
     predicted = _predicted(said[0], said[1], table, motion_of(settings, keys, now))
     size = len(said[1]) + len(births[2])
-    room = np.empty(len(said[1]) + 1, np.int64), *_room(size)
+    room = np.empty(len(said[1]), np.bool_), np.empty(len(said[1]) + 1, np.int64), *_room(size)
     updated, own, kept, targets = _room(2 * size), _room(2 * size), _room(2 * size), np.empty((size + 1, 2))
     sizes, sums, ends = np.zeros((number, SIZES), np.int64), np.zeros((number, SUMS)), np.zeros(SIZES, np.int64)
     for n in range(number):
         polygon, eye, reach = corners[cells[n] : cells[n + 1]], (table[n, 0], table[n, 1]), table[n, 4]
-        around = _around(predicted, births, polygon, halo, eye, reach, step, room)
+        close_by = _close_by(predicted, births, polygon, halo, eye, reach, step, room)
         claimed = slice(claims[n], claims[n + 1])
         claim = generators[claimed], first[claimed]
-        found = correct(settings, keys, now, n, table, salts, detections, around, polygon, claim[0], claim[1], owners[n], directions)
+        found = correct(settings, keys, now, n, table, salts, detections, close_by, polygon, claim[0], claim[1], owners[n], directions)
         updated, own, kept = _append(updated, ends[0], found[0]), _append(own, ends[1], found[1]), _append(kept, ends[2], found[2])
         if ends[3] + len(found[8]) > len(targets):
             targets = np.concatenate((targets, np.empty((len(targets) + len(found[8]), 2))))

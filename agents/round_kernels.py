@@ -6,6 +6,7 @@ One call instead of ten: what lies between the steps stays in compiled code. Rul
 import numpy as np
 from numba import njit
 
+from agents.cell_kernels import around
 from agents.claim_kernels import owned
 from agents.extraction_kernels import estimate_targets
 from agents.kernels import first_moments, gather, in_view, resample, scramble, take
@@ -18,17 +19,6 @@ BIRTHS, COPIES, BIRTH_RADIUS, LEAST_SHARE, MOST_DENSITY, PER_TARGET, LEAST, MOST
 TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
 
 _S11 = np.uint64(11)
-
-
-@njit
-def _around(polygon: np.ndarray, width: float) -> tuple[float, float, float, float]:
-    """West, south, east and north of the ground within `width` m of the box around a polygon."""
-    west = south = np.inf
-    east = north = -np.inf
-    for c in range(len(polygon)):
-        west, east = min(west, polygon[c, 0] - width), max(east, polygon[c, 0] + width)
-        south, north = min(south, polygon[c, 1] - width), max(north, polygon[c, 1] + width)
-    return west, south, east, north
 
 
 @njit(cache=True)
@@ -45,7 +35,7 @@ def box(states: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
     """Which of these boxes (N, 4) hold anything that `_within_reach` could choose, by their indices in ascending order."""
-    west, south, east, north = _around(polygon, width)
+    west, south, east, north = around(polygon, width)
     found, count = np.empty(len(boxes), np.int64), 0
     for n in range(len(boxes)):
         left, low, right, high = boxes[n]
@@ -64,7 +54,7 @@ def _within_reach(
     (states, weights, ids): those within `width` m of the box around a polygon, or within `reach` m of a point."""
     said_states, said_ids, table = said
     states, weights, ids = told
-    west, south, east, north = _around(polygon, width)
+    west, south, east, north = around(polygon, width)
     chosen, count = np.empty(len(said_ids) + len(ids), np.int64), 0
     for n in range(len(said_ids)):
         x, y = np.float64(said_states[n, 0]), np.float64(said_states[n, 1])
@@ -119,8 +109,10 @@ def refresh(
     sensor, halo, step = table[mine], settings[HALO], settings[STEP]
     eye, reach = (sensor[0], sensor[1]), sensor[4]
     states, weights, ids = _within_reach(said, told, polygon, halo + step, eye, reach + step)
-    around = gather(states, weights, ids, births[0], births[1], births[2], polygon, halo, eye, reach, step, motion_of(settings, keys, now))
-    return correct(settings, keys, now, mine, table, salts, detections, around, polygon, generators, first, owner, directions)
+    close_by = gather(
+        states, weights, ids, births[0], births[1], births[2], polygon, halo, eye, reach, step, motion_of(settings, keys, now)
+    )
+    return correct(settings, keys, now, mine, table, salts, detections, close_by, polygon, generators, first, owner, directions)
 
 
 @njit
@@ -150,7 +142,7 @@ def correct(
     table: np.ndarray,
     salts: np.ndarray,
     detections: np.ndarray,
-    around: tuple,
+    close_by: tuple,
     polygon: np.ndarray,
     generators: np.ndarray,
     first: np.ndarray,
@@ -158,7 +150,7 @@ def correct(
     directions: np.ndarray,
 ) -> tuple:
     """The rest of a `refresh`, when the particles around a cell are known (those of `gather`)."""
-    near_states, near_weights, near_ids, far_states, far_weights, _ = around
+    near_states, near_weights, near_ids, far_states, far_weights, _ = close_by
     sensor, halo = table[mine], settings[HALO]
     birth = (
         settings[BIRTHS] != 0.0,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
-from agents.cell_kernels import distance
+from agents.cell_kernels import around, distance
 from agents.kernels import normal, scramble, wedge
 
 _S52 = np.uint64(52)
@@ -31,17 +31,15 @@ def _birth_densities(
     x: np.ndarray, y: np.ndarray, weights: np.ndarray, detections: np.ndarray, kappas: np.ndarray, radius: float, least: float, most: float
 ) -> np.ndarray:
     """Twin of `births.birth_density` for the detections (M, 2) of all scans; kappas (M,)."""
-    found = np.empty(len(detections))
-    for m in range(len(detections)):
-        mass, at_x, at_y = 0.0, detections[m, 0], detections[m, 1]
-        for n in range(len(weights)):
-            dx = x[n] - at_x
-            if -radius <= dx <= radius:
-                dy = y[n] - at_y
-                if dx * dx + dy * dy <= radius * radius:
-                    mass += weights[n]
-        local = mass / (math.pi * radius * radius)
-        found[m] = min(max(local, least * kappas[m]), most)
+    number, area = len(detections), math.pi * radius * radius
+    at_x, at_y, found = detections[:, 0].copy(), detections[:, 1].copy(), np.zeros(number)
+    for n in range(len(weights)):  # one particle after the other for the sake of the sums, and without branches
+        px, py, weight = x[n], y[n], weights[n]
+        for m in range(number):
+            dx, dy = px - at_x[m], py - at_y[m]
+            found[m] += weight if dx * dx + dy * dy <= radius * radius else 0.0
+    for m in range(number):
+        found[m] = min(max(found[m] / area, least * kappas[m]), most)
     return found
 
 
@@ -67,22 +65,23 @@ def _pairs(
     found: tuple,
 ) -> int:
     """Every particle in view within the gate of a detection, into `found`: its row, the detection, squared distance m^2, weight times
-    p_d. Weights become those of the undetected. The number of pairs, or -1 when `found` is too small, weights as they were."""
+    p_d. Weights become those of the undetected. The number of pairs, or -1 when `found` may be too small, weights as they were."""
     rows, columns, squares, shares = found
-    pairs, number = 0, len(detections)
-    for n in range(len(x)):
-        if seen[n]:
-            for m in range(number):
-                dx, dy = x[n] - detections[m, 0], y[n] - detections[m, 1]
-                squared = dx * dx + dy * dy
-                if squared <= gate2:
-                    if pairs == len(rows):
-                        return -1
-                    rows[pairs], columns[pairs], squares[pairs], shares[pairs] = n, m, squared, weights[n] * probability
-                    pairs += 1
-    for n in range(len(x)):
-        if seen[n]:
-            weights[n] = weights[n] * (1.0 - probability)
+    number, pairs = len(x), 0
+    apart, hits = np.empty(number), np.empty(number, np.bool_)
+    for m in range(len(detections)):
+        at_x, at_y = detections[m, 0], detections[m, 1]
+        for n in range(number):
+            dx, dy = x[n] - at_x, y[n] - at_y
+            apart[n] = dx * dx + dy * dy
+            hits[n] = seen[n] & (apart[n] <= gate2)
+        if pairs + number > len(rows):
+            return -1
+        for n in range(number):  # what is no hit is written over
+            rows[pairs], columns[pairs], squares[pairs], shares[pairs] = n, m, apart[n], weights[n] * probability
+            pairs += hits[n]
+    for n in range(number):
+        weights[n] = weights[n] * (1.0 - probability) if seen[n] else weights[n]
     return pairs
 
 
@@ -99,16 +98,35 @@ def _likelihoods(squares: np.ndarray, shares: np.ndarray, noise: float) -> None:
         shares[p] = shares[p] * (_exp_minus(squares[p] * exponent_scale) * scale)
 
 
-@njit(cache=True)
-def _scan_of(row: np.ndarray, first: int, polygon: np.ndarray, halo: float, detections: np.ndarray, picked: np.ndarray, count: int) -> int:
-    """Append to `picked` the detections of a scan within the halo of the cell; the new count, or -1 when the sensor is too far away."""
-    if row[8] == 0.0 or distance(polygon, row[0], row[1]) > halo + row[4]:
+@njit
+def _scan_of(
+    row: np.ndarray,
+    first: int,
+    polygon: np.ndarray,
+    box: tuple[float, float, float, float],
+    halo: float,
+    detections: np.ndarray,
+    picked: np.ndarray,
+    count: int,
+) -> int:
+    """Append to `picked` the detections of a scan within the halo of the cell, whose box this is; the new count, or -1 when the sensor
+    is too far away."""
+    if row[8] == 0.0 or _beyond(box, row[0], row[1], halo + row[4]) or distance(polygon, row[0], row[1]) > halo + row[4]:
         return -1
     for m in range(first, first + np.int64(row[9])):
-        if distance(polygon, detections[m, 0], detections[m, 1]) <= halo:
+        x, y = detections[m, 0], detections[m, 1]
+        if not _beyond(box, x, y, halo) and distance(polygon, x, y) <= halo:
             picked[count] = m
             count += 1
     return count
+
+
+@njit
+def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: float) -> bool:
+    """Whether a point is farther than `width` m from a box for certain, and so from all that lies in it."""
+    west, south, east, north = box
+    wide = width + 1e-6
+    return x < west - wide or x > east + wide or y < south - wide or y > north + wide
 
 
 @njit(cache=True)
@@ -130,8 +148,9 @@ def update(
     sensors, starts = np.empty(len(table), np.int64), np.zeros(len(table) + 1, np.int64)
     picked, begins = np.empty(len(all_detections), np.int64), np.empty(len(table), np.int64)
     scans = first = close = 0
+    box = around(polygon, 0.0)
     for s in range(len(table)):
-        reached = _scan_of(table[s], first, polygon, halo, all_detections, picked, close)
+        reached = _scan_of(table[s], first, polygon, box, halo, all_detections, picked, close)
         if reached >= 0:
             sensors[scans], begins[scans], close = s, first, reached
             scans += 1
@@ -149,7 +168,7 @@ def update(
             detections[m], kappas[m] = all_detections[picked[m]], table[sensors[s], 7]
     if on:
         densities = _birth_densities(x[:count], y[:count], weights, detections, kappas, radius, least, most)
-    found = _room(256)
+    found = _room(2 * count + 256)
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         _mark_view(x[:count], y[:count], sensor, seen)
