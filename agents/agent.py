@@ -215,8 +215,10 @@ class Agent:
             calm, taken = self.neighbours.hear_calmly(gossips, at, self.tick, self._awaited) if self._gossip else (0, 0)
             if calm:
                 self.counters["heard"] += taken
-                if not self.local:
-                    self._presence.speak_all([gossip.sender for gossip in gossips[at : at + calm]], now)
+                if not self.local:  # then all who are taken are in the circle
+                    circle = self.neighbours.circle
+                    names = circle if taken == len(circle) else [gossip.sender for gossip in gossips[at : at + calm]]
+                    self._presence.speak_all(names, now)
                 more = QUIET if self._awaited else self._close_if_complete(now)
             else:
                 more, calm = self._on_gossip(gossips[at], now), 1

@@ -15,7 +15,7 @@ import numpy as np
 from agents.calm import CalmRound, Expected, Reader, Roll
 from agents.config import AgentConfig
 from agents.interest import Choice
-from agents.peers import Peer, outfit_of, understood
+from agents.peers import Mark, Peer, marks_of, outfit_of, spoken_by, understood
 from agents.places import EAST, NOBODY, RADIUS, Far
 from agents.said import Said
 from agents.whereabouts import Whereabouts
@@ -44,6 +44,7 @@ class Neighbours:
         self.said = Said()
         self._calm = False  # all in the circle are alive and missed no round, and nothing has changed since
         self._roll: Roll | None = None  # who is expected in calm rounds, made when it is needed
+        self._marks: list[Mark] | None = None  # theirs, made when they are needed
 
     def alive(self, name: str, incarnation: int) -> None:
         """A token appeared."""
@@ -74,7 +75,7 @@ class Neighbours:
             outfit = outfit_of(hello, self._config)
             if outfit is None:
                 return "sensor"
-            peer.outfit, self._roll = outfit, None
+            peer.outfit, self._roll, self._marks = outfit, None, None
         return None
 
     def knows(self, hello: Hello) -> bool:
@@ -103,9 +104,16 @@ class Neighbours:
     def hear_calmly(self, gossips: list[Gossip], start: int, tick: int, awaited: set[str]) -> tuple[int, int]:
         """Hear gossips of a calm round `tick`, from that of index `start` on, until nobody is awaited any more or one is out of the
         ordinary: how many, and how many of them I had asked for. As if `hear` had taken one after the other."""
-        said, circle = self.said.spell_out().get(tick) if self._calm else None, self.circle
+        said, circle = self.said.spell_out().setdefault(tick, {}) if self._calm else None, self.circle
         if said is None:
             return 0, 0
+        if not said and len(awaited) == len(circle):
+            self._marks = self._marks or marks_of(circle.values())
+            some, end = spoken_by(circle, self._marks, tick, gossips, start, self._name if self.local else "")
+            if end:
+                said.update(zip(circle, some))
+                awaited.clear()
+                return end - start, len(some)
         taken, at = 0, start
         for gossip in islice(gossips, start, None):
             name = gossip.sender
@@ -286,7 +294,8 @@ class Neighbours:
 
     def _listen_to(self, circle: list[Peer], added: list[Peer]) -> None:
         """Count these in, in the order of names, and nobody else; some are `added`."""
-        before, self.circle, self._roll = self.circle, {peer.name: peer for peer in circle}, None
+        before, self.circle = self.circle, {peer.name: peer for peer in circle}
+        self._roll = self._marks = None
         if len(circle) < len(before) + len(added):
             self.said.drop(before.keys() - self.circle.keys())
         self._calm = self._steady(added if self._calm else circle)
@@ -316,12 +325,7 @@ class Neighbours:
         return self._roll
 
     def _awaits(self, peer: Peer, never_heard_counts: bool) -> bool:
-        return peer.token and self._speaks(peer, never_heard_counts)
-
-    def _speaks(self, peer: Peer, never_heard_counts: bool) -> bool:
-        if not self.said.knows(peer.name):
-            return never_heard_counts
-        return peer.missed < self._silent
+        return peer.token and (peer.missed < self._silent if self.said.knows(peer.name) else never_heard_counts)
 
     def _peer(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
         """The peer of that incarnation, made anew for a younger one; None for an older one.
@@ -341,6 +345,6 @@ class Neighbours:
                 self.circle = {other: known for other, known in self.peers.items() if other == name or other in self.circle}
             self.changed = True
             if not self.local or name in self.circle:
-                self._calm, self._roll = False, None
+                self._calm, self._roll, self._marks = False, None, None
                 self.said.forget(name)
         return peer if incarnation == peer.incarnation else None

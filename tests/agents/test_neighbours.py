@@ -1,7 +1,11 @@
 """Who is there: tokens, greetings and gossips decide who bounds the diagram of a tick and whose word a round waits for."""
 
+import pytest
+
+from agents.capacity import sensor_facts
 from agents.config import AgentConfig
 from agents.neighbours import Neighbours
+from agents.peers import Outfit, spoken_by, understood
 from protocol.messages import Gossip, Hello
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 
@@ -191,3 +195,54 @@ def test_who_takes_the_sender_for_another_sensor_judges_its_words_for_himself() 
         listener.hear(said)
         sensors.append([heard.memo["sensor"] for heard in listener.fresh(0).values()])  # type: ignore[union-attr]
     assert sensors == [[SENSOR_CLASSES[sensor_class]] for sensor_class in "ABA"]
+
+
+@pytest.mark.parametrize(
+    ("arrived", "calm", "taken"),
+    [
+        ([("s2", 1), ("s3", 1), ("s4", 1)], 3, 3),
+        ([("s4", 1), ("s2", 1), ("s3", 1)], 3, 3),
+        ([("s2", 1), ("s3", 1)], 2, 2),
+        ([("s2", 1), ("s3", 2), ("s4", 1)], 1, 1),
+        ([("s2", 1), ("s9", 1), ("s3", 1), ("s4", 1)], 1, 1),
+        ([("s2", 1), ("s1", 1), ("s3", 1), ("s4", 1)], 1, 1),
+        ([("s2", 1), ("s3", 1), ("s4", 1), ("s4", 1)], 3, 3),
+        ([], 0, 0),
+    ],
+)
+def test_a_calm_round_is_heard_at_once_as_it_would_be_one_by_one(arrived: list[tuple[str, int]], calm: int, taken: int) -> None:
+    """Known messages, as those of the second listener in virtual time, and messages that nobody has looked at yet."""
+    shared: dict[tuple[str, int], Gossip] = {}
+    for _ in range(2):
+        peers = neighbours("s2", "s3", "s4")
+        for name in ("s2", "s3", "s4"):
+            assert peers.hear(gossip(name, 0)) is None
+        peers.close(0)
+        gossips, awaited = [shared.setdefault(word, gossip(*word)) for word in arrived], {"s2", "s3", "s4"}
+        assert peers.hear_calmly(gossips, 0, 1, awaited) == (calm, taken)
+        names = [name for name, _ in arrived[:calm]]
+        assert awaited == {"s2", "s3", "s4"} - set(names) == peers.missing(1)
+        assert set(peers.fresh(1)) == set(names)
+
+
+@pytest.mark.parametrize(("change", "end"), [(None, 3), ("order", 0), ("tick", 0), ("incarnation", 0), ("sensor", 0), ("copy", 0)])
+def test_marks_tell_who_has_spoken_and_with_which_sensor(change: str | None, end: int) -> None:
+    said = [gossip(name, 4, incarnation=2) for name in ("s2", "s5", "s3")]
+    sensors = [SENSOR_CLASSES["B"]] * 3
+    if change == "order":
+        said[0], said[2] = said[2], said[0]
+    elif change == "tick":
+        said[2] = gossip("s3", 5, incarnation=2)
+    elif change == "incarnation":
+        said[0] = gossip("s2", 4, incarnation=3)
+    elif change == "sensor":
+        sensors[0] = SENSOR_CLASSES["A"]
+    elif change == "copy":
+        said.append(said[0])
+    for word, sensor in zip(said, [*sensors, sensors[0]]):
+        assert understood(word, Outfit(sensor, sensor_facts(sensor)), CONFIG) is word
+    marks = [("s2", 2, SENSOR_CLASSES["B"]), ("s3", 2, SENSOR_CLASSES["B"])]
+    for listener in ("s1", "s9"):
+        assert spoken_by({"s2", "s3"}, marks, 4, [gossip("s2", 3), *said], 1, listener) == (([said[0], said[2]], 4) if end else ([], 0))
+    assert spoken_by({"s2", "s3"}, marks, 4, said, 0, "s5") == ([], 0)  # somebody speaks under the listener's own name
+    assert spoken_by({"s2", "s3"}, marks, 4, said, 0, "") == ([], 0)  # who hears all expects nobody else
