@@ -15,7 +15,7 @@ import numpy as np
 from agents.calm import CalmRound, Expected, Reader, Roll
 from agents.config import AgentConfig
 from agents.interest import Choice
-from agents.peers import Mark, Peer, marks_of, outfit_of, spoken_by, understood
+from agents.peers import Mark, Peer, are_from, marks_of, outfit_of, understood
 from agents.places import EAST, NOBODY, RADIUS, Far
 from agents.said import Said
 from agents.whereabouts import Whereabouts
@@ -104,16 +104,16 @@ class Neighbours:
     def hear_calmly(self, gossips: list[Gossip], start: int, tick: int, awaited: set[str]) -> tuple[int, int]:
         """Hear gossips of a calm round `tick`, from that of index `start` on, until nobody is awaited any more or one is out of the
         ordinary: how many, and how many of them I had asked for. As if `hear` had taken one after the other."""
-        said, circle = self.said.spell_out().setdefault(tick, {}) if self._calm else None, self.circle
-        if said is None:
+        if not self._calm:
             return 0, 0
-        if not said and len(awaited) == len(circle):
+        said, circle = self.said.spell_out().setdefault(tick, {}), self.circle
+        if not (self.local or said) and len(awaited) == len(circle):
             self._marks = self._marks or marks_of(circle.values())
-            some, end = spoken_by(circle, self._marks, tick, gossips, start, self._name if self.local else "")
-            if end:
+            some = gossips[start:]
+            if are_from(self._marks, tick, some):
                 said.update(zip(circle, some))
                 awaited.clear()
-                return end - start, len(some)
+                return len(some), len(some)
         taken, at = 0, start
         for gossip in islice(gossips, start, None):
             name = gossip.sender

@@ -1,7 +1,7 @@
 """One other agent as it is known: its incarnation, its token, the sensor that it announced, and what it can say with that."""
 
 import math
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -92,20 +92,6 @@ def marks_of(peers: Iterable[Peer]) -> list[Mark]:
     return [(peer.name, peer.incarnation, peer.outfit.sensor) for peer in peers if peer.outfit]
 
 
-def spoken_by(
-    names: Container[str], marks: list[Mark], tick: int, gossips: list[Gossip], start: int, listener: str
-) -> tuple[list[Gossip], int]:
-    """The gossips of `tick` with these marks, if all of them have come in this order from `start` on, and the place behind the last.
-
-    With a `listener` there may be gossips of others, who are not among the `names`, between them, but none in the name of the listener.
-    None and 0 if it is not so: then they must be heard one by one.
-    """
-    some = gossips[start:]
-    if listener:
-        some = [gossip for gossip in some if gossip.sender in names]
-    if not some or [gossip.memo.get("mark") for gossip in some] != marks or {gossip.tick for gossip in some} != {tick}:
-        return [], 0
-    end = gossips.index(some[-1], start) + 1
-    if listener and listener in [gossip.sender for gossip in gossips[start:end]]:
-        return [], 0
-    return some, end
+def are_from(marks: list[Mark], tick: int, gossips: list[Gossip]) -> bool:
+    """Whether these are the gossips of `tick` with these marks, all of them, in this order and nothing else."""
+    return [gossip.memo.get("mark") for gossip in gossips] == marks and {gossip.tick for gossip in gossips} == {tick}
