@@ -39,20 +39,12 @@ def distance(polygon: np.ndarray, px: float, py: float) -> float:
     return 0.0 if inside else math.sqrt(nearest)
 
 
-@njit(cache=True)
-def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Twin of `geometry.distances`; points may have more than two columns."""
-    found = np.empty(len(points))
-    for n in range(len(points)):
-        found[n] = distance(polygon, points[n, 0], points[n, 1])
-    return found
-
-
 @njit
-def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.ndarray:
-    """Of which points the `distance` is at most `width` m, (N,) bool: edge by edge and without branches, for several points at once."""
+def _apart(polygon: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squared `distance` of each point to the nearest edge, and whether it lies in the polygon, (N,): edge by edge and without
+    branches, for several points at once."""
     number, corners = len(x), len(polygon)
-    nearest, side = np.full(number, np.inf), np.zeros(number)
+    nearest, side, inside = np.full(number, np.inf), np.zeros(number), np.empty(number, np.bool_)
     for c in range(corners):
         following = c + 1 if c + 1 < corners else 0
         sx, sy = polygon[c, 0], polygon[c, 1]
@@ -69,10 +61,27 @@ def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.
             for n in range(number):
                 dx, dy = x[n] - sx, y[n] - sy
                 nearest[n] = min(nearest[n], dx * dx + dy * dy)
-    found, whole = np.empty(number, np.bool_), corners >= 3 and width >= 0.0
     for n in range(number):
-        found[n] = (whole & (side[n] >= 0.0)) | (math.sqrt(nearest[n]) <= width)
-    return found
+        inside[n] = (side[n] >= 0.0) & (corners >= 3)
+    return nearest, inside
+
+
+@njit(cache=True)
+def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Twin of `geometry.distances`; points may have more than two columns."""
+    nearest, inside = _apart(polygon, points[:, 0].copy(), points[:, 1].copy())
+    for n in range(len(points)):
+        nearest[n] = 0.0 if inside[n] else math.sqrt(nearest[n])
+    return nearest
+
+
+@njit
+def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.ndarray:
+    """Of which points the `distance` is at most `width` m, (N,) bool."""
+    nearest, inside = _apart(polygon, x, y)
+    for n in range(len(x)):
+        inside[n] = (inside[n] & (width >= 0.0)) | (math.sqrt(nearest[n]) <= width)
+    return inside
 
 
 @njit

@@ -65,28 +65,29 @@ def _starts(ends: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def unclaimed(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends: np.ndarray, width: float, height: float) -> np.ndarray:
     """Twin of `claims.unclaimed`. It asks the nearest owner first, in power distance: as a rule the point is in his cell."""
-    free, starts = np.ones(len(points), dtype=np.bool_), _starts(ends)
+    number, free, starts = len(points), np.ones(len(points), dtype=np.bool_), _starts(ends)
     owners = np.nonzero(starts < ends)[0]
-    east, north, squared = np.empty(len(owners)), np.empty(len(owners)), np.empty(len(owners))
+    if len(owners) == 0:
+        return free
+    x, y = points[:, 0].copy(), points[:, 1].copy()
+    nearest, least = np.zeros(number), np.full(number, np.inf)  # indices as floats, which are chosen several at once
     for k in range(len(owners)):
-        east[k], north[k], radius = generators[starts[owners[k]]]
-        squared[k] = radius * radius
-    for n in range(len(points)):
-        x, y = points[n, 0], points[n, 1]
-        if len(owners) == 0 or not (0.0 <= x <= width and 0.0 <= y <= height):
+        east, north, radius = generators[starts[owners[k]]]
+        squared = radius * radius
+        for n in range(number):
+            dx, dy = x[n] - east, y[n] - north
+            apart = dx * dx + dy * dy - squared
+            nearest[n] = float(k) if apart < least[n] else nearest[n]
+            least[n] = min(least[n], apart)
+    for n in range(number):
+        if not (0.0 <= x[n] <= width and 0.0 <= y[n] <= height):
             continue
-        nearest, least = 0, np.inf
-        for k in range(len(owners)):
-            dx, dy = x - east[k], y - north[k]
-            apart = dx * dx + dy * dy - squared[k]
-            if apart < least:
-                nearest, least = k, apart
-        likely = owners[nearest]
-        if _holds(x, y, generators, first, starts[likely], ends[likely]):
+        likely = owners[int(nearest[n])]
+        if _holds(x[n], y[n], generators, first, starts[likely], ends[likely]):
             free[n] = False
             continue
         for c in owners:
-            if _holds(x, y, generators, first, starts[c], ends[c]):
+            if _holds(x[n], y[n], generators, first, starts[c], ends[c]):
                 free[n] = False
                 break
     return free
@@ -108,17 +109,25 @@ def undisputed(
     points: np.ndarray, sizes: np.ndarray, generators: np.ndarray, ends: np.ndarray, views: np.ndarray, overlap: float
 ) -> np.ndarray:
     """Twin of `claims.undisputed`."""
-    keep, starts, n = np.ones(len(points), dtype=np.bool_), _starts(ends), 0
+    number, keep, starts, begin = len(points), np.ones(len(points), dtype=np.bool_), _starts(ends), 0
+    x, y, own, seen = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, views.dtype)
     for c in range(len(sizes)):
-        for _ in range(sizes[c]):
-            x, y = points[n, 0], points[n, 1]
-            own = _power_distance(x, y, generators, starts[c])
-            for rival in range(len(ends)):
-                start, end = starts[rival], ends[rival]
-                if views[rival] == views[c] or start == end or not _power_distance(x, y, generators, start) < own:
-                    continue
-                if _depth(x, y, generators, start, end) > overlap:
-                    keep[n] = False
-                    break
-            n += 1
+        for n in range(begin, begin + sizes[c]):
+            own[n], seen[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
+        begin += sizes[c]
+    outdone = np.zeros(number, np.bool_)
+    for rival in np.nonzero(starts < ends)[0]:  # as a rule nobody is nearer; without branches, for several points at once
+        east, north, radius = generators[starts[rival]]
+        squared, view = radius * radius, views[rival]
+        for n in range(number):
+            dx, dy = x[n] - east, y[n] - north
+            outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (seen[n] != view)
+    for row in np.nonzero(outdone)[0]:
+        for rival in range(len(ends)):
+            start, end = starts[rival], ends[rival]
+            if views[rival] == seen[row] or start == end or not _power_distance(x[row], y[row], generators, start) < own[row]:
+                continue
+            if _depth(x[row], y[row], generators, start, end) > overlap:
+                keep[row] = False
+                break
     return keep
