@@ -116,9 +116,9 @@ def undisputed(
             own[n], seen[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
         begin += sizes[c]
     outdone = np.zeros(number, np.bool_)
-    for rival in np.nonzero(starts < ends)[0]:  # as a rule nobody is nearer; without branches, for several points at once
-        east, north, radius = generators[starts[rival]]
-        squared, view = radius * radius, views[rival]
+    for owner in np.nonzero(starts < ends)[0]:  # as a rule nobody is nearer; without branches, for several points at once
+        east, north, radius = generators[starts[owner]]
+        squared, view = radius * radius, views[owner]
         for n in range(number):
             dx, dy = x[n] - east, y[n] - north
             outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (seen[n] != view)
