@@ -23,14 +23,13 @@ class Chorus:
         self.config, self.arithmetic = config, arithmetic
         cells = arithmetic.cut_all(words.points, words.radii, arena)
         self.parts = Parts(cells, _claims(cells, words))
-        self._words = words
         self._refreshed: tuple[int, list[Refreshed]] | None = None
 
-    def refreshed(self, step: Step) -> list[Refreshed]:
-        """What each makes of the particles, when nothing counts but what these gossips say."""
+    def refreshed(self, words: Words, step: Step) -> list[Refreshed]:
+        """What each makes of the particles, when nothing counts but what these gossips say, the same as before."""
         if self._refreshed is None or self._refreshed[0] != step.tick:
             births = self.arithmetic.births(step)
-            self._refreshed = step.tick, self.arithmetic.refresh_all(self._words, births, self.parts, step)
+            self._refreshed = step.tick, self.arithmetic.refresh_all(words, births, self.parts, step)
         return self._refreshed[1]
 
 

@@ -72,7 +72,7 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: H
     chorus = chorus_of(words, me.name, arithmetic, config, me.arena) if speaking is words is told else None
     if chorus is not None:
         place = words.names.index(me.name)
-        cell, claim, near = chorus.parts.cells[place], chorus.parts.claims[place], chorus.refreshed(step)[place]
+        cell, claim, near = chorus.parts.cells[place], chorus.parts.claims[place], chorus.refreshed(words, step)[place]
     else:
         cell = _own_cell(me, speaking, neighbours.far)
         claim = _claim(speaking, cell, neighbours.far)
