@@ -64,16 +64,27 @@ def refused(settings: NetworkSettings, text: str) -> BadSetting:
     return BadSetting(f"network.listen = {', '.join(settings.listen)}: {hint}")
 
 
+_RESERVED: list[socket.socket] = []  # of the ports that this process has been given, as long as it lives
+
+
 def free_port(lowest: int = 20000, highest: int = 32000) -> int:
-    """A TCP port on 127.0.0.1 that nobody listens on now, below the range that the kernel gives to outgoing connections."""
+    """A TCP port on 127.0.0.1 that nobody listens on now, below the range that the kernel gives to outgoing connections.
+
+    Some time passes until it is listened on, often by another process; so this process keeps the UDP port of the same number, by which
+    others who ask meanwhile see that it has been given away.
+    """
     span = highest - lowest
     start = int.from_bytes(os.urandom(4), "little")
     for step in range(span):
         port = lowest + (start + 7 * step) % span
-        with socket.socket() as probe:
-            try:
+        reserved = socket.socket(type=socket.SOCK_DGRAM)
+        try:
+            reserved.bind(("127.0.0.1", port))
+            with socket.socket() as probe:
                 probe.bind(("127.0.0.1", port))
-                return port
-            except OSError:
-                continue
+        except OSError:
+            reserved.close()
+            continue
+        _RESERVED.append(reserved)
+        return port
     raise BadSetting(f"no free port between {lowest} and {highest} on 127.0.0.1")

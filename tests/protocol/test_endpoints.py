@@ -1,11 +1,15 @@
 """Endpoints beyond this machine are refused unless they are encrypted or the settings say insecure."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from protocol.endpoints import check_endpoints, check_files, free_port, own_endpoints
 from protocol.settings import BadSetting, NetworkSettings
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:0", "tcp/localhost:7447", "tcp/[::1]:7447", "tls/10.0.0.1:7447", "quic/example.org:1"])
@@ -59,3 +63,16 @@ def test_files_are_missed_by_name_and_field(tmp_path: Path) -> None:
 
 def test_a_free_port_lies_below_the_range_of_outgoing_connections() -> None:
     assert 20000 <= free_port() < 32000
+
+
+def test_a_port_that_was_given_away_is_given_to_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody listens on it yet: the swarm that asked is still starting, and another one starts beside it."""
+    program = "import os; os.urandom = bytes; from protocol.endpoints import free_port; print(free_port(), flush=True); input()"
+    first = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert first.stdin and first.stdout
+    taken = int(first.stdout.readline())
+    monkeypatch.setattr("protocol.endpoints.os.urandom", bytes)
+    mine = [free_port(), free_port()]
+    assert len({taken, *mine}) == 3
+    first.communicate("done")
+    assert first.returncode == 0
