@@ -22,10 +22,11 @@ from agents.lookout import Lookout
 from agents.neighbours import Neighbours
 from agents.particles import NONE
 from agents.round import Outcome, Self, play
+from agents.unison import unison_of
 from protocol.geometry import rectangle
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Message, Observation
-from protocol.node import QUIET, Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.node import QUIET, Alive, Batch, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
 from protocol.settings import sensor_of
 
@@ -225,6 +226,18 @@ class Agent:
             at += calm
             effects = more if effects is QUIET else [*effects, *more]
         return effects
+
+    def hear_together(self, batch: Batch, now: float) -> list[Effect] | None:
+        """Gossips have come in one instant, mine among them; None: take the others one by one, for it is as if they had not come (Node)."""
+        unison, circle = unison_of(batch), self.neighbours.circle
+        if unison is None or self._gossip is None or len(self._awaited) < len(circle):
+            return None
+        if not self.neighbours.hear_together(unison, self.tick):
+            return None
+        self.counters["heard"] += len(circle)
+        self._presence.speak_at(unison.times(now))
+        self._awaited.clear()
+        return self._close_if_complete(now)
 
     def hear_all(self, keys: Sequence[str], payloads: Sequence[bytes], now: float) -> list[Effect] | None:
         """Gossips have come, unchecked, in this order; None: take them one by one (Node). In a calm round it saves most of the work."""

@@ -12,18 +12,18 @@ from operator import attrgetter
 
 import numpy as np
 
-from agents.calm import CalmRound, Expected, Reader, Roll
+from agents.calm import CalmRound, Reader, Roll
 from agents.config import AgentConfig
 from agents.interest import Choice
-from agents.peers import Mark, Peer, are_from, marks_of, outfit_of, understood
+from agents.peers import Mark, Peer, expected_of, marks_of, outfit_of, understood
 from agents.places import EAST, NOBODY, RADIUS, Far
-from agents.said import Said
+from agents.said import Said, Whole
+from agents.unison import Part, Unison
 from agents.whereabouts import Whereabouts
-from agents.words import eye_of
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 
-Heard = dict[str, Gossip] | CalmRound  # the gossips of a tick by living peers, by name
+Heard = dict[str, Gossip] | Whole  # the gossips of a tick by living peers, by name
 LOCAL_VIEW = 1  # of all who have heard everybody whom they must hear: their cells are those of one diagram
 
 
@@ -107,13 +107,6 @@ class Neighbours:
         if not self._calm:
             return 0, 0
         said, circle = self.said.spell_out().setdefault(tick, {}), self.circle
-        if not (self.local or said) and len(awaited) == len(circle):
-            self._marks = self._marks or marks_of(circle.values())
-            some = gossips[start:]
-            if are_from(self._marks, tick, some):
-                said.update(zip(circle, some))
-                awaited.clear()
-                return len(some), len(some)
         taken, at = 0, start
         for gossip in islice(gossips, start, None):
             name = gossip.sender
@@ -136,6 +129,17 @@ class Neighbours:
             if not awaited:
                 break
         return at - start, taken
+
+    def hear_together(self, unison: Unison, tick: int) -> bool:
+        """Hear in one go what all say, I too, if it is just what a calm round `tick` should bring: whether it was. Else nothing came."""
+        place = unison.places.get(self._name)
+        if not self._calm or self.local or place is None or unison.tick != tick or len(unison.said) != len(self.circle) + 1:
+            return False
+        self._marks = self._marks or marks_of(self.circle.values())
+        for gossip in unison.unmarked():
+            if gossip.sender in self.circle:
+                self._believed(gossip, self.circle[gossip.sender])
+        return unison.is_from(self._marks, place) and self.said.take(Part(unison, place), tick)
 
     def _judge(self, gossip: Gossip) -> str | None:
         name = gossip.sender
@@ -210,7 +214,7 @@ class Neighbours:
         """The round `tick` is over: put away what it used, count who was missing; how many were."""
         together = self._whole(tick)
         if together is not None:
-            if self.local:
+            if isinstance(together, CalmRound) and self.local:
                 self.places.close(together, self.peers)
             self.said.close_together()
             return 0
@@ -309,18 +313,14 @@ class Neighbours:
         local = self.local
         return all(peer.gone_at is None and not peer.missed and peer.outfit is not None and (peer.token or local) for peer in peers)
 
-    def _whole(self, tick: int) -> CalmRound | None:
-        """What all peers have said of a tick if it was read together and nothing has changed since."""
+    def _whole(self, tick: int) -> Whole | None:
+        """What all peers have said of a tick if it came together and nothing has changed since."""
         together = self.said.together(tick) if self._calm else None
         return together if together is not None and len(together) == len(self.circle) else None
 
     def call_roll(self, reader: Reader) -> Roll:
         """Whom a calm round expects; their sensors are known."""
-        clutter, expected = self._config.detection.clutter, []
-        for peer in self.circle.values():
-            assert peer.outfit is not None
-            sensor, facts = peer.outfit
-            expected.append(Expected(peer.name, peer.incarnation, eye_of(peer.name, sensor, clutter), facts.capability, sensor.reach))
+        expected = expected_of(self.circle.values(), self._config.detection.clutter)
         self._roll = Roll(self._config, reader, expected, bisect_left(list(self.circle), order(self._name), key=order))
         return self._roll
 

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import msgspec
 
+from agents.calm import Expected
 from agents.capacity import SensorFacts, sensor_facts
 from agents.config import AgentConfig
-from agents.words import learn
+from agents.words import eye_of, learn
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.sensing import SensorModel, WedgeSensor
@@ -60,11 +61,42 @@ def _of_wedge(sensor: WedgeSensor) -> Outfit:
     return Outfit(sensor, sensor_facts(sensor))
 
 
+def expected_of(peers: Iterable[Peer], clutter: float) -> list[Expected]:
+    """What a calm round expects of peers whose sensors are known; clutter per scan."""
+    outfits = [(peer, peer.outfit) for peer in peers if peer.outfit]
+    return [
+        Expected(peer.name, peer.incarnation, eye_of(peer.name, sensor, clutter), facts.capability, sensor.reach)
+        for peer, (sensor, facts) in outfits
+    ]
+
+
 def plausible(gossip: Gossip, outfit: Outfit) -> bool:
     """Whether a gossip stays within what its sender's sensor can do: U <= D, and the COD within reach."""
     most = outfit.facts.capability * _SLACK
     apart = math.dist(gossip.cod, gossip.pose[:2])
     return gossip.unused <= most and math.pi * gossip.power_radius**2 <= most and apart <= outfit.sensor.reach * _SLACK
+
+
+Mark = tuple[str, int, SensorModel]  # who says a gossip: name, incarnation, and the sensor that it was `understood` with
+
+_MARKS: dict[str, Mark] = {}  # the last that was asked for, by name
+_MOST_MARKS = 20000
+
+
+def mark_of(name: str, incarnation: int, sensor: SensorModel) -> Mark:
+    """The mark of somebody: the same object as before where that is equal, so that rounds are compared at once."""
+    known, mark = _MARKS.get(name), (name, incarnation, sensor)
+    if known == mark:
+        return known
+    if len(_MARKS) >= _MOST_MARKS:
+        _MARKS.clear()
+    _MARKS[name] = mark
+    return mark
+
+
+def marks_of(peers: Iterable[Peer]) -> list[Mark]:
+    """What is expected of peers whose sensors are known."""
+    return [mark_of(peer.name, peer.incarnation, peer.outfit.sensor) for peer in peers if peer.outfit]
 
 
 def understood(gossip: Gossip, outfit: Outfit, config: AgentConfig) -> Gossip | None:
@@ -79,19 +111,6 @@ def understood(gossip: Gossip, outfit: Outfit, config: AgentConfig) -> Gossip | 
         memo = gossip.memo
     if "believed" not in memo:
         believed = memo["believed"] = sensor if plausible(gossip, outfit) else None
-        memo["mark"] = (gossip.sender, gossip.incarnation, sensor) if believed is not None else None
+        memo["mark"] = mark_of(gossip.sender, gossip.incarnation, sensor) if believed is not None else None
         learn(gossip, sensor, config)
     return gossip if memo["believed"] is not None else None
-
-
-Mark = tuple[str, int, SensorModel]  # who says a gossip: name, incarnation, and the sensor that it was `understood` with
-
-
-def marks_of(peers: Iterable[Peer]) -> list[Mark]:
-    """What is expected of peers whose sensors are known."""
-    return [(peer.name, peer.incarnation, peer.outfit.sensor) for peer in peers if peer.outfit]
-
-
-def are_from(marks: list[Mark], tick: int, gossips: list[Gossip]) -> bool:
-    """Whether these are the gossips of `tick` with these marks, all of them, in this order and nothing else."""
-    return [gossip.memo.get("mark") for gossip in gossips] == marks and {gossip.tick for gossip in gossips} == {tick}

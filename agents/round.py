@@ -12,7 +12,6 @@ import numpy as np
 
 from agents.arithmetic import Arithmetic, Refreshed, Task
 from agents.belief import Belief, Copies, Round, Share
-from agents.calm import CalmRound
 from agents.capacity import SensorFacts, power_radius, unused_capacity
 from agents.cells import NO_CELL, Cell
 from agents.chorus import chorus_of
@@ -66,7 +65,7 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: H
     """The outcome of the round of `mine.tick`, given the gossips of that tick by name, in the order of names."""
     config, tick, arithmetic = me.config, mine.tick, me.arithmetic
     step = Step(config, tick)
-    words = heard.words(mine) if isinstance(heard, CalmRound) else _with_mine(heard, mine)
+    words = _with_mine(heard, mine) if isinstance(heard, dict) else heard.words(mine)
     speaking = _speaking(neighbours, mine, heard, words)
     told = last.belief.awake(step, arithmetic).merge(words, tick, arithmetic, config)
     chorus = chorus_of(words, me.name, arithmetic, config, me.arena) if speaking is words is told else None
@@ -106,7 +105,7 @@ def _speaking(neighbours: Neighbours, mine: Gossip, heard: Heard, words: Words) 
     """All generators of the tick, mine included unless I listen."""
     if len(heard) == len(neighbours.circle) and not words.listening:
         return words
-    speaking = neighbours.generators(mine.tick, heard.gossips() if isinstance(heard, CalmRound) else heard)
+    speaking = neighbours.generators(mine.tick, heard if isinstance(heard, dict) else heard.gossips())
     return side_by_side(list(speaking.values())) if mine.listening else _with_mine(speaking, mine)
 
 

@@ -3,8 +3,10 @@
 from collections.abc import Iterable, KeysView, Sequence
 
 from agents.calm import CalmRound, Roll
+from agents.unison import Part
 from protocol.messages import Gossip
 
+Whole = CalmRound | Part  # of which nothing is made one by one unless somebody asks
 MOST_TICKS = 16  # for which gossips wait; the newest count
 
 
@@ -14,9 +16,9 @@ class Said:
     def __init__(self) -> None:
         self.rounds: dict[int, dict[str, Gossip]] = {}  # by tick and name, of rounds that are not closed yet
         self.next = 0  # tick of the round after the last that was closed
-        self._together: CalmRound | None = None  # instead of `rounds`: all that has been said is of `next`, and was read together
+        self._together: Whole | None = None  # instead of `rounds`: all that has been said is of `next`, and came together
         self._last: dict[str, Gossip] = {}
-        self._closed: CalmRound | None = None  # instead of `_last`
+        self._closed: Whole | None = None  # instead of `_last`
 
     @property
     def last(self) -> dict[str, Gossip]:
@@ -28,15 +30,22 @@ class Said:
     def read(self, roll: Roll, keys: Sequence[str], payloads: Sequence[bytes]) -> KeysView[str] | None:
         """Read what has come together with what was read before; whose it was, or None, as `CalmRound.read`."""
         reading = self._together or CalmRound(roll, self.next)
-        if self.rounds or reading.roll is not roll:
+        if self.rounds or not isinstance(reading, CalmRound) or reading.roll is not roll:
             return None
         names = reading.read(keys, payloads)
         if names is not None:
             self._together = reading
         return names
 
-    def together(self, tick: int) -> CalmRound | None:
-        """What was said of a tick if it was read together."""
+    def take(self, heard: Part, tick: int) -> bool:
+        """All that there is to be said of a tick has come together; whether that can be, because nothing else has come."""
+        if self.rounds or self._together is not None or tick != self.next:
+            return False
+        self._together = heard
+        return True
+
+    def together(self, tick: int) -> Whole | None:
+        """What was said of a tick if it came together."""
         return self._together if self._together is not None and tick == self.next else None
 
     def spell_out(self) -> dict[int, dict[str, Gossip]]:
@@ -70,10 +79,10 @@ class Said:
     def drop(self, names: Iterable[str]) -> None:
         """What these have said in closed rounds counts no more."""
         for name in names:
-            if self._closed is not None:
+            if isinstance(self._closed, CalmRound):
                 self._closed.drop(name)
             else:
-                self._last.pop(name, None)
+                self.last.pop(name, None)
 
     def close_together(self) -> None:
         """The round that was read together is over."""

@@ -6,7 +6,7 @@ under its key.
 """
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
@@ -100,6 +100,19 @@ class Reopen:
 
 Effect = Message | Subscribe | Unsubscribe | Stop | Reopen
 QUIET: list[Effect] = []  # this very object as an answer: nothing is to be done, and the deadline is what it was; never to be changed
+
+
+@dataclass(eq=False, slots=True)
+class Batch:
+    """Messages that went to the same listeners, one right after the other in one instant, and who said each."""
+
+    senders: list[object]
+    events: list[Received]
+    memo: dict[str, Any] = field(default_factory=dict)  # a place for what listeners derive from it, so that it is derived once
+
+    def without(self, sender: object) -> list[Received]:
+        """What somebody else has said."""
+        return [event for other, event in zip(self.senders, self.events) if other is not sender]
 
 
 class Node(Protocol):

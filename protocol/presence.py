@@ -41,6 +41,10 @@ class Presence:
         """Messages of several have come."""
         self._words.update(dict.fromkeys(names, now))
 
+    def speak_at(self, times: dict[str, float]) -> None:
+        """Messages of several have come, each then; what is said of this node itself counts for nothing."""
+        self._words.update(times)
+
     def greet(self, name: str, now: float) -> bool:
         """A Hello of somebody has come; whether it is the first."""
         self._words[name] = now

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import codec
+from protocol.fans import Fan
 from protocol.fields import Malformed
 from protocol.keys import is_of_tokens, message_key, tokens_of
-from protocol.messages import Beacon, Command, Gossip, Hello, Message
+from protocol.messages import Command, Message
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.routes import Routes
-from protocol.seats import Seat, is_observation, place_of
-
-BOXED = (Gossip, Beacon, Hello)  # said to many; a listener takes all of them that have come in an instant together
+from protocol.seats import Batch, Seat, is_observation, place_of
 
 
 class Link(Protocol):
@@ -40,16 +39,7 @@ class _Call:
     function: Callable[[], None]
 
 
-@dataclass(slots=True)
-class _Fan:
-    """A message on its way to all its listeners."""
-
-    listeners: list[Seat]
-    sender: Seat
-    event: Event
-
-
-_Entry = tuple[Seat, Event | _Done] | _Fan | _Call  # of the queue
+_Entry = tuple[Seat, Event | _Done] | Fan | _Call  # of the queue
 
 
 class VirtualBus:
@@ -159,7 +149,7 @@ class VirtualBus:
             elif not self._advance(until):
                 return False
         entry = self._ready.popleft()
-        if isinstance(entry, _Fan):
+        if isinstance(entry, Fan):
             self._hand_all(entry)
         elif isinstance(entry, _Call):
             entry.function()
@@ -170,20 +160,24 @@ class VirtualBus:
             self._hand(entry[0], entry[1])
         return True
 
-    def _hand_all(self, fan: _Fan) -> None:
+    def _hand_all(self, fan: Fan) -> None:
         """Bring a message to all its listeners; what agents say to each other goes into their boxes."""
         sender, event, boxed = fan.sender, fan.event, self._boxed
-        if not isinstance(event, Received) or not isinstance(event.message, BOXED):
+        if not fan.is_boxed:
             for seat in fan.listeners:
                 if seat is not sender:
                     self._hand(seat, event)
             return
+        batch = fan.gather(self._ready) if self.tap is None else None  # who watches sees them one by one
         for seat in fan.listeners:
-            if seat is sender:
+            if batch is None and seat is sender:
                 continue
             if not seat.box:
                 boxed.append(seat)
-            seat.box.append(event)
+            if batch is None:
+                seat.box.append(event)  # type: ignore[arg-type]
+            else:
+                seat.put(batch)
 
     def _empty_boxes(self) -> None:
         """Nothing else is left of this instant: let everybody take what has come, one listener after the other.
@@ -195,14 +189,14 @@ class VirtualBus:
             self._empty(seat)
 
     def _empty(self, seat: Seat) -> None:
-        events, seat.box = seat.box, []
-        if events and seat.take_all is not None and seat.can_take() and self.tap is None:
-            effects = seat.take_all([event.message for event in events], self.now)
-            if effects is not QUIET or seat.armed is None:
-                self._taken(seat, events[-1], effects)
-            return
-        for event in events:
-            self._hand(seat, event)
+        for part in seat.empty_box():
+            if seat.take_all is not None and seat.can_take() and self.tap is None:
+                effects = seat.take(part, self.now)
+                if effects is not QUIET or seat.armed is None:
+                    self._taken(seat, part.events[-1] if isinstance(part, Batch) else part[-1], effects)
+                continue
+            for event in part.without(seat) if isinstance(part, Batch) else part:
+                self._hand(seat, event)
 
     def _hand(self, seat: Seat, event: Event) -> None:
         """Let a node take an event, or keep it until the node can."""
@@ -311,7 +305,7 @@ class VirtualBus:
         event = self._event(seat, key, message, payload)
         pace = self._pace if isinstance(message, Command) else 0.0
         if self._link is None and pace == 0.0:
-            self._ready.append(_Fan(listeners, seat, event))
+            self._ready.append(Fan(listeners, seat, event))
             self.deliveries += len(listeners)
             return
         at_once: list[Seat] = []
@@ -324,7 +318,7 @@ class VirtualBus:
                     else:
                         self._schedule(listener, event if arrived is payload else self._event(seat, key, message, arrived), pace + delay)
         if at_once:
-            self._ready.append(_Fan(at_once, seat, event))
+            self._ready.append(Fan(at_once, seat, event))
 
     def _carried(self, seat: Seat, listener: Seat, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
         if self._link is None:

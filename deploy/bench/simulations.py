@@ -16,7 +16,7 @@ from deploy.bench.timing import Row, in_turns
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation, compiled
 from protocol.messages import Message, Truth
-from protocol.node import Effect, Event
+from protocol.node import Batch, Effect, Event
 
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
 INSIDE = 60.0  # m from every edge of the arena: who is farther from them is counted apart
@@ -33,6 +33,12 @@ class Timed(Agent):
     def handle(self, event: Event, now: float) -> list[Effect]:
         begun = time.perf_counter()
         effects = super().handle(event, now)
+        self.spent += time.perf_counter() - begun
+        return effects
+
+    def hear_together(self, batch: Batch, now: float) -> list[Effect] | None:
+        begun = time.perf_counter()
+        effects = super().hear_together(batch, now)
         self.spent += time.perf_counter() - begun
         return effects
 

@@ -2,10 +2,8 @@
 
 import pytest
 
-from agents.capacity import sensor_facts
 from agents.config import AgentConfig
 from agents.neighbours import Neighbours
-from agents.peers import Outfit, are_from, understood
 from protocol.messages import Gossip, Hello
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 
@@ -223,26 +221,3 @@ def test_a_calm_round_is_heard_at_once_as_it_would_be_one_by_one(arrived: list[t
         names = [name for name, _ in arrived[:calm]]
         assert awaited == {"s2", "s3", "s4"} - set(names) == peers.missing(1)
         assert set(peers.fresh(1)) == set(names)
-
-
-@pytest.mark.parametrize("change", ["", "order", "tick", "incarnation", "sensor", "copy", "nobody"])
-def test_marks_tell_who_has_spoken_and_with_which_sensor(change: str) -> None:
-    said = [gossip(name, 4, incarnation=2) for name in ("s2", "s3")]
-    sensors = [SENSOR_CLASSES["B"]] * 3
-    if change == "order":
-        said.reverse()
-    elif change == "tick":
-        said[1] = gossip("s3", 5, incarnation=2)
-    elif change == "incarnation":
-        said[0] = gossip("s2", 4, incarnation=3)
-    elif change == "sensor":
-        sensors[0] = SENSOR_CLASSES["A"]
-    elif change == "copy":
-        said.append(said[0])
-    elif change == "nobody":
-        said = []
-    for word, sensor in zip(said, sensors):
-        assert understood(word, Outfit(sensor, sensor_facts(sensor)), CONFIG) is word
-    marks = [("s2", 2, SENSOR_CLASSES["B"]), ("s3", 2, SENSOR_CLASSES["B"])]
-    assert are_from(marks, 4, said) == (not change)
-    assert not are_from(marks, 4, [gossip(name, 4, incarnation=2) for name in ("s2", "s3")])  # nobody has looked at them yet

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from protocol.keys import all_of, one_of, tokens_of
-from protocol.messages import Command, Observation
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.messages import Command, Gossip, Message, Observation
+from protocol.node import QUIET, Alive, Batch, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.virtual import VirtualBus
 
 
@@ -181,3 +181,56 @@ def test_what_a_link_does_to_bytes_is_what_arrives() -> None:
     bus.run(5.0)
     assert two.heard() == [(1.0, 9)] and three.heard() == []
     assert (2.0, Rejected("a", "format")) in two.events
+
+
+def gossip(sender: str, tick: int) -> Gossip:
+    return Gossip(sender=sender, incarnation=1, tick=tick, pose=(1.0, 2.0, 0.0), cod=(1.0, 2.0), power_radius=1.0, unused=4.0)
+
+
+class Choir(Scribe):
+    """Takes what comes in an instant at once, and a batch of gossips whole, unless it has a mind of its own; says `word` when told."""
+
+    whole: bool = True
+    word: Gossip | None = None
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        effects = super().handle(event, now)
+        if isinstance(event, Started):
+            return [*effects, Subscribe(all_of(self.run, "gossip"))]
+        told = isinstance(event, Received) and isinstance(event.message, Observation)
+        return [self.word] if told and self.word is not None else effects
+
+    def take_all(self, messages: list[Message], now: float) -> list[Effect]:
+        self.parts().append(("one by one", [message.sender for message in messages]))
+        return QUIET
+
+    def hear_together(self, batch: Batch, now: float) -> list[Effect] | None:
+        if not self.whole:
+            return None
+        self.parts().append(("whole", [event.message.sender for event in batch.events]))
+        return QUIET
+
+    def parts(self) -> list[tuple[str, list[str]]]:
+        """What came, and how."""
+        parts: list[tuple[str, list[str]]] = self.__dict__.setdefault("_parts", [])
+        return parts
+
+
+def test_gossips_that_all_say_in_an_instant_come_as_one_batch_to_who_can_take_it() -> None:
+    nodes = [Choir(name) for name in ("a", "b", "c")]
+    nodes[1].whole = False
+    world = Scribe("world", role="world")
+    bus = bus_of(*nodes, world)
+    bus.pause("c")
+    for node in nodes:
+        node.word = gossip(node.name, 1)
+    told = [Observation(sender="world", incarnation=1, recipient=name, tick=1, time=1.0, pose=(0.0, 0.0, 0.0)) for name in "abc"]
+    say(bus, world, *told)
+    assert nodes[0].parts() == [("whole", ["a", "b"])]
+    assert nodes[1].parts() == [("one by one", ["a"])]
+    assert nodes[2].parts() == [] and bus.messages == 5
+    bus.resume("c")
+    bus.run(bus.now)
+    others = [event.message.sender for _, event in nodes[2].events if isinstance(event, Received) and isinstance(event.message, Gossip)]
+    assert others == ["a", "b"]
+    assert nodes[0].parts()[1:] == nodes[1].parts()[1:] == [("one by one", ["c"])]
