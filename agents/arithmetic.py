@@ -1,5 +1,6 @@
 """The arithmetic of a round: the same functions in plain numpy or compiled, bit for bit the same, chosen when an agent is made."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -64,6 +65,8 @@ class Arithmetic(NamedTuple):
     owned: Callable[..., np.ndarray]
     unclaimed: Callable[..., np.ndarray]
     undisputed: Callable[..., np.ndarray]
+    outlying: Callable[..., Particles]
+    unite: Callable[[Particles, np.ndarray, Particles, np.ndarray], Particles]
     births: Callable[[Step], Particles]
     predict: Callable[[Particles, Step], Particles]
     gather: Callable[..., tuple[Particles, Particles]]
@@ -89,6 +92,23 @@ def predict(particles: Particles, step: Step) -> Particles:
     """The particles one step on (`phd.predict`)."""
     config = step.config
     return phd.predict(particles, step.tick, config.run.seed, config.run.dt, config.filter, config.arena)
+
+
+def outlying(near: Particles, told: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
+    """Copies after a round: of the particles corrected around a cell those in the arena that are not claimed; and, one step on, those
+    told that are farther from the cell than its halo, and no farther than `horizon` m. Those without mass are left out."""
+    arena, states = step.config.arena, near.states
+    others = select(near, ~claims.owned(states, claim, arena) & claims.in_arena(states, arena))
+    moved = predict(told, step)
+    away = geometry.distances(polygon, moved.states)
+    apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
+    copies = join([others, select(moved, apart & within)])
+    return select(copies, copies.weights > 0.0)
+
+
+def unite(told: Particles, kept: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
+    """Of what is told and of copies those that are chosen, in canonical order; of an id that occurs twice what was told."""
+    return canonical(join([select(told, kept), select(copies, free)]))
 
 
 def gather(
@@ -178,6 +198,8 @@ PLAIN = Arithmetic(
     owned=claims.owned,
     unclaimed=claims.unclaimed,
     undisputed=claims.undisputed,
+    outlying=outlying,
+    unite=unite,
     births=births,
     predict=predict,
     gather=gather,

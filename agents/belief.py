@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.arithmetic import Arithmetic
-from agents.claims import NO_CLAIM, Claim, in_arena, make_claim
+from agents.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.config import AgentConfig
 from agents.particles import NONE, Particles, canonical, join, select
 from agents.step import Step
@@ -70,20 +70,14 @@ class Copies:
         """Every copy, at the stamp of the belief."""
         if self.round is not None:
             step, arithmetic, told, polygon, claim, horizon = self.round
-            arena, states = step.config.arena, self.near.states
-            others = select(self.near, ~arithmetic.owned(states, claim, arena) & in_arena(states, arena))
-            moved = arithmetic.predict(particles_of(told), step)
-            away = arithmetic.distances(polygon, moved.states)
-            apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
-            copies = join([others, select(moved, apart & within)])
+            copies = arithmetic.outlying(self.near, particles_of(told), polygon, claim, horizon, step)
             self.near, self.round = worth_keeping(copies, step.config.filter.particles_per_target), None
         return self.near
 
 
 def worth_keeping(copies: Particles, per_target: int) -> Particles:
-    """Copies with mass; the heaviest if they are more than `MOST_COPIES` and than `MOST_TIMES` as many as their mass is drawn with, at
+    """All copies; the heaviest if they are more than `MOST_COPIES` and than `MOST_TIMES` as many as their mass is drawn with, at
     `per_target` for an expected target. Whatever the number of targets, only what is much lighter than a drawn particle is given up."""
-    copies = select(copies, copies.weights > 0.0)
     most = max(MOST_COPIES, math.ceil(MOST_TIMES * per_target * float(copies.weights.sum())))
     if len(copies.weights) <= most:
         return copies
@@ -109,18 +103,19 @@ class Belief:
         of whom I did not know has cut another one, whatever he says.
         """
         # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
-        strangers = set() if self.acquainted is None else set(words.names) - self.acquainted - {self.mine.owner}
+        strangers = set() if self.acquainted is None else words.everyone - self.acquainted - {self.mine.owner}
         agreed = self.mine.view != 0 and words.claimed == (tick - 1, self.mine.view) and not strangers
-        if agreed and self.everyone and self.everyone.issubset(words.names):
+        if agreed and self.everyone and self.everyone <= words.everyone:
             return words
         shares = [share_of(gossip) for gossip in words.gossips if gossip.claim_tick == tick - 1 and gossip.sender != self.mine.owner]
         shares.insert(0, self.mine)
-        claims, views = [share.claim for share in shares], [~share.view if share.owner in strangers else share.view for share in shares]
+        claims = end_to_end([share.claim for share in shares])
+        views = [~share.view if share.owner in strangers else share.view for share in shares]
         told, sizes = join([share.particles for share in shares]), [len(share.particles.ids) for share in shares]
         kept = arithmetic.undisputed(told.states, sizes, claims, views, config.timing.overlap)
         copies = self.copies.all()
         free = arithmetic.unclaimed(copies.states, claims, config.arena)
-        return canonical(join([select(told, kept), select(copies, free)]))
+        return arithmetic.unite(told, kept, copies, free)
 
     def awake(self, step: Step, arithmetic: Arithmetic) -> "Belief":
         """This belief as a copy of the tick before `step.tick`, for an agent that missed rounds: nothing in it is claimed any more."""

@@ -40,7 +40,7 @@ def distance(polygon: np.ndarray, px: float, py: float) -> float:
 
 
 @njit
-def _apart(polygon: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def apart(polygon: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Squared `distance` of each point to the nearest edge, and whether it lies in the polygon, (N,): edge by edge and without
     branches, for several points at once."""
     number, corners = len(x), len(polygon)
@@ -69,7 +69,7 @@ def _apart(polygon: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarra
 @njit(cache=True)
 def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Twin of `geometry.distances`; points may have more than two columns."""
-    nearest, inside = _apart(polygon, points[:, 0].copy(), points[:, 1].copy())
+    nearest, inside = apart(polygon, points[:, 0].copy(), points[:, 1].copy())
     for n in range(len(points)):
         nearest[n] = 0.0 if inside[n] else math.sqrt(nearest[n])
     return nearest
@@ -78,7 +78,7 @@ def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
 @njit
 def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.ndarray:
     """Of which points the `distance` is at most `width` m, (N,) bool."""
-    nearest, inside = _apart(polygon, x, y)
+    nearest, inside = apart(polygon, x, y)
     for n in range(len(x)):
         inside[n] = (inside[n] & (width >= 0.0)) | (math.sqrt(nearest[n]) <= width)
     return inside

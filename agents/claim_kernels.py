@@ -17,19 +17,6 @@ def _power_distance(x: float, y: float, generators: np.ndarray, place: int) -> f
     return dx * dx + dy * dy - generators[place, 2] * generators[place, 2]
 
 
-@njit
-def _holds(x: float, y: float, generators: np.ndarray, first: np.ndarray, start: int, end: int) -> bool:
-    """Whether a point lies in the cell of the generator `start`, which those up to `end` bound."""
-    if start == end:
-        return False
-    own = _power_distance(x, y, generators, start)
-    for g in range(start + 1, end):
-        other = _power_distance(x, y, generators, g)
-        if not (own < other if first[g] else own <= other):
-            return False
-    return True
-
-
 @njit(cache=True)
 def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
     """Twin of `claims.owned`: which points lie in the arena and in the cell of generator 0."""
@@ -62,34 +49,72 @@ def _starts(ends: np.ndarray) -> np.ndarray:
     return starts
 
 
+@njit
+def _hold(
+    x: np.ndarray, y: np.ndarray, generators: np.ndarray, first: np.ndarray, start: int, end: int, own: np.ndarray, held: np.ndarray
+) -> None:
+    """Which points lie in the cell of the generator `start`, which those up to `end` bound: into `held`. `own` is room."""
+    east, north, squared = generators[start, 0], generators[start, 1], generators[start, 2] * generators[start, 2]
+    for n in range(len(x)):
+        dx, dy = x[n] - east, y[n] - north
+        own[n], held[n] = dx * dx + dy * dy - squared, True
+    for g in range(start + 1, end):  # without branches, for several points at once
+        east, north, squared, wins = generators[g, 0], generators[g, 1], generators[g, 2] * generators[g, 2], first[g]
+        for n in range(len(x)):
+            dx, dy = x[n] - east, y[n] - north
+            other = dx * dx + dy * dy - squared
+            held[n] &= (own[n] < other) | ((own[n] == other) & (not wins))
+
+
+@njit
+def _likely(x: np.ndarray, y: np.ndarray, generators: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """For each point the nearest of the generators at these places, in power distance, as an index of `places`: good enough for a first
+    guess, so in single precision, and indices as such numbers, because then twice as many are chosen at once."""
+    number = len(x)
+    east, north = np.empty(number, np.float32), np.empty(number, np.float32)
+    nearest, least = np.zeros(number, np.float32), np.full(number, np.float32(np.inf))
+    for n in range(number):
+        east[n], north[n] = np.float32(x[n]), np.float32(y[n])
+    for k in range(len(places)):
+        generator = generators[places[k]]
+        there_x, there_y, squared = np.float32(generator[0]), np.float32(generator[1]), np.float32(generator[2] * generator[2])
+        index = np.float32(k)
+        for n in range(number):
+            dx, dy = east[n] - there_x, north[n] - there_y
+            apart = dx * dx + dy * dy - squared
+            nearest[n] = index if apart < least[n] else nearest[n]
+            least[n] = min(least[n], apart)
+    return nearest
+
+
 @njit(cache=True)
 def unclaimed(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Twin of `claims.unclaimed`. It asks the nearest owner first, in power distance: as a rule the point is in his cell."""
-    number, free, starts = len(points), np.ones(len(points), dtype=np.bool_), _starts(ends)
+    """Twin of `claims.unclaimed`. It asks the nearest owner first: as a rule the point is in his cell; and all owners about the rest."""
+    free, starts = np.ones(len(points), dtype=np.bool_), _starts(ends)
     owners = np.nonzero(starts < ends)[0]
-    if len(owners) == 0:
+    rows = np.nonzero((points[:, 0] >= 0.0) & (points[:, 0] <= width) & (points[:, 1] >= 0.0) & (points[:, 1] <= height))[0]
+    if len(owners) == 0 or len(rows) == 0:
         return free
-    x, y = points[:, 0].copy(), points[:, 1].copy()
-    nearest, least = np.zeros(number), np.full(number, np.inf)  # indices as floats, which are chosen several at once
+    likely, begins = _likely(points[rows, 0], points[rows, 1], generators, starts[owners]), np.zeros(len(owners) + 1, np.int64)
+    for n in range(len(rows)):
+        begins[int(likely[n]) + 1] += 1
+    begins = np.cumsum(begins)
+    order, filled = np.empty(len(rows), np.int64), begins[:-1].copy()
+    for n in range(len(rows)):  # those of an owner side by side
+        k = int(likely[n])
+        order[filled[k]] = rows[n]
+        filled[k] += 1
+    x, y, own, held = points[order, 0], points[order, 1], np.empty(len(rows)), np.empty(len(rows), np.bool_)
     for k in range(len(owners)):
-        east, north, radius = generators[starts[owners[k]]]
-        squared = radius * radius
-        for n in range(number):
-            dx, dy = x[n] - east, y[n] - north
-            apart = dx * dx + dy * dy - squared
-            nearest[n] = float(k) if apart < least[n] else nearest[n]
-            least[n] = min(least[n], apart)
-    for n in range(number):
-        if not (0.0 <= x[n] <= width and 0.0 <= y[n] <= height):
-            continue
-        likely = owners[int(nearest[n])]
-        if _holds(x[n], y[n], generators, first, starts[likely], ends[likely]):
-            free[n] = False
-            continue
-        for c in owners:
-            if _holds(x[n], y[n], generators, first, starts[c], ends[c]):
-                free[n] = False
-                break
+        part, owner = slice(begins[k], begins[k + 1]), owners[k]
+        _hold(x[part], y[part], generators, first, starts[owner], ends[owner], own[part], held[part])
+    free[order[held]] = False
+    left = order[~held]
+    x, y, taken = points[left, 0], points[left, 1], np.zeros(len(left), np.bool_)
+    for owner in owners:
+        _hold(x, y, generators, first, starts[owner], ends[owner], own[: len(left)], held[: len(left)])
+        taken |= held[: len(left)]
+    free[left] = ~taken
     return free
 
 
@@ -115,8 +140,8 @@ def undisputed(
         for n in range(begin, begin + sizes[c]):
             own[n], seen[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
         begin += sizes[c]
-    outdone = np.zeros(number, np.bool_)
-    for owner in np.nonzero(starts < ends)[0]:  # as a rule nobody is nearer; without branches, for several points at once
+    outdone, owners = np.zeros(number, np.bool_), np.nonzero(starts < ends)[0]
+    for owner in owners:  # as a rule nobody is nearer; without branches, for several points at once
         east, north, radius = generators[starts[owner]]
         squared, view = radius * radius, views[owner]
         for n in range(number):

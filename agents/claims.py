@@ -4,6 +4,7 @@ of the owner; and what several of them together leave over or disagree about.
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,21 @@ class Claim(NamedTuple):
 def make_claim(names: tuple[str, ...], generators: np.ndarray, order: tuple[tuple[int, str], ...]) -> Claim:
     """The claim of the owner `names[0]`; `order` holds the sort key of each name."""
     return Claim(names, generators, np.array([other < order[0] for other in order], dtype=bool))
+
+
+class Claims(NamedTuple):
+    """Several claims, and their generators end to end."""
+
+    each: Sequence[Claim]
+    generators: np.ndarray  # (G, 3)
+    first: np.ndarray  # (G,) bool
+    ends: np.ndarray  # (C,), of each
+
+
+def end_to_end(claims: Sequence[Claim]) -> Claims:
+    """Some claims, at least one, as those want them who ask all of them."""
+    generators, first = np.concatenate([claim.generators for claim in claims]), np.concatenate([claim.first for claim in claims])
+    return Claims(claims, generators, first, np.array(list(accumulate([len(claim.names) for claim in claims]))))
 
 
 NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
@@ -60,25 +76,25 @@ def depths(points: np.ndarray, claim: Claim) -> np.ndarray:
     return ((distances[:, 1:] - distances[:, :1]) / (2.0 * np.maximum(spans, 1e-9))).min(axis=1)
 
 
-def unclaimed(points: np.ndarray, claims: Sequence[Claim], arena: ArenaSettings) -> np.ndarray:
+def unclaimed(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.ndarray:
     """Which points (N, 2 or more columns) lie in none of the claimed cells: (N,) bool."""
     free = np.arange(len(points))
-    for claim in claims:
+    for claim in claims.each:
         free = free[~owned(points[free], claim, arena)]
     found = np.zeros(len(points), dtype=bool)
     found[free] = True
     return found
 
 
-def undisputed(points: np.ndarray, sizes: Sequence[int], claims: Sequence[Claim], views: Sequence[int], overlap: float) -> np.ndarray:
+def undisputed(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
     """Which of the points (N, 2 or more columns) that the owners of claims state count, (N,) bool; the first `sizes[0]` are of the first.
 
     All do but those more than `overlap` m deep inside another claim of another view whose owner is nearer in power distance.
     """
     keep, start = np.ones(len(points), dtype=bool), 0
-    for size, claim, view in zip(sizes, claims, views):
+    for size, claim, view in zip(sizes, claims.each, views):
         first, start = start, start + size
-        rivals = [other for other, another in zip(claims, views) if another != view and other.names]
+        rivals = [other for other, another in zip(claims.each, views) if another != view and other.names]
         if not size or not rivals:
             continue
         theirs = points[first:start]

@@ -21,6 +21,7 @@ from agents import (
     interest,
     interest_kernels,
     kernels,
+    merge_kernels,
     phd,
     round_kernels,
     update_kernels,
@@ -31,7 +32,7 @@ from agents.arithmetic import update as plain_update
 from agents.births import DIRECTIONS, inflow, sensor_row
 from agents.calm import Reader
 from agents.cells import NO_CELL, TOUCH, Cell
-from agents.claims import Claim
+from agents.claims import Claim, Claims
 from agents.config import AgentConfig, ExtractionSettings
 from agents.particles import NONE, Particles
 from agents.step import Step
@@ -67,22 +68,14 @@ def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
     return claim_kernels.owned(points, claim.generators, claim.first, arena.width, arena.height)  # type: ignore[no-any-return]
 
 
-def unclaimed(points: np.ndarray, claims: Sequence[Claim], arena: ArenaSettings) -> np.ndarray:
+def unclaimed(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.ndarray:
     """See `claims.unclaimed`."""
-    generators, first, ends = _end_to_end(claims)
-    return claim_kernels.unclaimed(points, generators, first, ends, arena.width, arena.height)  # type: ignore[no-any-return]
+    return claim_kernels.unclaimed(points, *claims[1:], arena.width, arena.height)  # type: ignore[no-any-return]
 
 
-def undisputed(points: np.ndarray, sizes: Sequence[int], claims: Sequence[Claim], views: Sequence[int], overlap: float) -> np.ndarray:
+def undisputed(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
     """See `claims.undisputed`."""
-    generators, _, ends = _end_to_end(claims)
-    return claim_kernels.undisputed(points, np.array(sizes), generators, ends, np.array(views), overlap)  # type: ignore[no-any-return]
-
-
-def _end_to_end(claims: Sequence[Claim]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Generators of all claims (G, 3), who of them wins ties (G,), and where each claim ends (C,)."""
-    ends = np.array(list(accumulate([len(claim.names) for claim in claims])))
-    return np.concatenate([claim.generators for claim in claims]), np.concatenate([claim.first for claim in claims]), ends
+    return claim_kernels.undisputed(points, np.array(sizes), claims.generators, claims.ends, np.array(views), overlap)  # type: ignore[no-any-return]
 
 
 Motion = tuple[np.uint64, np.uint64, np.uint64, float, float, float, float, float, bool, float, float]
@@ -129,6 +122,17 @@ def predict(particles: Particles, step: Step) -> Particles:
     """See `arithmetic.predict`."""
     states, weights = kernels.predict(*particles, motion(step))
     return Particles(states, weights, particles.ids)
+
+
+def outlying(near: Particles, told: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
+    """See `arithmetic.outlying`."""
+    cell, halo = polygon if len(polygon) else _NO_CORNERS, step.config.filter.halo
+    return Particles(*merge_kernels.outlying(tuple(near), tuple(told), cell, claim.generators, claim.first, halo, horizon, motion(step)))
+
+
+def unite(told: Particles, kept: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
+    """See `arithmetic.unite`."""
+    return Particles(*merge_kernels.unite(tuple(told), kept, tuple(copies), free))
 
 
 def gather(
@@ -327,6 +331,8 @@ FAST = Arithmetic(
     owned=owned,
     unclaimed=unclaimed,
     undisputed=undisputed,
+    outlying=outlying,
+    unite=unite,
     births=births,
     predict=predict,
     gather=gather,

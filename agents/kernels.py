@@ -17,6 +17,7 @@ _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
 _LOW = np.uint64(0xFFFF)
 _NORMAL_SCALE = 3.0**0.5 / 65536.0
+_MOST_BITS, _FULLEST = 14, 64  # of ids that choose a bucket; and how many may lie in one
 
 
 @njit
@@ -70,7 +71,45 @@ def predict(states: np.ndarray, weights: np.ndarray, ids: np.ndarray, motion: tu
 
 @njit(cache=True)
 def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """The indices `order` in ascending order of id, stable: a natural merge sort, because ids come in ascending runs."""
+    """The indices `order` in ascending order of id, stable.
+
+    Ids are hashes, so that their first bits spread them over buckets of about one each, and little is left to be put right by insertion.
+    What does not spread, or is sorted already, is merged run by run.
+    """
+    count, runs = len(order), 1
+    for n in range(1, count):
+        runs += ids[order[n]] < ids[order[n - 1]]
+    if runs == 1:
+        return order
+    bits = 1
+    while 1 << bits < count:
+        bits += 1
+    shift = np.uint64(64 - min(bits, _MOST_BITS))
+    starts, fullest = np.zeros((1 << min(bits, _MOST_BITS)) + 1, np.int64), 0
+    for n in range(count):
+        starts[np.int64(ids[order[n]] >> shift) + 1] += 1
+    for bucket in range(1, len(starts)):
+        fullest = max(fullest, starts[bucket])
+        starts[bucket] += starts[bucket - 1]
+    if fullest > _FULLEST:
+        return _merge_runs(ids, order)
+    found = np.empty_like(order)
+    for n in range(count):
+        bucket = np.int64(ids[order[n]] >> shift)
+        found[starts[bucket]] = order[n]
+        starts[bucket] += 1
+    for n in range(1, count):
+        row, place = found[n], n
+        while place > 0 and ids[found[place - 1]] > ids[row]:
+            found[place] = found[place - 1]
+            place -= 1
+        found[place] = row
+    return found
+
+
+@njit
+def _merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """The same by a natural merge sort."""
     count = len(order)
     source, target, starts = order, np.empty_like(order), np.empty(count + 1, np.int64)
     while True:

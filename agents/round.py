@@ -82,7 +82,7 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: H
             stamp=tick,
             mine=Share(me.name, claim, kept, _view(neighbours, heard, speaking, claim)),
             copies=Copies(updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.local else math.inf)),
-            everyone=frozenset(speaking.names),
+            everyone=speaking.everyone,
             acquainted=neighbours.acquainted() if neighbours.local else None,
         ),
         unused=unused_capacity(me.facts.capability, near.detected, near.load, config.capacity),

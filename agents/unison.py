@@ -52,6 +52,8 @@ class Unison:
 class Part:
     """What one of those who spoke has heard of it: a round that is heard whole, as a `CalmRound` is."""
 
+    __slots__ = ("_place", "_unison")
+
     def __init__(self, unison: Unison, place: int) -> None:
         """`place`: of its own gossip."""
         self._unison, self._place = unison, place

@@ -116,6 +116,11 @@ class Words:
         return self.table[:, SALT].copy().view(np.uint64)
 
     @once
+    def everyone(self) -> frozenset[str]:
+        """The names once more, to look them up."""
+        return frozenset(self.names)
+
+    @once
     def generators(self) -> np.ndarray:
         """(N, 3): point x, y and power radius, m."""
         return self.table[:, EAST : RADIUS + 1].copy()

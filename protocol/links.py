@@ -56,15 +56,19 @@ class Channel:
         """(delay s, payload) of every copy that arrives; the very object `payload` where nothing was spoilt."""
         if condition == CLEAR:
             return [(0.0, payload)]
-        if not self._dice:
-            self._dice = self._rng.random((AT_ONCE, 8)).tolist()[::-1]
-        lost, jitter, twice, later, held, hold, flip, where = self._dice.pop()
+        lost, jitter, twice, later, held, hold, flip, where = self.throw()
         if self._loses(lost, condition):
             return LOST
         delay = condition.delay + jitter * condition.jitter + (hold * condition.spread if held < condition.reorder else 0.0)
         arrived = spoilt(payload, where) if flip < condition.flip and payload else payload
         copies = [(delay, arrived)]
         return [*copies, (delay + later * condition.spread, arrived)] if twice < condition.duplicate else copies
+
+    def throw(self) -> list[float]:
+        """The eight dice of the next message."""
+        if not self._dice:
+            self._dice = self._rng.random((AT_ONCE, 8)).tolist()[::-1]
+        return self._dice.pop()
 
     def _loses(self, draw: float, condition: Condition) -> bool:
         """Whether this message is lost; with bursts the channel turns bad and good again so that `drop` is lost in the long run."""
@@ -102,11 +106,13 @@ class Ears:
     def __init__(self, seed: int, receiver: str) -> None:
         self._seed, self._receiver = seed, receiver
         self._reception = Reception()
+        self._lossy: dict[str, float] = {}  # who is only ever lost, each message on its own, and how large a share
         self._channels: dict[str, Channel] = {}
 
     def set(self, reception: Reception) -> None:
         """From now on it hears like this."""
-        self._reception = reception
+        self._reception, plain = reception, reception.conditions.items()
+        self._lossy = {name: condition.drop for name, condition in plain if condition == Condition(drop=condition.drop) != CLEAR}
 
     def hear(self, sender: str, payload: bytes) -> list[tuple[float, bytes]]:
         """(delay s, payload) of every copy of a message that arrives."""
@@ -118,7 +124,10 @@ class Ears:
         channel = self._channels.get(sender)
         if channel is None:
             channel = self._channels[sender] = Channel(self._seed, sender, self._receiver)
-        return channel.copies(payload, condition)
+        share = self._lossy.get(sender)
+        if share is None:
+            return channel.copies(payload, condition)
+        return LOST if channel.throw()[0] < share else [(0.0, payload)]  # as `copies`, which asks more
 
 
 class LiveLink:

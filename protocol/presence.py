@@ -102,8 +102,8 @@ class Presence:
         self._voters.add(hello.sender)
         if now <= self._calm_until:
             return alarm
-        words, others = self._words, [name for name in self._expected if name not in (self._name, hello.sender)]
-        silent = [name for name in others if not now - words.get(name, NEVER) <= WITHIN_HEARING]
+        words, known = self._words, (self._name, hello.sender)
+        silent = [name for name in self._expected if not now - words.get(name, NEVER) <= WITHIN_HEARING and name not in known]
         for name in self._since.keys() - silent:
             del self._claims[name], self._since[name]
         spoken_of = self._since.keys() | hello.heard  # while a swarm gathers most are silent, and nobody has heard them yet
@@ -111,7 +111,7 @@ class Presence:
             if name in spoken_of and self._is_split(name, hello, now):
                 alarm = f"the others hear {name}, {self._name} does not"
         if not silent and not self._since:
-            self._calm_until = min([words[name] for name in others], default=now) + WITHIN_HEARING
+            self._calm_until = min([words[name] for name in self._expected if name not in known], default=now) + WITHIN_HEARING
         return alarm
 
     def _is_split(self, name: str, hello: Hello, now: float) -> bool:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from agents.arithmetic import PLAIN, Arithmetic, Parts, Task
 from agents.cells import NO_CELL
-from agents.claims import make_claim
+from agents.claims import end_to_end, make_claim
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings
 from agents.interest import Ground
 from agents.particles import NONE, Particles, join, select
@@ -150,12 +150,45 @@ def test_what_claims_together_leave_and_dispute(seed: int, count: int, places: i
         names = [owner, *others] if rng.random() < 0.9 else []
         claims.append(make_claim(tuple(map(str, names)), table[names], tuple((name, "") for name in names)))
     where = np.vstack([rng.random((places, 4)) * 44.0 - 2.0, np.round(rng.random((places, 4)) * SIDE)])
-    assert_same("unclaimed", where, claims, ARENA)
+    assert_same("unclaimed", where, end_to_end(claims), ARENA)
     sizes = rng.multinomial(len(where), [1.0 / count] * count)
     sizes = [int(size) if claim.names else 0 for size, claim in zip(sizes, claims)]
     views = rng.integers(-2, 2, count).tolist()
     for overlap in (0.0, 3.0):
-        assert_same("undisputed", where[: sum(sizes)], sizes, claims, views, overlap)
+        assert_same("undisputed", where[: sum(sizes)], sizes, end_to_end(claims), views, overlap)
+
+
+@given(seeds, st.integers(1, 14), st.integers(0, 60), st.sampled_from([0.0, 5.0, math.inf]))
+@some
+def test_copies_after_a_round_and_what_counts_of_them(seed: int, count: int, number: int, horizon: float) -> None:
+    rng = np.random.default_rng(seed)
+    points, radii = diagram(rng, count)
+    cell = PLAIN.cut(0, points, radii, BOX)
+    names = cell.bounds
+    claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[list(names)], tuple((name, "") for name in names))
+    near, told = cloud(rng, number), cloud(rng, int(rng.integers(0, 60)))
+    mixed = join([told, select(near, rng.random(number) < 0.5)])
+    for border in ("cross", "reflect"):
+        for polygon in (cell.polygon, EMPTY):
+            assert_same("outlying", near, mixed, polygon, claim, horizon, step(border=border))
+    assert_same("unite", mixed, rng.random(len(mixed.ids)) < 0.8, near, rng.random(number) < 0.3)
+    assert_same("unite", NONE, np.empty(0, dtype=bool), near, np.zeros(number, dtype=bool))
+
+
+@given(seeds, st.integers(0, 300), st.sampled_from(["hashes", "few", "numbers", "ends"]))
+@some
+def test_ids_are_sorted_whether_or_not_they_are_hashes(seed: int, count: int, kind: str) -> None:
+    rng = np.random.default_rng(seed)
+    ids = scramble(np.arange(count, dtype=np.uint64), int(rng.integers(2**60)))
+    if kind == "few":
+        ids = ids[rng.integers(0, max(1, count // 4), count)]
+    elif kind == "numbers":
+        ids = rng.integers(0, 1 + count, count).astype(np.uint64)
+    elif kind == "ends":
+        ids = np.where(rng.random(count) < 0.5, np.uint64(0), np.uint64(2**64 - 1))
+    for chosen in (rng.permutation(count), np.argsort(ids, kind="stable")):
+        wanted = chosen[np.argsort(ids[chosen], kind="stable")]
+        assert fast.kernels.sort_by_id(ids, chosen.copy()).tolist() == wanted.tolist()
 
 
 @given(seeds, st.integers(1, 10), st.integers(0, 50))

@@ -106,3 +106,15 @@ def test_a_process_hears_by_the_line_it_was_sent_and_goes_on_as_before_after_a_w
 )
 def test_the_key_says_who_sent_a_message(key: str, sender: str) -> None:
     assert sender_of(key) == sender
+
+
+@pytest.mark.parametrize("drop", [0.0, 0.1, 1.0])
+def test_a_link_that_only_loses_loses_what_one_loses_of_which_more_is_asked(drop: float) -> None:
+    heard = []
+    for condition in (Condition(drop=drop), Condition(drop=drop, spread=0.1)):  # nothing is held back, so how long it would be says nothing
+        ears = Ears(3, "b")
+        ears.set(Reception(conditions={"a": condition}))
+        heard.append([ears.hear("a", b"payload") for _ in range(200)])
+    assert heard[0] == heard[1]
+    lost = sum(not copies for copies in heard[0])
+    assert lost == 200 * drop if drop in (0.0, 1.0) else 5 < lost < 50
