@@ -22,7 +22,7 @@ from agents.lookout import Lookout
 from agents.neighbours import Neighbours
 from agents.particles import NONE
 from agents.round import Outcome, Self, play
-from agents.unison import unison_of
+from agents.unison import Unison, together_of
 from protocol.geometry import rectangle
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Message, Observation
@@ -228,14 +228,15 @@ class Agent:
         return effects
 
     def hear_together(self, batch: Batch, now: float) -> list[Effect] | None:
-        """Gossips have come in one instant, mine among them; None: take the others one by one, for it is as if they had not come (Node)."""
-        unison, circle = unison_of(batch), self.neighbours.circle
-        if unison is None or self._gossip is None or len(self._awaited) < len(circle):
-            return None
-        if not self.neighbours.hear_together(unison, self.tick):
+        """Messages have come in one instant, mine among them; None: take the others one by one, for it is as if none had come (Node)."""
+        together, circle = together_of(batch), self.neighbours.circle
+        if not isinstance(together, Unison):
+            known = together is not None and self.neighbours.are_all(together)
+            return QUIET if known and together and self._presence.greet_all_again(together.times(now), now) else None
+        if self._gossip is None or len(self._awaited) < len(circle) or not self.neighbours.hear_together(together, self.tick):
             return None
         self.counters["heard"] += len(circle)
-        self._presence.speak_at(unison.times(now))
+        self._presence.speak_at(together.times(now))
         self._awaited.clear()
         return self._close_if_complete(now)
 

@@ -15,6 +15,8 @@ from agents.config import AgentConfig
 from agents.step import Step
 from agents.words import Words
 
+SOMEBODY = ""  # nobody's name: has asked when it is known beforehand that several will
+
 
 class Chorus:
     """The common part of a round of all whose gossips stand side by side; what it gives is in the order of their names."""

@@ -18,7 +18,7 @@ from agents.interest import Choice
 from agents.peers import Mark, Peer, expected_of, marks_of, outfit_of, understood
 from agents.places import EAST, NOBODY, RADIUS, Far
 from agents.said import Said, Whole
-from agents.unison import Part, Unison
+from agents.unison import Part, Together, Unison
 from agents.whereabouts import Whereabouts
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
@@ -81,9 +81,8 @@ class Neighbours:
     def knows(self, hello: Hello) -> bool:
         """Whether `greet` would learn nothing from it."""
         peer = self.peers.get(hello.sender)
-        if peer is None or peer.incarnation != hello.incarnation or peer.outfit is None:
-            return False
-        return hello.sensor is None or hello.sensor is peer.outfit.sensor or hello.sensor == peer.outfit.sensor
+        outfit = peer.outfit if peer is not None and peer.incarnation == hello.incarnation else None
+        return outfit is not None and (hello.sensor is None or hello.sensor is outfit.sensor or hello.sensor == outfit.sensor)
 
     def hear_all(self, reader: Reader, keys: Sequence[str], payloads: Sequence[bytes]) -> KeysView[str] | None:
         """Gossips arrived; whose they were, if they could be read together. None: it is as if they had not come."""
@@ -93,12 +92,11 @@ class Neighbours:
         """A gossip arrived; the reason for refusing it, if there is one."""
         if self._calm:  # all is as in the last round, when nothing was missing: the commonest case, made short
             said, peer = self.said.spell_out().get(gossip.tick), self.circle.get(gossip.sender)
-            if said is None or peer is None or peer.incarnation != gossip.incarnation:
-                return self._judge(gossip)
-            believed = self._believed(gossip, peer)
-            if believed is not None:
-                said[gossip.sender] = believed
-                return None
+            if said is not None and peer is not None and peer.incarnation == gossip.incarnation:
+                believed = self._believed(gossip, peer)
+                if believed is not None:
+                    said[gossip.sender] = believed
+                    return None
         return self._judge(gossip)
 
     def hear_calmly(self, gossips: list[Gossip], start: int, tick: int, awaited: set[str]) -> tuple[int, int]:
@@ -132,14 +130,18 @@ class Neighbours:
 
     def hear_together(self, unison: Unison, tick: int) -> bool:
         """Hear in one go what all say, I too, if it is just what a calm round `tick` should bring: whether it was. Else nothing came."""
-        place = unison.places.get(self._name)
-        if not self._calm or self.local or place is None or unison.tick != tick or len(unison.said) != len(self.circle) + 1:
-            return False
-        self._marks = self._marks or marks_of(self.circle.values())
-        for gossip in unison.unmarked():
+        for gossip in unison.unmarked() if self._calm else ():
             if gossip.sender in self.circle:
                 self._believed(gossip, self.circle[gossip.sender])
-        return unison.is_from(self._marks, place) and self.said.take(Part(unison, place), tick)
+        return unison.tick == tick and self.are_all(unison) and self.said.take(Part(unison, unison.places[self._name]), tick)
+
+    def are_all(self, speakers: Together) -> bool:
+        """Whether all who are known and nothing is new about, and I, are those who speak."""
+        place = speakers.places.get(self._name)
+        if not self._calm or self.local or place is None or len(speakers.places) != len(self.circle) + 1:
+            return False
+        self._marks = self._marks or marks_of(self.circle.values())
+        return speakers.is_from(self._marks, place)
 
     def _judge(self, gossip: Gossip) -> str | None:
         name = gossip.sender
@@ -199,7 +201,8 @@ class Neighbours:
             return self.circle.keys() - said.keys()
         if self.local:  # a beacon was heard just now
             return {name for name, peer in self.circle.items() if peer.gone_at is None and peer.missed < self._silent and name not in said}
-        return {name for name, peer in self.circle.items() if name not in said and self._awaits(peer, newcomer or tick == 0)}
+        silent, others = self._silent, [peer for name, peer in self.circle.items() if name not in said and peer.token]
+        return {peer.name for peer in others if (peer.missed < silent if self.said.knows(peer.name) else newcomer or tick == 0)}
 
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """The gossip from which each peer's generator in the diagram of `tick` is read: fresh, or the last of the lately silent."""
@@ -323,9 +326,6 @@ class Neighbours:
         expected = expected_of(self.circle.values(), self._config.detection.clutter)
         self._roll = Roll(self._config, reader, expected, bisect_left(list(self.circle), order(self._name), key=order))
         return self._roll
-
-    def _awaits(self, peer: Peer, never_heard_counts: bool) -> bool:
-        return peer.token and (peer.missed < self._silent if self.said.knows(peer.name) else never_heard_counts)
 
     def _peer(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
         """The peer of that incarnation, made anew for a younger one; None for an older one.

@@ -9,6 +9,7 @@ from protocol.node import Batch, Event, Received
 from protocol.seats import Seat
 
 BOXED = (Gossip, Beacon, Hello)  # said to many; a listener takes all of them that have come in an instant together
+ALIKE = (Gossip, Hello)  # and of these, those that go the same way one right after the other
 
 
 @dataclass(slots=True)
@@ -25,7 +26,7 @@ class Fan:
         return isinstance(self.event, Received) and isinstance(self.event.message, BOXED)
 
     def gather(self, ready: deque[Any]) -> Batch | None:
-        """This and the gossips that come next and go to the very same listeners, no longer `ready` then; None: there are none."""
+        """This and what comes next, is alike and goes to the very same listeners, no longer `ready` then; None: there is no such thing."""
         if not self._leads(ready):
             return None
         assert isinstance(self.event, Received)
@@ -38,8 +39,11 @@ class Fan:
         return batch
 
     def _leads(self, ready: deque[Any]) -> bool:
-        """Whether a gossip to the same listeners is next."""
+        """Whether a message of this kind to the same listeners is next."""
         following = ready[0] if ready else None
         if not isinstance(following, Fan) or following.listeners is not self.listeners:
             return False
-        return isinstance(following.event, Received) and isinstance(following.event.message, Gossip)
+        one, other = self.event, following.event
+        if not isinstance(one, Received) or not isinstance(other, Received) or type(one.message) is not type(other.message):
+            return False
+        return isinstance(one.message, ALIKE)

@@ -60,6 +60,15 @@ class Presence:
         self._voters.add(name)
         return True
 
+    def greet_all_again(self, times: dict[str, float], now: float) -> bool:
+        """Hellos of several have come now, which is what `times` says, mine perhaps among them; whether none is news, as `greet_again`."""
+        others = times.keys() - {self._name}
+        if now > self._calm_until or self._lost or not others <= self._greeted:
+            return False
+        self._words.update(times)
+        self._voters |= others
+        return True
+
     def appear(self, name: str, incarnation: int) -> None:
         """The token of somebody has been seen."""
         self._up[name] = max(incarnation, self._up.get(name, 0))
@@ -74,7 +83,10 @@ class Presence:
 
     def heard(self, now: float | None = None) -> tuple[str, ...]:
         """Names for my Hello: who has greeted me, has not left, and has spoken lately; `now` None: however long ago."""
-        return tuple(sorted(name for name in self._greeted if name in self._words and (now is None or self._hears(name, now))))
+        words, greeted = self._words, self._greeted
+        if now is None:
+            return tuple(sorted([name for name in greeted if name in words]))
+        return tuple(sorted([name for name in greeted if now - words.get(name, NEVER) <= WITHIN_HEARING]))
 
     def split(self, hello: Hello, now: float) -> str:
         """Take a peer's Hello: why my session must be split, if that has gone on for too long; else empty."""

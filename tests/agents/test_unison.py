@@ -7,13 +7,13 @@ from agents.agent import Agent
 from agents.capacity import sensor_facts
 from agents.neighbours import Neighbours
 from agents.peers import Outfit, understood
-from agents.unison import Part, Unison, unison_of
+from agents.unison import Part, Together, Unison, together_of
 from agents.words import learn
 from deploy.simulate import Simulation
-from protocol.messages import Beacon, Gossip
+from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch, Effect, Received
 from protocol.sensing import SENSOR_CLASSES
-from tests.agents.test_neighbours import CONFIG, gossip, neighbours
+from tests.agents.test_neighbours import CONFIG, gossip, hello, neighbours
 from tests.swarm.scene import tracking
 
 TICK = 1
@@ -33,7 +33,7 @@ def said() -> list[Gossip]:
     return [gossip(name, TICK) for name in ("s1", "s2", "s3")]
 
 
-def batch(words: list[Gossip | Beacon]) -> Batch:
+def batch(words: list[Gossip | Beacon | Hello]) -> Batch:
     return Batch([word.sender for word in words], [Received(word) for word in words])
 
 
@@ -119,13 +119,30 @@ def test_mine_stands_in_its_place_as_i_said_it() -> None:
 def test_only_gossips_in_the_order_of_names_are_looked_at_together() -> None:
     words = said()
     whole = batch([*words])
-    unison = unison_of(whole)
-    assert unison is not None and unison_of(whole) is unison and unison.tick == TICK
+    unison = together_of(whole)
+    assert isinstance(unison, Unison) and together_of(whole) is unison and unison.tick == TICK
     beacon = Beacon(
         sender="s4", incarnation=1, tick=TICK, position=(1.0, 1.0), cod=(1.0, 1.0), power_radius=1.0, reach=1.0, column=0, row=0
     )
     for spoilt in ([words[1], words[0], words[2]], [words[0], words[0], words[1]], [*words, beacon]):
-        assert unison_of(batch(spoilt)) is None
+        assert together_of(batch(spoilt)) is None
+
+
+def test_greetings_that_all_say_again_are_known_at_a_glance() -> None:
+    peers, sensor = calm(), SENSOR_CLASSES["B"]
+    greetings = [msgspec.structs.replace(hello(name), sensor=sensor) for name in ("s1", "s2", "s3")]
+    known = together_of(batch([*greetings]))
+    assert isinstance(known, Together) and peers.are_all(known)
+    other = msgspec.structs.replace(greetings[2], sensor=SENSOR_CLASSES["C"])
+    younger = msgspec.structs.replace(greetings[2], incarnation=2)
+    for spoilt in ([*greetings[:2], other], [*greetings[:2], younger], greetings[:2]):
+        together = together_of(batch([*spoilt]))
+        assert together is not None and not peers.are_all(together)
+    world = msgspec.structs.replace(greetings[0], sender="world", role="world")
+    for strange in ([*greetings, world], [*greetings[:2], hello("s3")]):  # the second does not say what its sensor is
+        assert together_of(batch([*strange])) is None
+    peers.gone("s3", 1, 0)
+    assert not peers.are_all(known)
 
 
 class Single(Agent):
