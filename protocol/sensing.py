@@ -37,6 +37,9 @@ class SensorModel(Protocol):
         """Outline of the field of view (V, 2), counter-clockwise; need not be convex."""
 
 
+_SLIT = 1e-9  # rad
+
+
 class WedgeSensor(msgspec.Struct, frozen=True, dict=True):
     """A wedge of `angle` rad and `radius` m, centred on the heading, with constant detection probability (21), figure 2."""
 
@@ -74,11 +77,12 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True):
         return np.where(inside, self.prob_detection, 0.0)
 
     def footprint(self, pose: Pose) -> np.ndarray:
-        """The outline with an arc point about every 5 degrees (V, 2); a full disc has no apex."""
+        """The outline with an arc point about every 5 degrees (V, 2); a full disc has no apex, nor one that lacks a slit no wider than
+        rounding, whose sides would cross."""
         steps = max(2, math.ceil(self.angle / math.radians(5.0)))
         bearings = pose[2] + np.linspace(-self.angle / 2.0, self.angle / 2.0, steps + 1)
         arc = np.column_stack([pose[0] + self.radius * np.cos(bearings), pose[1] + self.radius * np.sin(bearings)])
-        return arc[:-1] if self.angle >= 2.0 * math.pi else np.vstack([[pose[:2]], arc])
+        return arc[:-1] if self.angle > 2.0 * math.pi - _SLIT else np.vstack([[pose[:2]], arc])
 
 
 def wedge_probabilities(sensors: Sequence[WedgeSensor], poses: Sequence[Pose], who: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -55,6 +55,7 @@ def test_rays_straight_behind_a_full_disc_are_never_cut_by_rounding() -> None:
 
 
 @given(wedges, poses)
+@example(WedgeSensor(math.nextafter(2.0 * math.pi, 0.0), 2.0, 1.0), (-16.0, 23.0, 5.0))
 def test_the_footprint_is_a_counter_clockwise_polygon_inscribed_in_the_wedge(sensor: WedgeSensor, pose: tuple[float, float, float]) -> None:
     outline = sensor.footprint(pose)
     assert shapely.Polygon(outline).is_valid
