@@ -231,8 +231,9 @@ class Agent:
         """Messages have come in one instant, mine among them; None: take the others one by one, for it is as if none had come (Node)."""
         together, circle = together_of(batch), self.neighbours.circle
         if not isinstance(together, Unison):
-            known = together is not None and self.neighbours.are_all(together)
-            return QUIET if known and together and self._presence.greet_all_again(together.times(now), now) else None
+            if together is None or not self.neighbours.are_all(together):
+                return None
+            return QUIET if self._presence.greet_all_again(together.times(now), now) else None
         if self._gossip is None or len(self._awaited) < len(circle) or not self.neighbours.hear_together(together, self.tick):
             return None
         self.counters["heard"] += len(circle)

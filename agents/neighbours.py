@@ -40,7 +40,7 @@ class Neighbours:
         self._acquainted, self._version = frozenset[str](), -1  # local: who has been counted in, and with which version of the places
         self.changed = False  # local: somebody has come or gone since the circle was chosen
         self._config, self._silent = config, config.timing.silent_rounds
-        self._name = name
+        self._name, self._incarnation = name, incarnation
         self.said = Said()
         self._calm = False  # all in the circle are alive and missed no round, and nothing has changed since
         self._roll: Roll | None = None  # who is expected in calm rounds, made when it is needed
@@ -133,12 +133,12 @@ class Neighbours:
         for gossip in unison.unmarked() if self._calm else ():
             if gossip.sender in self.circle:
                 self._believed(gossip, self.circle[gossip.sender])
-        return unison.tick == tick and self.are_all(unison) and self.said.take(Part(unison, unison.places[self._name]), tick)
+        return unison.tick == tick and self.are_all(unison) and self.said.take(Part(unison, self._name), tick)
 
     def are_all(self, speakers: Together) -> bool:
         """Whether all who are known and nothing is new about, and I, are those who speak."""
-        place = speakers.places.get(self._name)
-        if not self._calm or self.local or place is None or len(speakers.places) != len(self.circle) + 1:
+        place = speakers.place_of(self._name, self._incarnation)
+        if not self._calm or self.local or place < 0 or len(speakers) != len(self.circle) + 1:
             return False
         self._marks = self._marks or marks_of(self.circle.values())
         return speakers.is_from(self._marks, place)

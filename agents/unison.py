@@ -5,7 +5,7 @@ it holds what is expected of a calm round; anything else is judged message by me
 """
 
 import math
-from collections.abc import KeysView
+from collections.abc import KeysView, Sequence
 from itertools import pairwise
 
 from agents.chorus import SOMEBODY
@@ -20,11 +20,20 @@ from protocol.once import once
 class Together:
     """Messages of several that came in one instant, in the order of names, one of each."""
 
-    def __init__(self, names: list[str], marks: list[Mark | None]) -> None:
+    def __init__(self, messages: Sequence[Message], marks: list[Mark | None]) -> None:
         """`marks`: of those who are known to mean what they say."""
-        self.places = {name: place for place, name in enumerate(names)}
+        self.places = {message.sender: place for place, message in enumerate(messages)}
+        self._incarnations = [message.incarnation for message in messages]
         self._marks = marks
         self._times: tuple[float, dict[str, float]] = -math.inf, {}
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def place_of(self, name: str, incarnation: int) -> int:
+        """Where among them stands what an agent says; -1 if it says nothing, or somebody else has spoken under its name."""
+        place = self.places.get(name, -1)
+        return place if place >= 0 and self._incarnations[place] == incarnation else -1
 
     def is_from(self, marks: list[Mark], place: int) -> bool:
         """Whether they come from those with these marks, in this order, from one more at `place`, and from nobody else."""
@@ -41,7 +50,7 @@ class Unison(Together):
     """Gossips."""
 
     def __init__(self, said: list[Gossip]) -> None:
-        super().__init__([gossip.sender for gossip in said], [None])
+        super().__init__(said, [None])
         self.said = said
         ticks = {gossip.tick for gossip in said}
         self.tick = ticks.pop() if len(ticks) == 1 else -1  # of all of them
@@ -69,9 +78,8 @@ class Part:
 
     __slots__ = ("_place", "_unison")
 
-    def __init__(self, unison: Unison, place: int) -> None:
-        """`place`: of its own gossip."""
-        self._unison, self._place = unison, place
+    def __init__(self, unison: Unison, name: str) -> None:
+        self._unison, self._place = unison, unison.places[name]
 
     def __len__(self) -> int:
         return len(self._unison.said) - 1
@@ -114,4 +122,4 @@ def _together(messages: list[Message]) -> Unison | Together | None:
         return Unison(gossips)
     hellos = [message for message in messages if isinstance(message, Hello) and message.role == "agent"]
     marks = [mark_of(hello.sender, hello.incarnation, hello.sensor) for hello in hellos if hello.sensor is not None]
-    return Together(names, [*marks]) if len(marks) == len(messages) else None
+    return Together(hellos, [*marks]) if len(marks) == len(messages) else None

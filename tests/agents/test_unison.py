@@ -43,6 +43,8 @@ def changed(change: str, words: list[Gossip]) -> list[Gossip]:
         return words[:2]
     if change == "without me":
         return words[1:]
+    if change == "a twin of mine":
+        return [gossip("s1", TICK, incarnation=2), *words[1:]]
     if change == "somebody else":
         return [*words, gossip("s4", TICK)]
     if change == "boastful":
@@ -64,7 +66,9 @@ def test_a_calm_round_is_heard_whole() -> None:
     assert peers.missing(TICK + 1) == {"s2", "s3"}
 
 
-@pytest.mark.parametrize("change", ["missing", "without me", "somebody else", "boastful", "tick", "incarnation", "renamed"])
+@pytest.mark.parametrize(
+    "change", ["missing", "without me", "a twin of mine", "somebody else", "boastful", "tick", "incarnation", "renamed"]
+)
 def test_anything_else_is_as_if_it_had_not_come(change: str) -> None:
     peers = calm()
     assert not peers.hear_together(Unison(changed(change, said())), TICK)
@@ -108,7 +112,7 @@ def test_mine_stands_in_its_place_as_i_said_it() -> None:
     for word in words:
         learn(word, SENSOR_CLASSES["B"], CONFIG)
     unison = Unison(words)
-    mine, arrived = gossip("s2", TICK), Part(unison, 1)
+    mine, arrived = gossip("s2", TICK), Part(unison, "s2")
     learn(mine, SENSOR_CLASSES["B"], CONFIG)
     assert arrived.words(mine) is unison.words and arrived.words(words[1]) is unison.words
     for different in (gossip("s2", TICK, radius=1.0), msgspec.structs.replace(mine, view=7)):
