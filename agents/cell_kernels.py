@@ -97,7 +97,13 @@ def _sort(places: np.ndarray, count: int, keys: np.ndarray) -> None:
     """Sort the first `count` places by their keys, stable: by insertion, because they are few as a rule."""
     if count > 64:
         places[:count] = places[:count][np.argsort(keys[places[:count]], kind="mergesort")]
-        return
+    else:
+        insert(places, count, keys)
+
+
+@njit
+def insert(places: np.ndarray, count: int, keys: np.ndarray) -> None:
+    """Sort the first `count` places by their keys, stable, by insertion."""
     for rank in range(1, count):
         place, here = places[rank], rank
         while here > 0 and keys[places[here - 1]] > keys[place]:

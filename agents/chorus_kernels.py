@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 from agents.cell_kernels import around
-from agents.kernels import divide, move_one, sort_by_id
+from agents.kernels import blank, divide, move_one, sort_by_id
 from agents.round_kernels import HALO, STEP, correct, motion_of
 from agents.words import PARTICLES, WEIGHT
 
@@ -86,11 +86,6 @@ def _append(whole: tuple, size: int, part: tuple) -> tuple:
     return states, weights, ids
 
 
-@njit
-def _room(number: int) -> tuple:
-    return np.empty((number, 4)), np.empty(number), np.empty(number, np.uint64)
-
-
 @njit(cache=True)
 def refresh_all(
     settings: np.ndarray,
@@ -118,8 +113,8 @@ def refresh_all(
     halo, step = settings[HALO], settings[STEP]
     predicted = _predicted(said[0], said[1], table, motion_of(settings, keys, now))
     size = len(said[1]) + len(births[2])
-    room = np.empty(len(said[1]), np.bool_), np.empty(len(said[1]) + 1, np.int64), *_room(size)
-    updated, own, kept, targets = _room(2 * size), _room(2 * size), _room(2 * size), np.empty((size + 1, 2))
+    room = np.empty(len(said[1]), np.bool_), np.empty(len(said[1]) + 1, np.int64), *blank(size)
+    updated, own, kept, targets = blank(2 * size), blank(2 * size), blank(2 * size), np.empty((size + 1, 2))
     sizes, sums, ends = np.zeros((number, SIZES), np.int64), np.zeros((number, SUMS)), np.zeros(SIZES, np.int64)
     for n in range(number):
         polygon, eye, reach = corners[cells[n] : cells[n + 1]], (table[n, 0], table[n, 1]), table[n, 4]

@@ -17,38 +17,6 @@ def _power_distance(x: float, y: float, generators: np.ndarray, place: int) -> f
     return dx * dx + dy * dy - generators[place, 2] * generators[place, 2]
 
 
-@njit(cache=True)
-def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Twin of `claims.owned`: which points lie in the arena and in the cell of generator 0."""
-    number, mine = len(points), np.empty(len(points), dtype=np.bool_)
-    if len(generators) == 0:
-        mine[:] = False
-        return mine
-    x, y, own = np.empty(number), np.empty(number), np.empty(number)
-    for n in range(number):
-        x[n], y[n] = points[n, 0], points[n, 1]
-    east, north, squared = generators[0, 0], generators[0, 1], generators[0, 2] * generators[0, 2]
-    for n in range(number):
-        dx, dy = x[n] - east, y[n] - north
-        own[n] = dx * dx + dy * dy - squared
-        mine[n] = (x[n] >= 0.0) & (x[n] <= width) & (y[n] >= 0.0) & (y[n] <= height)
-    for g in range(1, len(generators)):  # one rival after the other and without branches, for several points at once
-        east, north, squared, wins = generators[g, 0], generators[g, 1], generators[g, 2] * generators[g, 2], first[g]
-        for n in range(number):
-            dx, dy = x[n] - east, y[n] - north
-            other = dx * dx + dy * dy - squared
-            mine[n] &= (own[n] < other) | ((own[n] == other) & (not wins))
-    return mine
-
-
-@njit
-def _starts(ends: np.ndarray) -> np.ndarray:
-    """Where each claim starts, (C,)."""
-    starts = np.zeros_like(ends)
-    starts[1:] = ends[:-1]
-    return starts
-
-
 @njit
 def _hold(
     x: np.ndarray, y: np.ndarray, generators: np.ndarray, first: np.ndarray, start: int, end: int, own: np.ndarray, held: np.ndarray
@@ -64,6 +32,28 @@ def _hold(
             dx, dy = x[n] - east, y[n] - north
             other = dx * dx + dy * dy - squared
             held[n] &= (own[n] < other) | ((own[n] == other) & (not wins))
+
+
+@njit(cache=True)
+def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
+    """Twin of `claims.owned`: which points lie in the arena and in the cell of generator 0."""
+    number, mine = len(points), np.empty(len(points), dtype=np.bool_)
+    if len(generators) == 0:
+        mine[:] = False
+        return mine
+    x, y = points[:, 0].copy(), points[:, 1].copy()
+    _hold(x, y, generators, first, 0, len(generators), np.empty(number), mine)
+    for n in range(number):
+        mine[n] &= (x[n] >= 0.0) & (x[n] <= width) & (y[n] >= 0.0) & (y[n] <= height)
+    return mine
+
+
+@njit
+def _starts(ends: np.ndarray) -> np.ndarray:
+    """Where each claim starts, (C,)."""
+    starts = np.zeros_like(ends)
+    starts[1:] = ends[:-1]
+    return starts
 
 
 @njit
@@ -140,8 +130,8 @@ def undisputed(
         for n in range(begin, begin + sizes[c]):
             own[n], seen[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
         begin += sizes[c]
-    outdone, owners = np.zeros(number, np.bool_), np.nonzero(starts < ends)[0]
-    for owner in owners:  # as a rule nobody is nearer; without branches, for several points at once
+    outdone = np.zeros(number, np.bool_)
+    for owner in np.nonzero(starts < ends)[0]:  # as a rule nobody is nearer; without branches, for several points at once
         east, north, radius = generators[starts[owner]]
         squared, view = radius * radius, views[owner]
         for n in range(number):

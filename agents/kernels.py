@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from agents.cell_kernels import near
+from agents.cell_kernels import insert, near
 from agents.claim_kernels import owned
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -69,12 +69,18 @@ def predict(states: np.ndarray, weights: np.ndarray, ids: np.ndarray, motion: tu
     return moved, kept
 
 
+@njit
+def blank(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States, weights and ids of so many particles, still to be written."""
+    return np.empty((number, 4)), np.empty(number), np.empty(number, np.uint64)
+
+
 @njit(cache=True)
 def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
     """The indices `order` in ascending order of id, stable.
 
     Ids are hashes, so that their first bits spread them over buckets of about one each, and little is left to be put right by insertion.
-    What does not spread, or is sorted already, is merged run by run.
+    What is sorted already is given back, and what does not spread is merged run by run.
     """
     count, runs = len(order), 1
     for n in range(1, count):
@@ -98,12 +104,7 @@ def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
         bucket = np.int64(ids[order[n]] >> shift)
         found[starts[bucket]] = order[n]
         starts[bucket] += 1
-    for n in range(1, count):
-        row, place = found[n], n
-        while place > 0 and ids[found[place - 1]] > ids[row]:
-            found[place] = found[place - 1]
-            place -= 1
-        found[place] = row
+    insert(found, count, ids)
     return found
 
 

@@ -10,14 +10,9 @@ from numba import njit
 
 from agents.cell_kernels import apart, around
 from agents.claim_kernels import owned
-from agents.kernels import move_one, sort_by_id
+from agents.kernels import blank, move_one, sort_by_id
 
 _Particles = tuple[np.ndarray, np.ndarray, np.ndarray]
-
-
-@njit
-def _room(number: int) -> _Particles:
-    return np.empty((number, 4)), np.empty(number), np.empty(number, np.uint64)
 
 
 @njit
@@ -50,7 +45,7 @@ def outlying(
     near_states, near_weights, near_ids = near
     states, weights, ids = told
     width, height = motion[9], motion[10]
-    found, found_weights, found_ids = _room(len(near_ids) + len(ids))
+    found, found_weights, found_ids = blank(len(near_ids) + len(ids))
     mine, count = owned(near_states, generators, first, width, height), 0
     for n in range(len(near_ids)):
         x, y = near_states[n, 0], near_states[n, 1]
@@ -93,7 +88,7 @@ def unite(told: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) -> _Pa
         count += free[n]
     names = names[:count]
     order, known = sort_by_id(names, np.arange(count)), 0
-    united, united_weights, united_ids = _room(count)
+    united, united_weights, united_ids = blank(count)
     for rank in range(count):
         k = order[rank]
         if rank > 0 and names[k] == names[order[rank - 1]]:
