@@ -139,9 +139,9 @@ def _farthest(corners: np.ndarray, size: int) -> float:
 
 
 @njit
-def _bisectors(index: int, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
-    """How far ahead of a generator its bisectors with the others lie, m."""
-    ox, oy, own = points[index, 0], points[index, 1], radii[index] * radii[index]
+def _bisectors(index: int, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> float:
+    """How far ahead of a generator its bisectors with the others lie, m; how far the farthest of them lies."""
+    ox, oy, own, farthest = points[index, 0], points[index, 1], radii[index] * radii[index], 0.0
     for j in range(len(radii)):
         dx, dy = points[j, 0] - ox, points[j, 1] - oy
         squared = dx * dx + dy * dy
@@ -150,7 +150,9 @@ def _bisectors(index: int, points: np.ndarray, radii: np.ndarray, ahead: np.ndar
             ahead[j] = np.inf if wins else -np.inf
         else:
             ahead[j] = (squared + own - radii[j] * radii[j]) / (2.0 * math.sqrt(squared))
+            farthest = max(farthest, ahead[j])
     ahead[index] = np.inf
+    return farthest
 
 
 @njit
@@ -158,12 +160,12 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, t
     """The corners relative to the generator (in scratch) and their number, and how many bounding generators stand in `picked`."""
     ahead, order, picked, corners, other, heights = room
     number, size = len(radii), len(arena)
-    _bisectors(index, points, radii, ahead)
+    spread = _bisectors(index, points, radii, ahead)
     for c in range(size):
         corners[c, 0], corners[c, 1] = arena[c, 0] - points[index, 0], arena[c, 1] - points[index, 1]
     farthest = _farthest(corners, size)
     tried = 0
-    beyond, within = -np.inf, farthest / math.sqrt(number)
+    beyond, within = -np.inf, (spread if spread > 0.0 else farthest) / math.sqrt(number)
     reached = True
     while reached:  # band after band, so that only the generators that can cut are sorted
         count = 0

@@ -7,7 +7,8 @@ import numpy as np
 from numba import njit
 
 from agents.cell_kernels import around
-from agents.kernels import blank, divide, move_one, sort_by_id
+from agents.gather_kernels import divide
+from agents.kernels import blank, move_one, sort_by_id
 from agents.round_kernels import HALO, STEP, correct, motion_of
 from agents.words import PARTICLES, WEIGHT
 
@@ -39,11 +40,10 @@ def _predicted(states: np.ndarray, ids: np.ndarray, table: np.ndarray, motion: t
 def _close_by(
     said: tuple, births: tuple, polygon: np.ndarray, halo: float, eye: tuple[float, float], reach: float, step: float, room: tuple
 ) -> tuple:
-    """What `round_kernels._within_reach` and then `kernels.gather` find, of particles that have been `_predicted`."""
+    """What `gather_kernels.gather` finds, of particles that have been `_predicted`."""
     x, y, moved, kept, names = said
     born_states, born_weights, born_ids = births
     within, chosen, states, weights, ids = room
-    west, south, east, north = around(polygon, halo)
     left, low, right, high = around(polygon, halo + step)
     far2, count = (reach + step) * (reach + step), 0
     for k in range(len(x)):  # without branches, for several at once
@@ -52,24 +52,20 @@ def _close_by(
     for k in range(len(x)):
         chosen[count] = k
         count += within[k]
-    known, last = 0, -1
+    known = 0
     for j in range(count):
         k = chosen[j]
-        dx, dy = x[k] - eye[0], y[k] - eye[1]
-        inside = west - step <= x[k] <= east + step and south - step <= y[k] <= north + step
-        if not (inside or dx * dx + dy * dy <= far2):
+        if j > 0 and names[k] == names[chosen[j - 1]]:
             continue
-        if last < 0 or names[k] != names[last]:
-            for axis in range(4):
-                states[known, axis] = moved[k, axis]
-            weights[known], ids[known] = kept[k], names[k]
-            known += 1
-        last = k
+        for axis in range(4):
+            states[known, axis] = moved[k, axis]
+        weights[known], ids[known] = kept[k], names[k]
+        known += 1
     for n in range(len(born_ids)):
         for axis in range(4):
             states[known + n, axis] = born_states[n, axis]
         weights[known + n], ids[known + n] = born_weights[n], born_ids[n]
-    return divide(states, weights, ids, known, known + len(born_ids), polygon, halo, (west, south, east, north), eye, reach)
+    return divide(states, weights, ids, known, known + len(born_ids), polygon, halo, around(polygon, halo), eye, reach)
 
 
 @njit

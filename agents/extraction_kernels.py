@@ -18,6 +18,23 @@ def _block(masses: np.ndarray, row: int, column: int) -> float:
 
 
 @njit(cache=True)
+def _peaks(masses: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Rows, columns and masses of the blocks that reach the threshold, in the order of the grid, and their number. No other ever will:
+    what is taken out of the grid only makes blocks lighter."""
+    height, width = masses.shape
+    rows, columns, blocks, number = np.empty(masses.size, np.int64), np.empty(masses.size, np.int64), np.empty(masses.size), 0
+    line = np.empty(width)
+    for r in range(2, height - 2):
+        for c in range(width):
+            line[c] = masses[r - 2, c] + masses[r - 1, c] + masses[r, c] + masses[r + 1, c] + masses[r + 2, c]
+        for c in range(2, width - 2):
+            rows[number], columns[number] = r, c
+            blocks[number] = line[c - 2] + line[c - 1] + line[c] + line[c + 1] + line[c + 2]
+            number += blocks[number] >= threshold
+    return rows, columns, blocks, number
+
+
+@njit(cache=True)
 def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
     total = 0.0
     for r in range(row - half, row + half + 1):
@@ -43,25 +60,15 @@ def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, thres
         masses[row, column] += weights[n]
         east[row, column] += weights[n] * states[n, 0]
         north[row, column] += weights[n] * states[n, 1]
-    lines = np.zeros((height, width))
-    for r in range(2, height - 2):
-        for c in range(width):
-            for shift in range(-2, 3):
-                lines[r, c] += masses[r + shift, c]
-    blocks = np.zeros((height, width))
-    for r in range(2, height - 2):
-        for c in range(2, width - 2):
-            total = 0.0
-            for shift in range(-2, 3):
-                total += lines[r, c + shift]
-            blocks[r, c] = total
-    found = np.empty((len(weights) + 1, 2))
-    number = 0
-    while number < len(found):
-        flat = np.argmax(blocks)
-        row, column = flat // width, flat % width
-        if blocks[row, column] < threshold:
+    rows, columns, blocks, number = _peaks(masses, threshold)
+    found, targets = np.empty((len(weights) + 1, 2)), 0
+    while number > 0:
+        peak = np.argmax(blocks[:number])
+        row, column = rows[peak], columns[peak]
+        if blocks[peak] < threshold:
             break
+        if targets == len(found):
+            found = np.concatenate((found, np.empty_like(found)))
         best, core_row, core_column = -1.0, row, column
         for r in range(row - 1, row + 2):
             for c in range(column - 1, column + 2):
@@ -69,9 +76,9 @@ def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, thres
                 if mass > best:
                     best, core_row, core_column = mass, r, c
         mass = _window(masses, core_row, core_column, 1)
-        found[number, 0] = _window(east, core_row, core_column, 1) / mass
-        found[number, 1] = _window(north, core_row, core_column, 1) / mass
-        number += 1
+        found[targets, 0] = _window(east, core_row, core_column, 1) / mass
+        found[targets, 1] = _window(north, core_row, core_column, 1) / mass
+        targets += 1
         unit = 1.0
         for stage in range(2):
             r0, c0, half = (core_row, core_column, 1) if stage == 0 else (row, column, 2)
@@ -82,7 +89,7 @@ def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, thres
                 east[r0 - half : r0 + half + 1, c0 - half : c0 + half + 1] *= keep
                 north[r0 - half : r0 + half + 1, c0 - half : c0 + half + 1] *= keep
                 unit -= min(unit, mass)
-        for r in range(max(row - 4, 2), min(row + 5, height - 2)):
-            for c in range(max(column - 4, 2), min(column + 5, width - 2)):
-                blocks[r, c] = _block(masses, r, c)
-    return found[:number]
+        for peak in range(number):
+            if abs(rows[peak] - row) <= 4 and abs(columns[peak] - column) <= 4:
+                blocks[peak] = _block(masses, rows[peak], columns[peak])
+    return found[:targets]

@@ -17,6 +17,7 @@ from agents import (
     chorus_kernels,
     claim_kernels,
     extraction_kernels,
+    gather_kernels,
     gossip_kernels,
     interest,
     interest_kernels,
@@ -139,8 +140,8 @@ def gather(
     particles: Particles, births: Particles, polygon: np.ndarray, eye: tuple[float, float], reach: float, step: Step
 ) -> tuple[Particles, Particles]:
     """See `arithmetic.gather`."""
-    halo = step.config.filter.halo
-    found = kernels.gather(*particles, *births, polygon, halo, eye, reach, step.reach, motion(step))
+    told, halo = tuple(particles), step.config.filter.halo
+    found = gather_kernels.gather(_NOTHING_SAID, told, tuple(births), polygon, halo, eye, reach, step.reach, motion(step))
     return Particles(*found[:3]), Particles(*found[3:])
 
 

@@ -145,19 +145,20 @@ def _threshold(table: np.ndarray, arena: np.ndarray, around: float, spacing: flo
     west, south, east, north = max(west, x - around), max(south, y - around), min(east, x + around), min(north, y + around)
     columns, rows = 2 + int(max(east - west, 0.0) / (2.0 * spacing)), 2 + int(max(north - south, 0.0) / (2.0 * spacing))
     across, up = (east - west) / (columns - 1), (north - south) / (rows - 1)
+    px, py, best = np.empty(columns * rows), np.empty(columns * rows), np.full(columns * rows, np.inf)
+    for p in range(len(best)):
+        px[p], py[p] = west + across * (p % columns), south + up * (p // columns)
+    for n in range(number - 1):
+        there_x, there_y, radius = table[n, 3], table[n, 4], table[n, 5]
+        for p in range(len(best)):  # without branches, for several at once
+            dx, dy = there_x - px[p], there_y - py[p]
+            best[p] = min(best[p], dx * dx + dy * dy - radius * radius)
     smallest = np.inf
-    for row in range(rows):
-        py = south + up * row
-        for column in range(columns):
-            px = west + across * column
-            best = np.inf
-            for n in range(number - 1):
-                dx, dy = table[n, 3] - px, table[n, 4] - py
-                best = min(best, dx * dx + dy * dy - table[n, 5] * table[n, 5])
-            dx, dy = x - px, y - py
-            outdone = dx * dx + dy * dy - squared - best
-            if outdone < smallest:
-                smallest, home[0, 0], home[0, 1] = outdone, px, py
+    for p in range(len(best)):
+        dx, dy = x - px[p], y - py[p]
+        outdone = dx * dx + dy * dy - squared - best[p]
+        if outdone < smallest:
+            smallest, home[0, 0], home[0, 1] = outdone, px[p], py[p]
     return home
 
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from agents.cell_kernels import insert, near
+from agents.cell_kernels import insert
 from agents.claim_kernels import owned
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -136,104 +136,13 @@ def _merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
         source, target = target, source
 
 
-@njit(cache=True)
-def gather(
-    states: np.ndarray,
-    weights: np.ndarray,
-    ids: np.ndarray,
-    born_states: np.ndarray,
-    born_weights: np.ndarray,
-    born_ids: np.ndarray,
-    polygon: np.ndarray,
-    halo: float,
-    eye: tuple[float, float],
-    reach: float,
-    step: float,
-    motion: tuple,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Twin of `arithmetic.gather`; `step` is the farthest that a particle can move. What cannot come near is not even predicted."""
-    west = south = np.inf
-    east = north = -np.inf
-    for c in range(len(polygon)):
-        west, east = min(west, polygon[c, 0] - halo), max(east, polygon[c, 0] + halo)
-        south, north = min(south, polygon[c, 1] - halo), max(north, polygon[c, 1] + halo)
-    chosen, count = np.empty(len(ids), np.int64), 0
-    far2 = (reach + step) ** 2
-    for n in range(len(ids)):
-        x, y = states[n, 0], states[n, 1]
-        dx, dy = x - eye[0], y - eye[1]
-        if (west - step <= x <= east + step and south - step <= y <= north + step) or dx * dx + dy * dy <= far2:
-            chosen[count] = n
-            count += 1
-    order, known = sort_by_id(ids, chosen[:count]), 0
-    room = count + len(born_ids)
-    moved, kept, names = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64)
-    for rank in range(count):
-        n = order[rank]
-        if rank > 0 and ids[n] == ids[order[rank - 1]]:
-            continue
-        x, y, vx, vy, inside = move_one(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
-        moved[known, 0], moved[known, 1], moved[known, 2], moved[known, 3] = x, y, vx, vy
-        kept[known], names[known] = weights[n] * motion[7] if inside else 0.0, ids[n]
-        known += 1
-    for n in range(len(born_ids)):
-        moved[known + n], kept[known + n], names[known + n] = born_states[n], born_weights[n], born_ids[n]
-    return divide(moved, kept, names, known, known + len(born_ids), polygon, halo, (west, south, east, north), eye, reach)
-
-
-@njit
-def divide(
-    states: np.ndarray,
-    weights: np.ndarray,
-    ids: np.ndarray,
-    known: int,
-    number: int,
-    polygon: np.ndarray,
-    halo: float,
-    box: tuple[float, float, float, float],
-    eye: tuple[float, float],
-    reach: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of the first `number` particles those within the halo of a polygon, whose `box` that is, and of the others among the `known` ones,
-    which come first, those within reach of a point."""
-    west, south, east, north = box
-    around = near(polygon, states[:number, 0].copy(), states[:number, 1].copy(), halo)
-    near_rows, far_rows, close, far = np.empty(number, np.int64), np.empty(known, np.int64), 0, 0
-    for n in range(number):
-        x, y = states[n, 0], states[n, 1]
-        if around[n] and west <= x <= east and south <= y <= north:
-            near_rows[close] = n
-            close += 1
-        elif n < known:
-            dx, dy = x - eye[0], y - eye[1]
-            if dx * dx + dy * dy <= reach * reach:
-                far_rows[far] = n
-                far += 1
-    near_states, near_weights, near_ids = _rows(near_rows[:close], states, weights, ids)
-    far_states, far_weights, far_ids = _rows(far_rows[:far], states, weights, ids)
-    return near_states, near_weights, near_ids, far_states, far_weights, far_ids
-
-
-@njit
-def _rows(rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Some of these particles."""
-    some_states, some_weights, some_ids = np.empty((len(rows), 4)), np.empty(len(rows)), np.empty(len(rows), np.uint64)
-    for k in range(len(rows)):
-        n = rows[k]
-        for axis in range(4):
-            some_states[k, axis] = states[n, axis]
-        some_weights[k], some_ids[k] = weights[n], ids[n]
-    return some_states, some_weights, some_ids
-
-
 @njit
 def wedge(x: float, y: float, sensor: np.ndarray) -> float:
     """p_d at a point; `sensor` is a row of `words.Words`, or its first seven columns."""
     dx, dy = x - sensor[0], y - sensor[1]
     range2 = dx * dx + dy * dy
-    if range2 <= sensor[4] * sensor[4] and dx * sensor[2] + dy * sensor[3] >= sensor[5] * math.sqrt(range2):
-        return sensor[6]
-    return 0.0
+    seen = (range2 <= sensor[4] * sensor[4]) & (dx * sensor[2] + dy * sensor[3] >= sensor[5] * math.sqrt(range2))
+    return sensor[6] if seen else 0.0
 
 
 @njit(cache=True)
@@ -242,9 +151,8 @@ def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tupl
     load = detected = 0.0
     for n in range(len(weights)):
         probability = wedge(states[n, 0], states[n, 1], sensor)
-        if probability > 0.0:
-            load += weights[n]
-            detected += weights[n] * probability
+        load += weights[n] if probability > 0.0 else 0.0
+        detected += weights[n] * probability
     return load, detected
 
 
@@ -286,9 +194,8 @@ def take(
     chosen, count = np.empty(len(ids), np.int64), 0
     inside = owned(states, generators, first, width, height)
     for n in range(len(ids)):
-        if inside[n]:
-            chosen[count] = n
-            count += 1
+        chosen[count] = n
+        count += inside[n]
     order = sort_by_id(ids, chosen[:count])
     own_states, own_weights, own_ids, own = np.empty((count, 4)), np.empty(count), np.empty(count, np.uint64), 0
     for rank in range(count):

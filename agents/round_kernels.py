@@ -9,9 +9,9 @@ from numba import njit
 from agents.cell_kernels import around
 from agents.claim_kernels import owned
 from agents.extraction_kernels import estimate_targets
-from agents.kernels import first_moments, gather, in_view, resample, scramble, take
+from agents.gather_kernels import gather
+from agents.kernels import first_moments, in_view, resample, scramble, take
 from agents.update_kernels import update
-from agents.words import PARTICLES, WEIGHT
 
 # Columns of the settings, and of the keys to which the tick is still to be added.
 DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, GATE2 = range(12)
@@ -34,7 +34,7 @@ def box(states: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
-    """Which of these boxes (N, 4) hold anything that `_within_reach` could choose, by their indices in ascending order."""
+    """Which of these boxes (N, 4) hold anything that `gather` could choose, by their indices in ascending order."""
     west, south, east, north = around(polygon, width)
     found, count = np.empty(len(boxes), np.int64), 0
     for n in range(len(boxes)):
@@ -44,46 +44,6 @@ def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: 
             found[count] = n
             count += 1
     return found[:count]
-
-
-@njit(cache=True)
-def _within_reach(
-    said: tuple, told: tuple, polygon: np.ndarray, width: float, eye: tuple[float, float], reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the particles in gossips (states float32, ids, and rows that say how many each and their weight) and of those told otherwise
-    (states, weights, ids): those within `width` m of the box around a polygon, or within `reach` m of a point."""
-    said_states, said_ids, table = said
-    states, weights, ids = told
-    west, south, east, north = around(polygon, width)
-    chosen, count = np.empty(len(said_ids) + len(ids), np.int64), 0
-    for n in range(len(said_ids)):
-        x, y = np.float64(said_states[n, 0]), np.float64(said_states[n, 1])
-        dx, dy = x - eye[0], y - eye[1]
-        if (west <= x <= east and south <= y <= north) or dx * dx + dy * dy <= reach * reach:
-            chosen[count] = n
-            count += 1
-    near = count
-    for n in range(len(ids)):
-        dx, dy = states[n, 0] - eye[0], states[n, 1] - eye[1]
-        if (west <= states[n, 0] <= east and south <= states[n, 1] <= north) or dx * dx + dy * dy <= reach * reach:
-            chosen[count] = n
-            count += 1
-    found, found_weights, found_ids = np.empty((count, 4)), np.empty(count), np.empty(count, np.uint64)
-    row, end = -1, 0
-    for k in range(near):
-        n = chosen[k]
-        while n >= end:
-            row += 1
-            end += int(table[row, PARTICLES])
-        for axis in range(4):
-            found[k, axis] = np.float64(said_states[n, axis])
-        found_weights[k], found_ids[k] = table[row, WEIGHT], said_ids[n]
-    for k in range(near, count):
-        n = chosen[k]
-        for axis in range(4):
-            found[k, axis] = states[n, axis]
-        found_weights[k], found_ids[k] = weights[n], ids[n]
-    return found, found_weights, found_ids
 
 
 @njit(cache=True)
@@ -108,10 +68,7 @@ def refresh(
     now = np.uint64(tick)
     sensor, halo, step = table[mine], settings[HALO], settings[STEP]
     eye, reach = (sensor[0], sensor[1]), sensor[4]
-    states, weights, ids = _within_reach(said, told, polygon, halo + step, eye, reach + step)
-    close_by = gather(
-        states, weights, ids, births[0], births[1], births[2], polygon, halo, eye, reach, step, motion_of(settings, keys, now)
-    )
+    close_by = gather(said, told, births, polygon, halo, eye, reach, step, motion_of(settings, keys, now))
     return correct(settings, keys, now, mine, table, salts, detections, close_by, polygon, generators, first, owner, directions)
 
 

@@ -99,7 +99,7 @@ def parse_message_key(text: str) -> Key | None:
     return _parse_message_key(text) if len(text) <= LONGEST else None
 
 
-@lru_cache(maxsize=8192)  # the same keys come in every round
+@lru_cache(maxsize=1 << 15)  # the same keys come in every round, also those of some thousand agents
 def _parse_message_key(text: str) -> Key | None:
     parts = text.split("/")
     if len(parts) == 3 and parts[0] == ROOT and parts[2] == "truth":

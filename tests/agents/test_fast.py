@@ -7,7 +7,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from agents.arithmetic import PLAIN, Arithmetic, Parts, Task
@@ -257,10 +257,14 @@ def test_resample(seed: int, count: int, weight: float) -> None:
     assert_same("resample", cloud(np.random.default_rng(seed), count, weight), "s12", step(3, seed % 1000))
 
 
-@given(seeds, st.integers(0, 200), st.floats(0.0, 0.5), st.sampled_from([0.5, 1.0, 2.0]))
+@given(seeds, st.integers(0, 200), st.floats(0.0, 3.0), st.sampled_from([0.5, 1.0, 2.0]), st.sampled_from([0.1, 0.5, 0.9]), st.booleans())
+@example(seed=1, count=20, weight=3.0, size=1.0, threshold=0.1, crowded=False)  # more targets than particles
 @some
-def test_estimate_targets(seed: int, count: int, weight: float, size: float) -> None:
-    assert_same("estimate_targets", cloud(np.random.default_rng(seed), count, weight), ExtractionSettings(bin=size))
+def test_estimate_targets(seed: int, count: int, weight: float, size: float, threshold: float, crowded: bool) -> None:
+    particles = cloud(np.random.default_rng(seed), count, weight)
+    if crowded:
+        particles.states[:, :2] *= 0.1
+    assert_same("estimate_targets", particles, ExtractionSettings(bin=size, threshold=threshold))
 
 
 @given(seeds, st.integers(0, 200), st.sampled_from(sorted(SENSOR_CLASSES)))
