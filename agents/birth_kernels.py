@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from agents.kernels import scramble
+from agents.numba_cache import cached
 
 _S11, _S52 = np.uint64(11), np.uint64(52)
 
@@ -16,7 +17,7 @@ def uniform(bits: np.uint64) -> float:
     return np.float64(bits >> _S11) * 2.0**-53
 
 
-@njit(cache=True)
+@cached
 def background(
     count: int, on_border: int, salt: np.uint64, width: float, height: float, speed: float, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

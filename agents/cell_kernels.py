@@ -8,6 +8,8 @@ import math
 import numpy as np
 from numba import njit
 
+from agents.numba_cache import cached
+
 
 @njit
 def around(polygon: np.ndarray, width: float) -> tuple[float, float, float, float]:
@@ -66,7 +68,7 @@ def apart(polygon: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
     return nearest, inside
 
 
-@njit(cache=True)
+@cached
 def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Twin of `geometry.distances`; points may have more than two columns."""
     nearest, inside = apart(polygon, points[:, 0].copy(), points[:, 1].copy())
@@ -213,7 +215,7 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, t
     return corners, size, bounding
 
 
-@njit(cache=True)
+@cached
 def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `cells.cut`: corners (V, 2) in the world, and indices of the bounding generators; both empty for an empty cell."""
     room = _room(len(radii), len(arena))
@@ -224,7 +226,7 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, to
     return corners, room[2][:bounding].copy()
 
 
-@njit(cache=True)
+@cached
 def cut_all(points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Every cell as by `cut`: corners and bounding generators, cell after cell, and where those of each begin (N + 1, 2)."""
     number = len(radii)

@@ -9,6 +9,7 @@ from numba import njit
 from agents.cell_kernels import around
 from agents.gather_kernels import divide
 from agents.kernels import blank, move_one, sort_by_id
+from agents.numba_cache import cached
 from agents.round_kernels import HALO, STEP, correct, motion_of
 from agents.words import PARTICLES, WEIGHT
 
@@ -82,7 +83,7 @@ def _append(whole: tuple, size: int, part: tuple) -> tuple:
     return states, weights, ids
 
 
-@njit(cache=True)
+@cached
 def refresh_all(
     settings: np.ndarray,
     keys: np.ndarray,

@@ -9,6 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
+from agents.numba_cache import cached
+
 
 @njit
 def _power_distance(x: float, y: float, generators: np.ndarray, place: int) -> float:
@@ -34,7 +36,7 @@ def _hold(
             held[n] &= (own[n] < other) | ((own[n] == other) & (not wins))
 
 
-@njit(cache=True)
+@cached
 def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
     """Twin of `claims.owned`: which points lie in the arena and in the cell of generator 0."""
     number, mine = len(points), np.empty(len(points), dtype=np.bool_)
@@ -77,7 +79,7 @@ def _likely(x: np.ndarray, y: np.ndarray, generators: np.ndarray, places: np.nda
     return nearest
 
 
-@njit(cache=True)
+@cached
 def unclaimed(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends: np.ndarray, width: float, height: float) -> np.ndarray:
     """Twin of `claims.unclaimed`. It asks the nearest owner first: as a rule the point is in his cell; and all owners about the rest."""
     free, starts = np.ones(len(points), dtype=np.bool_), _starts(ends)
@@ -119,7 +121,7 @@ def _depth(x: float, y: float, generators: np.ndarray, start: int, end: int) -> 
     return least
 
 
-@njit(cache=True)
+@cached
 def undisputed(
     points: np.ndarray, sizes: np.ndarray, generators: np.ndarray, ends: np.ndarray, views: np.ndarray, overlap: float
 ) -> np.ndarray:

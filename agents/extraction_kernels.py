@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from agents.numba_cache import cached
 
 
-@njit(cache=True)
+@cached
 def _block(masses: np.ndarray, row: int, column: int) -> float:
     total = 0.0
     for c in range(column - 2, column + 3):
@@ -17,7 +18,7 @@ def _block(masses: np.ndarray, row: int, column: int) -> float:
     return total
 
 
-@njit(cache=True)
+@cached
 def _peaks(masses: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Rows, columns and masses of the blocks that reach the threshold, in the order of the grid, and their number. No other ever will:
     what is taken out of the grid only makes blocks lighter."""
@@ -34,7 +35,7 @@ def _peaks(masses: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray
     return rows, columns, blocks, number
 
 
-@njit(cache=True)
+@cached
 def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
     total = 0.0
     for r in range(row - half, row + half + 1):
@@ -43,7 +44,7 @@ def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
     return total
 
 
-@njit(cache=True)
+@cached
 def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, threshold: float) -> np.ndarray:
     """Twin of `phd.estimate_targets`."""
     left = low = np.int64(1 << 60)

@@ -9,6 +9,7 @@ from numba import njit
 
 from agents.cell_kernels import around, near
 from agents.kernels import blank, move_one, sort_by_id
+from agents.numba_cache import cached
 from agents.words import PARTICLES, WEIGHT
 
 Box = tuple[float, float, float, float]  # west, south, east and north, m
@@ -48,7 +49,7 @@ def _candidates(said: tuple, told: tuple, box: Box, eye: tuple[float, float], re
     return places[:count], names, masses
 
 
-@njit(cache=True)
+@cached
 def gather(
     said: tuple,
     told: tuple,

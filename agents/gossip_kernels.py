@@ -7,8 +7,8 @@ It knows the one layout that our encoder writes: the fields in their order, whol
 import math
 
 import numpy as np
-from numba import njit
 
+from agents.numba_cache import cached
 from agents.words import COS, DETECTIONS, EAST, KIND, NORTH, PARTICLES, RADIUS, SILENT, WEIGHT, X, Y
 from protocol.codec import MAX_BYTES
 from protocol.fields import FARTHEST, LARGEST_AREA, MAX_DETECTIONS, MAX_NAMES, MAX_PARTICLES
@@ -18,7 +18,7 @@ HEAD, TICK, POSE, COD, POWER_RADIUS, UNUSED, SEEN, SCANNED, CLAIM_TICK, NAMES, C
 SCAN_AT, SCAN_COUNT, STATES_AT, COUNT, IDS_AT, STAMP, CUT = range(7)  # columns of the spans: bytes from the start, rows, claim tick, view
 
 
-@njit(cache=True)
+@cached
 def _after(data: np.ndarray, at: int, end: int, layout: tuple, token: np.integer) -> int:
     """The place after a token that must stand at `at`; -1: it does not, or `at` was -1."""
     tokens, ends = layout
@@ -32,7 +32,7 @@ def _after(data: np.ndarray, at: int, end: int, layout: tuple, token: np.integer
     return at + size
 
 
-@njit(cache=True)
+@cached
 def _big_endian(data: np.ndarray, at: int, size: int | np.int64) -> np.uint64:
     value = np.uint64(0)
     for k in range(size):
@@ -40,7 +40,7 @@ def _big_endian(data: np.ndarray, at: int, size: int | np.int64) -> np.uint64:
     return value
 
 
-@njit(cache=True)
+@cached
 def _whole(data: np.ndarray, at: int, end: int) -> tuple:
     """A whole number from 0 to 2**63 - 1, and the place after it."""
     if at < 0 or at >= end:
@@ -55,7 +55,7 @@ def _whole(data: np.ndarray, at: int, end: int) -> tuple:
     return value, at + 1 + size if value >= 0 else -1
 
 
-@njit(cache=True)
+@cached
 def _real(data: np.ndarray, at: int, end: int, most: float) -> tuple:
     """A number of at most `most`, and the place after it."""
     if at < 0 or at + 9 > end or data[at] != 0xCB:
@@ -64,7 +64,7 @@ def _real(data: np.ndarray, at: int, end: int, most: float) -> tuple:
     return value, at + 9 if abs(value) <= most else -1
 
 
-@njit(cache=True)
+@cached
 def _bytes(data: np.ndarray, at: int, end: int, size: int, most: int) -> tuple:
     """Where the bytes of an array begin, how many rows of `size` bytes they are, `most` at most, and the place after them."""
     if at < 0 or at >= end:
@@ -80,7 +80,7 @@ def _bytes(data: np.ndarray, at: int, end: int, size: int, most: int) -> tuple:
     return first, rows, first + length
 
 
-@njit(cache=True)
+@cached
 def _text(data: np.ndarray, at: int, end: int) -> tuple:
     """Where a short ASCII text begins, its length, and the place after it."""
     if at < 0 or at >= end:
@@ -100,7 +100,7 @@ def _text(data: np.ndarray, at: int, end: int) -> tuple:
     return first, length, first + length
 
 
-@njit(cache=True)
+@cached
 def _same(data: np.ndarray, first: int, length: int, spelled: np.ndarray, begin: int, end: int) -> bool:
     if length != end - begin:
         return False
@@ -110,7 +110,7 @@ def _same(data: np.ndarray, first: int, length: int, spelled: np.ndarray, begin:
     return same
 
 
-@njit(cache=True)
+@cached
 def _names(data: np.ndarray, at: int, end: int, sender: tuple[int, int]) -> tuple:
     """How many names there are, of which the first must be the sender's, and the place after them."""
     if at < 0 or at >= end:
@@ -131,7 +131,7 @@ def _names(data: np.ndarray, at: int, end: int, sender: tuple[int, int]) -> tupl
     return number, place
 
 
-@njit(cache=True)
+@cached
 def _singles_fit(data: np.ndarray, first: int, size: int) -> bool:
     """Whether these bytes are float32 within the bounds of a coordinate."""
     numbers = data[first : first + size].copy().view(np.float32)
@@ -141,7 +141,7 @@ def _singles_fit(data: np.ndarray, first: int, size: int) -> bool:
     return fit
 
 
-@njit(cache=True)
+@cached
 def _doubles_fit(data: np.ndarray, first: int, size: int) -> bool:
     numbers = data[first : first + size].copy().view(np.float64)
     fit = True
@@ -150,7 +150,7 @@ def _doubles_fit(data: np.ndarray, first: int, size: int) -> bool:
     return fit
 
 
-@njit(cache=True)
+@cached
 def _ascend(data: np.ndarray, first: int, size: int) -> bool:
     """Whether these bytes are uint64 that rise."""
     numbers = data[first : first + size].copy().view(np.uint64)
@@ -160,7 +160,7 @@ def _ascend(data: np.ndarray, first: int, size: int) -> bool:
     return rise
 
 
-@njit(cache=True)
+@cached
 def _read_one(
     data: np.ndarray, at: int, end: int, base: int, row: int, tick: int, layout: tuple, roll: tuple, diagram: int, out: tuple
 ) -> bool:
@@ -218,7 +218,7 @@ def _read_one(
     return True
 
 
-@njit(cache=True)
+@cached
 def read(
     data: np.ndarray, ends: np.ndarray, rows: np.ndarray, base: int, tick: int, layout: tuple, roll: tuple, diagram: int, out: tuple
 ) -> bool:
@@ -237,7 +237,7 @@ def read(
     return True
 
 
-@njit(cache=True)
+@cached
 def lay_out(data: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
     """Detections (D, 2), states (N, 4) float32 and ids (N,), row after row, and whether all rows name one claim tick and one view."""
     seen, count, agreed = 0, 0, True

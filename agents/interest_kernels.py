@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from agents.cell_kernels import distance
+from agents.numba_cache import cached
 
 Limits = tuple[float, float, float, float]
 BLOCK = 4  # points of a grid along each side of a block
@@ -162,7 +163,7 @@ def _threshold(table: np.ndarray, arena: np.ndarray, around: float, spacing: flo
     return home
 
 
-@njit(cache=True)
+@cached
 def wanted(
     cell: np.ndarray,
     eye: tuple[float, float],

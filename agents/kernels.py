@@ -1,7 +1,7 @@
 """Compiled particle kernels: prediction, selection and resampling for numba, each the bit-for-bit twin of a numpy function.
 
 The numpy functions are the reference and the oracle of the tests; `fast` wraps these loops in their signatures. No fast-math: the
-order and the rounding of every operation are those of the reference. Compiled code is cached on disk beside this file.
+order and the rounding of every operation are those of the reference. Compiled code is kept on disk (`numba_cache`).
 """
 
 import math
@@ -11,6 +11,7 @@ from numba import njit
 
 from agents.cell_kernels import insert
 from agents.claim_kernels import owned
+from agents.numba_cache import cached
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -58,7 +59,7 @@ def move_one(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: 
     return x, y, vx, vy, 0.0 <= x <= width and 0.0 <= y <= height
 
 
-@njit(cache=True)
+@cached
 def predict(states: np.ndarray, weights: np.ndarray, ids: np.ndarray, motion: tuple) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `phd.predict`: new states (N, 4) and weights (N,)."""
     moved, kept = np.empty_like(states), np.empty_like(weights)
@@ -75,7 +76,7 @@ def blank(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.empty((number, 4)), np.empty(number), np.empty(number, np.uint64)
 
 
-@njit(cache=True)
+@cached
 def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
     """The indices `order` in ascending order of id, stable.
 
@@ -145,7 +146,7 @@ def wedge(x: float, y: float, sensor: np.ndarray) -> float:
     return sensor[6] if seen else 0.0
 
 
-@njit(cache=True)
+@cached
 def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tuple[float, float]:
     """Twin of the sums in `round`: mass in the footprint of a wedge, and that mass times p_d."""
     load = detected = 0.0
@@ -156,7 +157,7 @@ def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tupl
     return load, detected
 
 
-@njit(cache=True)
+@cached
 def resample(
     states: np.ndarray, weights: np.ndarray, ids: np.ndarray, mass: float, count: int, offset: float, salt: np.uint64
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -186,7 +187,7 @@ def resample(
     return chosen[:unique], sorted_names[:unique]
 
 
-@njit(cache=True)
+@cached
 def take(
     states: np.ndarray, weights: np.ndarray, ids: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -206,7 +207,7 @@ def take(
     return own_states[:own], own_weights[:own], own_ids[:own]
 
 
-@njit(cache=True)
+@cached
 def first_moments(states: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
     """Twin of the sums of `round`: mass, and mass-weighted x and y, one after the other."""
     mass = east = north = 0.0

@@ -11,6 +11,7 @@ from numba import njit
 from agents.cell_kernels import apart, around
 from agents.claim_kernels import owned
 from agents.kernels import blank, move_one, sort_by_id
+from agents.numba_cache import cached
 
 _Particles = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -30,7 +31,7 @@ def _farther(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, halo: float, hor
     return found
 
 
-@njit(cache=True)
+@cached
 def outlying(
     near: tuple,
     told: tuple,
@@ -73,7 +74,7 @@ def outlying(
     return found[:count], found_weights[:count], found_ids[:count]
 
 
-@njit(cache=True)
+@cached
 def unite(told: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
     """Twin of `arithmetic.unite`."""
     told_states, told_weights, told_ids = told

@@ -11,6 +11,7 @@ from agents.claim_kernels import owned
 from agents.extraction_kernels import estimate_targets
 from agents.gather_kernels import gather
 from agents.kernels import first_moments, in_view, resample, scramble, take
+from agents.numba_cache import cached
 from agents.update_kernels import update
 
 # Columns of the settings, and of the keys to which the tick is still to be added.
@@ -21,7 +22,7 @@ TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
 _S11 = np.uint64(11)
 
 
-@njit(cache=True)
+@cached
 def box(states: np.ndarray) -> np.ndarray:
     """West, south, east and north of some particles, (4,) m; inside out when there are none."""
     limits = np.array([np.inf, np.inf, -np.inf, -np.inf])
@@ -32,7 +33,7 @@ def box(states: np.ndarray) -> np.ndarray:
     return limits
 
 
-@njit(cache=True)
+@cached
 def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
     """Which of these boxes (N, 4) hold anything that `gather` could choose, by their indices in ascending order."""
     west, south, east, north = around(polygon, width)
@@ -46,7 +47,7 @@ def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: 
     return found[:count]
 
 
-@njit(cache=True)
+@cached
 def refresh(
     settings: np.ndarray,
     keys: np.ndarray,

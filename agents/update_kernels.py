@@ -10,6 +10,7 @@ from numba import njit
 
 from agents.cell_kernels import around, distance
 from agents.kernels import normal, scramble, wedge
+from agents.numba_cache import cached
 
 _S52 = np.uint64(52)
 _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
@@ -26,7 +27,7 @@ def _exp_minus(value: float) -> float:
     return result
 
 
-@njit(cache=True)
+@cached
 def _birth_densities(
     x: np.ndarray, y: np.ndarray, weights: np.ndarray, detections: np.ndarray, kappas: np.ndarray, radius: float, least: float, most: float
 ) -> np.ndarray:
@@ -43,7 +44,7 @@ def _birth_densities(
     return found
 
 
-@njit(cache=True)
+@cached
 def _mark_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, seen: np.ndarray) -> None:
     """Mark which points lie in a wedge (a row of `words`), without branches, so that it is done for several at once."""
     eye_x, eye_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
@@ -53,7 +54,7 @@ def _mark_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, seen: np.ndarra
         seen[n] = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2))
 
 
-@njit(cache=True)
+@cached
 def _pairs(
     x: np.ndarray,
     y: np.ndarray,
@@ -85,12 +86,12 @@ def _pairs(
     return pairs
 
 
-@njit(cache=True)
+@cached
 def _room(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(size)
 
 
-@njit(cache=True)
+@cached
 def _likelihoods(squares: np.ndarray, shares: np.ndarray, noise: float) -> None:
     """Multiply shares by the Gaussian density at squared distances m^2."""
     scale, exponent_scale = 1.0 / (2.0 * math.pi * noise * noise), 0.5 / (noise * noise)
@@ -129,7 +130,7 @@ def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: f
     return x < west - wide or x > east + wide or y < south - wide or y > north + wide
 
 
-@njit(cache=True)
+@cached
 def update(
     states: np.ndarray,
     weights: np.ndarray,

@@ -6,13 +6,13 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
+from agents.numba_cache import compiled_before, tidy
 from protocol.codec import encode
 from protocol.keys import message_key
 from protocol.messages import Beacon, Gossip, Hello, Observation
@@ -25,11 +25,6 @@ LOST = (4, 5)  # ticks in which nobody hears the other
 SKIPPED = (8, 9)  # ticks that s2 does not see
 LATE = 1e3  # s after which every open round closes
 LONGEST = 90.0  # s to wait while somebody else compiles
-
-
-def compiled_before() -> bool:
-    """Whether compiled loops lie on disk beside the sources."""
-    return any((Path(__file__).resolve().parents[2] / "agents" / "__pycache__").glob("update_kernels.update-*.nbi"))
 
 
 def announce() -> None:
@@ -50,6 +45,7 @@ def warm() -> None:
             arena, timing = ArenaSettings(width=30.0, height=30.0), TimingSettings(interest=interest)
             _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing))
         _measure()
+        tidy()
     convert({"members": {"s1": "A"}}, AgentConfig, "")  # what is looked up about its types once is looked up for all who are forked
 
 

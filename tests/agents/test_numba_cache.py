@@ -1,0 +1,88 @@
+"""What is compiled and kept on disk is never older than its source."""
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agents import numba_cache
+from agents.numba_cache import HERE, SOURCES
+
+ROOT = HERE.parent
+PROGRAM = """
+import numpy as np
+from agents.kernels import take
+states, generators = np.zeros((1, 4)), np.array([[0.0, 0.0, 1.0]])
+own = take(states, np.ones(1), np.ones(1, np.uint64), generators, np.zeros(1, np.bool_), 9.0, 9.0)
+print(len(own[1]), sum(take.stats.cache_hits.values()), take.stats.cache_path)
+"""
+
+
+def run(place: Path, **environment: str) -> tuple[int, int, Path]:
+    """How many particles are taken by the loops of a copy of the package, how many of these were on disk, and where they lie."""
+    env = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"} | environment
+    done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=place, env=env, capture_output=True, text=True, timeout=110, check=False)
+    assert done.returncode == 0, done.stderr
+    taken, hits, path = done.stdout.split()
+    return int(taken), int(hits), Path(path)
+
+
+def test_a_loop_is_compiled_anew_when_one_that_it_calls_in_another_file_changes(tmp_path: Path) -> None:
+    for room in ("agents", "protocol"):
+        shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
+    assert run(tmp_path)[:2] == (1, 0)
+    taken, hits, path = run(tmp_path)
+    assert (taken, hits) == (1, 1) and path.is_relative_to(tmp_path / "agents" / "__pycache__")
+    source = tmp_path / "agents" / "claim_kernels.py"
+    text = source.read_text()
+    assert text.count("mine[n] &= (x[n] >= 0.0)") == 1
+    source.write_text(text.replace("mine[n] &= (x[n] >= 0.0)", "mine[n] &= (x[n] >= 1.0)"))
+    assert run(tmp_path)[:2] == (0, 0)
+    source.write_text(text)
+    assert run(tmp_path)[:2] == (1, 1)  # as before
+
+
+def test_where_the_sources_cannot_be_written_loops_lie_in_the_folder_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba_cache, "HERE", tmp_path / "installed")
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
+    assert numba_cache._base() == tmp_path / "user" / "covey"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
+    assert numba_cache._base() == tmp_path / "chosen" / "covey"
+    (tmp_path / "installed").mkdir()
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    assert numba_cache._base() == tmp_path / "installed" / "__pycache__"
+
+
+def test_old_loops_are_removed_but_the_newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba_cache, "folder", lambda: tmp_path / "kernels-now")
+    for age, name in enumerate(("now", "a", "b", "c", "d", "e")):
+        (tmp_path / f"kernels-{name}").mkdir()
+        (tmp_path / f"kernels-{name}" / "loop.nbi").touch()
+        os.utime(tmp_path / f"kernels-{name}", (1e9 - age, 1e9 - age))
+    os.utime(tmp_path / "kernels-now", (1e8, 1e8))
+    (tmp_path / "other").mkdir()
+    numba_cache.tidy()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kernels-a", "kernels-b", "kernels-c", "kernels-now", "other"]
+
+
+def test_compiled_loops_are_made_of_nothing_but_what_their_folder_is_named_after() -> None:
+    sources = {path for pattern in SOURCES for path in ROOT.glob(pattern)}
+    compiled = [path for path in sources if path.match("*kernels.py")]
+    assert len(compiled) > 10
+    for path in compiled:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in ("agents", "protocol"):
+                files = {ROOT / (node.module.replace(".", "/") + ".py")}
+                if node.module == "agents":
+                    files = {HERE / f"{alias.name}.py" for alias in node.names}
+                assert files <= sources | {HERE / "numba_cache.py"}, f"{path.name} imports {node.module}"
+
+
+def test_every_loop_with_a_cache_is_kept_there() -> None:
+    for path in HERE.glob("*.py"):
+        assert "cache=True" not in path.read_text() or path.name == "numba_cache.py"
