@@ -74,9 +74,9 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
         """The table for people: what, and how much."""
         closed = [kill for kill in self.kills if kill.closed_seconds is not None]
         slowest = max(closed, key=lambda kill: kill.closed_seconds or 0.0, default=None)
-        hole = (
-            "-" if not self.kills else "not closed" if slowest is None else f"{slowest.closed_seconds:.2f} s, {slowest.closed_ticks} ticks"
-        )
+        hole = "not closed" if self.kills else "-"
+        if slowest is not None:
+            hole = f"{slowest.closed_seconds:.2f} s, {slowest.closed_ticks} tick{'s' * (slowest.closed_ticks != 1)}"
         if slowest is not None and len(closed) < len(self.kills):
             hole += f" ({len(self.kills) - len(closed)} not closed)"
         names = ", ".join(kill.name for kill in self.kills)
