@@ -16,7 +16,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 # Compiled loops are made of each other, of the numbers of the columns of a row, and of the limits of messages.
 SOURCES = ("agents/*kernels.py", "agents/words.py", "protocol/codec.py", "protocol/fields.py")
-MOST_FOLDERS = 4  # of earlier states of the sources: who goes back and forth between two need not compile again
+MOST_FOLDERS = 4  # of states of the sources, this one included: who goes back and forth between two need not compile again
 
 
 @cache
