@@ -46,7 +46,7 @@ def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
 
 @cached
 def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, threshold: float) -> np.ndarray:
-    """Twin of `phd.estimate_targets`."""
+    """Twin of `extraction.estimate_targets`."""
     left = low = np.int64(1 << 60)
     right = high = -left
     for n in range(len(weights)):

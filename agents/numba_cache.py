@@ -35,7 +35,7 @@ def _base() -> Path:
         return Path(chosen).absolute() / "covey"
     if os.access(beside if beside.is_dir() else HERE, os.W_OK):
         return beside
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "covey"
+    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "covey"
 
 
 def cached(loop: Callable[..., Any]) -> Any:
