@@ -1,4 +1,7 @@
-"""One agent process: `python -m agents --name s3 --config run.toml`."""
+"""One agent process: `python -m agents --name s3 --sensor A --config agents.toml`.
+
+The file holds what an agent may know (docs/knowledge.md): settings that are public in the swarm, and no word of the world's secrets.
+"""
 
 import os
 
@@ -12,9 +15,10 @@ from protocol.settings import BadSetting
 
 
 def build(config: AgentConfig, name: str, incarnation: int, arithmetic: Arithmetic = PLAIN) -> Agent:
-    """The agent of that name; raises BadSetting when the scenario has none."""
+    """The agent of that name; raises BadSetting when nothing says which sensor it carries."""
     if name not in config.members:
-        raise BadSetting(f"--name {name}: the scenario has no such member; it has {', '.join(config.members)}")
+        known = f"the roster has no such member; it has {', '.join(config.members)}" if config.members else "the file has no roster"
+        raise BadSetting(f"--name {name}: {known}. --sensor CLASS says which sensor it carries")
     return Agent(config, name, incarnation, arithmetic)
 
 

@@ -11,24 +11,21 @@ from itertools import groupby
 from typing import Any
 
 from agents import speech
+from agents.accord import Accord
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.belief import start
 from agents.births import prior, prior_around, prior_size
-from agents.capacity import sensor_facts
 from agents.config import AgentConfig
-from agents.control import control_law
 from agents.greetings import SOON, Greetings
 from agents.lookout import Lookout
 from agents.neighbours import Neighbours
 from agents.particles import NONE
-from agents.round import Outcome, Self, play
+from agents.round import Outcome, oneself, play
 from agents.unison import Unison, together_of
-from protocol.geometry import rectangle
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Message, Observation
 from protocol.node import QUIET, Alive, Batch, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
-from protocol.settings import sensor_of
 
 EXIT_FENCED = 3
 MANY = 1 << 30
@@ -40,22 +37,21 @@ class Agent:
     role = "agent"
     patient = "/gossip/"  # one gossip is no reason to wake up
 
-    def __init__(self, config: AgentConfig, name: str, incarnation: int = 1, arithmetic: Arithmetic = PLAIN) -> None:
+    def __init__(
+        self, config: AgentConfig, name: str, incarnation: int = 1, arithmetic: Arithmetic = PLAIN, sensor_class: str = ""
+    ) -> None:
         self.name, self.incarnation, self.run = name, incarnation, config.run.name
         self.config = config
-        self.sensor_class = config.members[name]
+        self.sensor_class = sensor_class or config.members[name]  # empty: as the roster says
         self.counters: Counter[str] = Counter()
         self.neighbours = Neighbours(config, name, incarnation)
         self.tick = -1  # of the newest observation
-        sensor = sensor_of(config, self.sensor_class)
-        self.self = Self(
-            name, sensor, sensor_facts(sensor), control_law(config), arithmetic, config, rectangle(config.arena.width, config.arena.height)
-        )
+        self.self = oneself(config, name, self.sensor_class, arithmetic)
         self.local = self.neighbours.local  # then the driver shows me only the tokens that I ask for
         self._lookout = Lookout(self.self, self.neighbours, incarnation) if self.local else None
-        everywhere = NONE if self.local else prior(config.run.seed, prior_size(config), config.filter, config.arena)
+        everywhere = NONE if self.local else prior(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena)
         self.outcome = Outcome(start(everywhere, name), self.self.facts.capability)
-        self._presence = Presence(name, ["world"] if self.local else [*config.members, "world"])
+        self._presence = Presence(name, ["world"] if self.local else [*config.others(name), "world"])
         self._world = 0  # incarnation of the world
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # mine, of the open round
@@ -64,8 +60,9 @@ class Agent:
         self._lonely = 0  # and rounds left in which I do not believe that nobody else is there
         self._close_at: float | None = None
         self._answer_at: float | None = None
-        self._greetings = Greetings(0 if self.local else len(config.members) - 1, self.neighbours.are_all_there)
+        self._greetings = Greetings(0 if self.local else len(config.others(name)), self.neighbours.are_all_there)
         self._opened_at = 0.0
+        self._accord = Accord(name, self.neighbours.settings, self.counters)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event; the effects in order (Node)."""
@@ -100,10 +97,7 @@ class Agent:
             return self._on_observation(message, now)
         if isinstance(message, Hello):
             return self._on_hello(message, now)
-        if not isinstance(message, Beacon) or self._lookout is None or message.sender == self.name or not self._lookout.hear(message):
-            return QUIET
-        self._answer_at = now + SOON if self._answer_at is None else self._answer_at
-        return []
+        return self._see_each([message], now) if isinstance(message, Beacon) and message.sender != self.name else QUIET
 
     def _expressions(self) -> list[str]:
         """What I listen to from the beginning."""
@@ -158,7 +152,7 @@ class Agent:
             return effects
         nearby = lookout.surroundings(observation, self.outcome)
         config = self.config
-        known = prior_around(config.run.seed, prior_size(config), config.filter, config.arena, nearby)
+        known = prior_around(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena, nearby)
         self.outcome = Outcome(start(known, self.name), self.self.facts.capability)
         return [*effects, *self._speak(observation, now)]
 
@@ -205,10 +199,14 @@ class Agent:
         return effects
 
     def _see_each(self, beacons: list[Beacon], now: float) -> list[Effect]:
-        if self._lookout is None or not self._lookout.hear_all(beacons):
+        if self._lookout is None:
             return QUIET
+        others = [beacon for beacon in beacons if self._accord.differs(beacon)]
+        warnings = self._accord.refuse(others) if others else QUIET
+        if not self._lookout.hear_all([beacon for beacon in beacons if beacon not in others] if others else beacons):
+            return warnings
         self._answer_at = now + SOON if self._answer_at is None else self._answer_at
-        return []
+        return [*warnings]
 
     def _hear_each(self, gossips: list[Gossip], now: float) -> list[Effect]:
         effects, at = QUIET, 0
@@ -266,17 +264,18 @@ class Agent:
         if hello.sender == self.name:
             return self._fence(hello.incarnation)
         reason = self.neighbours.greet(hello) if hello.role == "agent" else None
-        if reason:
+        warnings = self._accord.refuse([hello]) if self._accord.differs(hello) else []  # heard all the same, which others shall know
+        if reason and reason != "settings":
             self.counters[f"rejected.{reason}"] += 1
-            return []
+            return warnings
         is_new = self._presence.greet(hello.sender, now)
         if is_new:
             self._greetings.news(len(self.neighbours.peers), now)
         reason = self._presence.split(hello, now) if hello.role == "agent" else ""
         if not reason:
-            return [] if is_new else QUIET
+            return warnings or ([] if is_new else QUIET)
         self.counters["reopened"] += 1
-        return [Reopen(reason)]
+        return [*warnings, Reopen(reason)]
 
     def _on_timer(self, now: float) -> list[Effect]:
         effects: list[Effect] = []
@@ -341,7 +340,8 @@ class Agent:
             self._listening = self._listening if self._lonely > 0 else 0
 
     def _hello(self, now: float) -> Hello:
-        return speech.hello(self.self, self.incarnation, self._presence.heard(now if self.tick >= 0 else None), local=self.local)
+        heard = self._presence.heard(now if self.tick >= 0 else None)
+        return speech.hello(self.self, self.incarnation, heard, self.neighbours.settings)
 
     def _fence(self, incarnation: int) -> list[Effect]:
         """Another process speaks under my name: the older incarnation leaves."""

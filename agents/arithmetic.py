@@ -85,13 +85,13 @@ class Arithmetic(NamedTuple):
 def births(step: Step) -> Particles:
     """The new particles of the background (`births.background_births`)."""
     config = step.config
-    return background_births(config.run.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
+    return background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
 
 
 def predict(particles: Particles, step: Step) -> Particles:
     """The particles one step on (`phd.predict`)."""
     config = step.config
-    return phd.predict(particles, step.tick, config.run.seed, config.run.dt, config.filter, config.arena)
+    return phd.predict(particles, step.tick, config.filter.seed, config.run.dt, config.filter, config.arena)
 
 
 def outlying(near: Particles, told: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
@@ -130,7 +130,7 @@ def update(particles: Particles, words: Words, polygon: np.ndarray, step: Step) 
         apart = geometry.distances(polygon, np.array([scan.pose]))[0]
         if apart <= config.filter.halo + scan.sensor.reach:
             close.append(near_part(scan, geometry.distances(polygon, scan.detections) <= config.filter.halo))
-    return phd.update(particles, close, step.tick, config.run.seed, config.detection.noise, config.filter, config.birth)
+    return phd.update(particles, close, step.tick, config.filter.seed, config.detection.noise, config.filter, config.birth)
 
 
 def take(particles: Particles, claim: Claim, arena: ArenaSettings) -> Particles:
@@ -140,7 +140,7 @@ def take(particles: Particles, claim: Claim, arena: ArenaSettings) -> Particles:
 
 def resample(particles: Particles, owner: str, step: Step) -> Particles:
     """Equally weighted particles of the same mass (`phd.resample`)."""
-    return phd.resample(particles, owner, step.tick, step.config.run.seed, step.config.filter)
+    return phd.resample(particles, owner, step.tick, step.config.filter.seed, step.config.filter)
 
 
 def moments(particles: Particles) -> tuple[float, float, float]:

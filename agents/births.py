@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.config import AgentConfig, BirthSettings, FilterSettings
+from agents.config import BirthSettings, FilterSettings
 from agents.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 from protocol.settings import ArenaSettings
@@ -20,6 +20,7 @@ DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.
 
 
 SQUARE = 25.0  # m
+LEAST_PRIOR = 0.3  # particles per m^2: `least_particles` for each of the 16 agents of team 1 in its 40 x 40 m, the paper's densest team
 
 
 class Scan(NamedTuple):
@@ -43,11 +44,9 @@ def near_part(scan: Scan, close: np.ndarray) -> Scan:
     return scan if close.all() else scan._replace(detections=scan.detections[close], numbers=scan.numbers[close])
 
 
-def prior_size(config: AgentConfig) -> int:
-    """Particles of the prior over the whole arena: enough for the mass, and for every owner of a cell."""
-    filters, arena = config.filter, config.arena
-    mass = filters.prior_density * arena.width * arena.height
-    return max(round(filters.particles_per_target * mass), filters.least_particles * len(config.members))
+def prior_size(filters: FilterSettings, arena: ArenaSettings) -> int:
+    """Particles of the prior over the whole arena, the same for all: enough for its mass, and some for every cell, whoever takes part."""
+    return round(max(filters.particles_per_target * filters.prior_density, LEAST_PRIOR) * arena.width * arena.height)
 
 
 def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings) -> Particles:

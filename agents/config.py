@@ -7,24 +7,28 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from protocol.settings import Common, NotNegative, Positive, Section, Share
+from protocol.agreement import Agreed, agreed, common_sections
+from protocol.settings import Common, NotNegative, Positive, Section, Seed, Share
 
 Particles = Annotated[int, msgspec.Meta(ge=1, le=8000)]
+Density = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]  # per m^2
+Distance = Annotated[float, msgspec.Meta(ge=0.1, le=1000.0)]  # m
 
 
 class FilterSettings(Section, frozen=True, kw_only=True):
     """[filter] the particle PHD filter of every agent."""
 
-    speed: Positive = 2.0  # of every particle, m/s
-    heading_noise: NotNegative = 0.3  # rad/sqrt(s)
-    position_noise: NotNegative = 0.1  # per axis and step, m
+    seed: Seed = 0  # of all that the agents draw; 0 in a scenario: derived one-way from run.seed, which agents do not know
+    speed: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 2.0  # of every particle, m/s
+    heading_noise: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # rad/sqrt(s)
+    position_noise: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.1  # per axis and step, m
     lifetime: NotNegative = 1000.0  # mean survival time, s; 0 = for ever
     border: Literal["cross", "reflect"] = "cross"  # what a particle does at the border of the arena
-    prior_density: NotNegative = 0.001  # expected targets per m^2 at the start and in equilibrium
+    prior_density: Density = 0.001  # expected targets per m^2 at the start and in equilibrium
     particles_per_target: Particles = 75
     least_particles: Particles = 30  # per owner
     most_particles: Particles = 2000  # per owner
-    gate: Positive = 6.0  # the likelihood is cut at this many standard deviations
+    gate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 6.0  # the likelihood is cut at this many standard deviations
     halo: Positive = 6.0  # what is updated around the own cell, m
 
 
@@ -36,9 +40,9 @@ class BirthSettings(Section, frozen=True, kw_only=True):
     background: bool = True
     measurement: bool = True
     copies: Particles = 10  # particles per measurement birth
-    radius: Positive = 4.0  # the local density is read within this distance, m
+    radius: Distance = 4.0  # the local density is read within this distance, m
     least_share: NotNegative = 0.25  # the density is at least this share of the clutter density
-    most_density: NotNegative = 0.001  # and at most this, per m^2
+    most_density: Density = 0.001  # and at most this, per m^2
 
     @property
     def on_border(self) -> int:
@@ -69,7 +73,7 @@ class ControlSettings(Section, frozen=True, kw_only=True):
 class ExtractionSettings(Section, frozen=True, kw_only=True):
     """[extraction] how targets are read off the PHD."""
 
-    bin: Positive = 1.0  # m
+    bin: Annotated[float, msgspec.Meta(ge=0.01, le=1000.0)] = 1.0  # m
     threshold: Positive = 0.5  # mass of a 5 x 5 peak, expected targets
 
 
@@ -82,6 +86,7 @@ class TimingSettings(Section, frozen=True, kw_only=True):
     overlap: NotNegative = 0.0  # both claims count this close to a contested border, m (docs/decisions/0003)
     estimate_every: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1  # rounds between two estimates
     interest: Literal["all", "neighbours"] = "all"  # whose gossip an agent hears; with neighbours beacons say who is one
+    tile: Annotated[float, msgspec.Meta(ge=10.0, le=1.0e9)] = 35.0  # side of the squares in which beacons are said, m
 
 
 class AgentConfig(Common, frozen=True, kw_only=True):
@@ -94,6 +99,21 @@ class AgentConfig(Common, frozen=True, kw_only=True):
     control: ControlSettings = ControlSettings()
     extraction: ExtractionSettings = ExtractionSettings()
     timing: TimingSettings = TimingSettings()
+
+    @property
+    def dice(self) -> int:
+        """The seed that all agents share."""
+        return self.filter.seed
+
+    def agreed(self) -> Agreed:
+        """What all agents must have in common to compute parts of one PHD and one diagram, a hash for each section."""
+        timing = {name: getattr(self.timing, name) for name in ("silent_rounds", "overlap", "interest", "tile")}
+        own = {"filter": self.filter, "birth": self.birth, "partition": self.partition, "timing": timing}
+        return agreed({**common_sections(self), **own})
+
+    def others(self, name: str) -> list[str]:
+        """The other agents of the roster, which is a hint: who may be expected at the start. It may be empty, and anybody may join."""
+        return [other for other in self.members if other != name]
 
     def patience(self, *, missed: bool) -> float:
         """How long an open round waits for missing gossips, s: less for peers that were missing already.

@@ -11,6 +11,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.particles import Particles
+from protocol.foreign import fault_of, shown
 from protocol.geometry import EMPTY, polygon_centroid, wrap_angle
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting, LimitSettings, load_named
@@ -83,7 +84,7 @@ class RandomWalk:
 
 
 LAWS: dict[str, type[ControlLaw]] = {"lloyd": Lloyd, "uniform-density": UniformDensity, "static": Static, "random": RandomWalk}
-OWN_FILES = {"pursuit": "agents.pursuit:Pursuit"}  # laws that build on this file
+OWN_FILES = {"pursuit": f"{__package__}.pursuit:Pursuit"}  # laws that build on this file
 
 
 def control_law(config: AgentConfig) -> ControlLaw:
@@ -97,9 +98,34 @@ def control_law(config: AgentConfig) -> ControlLaw:
         law = load_named(mode)()
     except (ValueError, ImportError, TypeError) as error:
         raise BadSetting(f"control.mode = {mode!r}: {error}") from None
+    except Exception as error:
+        raise BadSetting(f"control.mode = {mode!r}: raised {type(error).__name__}: {error}") from error
     if not callable(getattr(law, "command", None)):
         raise BadSetting(f"control.mode = {mode!r}: the class needs a method command(situation)")
-    return law  # type: ignore[no-any-return]
+    return law if config.control.mode in OWN_FILES else CheckedLaw(law, mode)
+
+
+class CheckedLaw:
+    """A control law of the user's own: an answer that is no command raises BadSetting naming the class."""
+
+    def __init__(self, law: ControlLaw, name: str) -> None:
+        self._law, self._name = law, name
+        self.uses_fields = bool(getattr(law, "uses_fields", False))
+
+    def command(self, situation: Situation) -> Command:
+        """As the law says."""
+        with fault_of(f"{self._name}.command"):
+            answer = self._law.command(situation)
+        try:
+            (vx, vy), turn_rate = answer
+            numbers = tuple(map(float, (vx, vy, turn_rate)))
+        except (TypeError, ValueError):
+            numbers = (math.nan,)
+        if not all(map(math.isfinite, numbers)) or isinstance(answer, str):
+            raise BadSetting(
+                f"{self._name}.command returned {shown(answer)}: should be ((vx, vy), turn_rate), finite numbers in m/s and rad/s"
+            )
+        return (numbers[0], numbers[1]), numbers[2]
 
 
 def approach(situation: Situation, goal: tuple[float, float]) -> Command:

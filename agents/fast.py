@@ -87,9 +87,9 @@ def motion(step: Step) -> Motion:
     config, tick = step.config, step.tick
     run, settings, arena = config.run, config.filter, config.arena
     return (
-        np.uint64(key(run.seed, "turn", tick)),
-        np.uint64(key(run.seed, "east", tick)),
-        np.uint64(key(run.seed, "north", tick)),
+        np.uint64(key(settings.seed, "turn", tick)),
+        np.uint64(key(settings.seed, "east", tick)),
+        np.uint64(key(settings.seed, "north", tick)),
         run.dt,
         0.5 * settings.heading_noise * math.sqrt(run.dt),
         settings.speed,
@@ -111,7 +111,7 @@ def births(step: Step) -> Particles:
         if at == tick and known is config:
             return found
     birth, arena, mass = config.birth, config.arena, inflow(config.run.dt, config.filter, config.arena)
-    count, salt = birth.background_particles, np.uint64(key(config.run.seed, "background", tick))
+    count, salt = birth.background_particles, np.uint64(key(config.filter.seed, "background", tick))
     if not birth.background or mass <= 0.0:
         return NONE
     states, ids = birth_kernels.background(count, birth.on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
@@ -150,7 +150,7 @@ def update(particles: Particles, words: Words, polygon: np.ndarray, step: Step) 
     if not words.all_wedges:
         return plain_update(particles, words, polygon, step)
     config, birth, noise = step.config, step.config.birth, step.config.detection.noise
-    births_key = np.uint64(key(config.run.seed, "birth", step.tick))
+    births_key = np.uint64(key(config.filter.seed, "birth", step.tick))
     shape = (birth.measurement, birth.copies, birth.radius, birth.least_share, birth.most_density)
     return Particles(
         *update_kernels.update(
@@ -177,7 +177,7 @@ def resample(particles: Particles, owner: str, step: Step) -> Particles:
     mass = kernels.first_moments(particles.states, particles.weights)[0]
     if mass <= 0.0:
         return NONE
-    seed = step.config.run.seed
+    seed = step.config.filter.seed
     count = phd.sample_size(mass, step.config.filter)
     offset = phd.sample_offset(seed, owner, step.tick)
     states, ids = kernels.resample(*particles, mass, count, offset, np.uint64(key(seed, "split", step.tick)))  # type: ignore[arg-type]
@@ -219,7 +219,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     numbers += [birth.measurement, birth.copies, birth.radius, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold]
-    words = [key(config.run.seed, word) for word in ("turn", "east", "north", "birth", "split")]
+    words = [key(config.filter.seed, word) for word in ("turn", "east", "north", "birth", "split")]
     _PREPARED.append((config, np.array(numbers, dtype=float), np.array(words, dtype=np.uint64)))
     return prepared(config)
 
@@ -260,7 +260,7 @@ def refresh(task: Task) -> Refreshed:
         polygon,
         claim.generators,
         claim.first,
-        np.uint64(key(config.run.seed, "resample", task.owner)),
+        np.uint64(key(config.filter.seed, "resample", task.owner)),
         DIRECTIONS,
     )
     return Refreshed(Particles(*updated), Particles(*own), Particles(*kept), *rest)
@@ -292,7 +292,7 @@ def refresh_all(words: Words, births: Particles, parts: Parts, step: Step) -> li
         np.concatenate([claim.generators for claim in parts.claims]),
         np.concatenate([claim.first for claim in parts.claims]),
         _starts([claim.first for claim in parts.claims]),
-        _draws(step.config.run.seed, words.names),
+        _draws(step.config.filter.seed, words.names),
         DIRECTIONS,
     )
     found, starts = [], [0] * chorus_kernels.SIZES

@@ -2,7 +2,7 @@
 
 It is worked out from where everybody was last known to be, so everything is asked for `MARGIN` m wider than the round needs. If in
 doubt hear more: what is heard beyond need changes no bit. A choice is *certified* when nobody of whom no beacon was heard could belong
-to it: whoever says his beacons elsewhere is too far away to own anything here, even with the largest power radius of the team.
+to it: whoever says his beacons elsewhere is too far away to own anything here, even with the largest power radius that is known of.
 """
 
 import math
@@ -27,7 +27,7 @@ THRESHOLD = 40.0  # m: an empty cell is looked for this far around its generator
 
 
 class Ground(NamedTuple):
-    """What an agent needs to know of an arena: its corners (4, 2) m, and what no agent exceeds."""
+    """What an agent needs to know of an arena: its corners (4, 2) m, and what no agent exceeds of whom it has been told."""
 
     arena: np.ndarray
     bounds: Bounds

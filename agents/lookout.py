@@ -1,8 +1,8 @@
 """The lookout of an agent that hears its neighbours only: it says beacons, hears those of the tiles around it, and chooses.
 
-Nothing of it costs more in a larger swarm. Before its first word an agent asks who is there, waits, chooses, and waits until the others
-have had the time to listen; afterwards it chooses anew every `CHOICE` s, and at once when somebody comes or
-goes or it has no cell.
+What it hears and keeps is that of the tiles around it, in a swarm of any size. Before its first word an agent asks who is there, waits,
+chooses, and waits until the others have had the time to listen; afterwards it chooses anew every `CHOICE` s, and at once when somebody
+comes or goes or it has no cell.
 """
 
 import math
@@ -19,7 +19,8 @@ from agents.neighbours import Neighbours
 from agents.peers import Peer
 from agents.places import EAST, RADIUS, spot
 from agents.round import HORIZON, Outcome, Self
-from agents.tiles import Box, Rectangle, Tiling, bounds_of
+from agents.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
+from protocol.agreement import whole
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
@@ -28,7 +29,6 @@ from protocol.streams import key
 
 SETTLE = 0.25  # s for a question to reach everybody and for the answers to come back
 ROUNDS = 4  # so many times SETTLE pass before anybody's first word, so that those who must ask again have subscribed as well
-TILE = 10.0  # m: a tile is wider than the largest reach by this (docs/protocol.md)
 FIRST = 2  # tiles on every side of the own one that a newcomer listens to
 BUSY, LONGEST = 8.0, 5.0  # an agent that is called late waits so many times longer, at most so many s: the others are late as well
 UNHEARD = 3  # times that who hears nobody asks again before it looks farther: the others may only be late
@@ -44,12 +44,12 @@ class Lookout:
 
     def __init__(self, me: Self, neighbours: Neighbours, incarnation: int) -> None:
         config = me.config
-        bounds = bounds_of(config)
+        self._settings = whole(neighbours.settings)
         self.settled = False  # the first choice has been made and the others have had the time to make theirs
         self.due: float | None = None  # when to call `on_time`
         self._me, self._neighbours, self._incarnation = me, neighbours, incarnation
-        self._tiling = Tiling(bounds.reach + TILE, config.arena)
-        self._ground = Ground(me.arena, bounds, JUMP + config.limits.speed * config.run.dt, me.arithmetic.distances)
+        self._tiling = Tiling(config.timing.tile, config.arena)
+        self._ground = Ground(me.arena, bounds_of(me.sensor, me.facts), JUMP + config.limits.speed * config.run.dt, me.arithmetic.distances)
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE, LINGER))
         self._phase = key("beacon", me.name) % self._period
         self._young = 0  # until this tick the others may not know me
@@ -61,7 +61,6 @@ class Lookout:
         self._soon_known: list[tuple[int, Rectangle]] = []  # from which tick on I know what as well, the earliest and smallest first
         self._chosen_at = 0
         self._hearsay, self._behind = Hearsay(me.name, 2 * self._period), LeftBehind()
-        self._spread = bounds.offset + JUMP  # m: a generator is so far at most from where its agent says its beacons
         self._heard: dict[str, Peer] = {}  # the circle of the last choice
         self._lingering: dict[str, int] = {}  # whose gossip comes all the same, and in which tick it was needed last
         self._watched: set[str] = set()  # whose token I see
@@ -139,18 +138,37 @@ class Lookout:
         I have just begun to listen where he is.
         """
         new = self._neighbours.see(beacon)
+        self._learn_bounds(beacon)
         return beacon.asks or (new and self._knew(beacon.position))
 
     def hear_all(self, beacons: list[Beacon]) -> bool:
         """Beacons of others; whether one of them should be answered."""
-        asking = False
+        asking, widest = False, self._ground.bounds
+        for beacon in beacons:
+            if beacon.widest_reach > widest.reach or beacon.widest_offset > widest.offset or beacon.widest_radius > widest.radius:
+                self._learn_bounds(beacon)
         for beacon in self._neighbours.places.see_all(beacons, self._neighbours.peers):
             asking |= self.hear(beacon)
         return asking
 
     def answer(self) -> list[Effect]:
         """My newest beacon again."""
-        return [msgspec.structs.replace(self._said, asks=False)] if self._said else []
+        if self._said is None:
+            return []
+        reach, offset, radius = self._ground.bounds
+        return [msgspec.structs.replace(self._said, asks=False, widest_reach=reach, widest_offset=offset, widest_radius=radius)]
+
+    def _learn_bounds(self, beacon: Beacon) -> None:
+        """Whoever is wider than all of whom I knew matters from farther away; my next beacon passes that on."""
+        told = Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius)
+        peer = self._neighbours.peers.get(beacon.sender)
+        if peer is not None and peer.outfit is not None:
+            told = told.wider(bounds_of(*peer.outfit))
+        known = self._ground.bounds
+        wider = known.wider(told)
+        if wider is not known:
+            self._ground = self._ground._replace(bounds=wider)
+            self._neighbours.changed = True
 
     def after(self, gossip: Gossip, outcome: Outcome) -> list[Effect]:
         """At the end of a round: what follows from where I shall be in the next tick."""
@@ -170,6 +188,7 @@ class Lookout:
     def _beacon(self, tick: int, pose: Pose, radius: float) -> Beacon:
         me = self._me
         column, row = self._tiling.tile(pose[:2])
+        widest = self._ground.bounds
         return Beacon(
             sender=me.name,
             incarnation=self._incarnation,
@@ -180,8 +199,12 @@ class Lookout:
             reach=me.sensor.reach,
             column=column,
             row=row,
-            sensor_class=me.config.members.get(me.name, ""),
+            sensor_class=me.sensor_class,
             sensor=me.sensor if isinstance(me.sensor, WedgeSensor) else None,
+            settings=self._settings,
+            widest_reach=widest.reach,
+            widest_offset=widest.offset,
+            widest_radius=widest.radius,
         )
 
     # ------------------------------------------------------------------ the choice
@@ -197,7 +220,7 @@ class Lookout:
         if tick % LOOK:
             return []
         gossips = [gossip for gossip in self._neighbours.said.last.values() if gossip.tick == tick]
-        unheard = self._hearsay.listen(gossips, self._neighbours.acquainted(), self._overlooks, tick, now)
+        unheard = self._hearsay.listen(gossips, self._neighbours.acquainted, self._overlooks, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._me.name} does not")] if unheard else []
 
     def lag(self, tick: int, now: float) -> list[Effect]:
@@ -209,7 +232,7 @@ class Lookout:
         return self.known is None or self.known.holds(Rectangle(*place, *place).wider(self._ground.drift))
 
     def _overlooks(self, place: tuple[float, float]) -> bool:
-        return self.known is not None and self.known.holds(Rectangle(*place, *place).wider(self._spread))
+        return self.known is not None and self.known.holds(Rectangle(*place, *place).wider(self._ground.bounds.offset + JUMP))
 
     def look(self, cell: np.ndarray, mine: Beacon, tick: int) -> list[Effect]:
         """Choose whom to hear from now on, and listen to the tiles that this takes; the subscriptions that follow."""
@@ -305,7 +328,8 @@ def moved(pose: Pose, command: tuple[tuple[float, float], float], config: AgentC
 def _jumped(old: Beacon, new: Beacon) -> bool:
     """Whether a beacon says something else than an older one."""
     apart = max(math.dist(old.position, new.position), math.dist(old.cod, new.cod), abs(old.power_radius - new.power_radius))
-    return apart > JUMP
+    wider = new.widest_reach > old.widest_reach or new.widest_offset > old.widest_offset or new.widest_radius > old.widest_radius
+    return apart > JUMP or wider
 
 
 def _union(one: Box, other: Box | None) -> Box:

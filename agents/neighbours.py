@@ -6,7 +6,7 @@ stays a generator, where it was last heard, for `silent_rounds` rounds.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable, KeysView, Sequence
+from collections.abc import KeysView, Sequence
 from itertools import compress, islice
 from operator import attrgetter
 
@@ -15,11 +15,12 @@ import numpy as np
 from agents.calm import CalmRound, Reader, Roll
 from agents.config import AgentConfig
 from agents.interest import Choice
-from agents.peers import Mark, Peer, expected_of, marks_of, outfit_of, understood
+from agents.peers import Mark, Peer, expected_of, marks_of, outfit_of, steady, understood
 from agents.places import EAST, NOBODY, RADIUS, Far
 from agents.said import Said, Whole
 from agents.unison import Part, Together, Unison
 from agents.whereabouts import Whereabouts
+from protocol.agreement import disagreement
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 
@@ -37,10 +38,10 @@ class Neighbours:
         self.far = NOBODY  # the others, if local
         self.places = Whereabouts(config)  # local: of those who are there, by the newest word of each
         self.certified = False  # local: nobody whom I do not know could own anything that matters to me
-        self._acquainted, self._version = frozenset[str](), -1  # local: who has been counted in, and with which version of the places
+        self.acquainted, self._version = frozenset[str](), -1  # local: whose claims fit mine, and by which version of the places
         self.changed = False  # local: somebody has come or gone since the circle was chosen
         self._config, self._silent = config, config.timing.silent_rounds
-        self._name, self._incarnation = name, incarnation
+        self._name, self._incarnation, self.settings = name, incarnation, config.agreed()
         self.said = Said()
         self._calm = False  # all in the circle are alive and missed no round, and nothing has changed since
         self._roll: Roll | None = None  # who is expected in calm rounds, made when it is needed
@@ -71,12 +72,24 @@ class Neighbours:
         peer = self._peer(hello.sender, hello.incarnation)
         if peer is None:
             return "incarnation"
+        differs = disagreement(self.settings, hello.settings)
+        if differs != peer.differs and peer.outfit is None:  # a peer that agreed is kept: one wrong bit must not silence it
+            self._exclude(peer, differs)
+        if differs:
+            return "settings"
         if peer.outfit is None or (hello.sensor is not None and hello.sensor != peer.outfit.sensor):
             outfit = outfit_of(hello, self._config)
             if outfit is None:
                 return "sensor"
             peer.outfit, self._roll, self._marks = outfit, None, None
         return None
+
+    def _exclude(self, peer: Peer, differs: tuple[str, ...]) -> None:
+        """Count a peer out whose settings differ in some sections, or in again if they do not."""
+        peer.differs, self.changed = differs, True
+        named = self.circle.keys() - {peer.name} if differs else self.circle.keys() | {peer.name}
+        self.circle = {name: other for name, other in self.peers.items() if name in named}
+        self._calm, self._roll, self._marks = False, None, None
 
     def knows(self, hello: Hello) -> bool:
         """Whether `greet` would learn nothing from it."""
@@ -153,7 +166,7 @@ class Neighbours:
             if peer is None:
                 return "incarnation"
         if peer.outfit is None:
-            return "stranger"
+            return "settings" if peer.differs else "stranger"
         tick = gossip.tick
         last = self.said.last.get(name)
         if last is not None and tick <= last.tick:
@@ -227,7 +240,7 @@ class Neighbours:
             if self.peers[name].missed >= self._silent:
                 self.places.remove(name)
         complete = len(self.said.spell_out().get(tick, ())) == len(self.circle)
-        self._calm = complete and (self._calm or self._steady(self.circle.values()))
+        self._calm = complete and (self._calm or steady(self.circle.values(), self.local))
         for said in self.said.close(tick, len(self.circle)):
             if self.local:
                 self.places.close(said, self.peers)
@@ -238,15 +251,12 @@ class Neighbours:
         return not self._calm and any(peer.missed for peer in self.circle.values())
 
     def are_all_there(self) -> bool:
-        """Whether the tokens of all other members of the team are up; local: only the world's greeting counts, so none is waited for."""
-        if self.local:
-            return True
-        there = [peer for name, peer in self.peers.items() if peer.token and name in self._config.members]
-        return len(there) >= len(self._config.members) - 1
+        """Whether the tokens of all others of the roster are up; local: only the world's greeting counts, so none is waited for."""
+        return self.local or all(name in self.peers and self.peers[name].token for name in self._config.others(self._name))
 
     def strangers(self) -> bool:
         """Whether somebody alive has not said yet in a Hello what its sensor is."""
-        return not self.local and any(peer.token and peer.outfit is None for peer in self.peers.values())
+        return not self.local and any(peer.token and peer.outfit is None and not peer.differs for peer in self.peers.values())
 
     def see(self, beacon: Beacon) -> bool:
         """A beacon arrived: where a peer is. Whether that peer is new, or was gone or silent: then it may not know me either."""
@@ -259,8 +269,7 @@ class Neighbours:
         if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
             return False
         if peer.outfit is None:
-            peer.outfit = beacon.memo.get("outfit") or outfit_of(beacon, self._config)
-            beacon.memo["outfit"] = peer.outfit
+            peer.outfit = beacon.memo["outfit"] = beacon.memo.get("outfit") or outfit_of(beacon, self._config)
         back = peer.gone_at is not None and beacon.tick > peer.gone_at + 1  # a beacon says where somebody will be
         silent = peer.missed >= self._silent
         if back or silent:
@@ -287,7 +296,7 @@ class Neighbours:
         chosen, self.places.needed = choice
         places, before, number = self.places, self.far, len(self.places)
         if self._version != places.version:
-            self._acquainted, self._version = places.everybody(), places.version
+            self.acquainted, self._version = places.everybody(), places.version
             names = tuple(places.names)
         else:
             names = before.everybody
@@ -305,16 +314,7 @@ class Neighbours:
         self._roll = self._marks = None
         if len(circle) < len(before) + len(added):
             self.said.drop(before.keys() - self.circle.keys())
-        self._calm = self._steady(added if self._calm else circle)
-
-    def acquainted(self) -> frozenset[str]:
-        """Who has been counted in beside me, so that claims cut from one diagram are expected of them."""
-        return self._acquainted
-
-    def _steady(self, peers: Iterable[Peer]) -> bool:
-        """Whether every gossip of these will be taken that is well-formed and of the next tick."""
-        local = self.local
-        return all(peer.gone_at is None and not peer.missed and peer.outfit is not None and (peer.token or local) for peer in peers)
+        self._calm = steady(added if self._calm else circle, self.local)
 
     def _whole(self, tick: int) -> Whole | None:
         """What all peers have said of a tick if it came together and nothing has changed since."""

@@ -5,10 +5,13 @@ changes, by an update or by hand, and compute something else than its source say
 contents of all these files.
 """
 
+import contextlib
+import fcntl
 import hashlib
 import os
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -45,14 +48,45 @@ def cached(loop: Callable[..., Any]) -> Any:
     config: Any = numba.config
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder())  # asked for while a function is decorated, and never again
     try:
-        return numba.njit(cache=True)(loop)
+        compiled: Any = numba.njit(cache=True)(loop)
     finally:
         config.CACHE_DIR = before
+    save = compiled._cache.save_overload
+
+    def save_alone(*what: Any) -> None:
+        with _locked(folder()):
+            save(*what)
+
+    compiled._cache.save_overload = save_alone
+    return compiled
+
+
+@contextlib.contextmanager
+def _locked(place: Path) -> Iterator[None]:
+    """Alone among all processes: two that add to the same index at once may give two signatures of a loop the same file."""
+    place.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(place, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@cache
+def number_of_loops() -> int:
+    """How many loops are kept on disk once all have been compiled."""
+    return sum(len(re.findall("^@cached$", source.read_text(encoding="utf-8"), re.MULTILINE)) for source in HERE.glob("*kernels.py"))
+
+
+def loops_on_disk() -> int:
+    """How many of the loops of these sources have been compiled, by this process or another."""
+    return len({path.name for path in folder().glob("*/*.nbi")})
 
 
 def compiled_before() -> bool:
-    """Whether compiled loops of these sources lie on disk."""
-    return any(folder().glob("*/update_kernels.update-*.nbi"))
+    """Whether all loops of these sources lie on disk."""
+    return loops_on_disk() >= number_of_loops()
 
 
 def tidy() -> None:

@@ -39,6 +39,7 @@ class Peer:
     missed: int = 0  # rounds without a word in a row
     beacon: Beacon | None = None  # the newest
     rank: tuple[int, str] = (0, "")  # in the order of names
+    differs: tuple[str, ...] = ()  # refused: its settings are others than mine in these sections
 
     def __post_init__(self) -> None:
         self.rank = order(self.name)
@@ -68,6 +69,11 @@ def expected_of(peers: Iterable[Peer], clutter: float) -> list[Expected]:
         Expected(peer.name, peer.incarnation, eye_of(peer.name, sensor, clutter), facts.capability, sensor.reach)
         for peer, (sensor, facts) in outfits
     ]
+
+
+def steady(peers: Iterable[Peer], local: bool) -> bool:
+    """Whether every gossip of these will be taken that is well-formed and of the next tick; local: tokens are seen of some alone."""
+    return all(peer.gone_at is None and not peer.missed and peer.outfit is not None and (peer.token or local) for peer in peers)
 
 
 def plausible(gossip: Gossip, outfit: Outfit) -> bool:

@@ -12,20 +12,21 @@ import numpy as np
 
 from agents.arithmetic import Arithmetic, Refreshed, Task
 from agents.belief import Belief, Copies, Round, Share
-from agents.capacity import SensorFacts, power_radius, unused_capacity
+from agents.capacity import SensorFacts, power_radius, sensor_facts, unused_capacity
 from agents.cells import NO_CELL, Cell
 from agents.chorus import chorus_of
 from agents.claims import NO_CLAIM, Claim, make_claim
 from agents.config import AgentConfig
-from agents.control import STAND, Command, ControlLaw, Situation
+from agents.control import STAND, Command, ControlLaw, Situation, control_law
 from agents.neighbours import LOCAL_VIEW, Heard, Neighbours
 from agents.places import Far
 from agents.step import Step
 from agents.words import Words, side_by_side
-from protocol.geometry import EMPTY, polygon_centroid
+from protocol.geometry import EMPTY, polygon_centroid, rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
+from protocol.settings import sensor_of
 
 HORIZON = 40.0  # m around the own cell: who hears but a part keeps no older copies of what lies farther away
 NO_TARGETS = np.empty((0, 2))
@@ -41,6 +42,13 @@ class Self(NamedTuple):
     arithmetic: Arithmetic
     config: AgentConfig
     arena: np.ndarray  # its corners
+    sensor_class: str = ""
+
+
+def oneself(config: AgentConfig, name: str, sensor_class: str, arithmetic: Arithmetic) -> Self:
+    """The agent of that name with a sensor of that class."""
+    sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
+    return Self(name, sensor, sensor_facts(sensor), control_law(config), arithmetic, config, corners, sensor_class)
 
 
 @dataclass
@@ -83,7 +91,7 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: H
             mine=Share(me.name, claim, kept, _view(neighbours, heard, speaking, claim)),
             copies=Copies(updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.local else math.inf)),
             everyone=speaking.everyone,
-            acquainted=neighbours.acquainted() if neighbours.local else None,
+            acquainted=neighbours.acquainted if neighbours.local else None,
         ),
         unused=unused_capacity(me.facts.capability, near.detected, near.load, config.capacity),
         load=near.load,
@@ -158,7 +166,7 @@ def _situation(me: Self, mine: Gossip, cell: Cell, near: Refreshed, speaking: Wo
     config = me.config
     return Situation(
         name=me.name,
-        seed=config.run.seed,
+        seed=config.filter.seed,
         tick=mine.tick,
         dt=config.run.dt,
         pose=mine.pose,

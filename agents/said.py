@@ -55,6 +55,19 @@ class Said:
             self._together = None
         return self.rounds
 
+    def held(self) -> dict[str, tuple[object, ...]]:
+        """What is held of each peer's gossips, as values to compare. How they are stored stays as it is."""
+        found: dict[str, list[object]] = {}
+        for tick, said in self.rounds.items():
+            for name, gossip in said.items():
+                found.setdefault(name, []).append((tick, id(gossip)))
+        for name, gossip in self._last.items():
+            found.setdefault(name, []).append((gossip.incarnation, gossip.tick))
+        for whole in (self._closed, self._together):
+            for name in whole.names() if whole is not None else ():
+                found.setdefault(name, []).append(id(whole))
+        return {name: tuple(values) for name, values in found.items()}
+
     def note(self, gossip: Gossip) -> None:
         """A gossip has been taken."""
         said = self.spell_out().setdefault(gossip.tick, {})

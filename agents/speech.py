@@ -6,6 +6,7 @@ from agents.capacity import place
 from agents.particles import NONE
 from agents.round import Outcome, Self
 from agents.words import learn
+from protocol.agreement import Agreed
 from protocol.fields import pack
 from protocol.messages import Command, Estimate, Gossip, Hello, Observation
 from protocol.sensing import WedgeSensor
@@ -13,18 +14,19 @@ from protocol.sensing import WedgeSensor
 VERSION = "0.1.0"
 
 
-def hello(me: Self, incarnation: int, heard: tuple[str, ...], *, local: bool) -> Hello:
-    """That I am here, with which sensor, and whom I hear."""
+def hello(me: Self, incarnation: int, heard: tuple[str, ...], settings: Agreed) -> Hello:
+    """That I am here, with which sensor and settings, and whom I hear."""
     return Hello(
         sender=me.name,
         incarnation=incarnation,
         software=f"covey {VERSION}",
-        sensor_class=me.config.members[me.name],
+        sensor_class=me.sensor_class,
         sensor=me.sensor if isinstance(me.sensor, WedgeSensor) else None,
         max_speed=me.config.limits.speed,
         max_turn_rate=me.config.limits.turn_rate,
         heard=heard,
-        local=local,
+        local=me.config.timing.interest == "neighbours",
+        settings=settings,
     )
 
 

@@ -3,10 +3,10 @@
 import math
 from typing import NamedTuple
 
-from agents.capacity import power_radius, sensor_facts
-from agents.config import AgentConfig
+from agents.capacity import SensorFacts, power_radius
 from protocol.keys import Tile
-from protocol.settings import ArenaSettings, sensor_of
+from protocol.sensing import SensorModel
+from protocol.settings import ArenaSettings
 
 
 class Rectangle(NamedTuple):
@@ -40,22 +40,21 @@ class Box(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What no agent of the team exceeds, in m: reach of the sensor, distance from it to the COD, power radius."""
+    """What some agents do not exceed, in m: reach of the sensor, distance from it to the COD, power radius."""
 
     reach: float
     offset: float
     radius: float
 
+    def wider(self, other: "Bounds") -> "Bounds":
+        """What neither these agents nor others exceed; the same object if that is nothing new."""
+        both = Bounds(*map(max, self, other))
+        return self if both == self else both
 
-def bounds_of(config: AgentConfig) -> Bounds:
-    """The bounds of all sensor classes among the members."""
-    sensors = [sensor_of(config, sensor_class) for sensor_class in sorted(set(config.members.values()))]
-    facts = [sensor_facts(sensor) for sensor in sensors]
-    return Bounds(
-        max(sensor.reach for sensor in sensors),
-        max(math.hypot(*fact.cod_offset) for fact in facts),
-        max(power_radius(fact.capability) for fact in facts),
-    )
+
+def bounds_of(sensor: SensorModel, facts: SensorFacts) -> Bounds:
+    """The bounds of whoever carries that sensor."""
+    return Bounds(sensor.reach, math.hypot(*facts.cod_offset), power_radius(facts.capability))
 
 
 class Tiling:

@@ -1,6 +1,11 @@
 """The `covey` command: names, options and help; the work is in `deploy.commands`, imported when it is wanted."""
 
 import os
+import signal
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))  # Ctrl-C while this file imports; nothing runs yet
+
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -8,99 +13,122 @@ from typing import Annotated, Literal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported by anybody
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import Parameter
 
-from deploy.commands.options import FLAG, RunOptions, switch_or_text
+from deploy.commands import acts, completing, set_up  # noqa: F401 -- they add their commands
+from deploy.commands.app import KEEP, LOOK, RUN, STUDY, Kept, Named, Open, Options, Page, Record, Run, Trace, app
+from deploy.commands.options import FLAG, WHOLE, RunOptions, Showing
 from deploy.commands.study_options import study
 
-Options = Annotated[RunOptions, Parameter(name="*")]
-Run = Annotated[str | None, Parameter(help="Name of the run; default: the newest that is running.")]
-Record = Annotated[bool | Path, Parameter(help="Record everything into this .mcap file; default: the run directory.", negative="")]
-Trace = Annotated[Path | None, Parameter(help="Write the time series into this .npz, .parquet or .csv file.")]
-Page = Annotated[
-    bool | str, Parameter(help="Show the run on a page in the browser: a port (0: any free one), or host:port.", converter=switch_or_text)
-]
-
-app = App(
-    name="covey", help="A masterless swarm of mobile sensors: every sensor is a process, and any of them may be killed.", version_flags=[]
-)
+DEMO_PACE = 2.5  # world seconds per second: the 200 s of the demo take 80 s
 
 
-@app.command
-def demo(*, page: Page = True, record: Record = False, options: Options = RunOptions()) -> int:
-    """Watch a swarm work: 16 agents find 8 targets, 3 agents are killed at mid-run, a table at the end."""
+@app.command(group=RUN, help_epilogue="Example: covey demo --seed 3")
+def demo(
+    *,
+    page: Page = True,
+    open: Open = False,
+    fast: Annotated[bool, FLAG] = False,
+    record: Record = False,
+    options: Options = RunOptions(),
+) -> int:
+    """Watch a swarm work: 16 agents, 8 targets, 3 deaths at mid-run, a table.
+
+    At a pace that the eye can follow (80 s), or --fast. In a terminal the page stays until Enter or Ctrl-C.
+    """
     from deploy.commands import running
 
-    chosen = replace(options, run=options.run or "demo", lockstep=options.lockstep or options.rate is None)
-    running.demo(chosen.scenario("convergence"), options.json, record, page, options.spawn)
+    paced = not fast and not options.lockstep and options.rate is None
+    settings = [f"run.pace={DEMO_PACE}", *options.settings] if paced else options.settings
+    chosen = replace(options, lockstep=options.lockstep or options.rate is None, settings=settings)
+    resolved = chosen.scenario("convergence")
+    running.demo(resolved, chosen.wish(resolved), Showing(options.json, record, page or open, open, stays=True), options.spawn)
 
 
-@app.command
+@app.command(group=RUN, help_epilogue="Example: covey up efficacy --team 3 --rate 2 --page")
 def up(
-    scenario: str = "convergence",
+    scenario: Named = "convergence",
     /,
     *,
     detach: Annotated[bool, FLAG] = False,
     page: Page = False,
+    open: Open = False,
     record: Record = False,
     options: Options = RunOptions(),
 ) -> int:
-    """Run a scenario with real processes: a name (convergence, efficacy, heterogeneity, quick) or a TOML file."""
+    """Run a scenario with real processes."""
     from deploy.commands import running
 
-    running.up(options.scenario(scenario), options.json, detach, record, page, options.spawn)
+    resolved = options.scenario(scenario)
+    running.up(resolved, options.wish(resolved), detach, Showing(options.json, record, page or open, open), options.spawn)
 
 
-@app.command
-def simulate(scenario: str = "convergence", /, *, record: Record = False, trace: Trace = None, options: Options = RunOptions()) -> int:
-    """Run the same nodes in one process, in virtual time; with --rate the world waits for nobody, as on a clock."""
+@app.command(group=RUN, help_epilogue="Example: covey simulate efficacy --kill 30%@300 --seed 7 --json")
+def simulate(scenario: Named = "convergence", /, *, record: Record = False, trace: Trace = None, options: Options = RunOptions()) -> int:
+    """Run the same nodes in one process, in virtual time.
+
+    With --rate the world waits for nobody, as on a clock. The result is printed, and kept as a run only with --run NAME or --record.
+    """
     from deploy.commands import simulating
 
     clock: Literal["lockstep", "realtime"] = "lockstep" if options.rate is None or options.lockstep else "realtime"
-    return simulating.simulate_here(options.scenario(scenario), options.json, record, trace, clock)
+    resolved = options.scenario(scenario)
+    return simulating.simulate_here(resolved, options.wish(resolved), options.json, record, trace, clock)
 
 
-@app.command
-def check(scenario: str = "convergence", /, *, options: Options = RunOptions()) -> int:
-    """Is the scenario right, and can this machine run it?"""
-    from deploy.commands import checking
+@app.command(group=LOOK, help_epilogue="Example: covey ps -a")
+def ps(
+    *, all: Annotated[bool, Parameter(name=("--all", "-a"), negative="")] = False, run: Run = None, json: Annotated[bool, FLAG] = False
+) -> int:
+    """Every process of a running swarm: who lives, who died, when and how.
 
-    return checking.check(options.scenario(scenario))
-
-
-@app.command
-def ps(*, run: Run = None, json: Annotated[bool, FLAG] = False) -> int:
-    """Every process of a running swarm: who lives, who died, when and how."""
+    -a: of all running swarms of this folder, and a line for each run that has ended.
+    """
     from deploy.commands import acting
 
-    return acting.ps(run, json)
+    return acting.ps(run, json, all)
 
 
-@app.command
+@app.command(group=LOOK, help_epilogue="Example: covey watch\n         covey watch --page 9000")
 def watch(*, page: Page = False, run: Run = None) -> int:
-    """A live map and table of a running swarm; with --page on a page in the browser."""
+    """A live map and table of a running swarm; with --page in the browser.
+
+    Keys: the arrows choose a process, k kills it, p pauses it or lets it go on, r restarts it, q quits.
+    """
     from deploy.commands import acting, looking
 
     return looking.watch_page(page, run) if page else acting.watch(run)
 
 
-@app.command
-def record(file: Path | None = None, /, *, run: Run = None) -> int:
-    """Record a running swarm from outside, until Ctrl-C or its end; default: into its run directory."""
-    from deploy.commands import looking
+@app.command(group=LOOK, help_epilogue="Example: covey logs -f s3 world\n         covey logs --run hunt --lines 20")
+def logs(
+    *names: Annotated[str, Parameter(help="Processes, such as s3, world, supervisor; default: all.", completer=completing.processes)],
+    follow: Annotated[bool, Parameter(name=("--follow", "-f"), negative="")] = False,
+    lines: Annotated[int | None, WHOLE, Parameter(name=("--lines", "-n"), help="Only the last so many.")] = None,
+    json: Annotated[bool, Parameter(help="The lines as they are in the files.", negative="")] = False,
+    run: Annotated[str | None, Parameter(help="Name of the run; default: the newest.", completer=completing.runs)] = None,
+) -> int:
+    """What the processes of a run have written, by time.
 
-    return looking.record(file, run)
+    Also of a run that has ended. -f: go on until the run ends.
+    """
+    from deploy.commands import logs as reading
+
+    return reading.logs(names, run, follow, lines, json)
 
 
-@app.command
-def echo(key: str = "**", /, *, count: int | None = None, run: Run = None) -> int:
-    """What is said under a key: truth, estimate/s3, 'gossip/*', or any key expression; unknown messages raw."""
+@app.command(group=LOOK, help_epilogue="Example: covey echo 'estimate/*' --count 3")
+def echo(key: str = "**", /, *, count: Annotated[int | None, WHOLE] = None, run: Run = None) -> int:
+    """What is said under a key; unknown messages raw.
+
+    Key: truth, estimate/s3, 'gossip/*', or any key expression.
+    """
     from deploy.commands import looking
 
     return looking.echo(key, count, run)
 
 
-@app.command
+@app.command(group=LOOK, help_epilogue="Example: covey hz 'gossip/*' --seconds 5")
 def hz(key: str = "**", /, *, seconds: float | None = None, run: Run = None) -> int:
     """How often and how much is said under a key."""
     from deploy.commands import looking
@@ -108,60 +136,92 @@ def hz(key: str = "**", /, *, seconds: float | None = None, run: Run = None) -> 
     return looking.hz(key, seconds, run)
 
 
-@app.command
+@app.command(group=LOOK, help_epilogue="Example: covey ls")
 def ls(*, seconds: float = 2.0, run: Run = None) -> int:
-    """Who is there, and every key under which something is said within a few seconds."""
+    """Who is there, and every key under which something is said."""
     from deploy.commands import looking
 
     return looking.ls(seconds, run)
 
 
-@app.command
-def down(*, run: Run = None) -> int:
-    """End a running swarm."""
-    from deploy.commands import acting
+@app.command(group=KEEP, help_epilogue="Example: covey runs")
+def runs(*, json: Annotated[bool, FLAG] = False) -> int:
+    """The runs that are kept, the newest first.
 
-    return acting.down(run)
+    Scenario, seed, when, state, steady OSPA and size of the recording.
+    """
+    from deploy.commands import runs as listing
 
-
-@app.command
-def kill(who: str = "", /, *, random: int | None = None, run: Run = None) -> int:
-    """Kill (SIGKILL) agents of a running swarm: a name, names with commas, a number, or a share such as 30%."""
-    return _act("kill", who, random, run)
+    return listing.runs(json)
 
 
-@app.command
-def pause(who: str = "", /, *, random: int | None = None, run: Run = None) -> int:
-    """Stop agents in their tracks (SIGSTOP)."""
-    return _act("pause", who, random, run)
+@app.command(group=KEEP, help_epilogue="Example: covey rm hunt hunt-2\n         covey rm --older-than 7d")
+def rm(
+    *names: Annotated[str, Parameter(completer=completing.recordings)],
+    all: Annotated[bool, FLAG] = False,
+    older_than: str | None = None,
+    yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
+) -> int:
+    """Remove kept runs: by name, all ended ones, or the old ones.
+
+    Running ones are refused. --older-than takes 30m, 12h, 7d or 2w. --all and --older-than ask first; where there is no terminal they
+    need -y.
+    """
+    from deploy.commands import runs as listing
+
+    return listing.rm(names, all, older_than, yes)
 
 
-@app.command
-def resume(who: str = "100%", /, *, random: int | None = None, run: Run = None) -> int:
-    """Let paused agents go on (SIGCONT); all of them unless said."""
-    return _act("resume", who, random, run)
+@app.command(group=KEEP, help_epilogue="Example: covey record hunt.mcap")
+def record(file: Path | None = None, /, *, run: Run = None) -> int:
+    """Record a running swarm from outside.
+
+    Until Ctrl-C or its end; without a file into its run directory.
+    """
+    from deploy.commands import looking
+
+    return looking.record(file, run)
 
 
-@app.command
-def restart(who: str = "100%", /, *, random: int | None = None, run: Run = None) -> int:
-    """Bring agents back under their names; all the dead unless said."""
-    return _act("restart", who, random, run)
+@app.command(group=KEEP, help_epilogue="Example: covey replay hunt --speed 4")
+def replay(recording: Kept, /, *, page: Page = True, speed: float = 1.0, publish: Annotated[bool, FLAG] = False) -> int:
+    """Play a recording on the page: play, pause, scrub, speed.
+
+    --publish: also under the same keys.
+    """
+    from deploy.commands import keeping
+
+    return keeping.replay(recording, page, speed, publish)
 
 
-@app.command
-def score(recording: str, /, *, csv: Path | None = None, json: Annotated[bool, FLAG] = False) -> int:
-    """OSPA, GOSPA and the rest from a recording alone: a file, or the name of a run."""
+@app.command(group=KEEP, help_epilogue="Example: covey score hunt --csv ticks.csv")
+def score(recording: Kept, /, *, csv: Path | None = None, json: Annotated[bool, FLAG] = False) -> int:
+    """OSPA, GOSPA and the rest from a recording alone."""
     from deploy.commands import keeping
 
     return keeping.score(recording, csv, json)
 
 
-app.command(study)
+@app.command(group=KEEP, help_epilogue="Example: covey export hunt --to foxglove")
+def export(recording: Kept, /, *, to: Literal["csv", "parquet", "foxglove", "rerun"] = "csv", out: Path | None = None) -> int:
+    """A recording as tables, or as a file for Foxglove or Rerun.
+
+    foxglove: an MCAP file that it draws; rerun needs the package rerun-sdk.
+    """
+    from deploy.commands import keeping
+
+    return keeping.export(recording, to, out)
 
 
-@app.command
-def figures(what: str, /, *, into: Path | None = None, animate: Annotated[bool, FLAG] = False) -> int:
-    """Figures for a paper, as PDF and PNG: of a study, or of a recorded run (start, end, trajectories; a moving picture with --animate)."""
+@app.command(group=KEEP, help_epilogue="Example: covey figures hunt --animate\n         covey figures runs/study-efficacy")
+def figures(what: Kept, /, *, into: Path | None = None, animate: Annotated[bool, FLAG] = False) -> int:
+    """Figures for a paper, of a recorded run or of a study: PDF and PNG.
+
+    Of a run: start, end, trajectories; a moving picture with --animate.
+    """
+    from deploy.extras import need
+
+    need("figures")
     from deploy.commands import figuring, keeping
 
     if figuring.is_study(Path(what)):
@@ -169,26 +229,14 @@ def figures(what: str, /, *, into: Path | None = None, animate: Annotated[bool, 
     return keeping.figures(what, into, animate)
 
 
-@app.command
-def export(recording: str, /, *, to: Literal["csv", "parquet", "foxglove", "rerun"] = "csv", out: Path | None = None) -> int:
-    """A recording as tables (csv, parquet), as an MCAP file that Foxglove draws, or as a file for Rerun (needs its package)."""
-    from deploy.commands import keeping
-
-    return keeping.export(recording, to, out)
+app.command(study, group=STUDY, help_epilogue="Example: covey study efficacy --quick")
 
 
-@app.command
-def replay(recording: str, /, *, page: Page = True, speed: float = 1.0, publish: Annotated[bool, FLAG] = False) -> int:
-    """Play a recording on the page (play, pause, scrub, speed); with --publish also under the same keys."""
-    from deploy.commands import keeping
-
-    return keeping.replay(recording, page, speed, publish)
-
-
-@app.command
+@app.command(group=STUDY, help_epilogue="Example: covey bench round")
 def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False, seconds: float | None = None) -> int:
-    """Measure this machine: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them.
+    """Measure this machine.
 
+    What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them.
     --seconds: how long realtime runs each of its swarms; a minute if it is not given.
     """
     from deploy.commands import benching
@@ -196,107 +244,24 @@ def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False, seconds:
     return benching.bench(what, json, seconds)
 
 
-@app.command
-def partition(who: str, /, *, kind: Literal["both", "one-way", "bridge"] = "both", run: Run = None) -> int:
-    """Cut agents off from the rest of a running swarm that allows it (network.link_faults = true)."""
-    from deploy.commands import acting
+@app.command(group=STUDY, help_epilogue="Example: covey fuzz --seeds 20")
+def fuzz(*, seeds: Annotated[int, WHOLE] = 300, first: Annotated[int, WHOLE] = 1, jobs: Annotated[int | None, WHOLE] = None) -> int:
+    """Small swarms under faults drawn from a seed, all invariants checked.
 
-    return acting.act("partition", who, run, options={"kind": kind})
-
-
-@app.command
-def heal(*, run: Run = None) -> int:
-    """Make all links of a running swarm clear again."""
-    from deploy.commands import acting
-
-    return acting.act("heal", "", run)
-
-
-@app.command
-def drop(share: float, who: str = "", /, *, burst: float = 0.0, run: Run = None) -> int:
-    """Lose a share (0 to 1) of the messages from and to some agents, all unless said; --burst: in runs of so many."""
-    from deploy.commands import acting
-
-    return acting.act("drop", who, run, share, {"burst": burst})
-
-
-@app.command
-def delay(seconds: float, who: str = "", /, *, jitter: float = 0.0, run: Run = None) -> int:
-    """Deliver the messages from and to some agents, all unless said, so many seconds late."""
-    from deploy.commands import acting
-
-    return acting.act("delay", who, run, seconds, {"jitter": jitter})
-
-
-@app.command
-def fuzz(*, seeds: int = 300, first: int = 1, jobs: int | None = None) -> int:
-    """Deterministic simulation: small swarms under faults drawn from a seed, all invariants checked; exit code 1 when a seed fails."""
+    Exit code 1 when a seed fails.
+    """
     from deploy.commands import fuzzing
 
     return fuzzing.fuzz(seeds, first, jobs)
 
 
-@app.command
-def keys(
-    *names: str,
-    into: Path = Path("keys"),
-    scenario: str | None = None,
-    host: tuple[str, ...] = (),
-    days: int = 730,
-    force: Annotated[bool, FLAG] = False,
-) -> int:
-    """An authority and certificates for mutual TLS: for these names, or for all of a scenario; `up --keys DIR` uses them."""
-    from deploy.commands import keys as making
-
-    return making.keys(list(names), scenario, into, host, days, force)
-
-
-@app.command
-def version() -> int:
-    """Versions of Covey, of its wire format and of what it stands on."""
-    import json
-
-    from deploy.result import VERSION
-    from deploy.swarm.rundir import versions
-
-    print(f"covey {VERSION}")
-    print(json.dumps(versions(), indent=2))
-    return 0
-
-
-def _act(verb: str, who: str, random: int | None, run: str | None) -> int:
-    from deploy.commands import acting
-
-    return acting.act(verb, str(random) if random is not None else who, run)
-
-
 def main() -> None:
-    """Run the command line; exit codes 0 done, 2 bad input, 130 / 143 on signals."""
-    sys.path.append(os.getcwd())  # where a user's own sensor models and controllers are
-    sys.exit(_main())
+    """Run the command line; exit codes 0 done, 1 failed, 2 bad input, 130 / 143 on signals."""
+    from deploy.commands import last_net
 
-
-def _main() -> int:
-    try:
-        return app(exit_on_error=False, print_error=False) or 0
-    except CycloptsError as error:
-        return _complain(" ".join(str(error).split()))
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 0
-    except ValueError as error:
-        from protocol.settings import BadSetting
-
-        if not isinstance(error, BadSetting):
-            raise
-        return _complain(str(error))
-
-
-def _complain(text: str) -> int:
-    print(f"covey: {text}", file=sys.stderr)
-    return 2
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    last_net.open_standard_files()
+    sys.exit(last_net.caught(lambda: app(exit_on_error=False, print_error=False, result_action="return_value") or 0))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ STYLES = {"running": "bold cyan", "paused": "yellow", "dead": "red"}
 Marks = dict[tuple[int, int], tuple[str, str]]  # (row, column) -> character and style
 
 
-def swarm_map(swarm: dict[str, Any], rows: list[dict[str, Any]], most_lines: int = ROWS) -> Text:
+def swarm_map(swarm: dict[str, Any], rows: list[dict[str, Any]], most_lines: int = ROWS, most_columns: int = COLUMNS) -> Text:
     """The map of a status as the supervisor gives it: o a true target, x an estimate, * both, an arrow a body, + a dead one.
 
     Empty where there is no room for it.
@@ -21,7 +21,7 @@ def swarm_map(swarm: dict[str, Any], rows: list[dict[str, Any]], most_lines: int
     if most_lines < LEAST_ROWS:
         return Text()
     width, height = swarm["arena"]
-    columns = min(COLUMNS, max(8, round(2.0 * min(ROWS, most_lines) * width / height)))
+    columns = min(COLUMNS, max(8, most_columns), max(8, round(2.0 * min(ROWS, most_lines) * width / height)))
     lines = max(4, min(ROWS, round(columns * height / width / 2.0)))
     marks: Marks = {}
     for place in swarm["places"]:

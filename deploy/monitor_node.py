@@ -7,32 +7,26 @@ areas of the published cells of the living, as shares of the arena.
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
-from deploy.result import Fault, Kill, Result
-from deploy.scenario import Scenario
+from deploy.chronicle import Chronicle, View
+from deploy.losses import Losses
+from deploy.pace import Pace
+from deploy.result import Fault, Result, Told
+from deploy.scenario import Scenario, agent_config
 from deploy.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
 from deploy.status import AgentStatus, Status
+from protocol.agreement import disagreement
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
 from protocol.messages import Estimate, Gossip, Hello, Truth
 from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Subscribe
 from world.score import errors
 
-CLOSED = 1e-6  # of the arena: cells leave no hole
 LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
-
-
-@dataclass(slots=True)
-class _Loss:
-    name: str
-    tick: int
-    time: float
-    now: float
-    closed: tuple[float, int] | None = None  # s, ticks
 
 
 @dataclass
@@ -42,7 +36,6 @@ class _Tally:
     messages: int = 0
     bytes: int = 0
     rejected: int = 0
-    rounds: dict[tuple[str, int], int] = field(default_factory=dict)
     residual: float = 0.0
 
 
@@ -54,15 +47,23 @@ class Scorer:
     def __init__(self, scenario: Scenario, name: str = "monitor", incarnation: int = 1, *, scores: bool = True) -> None:
         """`scores` false: ticks are followed and counted, but not scored (an assignment of thousands of targets takes longer than they)."""
         self.run, self.name, self.incarnation = scenario.run.name, name, incarnation
+        self.last_tick = scenario.run.ticks - 1  # of the whole run
         self.scores: list[Score] = []
         self.truth: Truth | None = None  # the newest
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick of the world
         self.on_event: Callable[[Event, float], None] = lambda event, now: None  # called first with all that is heard: recorder, page
+        self.missing: tuple[str, ...] = ()  # members that were not there at the first tick
         self.faults: list[Fault] = []  # that were ordered and do not show by themselves
         self.on_fault: Callable[[Fault], None] = lambda fault: None
+        self.on_told: Callable[[Told], None] = lambda told: None  # called with what came of an event, once it is known
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
         self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
+        self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, sections: None  # called when settings differ
         self.greeted: set[str] = set()  # who has been heard at all
+        self.losses = Losses()
+        self.pace = Pace(scenario)
+        self._settings = agent_config(scenario).agreed()
+        self._differing: dict[str, tuple[str, ...]] = {}  # by name: the sections in which settings differ
         self._scenario = scenario
         self._area = scenario.arena.width * scenario.arena.height
         self._coverage = Coverage(scenario)
@@ -75,7 +76,8 @@ class Scorer:
         self._estimates: dict[int, dict[str, Estimate]] = {}
         self._latest: dict[str, Estimate] = {}
         self._next = 0
-        self._losses: list[_Loss] = []
+        self._chronicle = Chronicle()
+        self._events: list[Told] = []
         self._tally = _Tally()
         self._keeps_scores = scores
         self._checked = -1, 0  # a tick, and how many of those who live have answered it, from the first on
@@ -95,13 +97,13 @@ class Scorer:
             case Received(message=message):
                 self._tally.messages += 1
                 self._tally.bytes += event.size
-                self._hear(message)
+                self._hear(message, now)
                 if not isinstance(message, Truth | Estimate):
                     return []  # nothing that could complete a tick
             case Alive(role="agent"):
                 if self._alive.get(event.name, event.incarnation) != event.incarnation:
                     self.on_twin(event.name, self._alive[event.name], event.incarnation)
-                self._alive[event.name] = max(event.incarnation, self._alive.get(event.name, 0))
+                self._gain(event.name, event.incarnation)
                 if event.name not in self._names:
                     self._names = sorted([*self._names, event.name], key=order)
             case Gone(role="agent") if self._alive.get(event.name) == event.incarnation:
@@ -111,19 +113,29 @@ class Scorer:
         self._score_what_is_complete(now)
         return []
 
-    def _hear(self, message: object) -> None:
+    def _hear(self, message: object, now: float) -> None:
         if isinstance(message, Truth):
-            self._hear_truth(message)
+            self._hear_truth(message, now)
         elif isinstance(message, Estimate):
             self._hear_estimate(message)
         elif isinstance(message, Gossip):
             self._compare_mass(message)
         elif isinstance(message, Hello):
             self.greeted.add(message.sender)
+            self._compare_settings(message)
 
-    def _hear_truth(self, truth: Truth) -> None:
+    def _compare_settings(self, hello: Hello) -> None:
+        """Agents that differ refuse one another, and whoever watches is told in what."""
+        differs = disagreement(self._settings, hello.settings)
+        if differs != self._differing.get(hello.sender, ()):
+            self._differing[hello.sender] = differs
+            if differs:
+                self.on_differing(hello.sender, differs)
+
+    def _hear_truth(self, truth: Truth, now: float) -> None:
         if truth.tick < self._next or (self.truth is not None and truth.tick <= self.truth.tick):
             return
+        self.pace.tick(now, truth.tick)
         self._truths[truth.tick] = self.truth = truth
         self.on_truth(truth)
 
@@ -132,7 +144,7 @@ class Scorer:
         if latest is not None and (estimate.incarnation, estimate.tick) <= (latest.incarnation, latest.tick):
             return
         self._latest[estimate.sender] = estimate
-        self._tally.rounds[estimate.sender, estimate.incarnation] = estimate.counters.get("rounds", 0)
+        self.pace.count(estimate.sender, estimate.incarnation, estimate.counters)
         if estimate.tick >= self._next:
             self._estimates.setdefault(estimate.tick, {})[estimate.sender] = estimate
 
@@ -147,7 +159,14 @@ class Scorer:
         if self._finished or self.truth is None:
             return
         self._gone_at[name] = self.truth.time
-        self._losses.append(_Loss(name, self.truth.tick, self.truth.time, now))
+        tick, time = self.truth.tick, self.truth.time
+        self._chronicle.lose(name, self.losses.lose(name, tick, time, now), tick, time)
+
+    def _gain(self, name: str, incarnation: int) -> None:
+        is_new = name not in self._alive
+        self._alive[name] = max(incarnation, self._alive.get(name, 0))
+        if is_new and name in self._gone_at and self.truth is not None:
+            self._chronicle.regain(name, self.truth.tick)
 
     def _score_what_is_complete(self, now: float) -> None:
         while self.truth is not None and not self._finished:
@@ -209,9 +228,10 @@ class Scorer:
             coverage=self._coverage.share(truth),
         )
         self.scores.append(score)
-        for loss in self._losses:
-            if loss.closed is None and hole <= CLOSED and truth.tick > loss.tick:
-                loss.closed = now - loss.now, truth.tick - loss.tick
+        cells = {estimate.sender: estimate.cell for estimate in counted}
+        view = View(truth.tick, truth.time, cells, truth.ids, truth.targets, targets, hole, overlap)
+        self._tell(self._chronicle.see(view))
+        self.losses.see(truth.tick, hole, now)
 
     def finish(self, now: float) -> None:
         """The run is over: score what is left; who leaves from now on has not been lost."""
@@ -219,13 +239,34 @@ class Scorer:
             tick = min(self._truths)
             self._score(self._truths[tick], now)
             self._forget(tick)
+        self._tell(self._chronicle.finish())
         self._finished = True
         self.on_finish()
 
-    def note_fault(self, verb: str, text: str) -> None:
-        """A fault has been ordered that nobody can hear, such as a cut between agents."""
-        self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text))
+    def _tell(self, sentences: list[Told]) -> None:
+        for told in sentences:
+            self._events.append(told)
+            self.on_told(told)
+
+    def note_fault(self, verb: str, text: str, who: str = "", now: float = 0.0) -> None:
+        """A fault has been ordered that nobody can hear, such as a cut between agents, or a pause; `who`: names with commas."""
+        self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text, who))
+        names = [name for name in who.split(",") if name]
+        if verb == "pause":
+            self.losses.paused |= set(names)
+        elif verb in ("resume", "kill", "restart"):
+            self._end_pause(verb, names, now)
+        elif verb in ("partition", "heal") and self.truth is not None:
+            self._chronicle.cut(verb, self.truth.tick)
         self.on_fault(self.faults[-1])
+
+    def _end_pause(self, verb: str, names: list[str], now: float) -> None:
+        """Those who were paused go on, or have been killed; of a killed one whose token went before nothing more will be heard."""
+        for name in names:
+            was_paused = name in self.losses.paused
+            self.losses.paused.discard(name)
+            if was_paused and verb != "resume" and name not in self._alive and self.truth is not None and not self._finished:
+                self.losses.lose(name, self.truth.tick, self.truth.time, now)
 
     def is_up_to_date(self) -> bool:
         """Whether every truth that was heard has been scored."""
@@ -251,6 +292,7 @@ class Scorer:
             hole=last.hole,
             overlap=last.overlap,
             messages=self._tally.messages,
+            pace=self.pace.now(),
             agents=[self._agent_status(name) for name in self._names],
             arena=(self._scenario.arena.width, self._scenario.arena.height),
             places=_pairs([self.truth.targets] if self.truth else []),
@@ -259,15 +301,19 @@ class Scorer:
 
     def _agent_status(self, name: str) -> AgentStatus:
         status = AgentStatus(name=name, alive=name in self._alive, incarnation=self._alive.get(name, 0), gone_at=self._gone_at.get(name))
+        status.paused = name in self.losses.paused
+        status.differs = list(self._differing.get(name, ()))
         if self.truth is not None and name in self.truth.bodies:
             x, y, heading = self.truth.poses[self.truth.bodies.index(name)].tolist()
             status.pose = x, y, heading
         estimate = self._latest.get(name)
         if estimate is not None:
-            status.tick, status.mass, status.targets = estimate.tick, estimate.mass, len(estimate.targets)
-            status.cell = polygon_area(estimate.cell) / self._area
+            status.tick, status.round_ms = estimate.tick, 1000.0 * estimate.round_seconds
             status.rounds, status.skipped = estimate.counters.get("rounds", 0), estimate.counters.get("skipped", 0)
-            status.round_ms = 1000.0 * estimate.round_seconds
+            status.late = estimate.counters.get("late", 0)
+        if estimate is not None and status.alive:  # who has gone owns nothing
+            status.mass, status.targets = estimate.mass, len(estimate.targets)
+            status.cell = polygon_area(estimate.cell) / self._area
         return status
 
     def result(self, wall_seconds: float, messages: int | None = None, payload_bytes: int | None = None) -> Result:
@@ -282,6 +328,7 @@ class Scorer:
             capacity=scenario.capacity.mode,
             control=scenario.control.mode,
             agents=len(scenario.members),
+            missing=self.missing,
             ticks=len(scores),
             dt=scenario.run.dt,
             wall_s=round(wall_seconds, 3),
@@ -300,17 +347,13 @@ class Scorer:
             mass_residual=self._tally.residual,
             messages=self._tally.messages if messages is None else messages,
             bytes=self._tally.bytes if payload_bytes is None else payload_bytes,
-            rounds=sum(self._tally.rounds.values()),
-            kills=tuple(_kill(loss) for loss in self._losses),
+            rounds=self.pace.rounds,
+            kills=self.losses.kills(),
             transcript=self._transcript.hexdigest(),
+            events=tuple(self._events),
         )
         return msgspec.structs.replace(result, **why(scores, scenario))
 
 
 def _pairs(parts: list[np.ndarray]) -> list[tuple[float, float]]:
     return [(round(x, 2), round(y, 2)) for part in parts for x, y in part.tolist()]
-
-
-def _kill(loss: _Loss) -> Kill:
-    seconds, ticks = loss.closed if loss.closed else (None, None)
-    return Kill(name=loss.name, tick=loss.tick, time=loss.time, closed_seconds=seconds, closed_ticks=ticks)

@@ -2,29 +2,38 @@
 
 import asyncio
 import contextlib
+import itertools
 import logging
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
+from deploy.monitor.picture import PAUSES
 from deploy.monitor.server import PageServer
 from deploy.monitor_node import Scorer
 from deploy.records.recorder import FLUSH_SECONDS, Recorder
 from deploy.records.recording import NAME
+from deploy.result import Fault, Told
 from deploy.scenario import Scenario
-from protocol.node import Event
+from protocol.node import Event, Gone
 from protocol.settings import BadSetting
 
 log = logging.getLogger(__name__)
 
 
 def recording_path(record: bool | Path, folder: Path) -> Path | None:
-    """Where to record: into the run directory unless a file is named; None when nothing is to be recorded."""
+    """Where to record: into the run directory, beside other recordings of the run, unless a file is named; None: nowhere."""
     if isinstance(record, bool):
-        return folder / NAME if record else None
+        return _free(folder / NAME) if record else None
     if record.suffix != ".mcap":
         raise BadSetting(f"--record {record}: should be a file that ends in .mcap")
     return record
+
+
+def _free(path: Path) -> Path:
+    """The path, or the first with a number that does not exist: recording-2.mcap."""
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in itertools.count(2))
+    return path if not path.exists() else next(one for one in numbered if not one.exists())
 
 
 def open_recorder(path: Path, scenario: Scenario, *, virtual: bool = False) -> Recorder:
@@ -40,6 +49,9 @@ class Onlookers:
     """What listens to one scorer; a context in the event loop of the run. One that fails is left out from then on, the run goes on."""
 
     def __init__(self, scorer: Scorer, recorder: Recorder | None, page: PageServer | None = None) -> None:
+        self._scorer = scorer
+        self._last_tick = scorer.last_tick
+        self._is_over = False
         self._recorder = recorder
         self._page = page
         self._listeners: list[Callable[[Event, float], None]] = [recorder.see] if recorder else []
@@ -48,7 +60,8 @@ class Onlookers:
         self._chores: asyncio.Task[None] | None = None
         scorer.on_event = self._see
         scorer.on_finish = self._finish
-        scorer.on_fault = recorder.note_fault if recorder else scorer.on_fault
+        scorer.on_fault = self._note_fault
+        self._told, scorer.on_told = scorer.on_told, self._tell
 
     async def __aenter__(self) -> "Onlookers":
         if self._recorder is not None:
@@ -66,7 +79,20 @@ class Onlookers:
         if self._page is not None:
             await self._page.close()
 
+    def _note_fault(self, fault: Fault) -> None:
+        if self._recorder is not None:
+            self._recorder.note_fault(fault)
+        if self._page is not None and fault.verb in PAUSES:  # the page's source asks the supervisor for the others
+            self._page.source.picture.note_fault(fault)
+
+    def _tell(self, told: Told) -> None:
+        self._told(told)
+        if self._page is not None:
+            self._page.source.picture.note("told", told.who, told.text, told.time)
+
     def _see(self, event: Event, now: float) -> None:
+        if isinstance(event, Gone):
+            self._notice_end(event)
         for listener in list(self._listeners):
             try:
                 listener(event, now)
@@ -74,7 +100,20 @@ class Onlookers:
                 log.exception("an onlooker failed and is left out from here on")
                 self._listeners.remove(listener)
 
+    def _notice_end(self, gone: Gone) -> None:
+        """Once the world has left after its last tick, who leaves has not died: the page keeps what it shows."""
+        truth = self._scorer.truth
+        self._is_over |= gone.role == "world" and truth is not None and truth.tick >= self._last_tick
+        if self._is_over and gone.role == "agent":
+            self._freeze()
+
+    def _freeze(self) -> None:
+        if self._page is not None:
+            self._page.freeze()
+            self._listeners = [listener for listener in self._listeners if listener != self._page.source.picture.see]
+
     def _finish(self) -> None:
+        self._freeze()
         if self._recorder is not None:
             self._recorder.close()
 

@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import msgspec
 
+from deploy.pace import PaceStatus
+
 VERSION = "0.1.0"
 
 
@@ -13,6 +15,15 @@ class Fault(NamedTuple):
 
     time: float  # of the world, s
     verb: str
+    text: str
+    who: str = ""  # names with commas, where it struck somebody
+
+
+class Told(NamedTuple):
+    """A sentence about what came of an event."""
+
+    time: float  # of the world, when it was told, s
+    who: str
     text: str
 
 
@@ -34,7 +45,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     partition: str
     capacity: str
     control: str
-    agents: int  # at the start
+    agents: int  # members of the scenario
+    missing: tuple[str, ...] = ()  # those of them that were not there at the first tick
     ticks: int  # that were scored
     dt: float
     wall_s: float
@@ -65,6 +77,9 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     steady_mass: float = 0.0
     steady_coverage: float = 0.0  # share of the arena inside some footprint
     end_in_view: float = 0.0  # share of target-time over the last 5 s
+    events: tuple[Told, ...] = ()  # what came of each death, return and cut
+    pace: PaceStatus | None = None  # of a run with processes: ticks a second, rounds that were skipped or late
+    exit_code: int = 0  # of the run: 0 done, 1 a process failed, 130 and 143 stopped by a signal
 
     def to_json(self) -> str:
         """One line of JSON."""
@@ -80,7 +95,9 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
         if slowest is not None and len(closed) < len(self.kills):
             hole += f" ({len(self.kills) - len(closed)} not closed)"
         names = ", ".join(kill.name for kill in self.kills)
+        missing = [("missing from the start", f"{len(self.missing)} of {self.agents}: {', '.join(self.missing)}")] if self.missing else []
         return [
+            *missing,
             ("OSPA, mean / steady / final", f"{self.mean_ospa:.2f} / {self.steady_ospa:.2f} / {self.final_ospa:.2f} m"),
             ("GOSPA, mean / steady / final", f"{self.mean_gospa:.1f} / {self.steady_gospa:.1f} / {self.final_gospa:.1f} m"),
             ("  localisation + missed + false", f"{self.steady_localisation:.1f} + {self.steady_missed:.1f} + {self.steady_false:.1f} m"),
@@ -93,4 +110,11 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
             ("time to close the hole", hole),
             ("largest hole / overlap", f"{100.0 * self.hole_area:.2f} / {100.0 * self.overlap_area:.2f} % of the arena"),
             ("wall time", f"{self.wall_s:.1f} s"),
+            *(_pace_rows(self.pace) if self.pace is not None else []),
         ]
+
+
+def _pace_rows(pace: PaceStatus) -> list[tuple[str, str]]:
+    done = "-" if pace.ticks_per_s is None else f"{pace.ticks_per_s:.1f}"
+    asked = "as fast as it goes" if pace.asked_per_s is None else f"asked {pace.asked_per_s:g}"
+    return [("ticks a second", f"{done} ({asked})"), ("rounds skipped / late", f"{pace.skipped} / {pace.late} of {pace.rounds}")]

@@ -1,5 +1,6 @@
 """Scenarios: one TOML file each, with the options of the command line laid over it, resolved into the run.toml of a run."""
 
+import hashlib
 import re
 import tomllib
 from pathlib import Path
@@ -8,8 +9,8 @@ from typing import Any
 import msgspec
 
 from agents.config import AgentConfig
-from protocol.settings import BadSetting, NotNegative, Section, Share, convert, read_toml, sensor_of
-from world.config import BodySettings, TargetSettings, WorldConfig
+from protocol.settings import BadSetting, NotNegative, RunSettings, Section, Share, convert, read_toml, sensor_of
+from world.config import BodySettings, TargetSettings, WorldConfig, WorldRun
 
 LOCKSTEP_HASTE = 5  # times the messages a second that are no flood: nothing holds the world up there, and one agent alone does 700 ticks/s
 FOLDER = Path(__file__).parent / "scenarios"
@@ -43,6 +44,7 @@ class StudySettings(Section, frozen=True, kw_only=True):
 class Scenario(AgentConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A whole scenario, all sections; unknown ones are refused."""
 
+    run: WorldRun = WorldRun()
     targets: TargetSettings = TargetSettings()
     bodies: BodySettings = BodySettings()
     team: TeamSettings = TeamSettings()
@@ -53,6 +55,31 @@ class Scenario(AgentConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def world_config(scenario: Scenario) -> WorldConfig:
     """What the world reads of a scenario."""
     return WorldConfig(**{field: getattr(scenario, field) for field in WorldConfig.__struct_fields__})
+
+
+def agent_config(scenario: Scenario) -> AgentConfig:
+    """What an agent may know of a scenario (docs/knowledge.md): no targets, no bodies, no faults, and not the seed of the world.
+
+    Agents that hear their neighbours get no roster either.
+    """
+    fields = {field: getattr(scenario, field) for field in AgentConfig.__struct_fields__}
+    fields["run"] = RunSettings(**{field: getattr(scenario.run, field) for field in RunSettings.__struct_fields__})
+    seed = scenario.filter.seed or filter_seed(scenario.run.seed)
+    fields["filter"] = msgspec.structs.replace(scenario.filter, seed=seed)
+    if scenario.timing.interest == "neighbours":
+        fields["members"] = {}
+    if not scenario.network.encrypted:  # whom to admit is asked of certificates alone
+        fields["network"] = msgspec.structs.replace(scenario.network, admit=())
+    return AgentConfig(**fields)
+
+
+def filter_seed(run_seed: int) -> int:
+    """The seed that the agents share, a one-way hash of the run's: from it nobody computes target tracks or detections.
+
+    Small seeds can be guessed and tried out: a run whose agents are not trusted takes a random one below 2^63.
+    """
+    digest = hashlib.blake2b(f"filter {run_seed}".encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little") >> 1
 
 
 def team_counts(team: TeamSettings) -> dict[str, int]:
@@ -91,12 +118,23 @@ def find(name: str) -> Path:
 
 def resolve(name: str, overrides: dict[str, Any] | None = None) -> Scenario:
     """The scenario `name` with dotted overrides such as {"run.seed": 3} laid over it and the team spelled out."""
+    data, source = read(name, overrides)
+    return spelled_out(convert(data, Scenario, source), data, name, source)
+
+
+def read(name: str, overrides: dict[str, Any] | None = None) -> tuple[dict[str, Any], str]:
+    """The data of the scenario `name` with dotted overrides laid over it, and where it comes from in words; raises BadSetting."""
     path = find(name)
     data = read_toml(path)
+    if not data:
+        raise BadSetting(f"{path}: says nothing; `covey init NAME.toml` writes a scenario to begin with")
     for dotted, value in (overrides or {}).items():
         _lay_over(data, dotted, value)
-    source = str(path) if not overrides else f"{path} with options"
-    scenario = convert(data, Scenario, source)
+    return data, str(path) if not overrides else f"{path} with options"
+
+
+def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str) -> Scenario:
+    """A scenario with its members by name, and with what follows from its `data`; raises BadSetting for a team that cannot be."""
     try:
         members = scenario.members or _name_members(team_counts(scenario.team))
         for sensor_class in dict.fromkeys(members.values()):
@@ -108,6 +146,11 @@ def resolve(name: str, overrides: dict[str, Any] | None = None) -> Scenario:
     if run.clock == "lockstep" and "most_per_second" not in data.get("network", {}):
         network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)
     return msgspec.structs.replace(scenario, members=members, run=run, network=network)
+
+
+def named(scenario: Scenario, run: str) -> Scenario:
+    """The scenario as a run of that name."""
+    return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, name=run))
 
 
 def _name_members(counts: dict[str, int]) -> dict[str, str]:

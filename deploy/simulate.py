@@ -14,13 +14,14 @@ import msgspec
 
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
-from deploy.chaos.faults import LINK_VERBS, Schedule, check_faults, plain_verb
+from deploy.chaos.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
 from deploy.chaos.injector import Build, Injector
 from deploy.chaos.links import Links, describe
 from deploy.monitor_node import Scorer
 from deploy.result import Result
 from deploy.scenario import Scenario, world_config
 from protocol.messages import Truth
+from protocol.settings import BadSetting
 from protocol.virtual import Link, VirtualBus
 from world.world import World
 
@@ -68,7 +69,7 @@ class Simulation:
         scores: bool = True,
     ) -> None:
         check_faults(scenario.faults, list(scenario.members))
-        self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock))
+        self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock, pace=0.0))
         self.links = Links(scenario.run.seed, list(scenario.members))
         faulty = any(plain_verb(fault.verb) in LINK_VERBS for fault in scenario.faults)
         pace = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
@@ -111,6 +112,10 @@ class Simulation:
     def _tick(self, truth: Truth) -> None:
         alive, dead = self.injector.alive(), self.injector.dead()
         for action in self._schedule.due(truth.time, alive, dead, [*alive, *dead, "world"]):
+            if action.verb == REFUSED:
+                raise BadSetting(action.options["why"])
+            if action.verb in ("pause", "resume") or self.scorer.losses.paused.intersection(action.names):
+                self.scorer.note_fault(action.verb, f"{action.verb} {', '.join(action.names)}", ",".join(action.names), self.bus.now)
             self.injector.strike(action)
             if action.verb in LINK_VERBS:
                 self.scorer.note_fault(action.verb, describe(action))

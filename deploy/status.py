@@ -2,6 +2,8 @@
 
 import msgspec
 
+from deploy.pace import PaceStatus
+
 
 class AgentStatus(msgspec.Struct, kw_only=True):
     """What watchers see of one agent."""
@@ -17,7 +19,10 @@ class AgentStatus(msgspec.Struct, kw_only=True):
     targets: int = 0
     rounds: int = 0
     skipped: int = 0
+    late: int = 0
+    paused: bool = False
     round_ms: float = 0.0
+    differs: list[str] = []  # sections in which its settings are not those of the run: its peers refuse it
 
 
 class Status(msgspec.Struct, kw_only=True):
@@ -34,7 +39,9 @@ class Status(msgspec.Struct, kw_only=True):
     hole: float
     overlap: float
     messages: int
+    pace: PaceStatus
     agents: list[AgentStatus]
     arena: tuple[float, float]  # width and height, m
     places: list[tuple[float, float]]  # of the true targets, m
     estimates: list[tuple[float, float]]  # of the targets that the living report, m
+    waiting: str = ""  # what the first tick waits for

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -12,9 +13,11 @@ from deploy.scenario import Scenario
 from deploy.swarm.rundir import RunDirectory, find_running
 from protocol.keys import ROOT, message_key
 from protocol.messages import Message
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.settings import BadSetting, load
 
+SILENCE = 3.0  # s without a word after which it is looked where something is said
+LOOK = 2.0  # s that this takes: the rarest messages come every second or so
 PART = re.compile(r"^(\*\*?|[^*/#?$\s]+(\$\*[^*/#?$\s]*)*|\$\*[^*/#?$\s]+)\Z")
 
 
@@ -44,41 +47,91 @@ def expression(text: str, run: str) -> str:
     return "/".join(parts if parts[0] == ROOT or (parts[0] == "**" and len(parts) > 1) else [ROOT, run, *parts])
 
 
+def lies_in(expression: str, key: str) -> bool:
+    """Whether a key lies in a key expression: `*` is one part, `**` any number of parts, `$*` any piece of a part."""
+    wild = {"**": "(/[^/]+)*", "*": "/[^/]+"}
+    parts = [wild.get(part) or "/" + re.escape(part).replace(r"\$\*", "[^/]*") for part in expression.split("/")]
+    return re.fullmatch("".join(parts), f"/{key}") is not None
+
+
 class Listener:
     """The Node of `echo`, `hz` and `ls`: subscribes to one expression, hands on what it hears, stops after `seconds` or on demand."""
 
     role = "monitor"
     incarnation = 1
 
-    def __init__(self, run: str, name: str, wanted: str, on_heard: Callable[[Heard, float], bool], seconds: float | None = None) -> None:
-        """`on_heard` says whether to go on listening."""
+    def __init__(
+        self,
+        run: str,
+        name: str,
+        wanted: str,
+        on_heard: Callable[[Heard, float], bool],
+        seconds: float | None = None,
+        on_silence: Callable[[list[str]], None] | None = None,
+    ) -> None:
+        """`on_heard` says whether to go on listening; `on_silence` is told once, when nothing is heard, which keys are written."""
         self.run, self.name = run, name
         self.tokens: set[tuple[str, str, int]] = set()  # role, name, incarnation of who is there
         self._wanted, self._on_heard, self._seconds = wanted, on_heard, seconds
+        self._all = f"{ROOT}/{run}/**"
         self._end: float | None = None
+        self._on_silence = on_silence
+        self._look: float | None = None  # when it is time to look what is said elsewhere, or to tell
+        self._looked = False
+        self._elsewhere: set[str] | None = None  # the keys that are written, while somebody looks
 
     def deadline(self) -> float | None:
-        """When the time is up."""
-        return self._end
+        """When the time is up, or nothing has been heard for so long that something has to be said."""
+        return min((at for at in (self._end, self._look) if at is not None), default=None)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event and return what to do."""
-        go_on = True
         match event:
             case Started():
                 self._end = now + self._seconds if self._seconds is not None else None
+                self._look = now + SILENCE if self._on_silence is not None else None
                 return [Subscribe(self._wanted)]
             case Timer():
-                return [Stop(0, "time is up")]
+                return [Stop(0, "time is up")] if self._end is not None and now >= self._end else self._look_around(now)
             case Received(message=message):
-                go_on = self._on_heard(Heard(message_key(self.run, message), event.payload, message, ""), now)
+                return self._hear(Heard(message_key(self.run, message), event.payload, message, ""), now)
             case Rejected():
-                go_on = self._on_heard(Heard(event.key, event.payload, None, event.reason), now)
+                return self._hear(Heard(event.key, event.payload, None, event.reason), now)
             case Alive():
                 self.tokens.add((event.role, event.name, event.incarnation))
             case Gone():
                 self.tokens.discard((event.role, event.name, event.incarnation))
-        return [] if go_on else [Stop(0, "enough")]
+        return []
+
+    def _hear(self, heard: Heard, now: float) -> list[Effect]:
+        """Hand on what is wanted; note where else something is said while that is looked at."""
+        if self._looked and not lies_in(self._wanted, heard.key):
+            if self._elsewhere is not None:
+                self._elsewhere.add(heard.key)
+            return []  # also what was still on its way when the look was over
+        effects: list[Effect] = [] if self._elsewhere is None else [Subscribe(self._wanted), Unsubscribe(self._all)]
+        self._elsewhere = None
+        self._look = None
+        return effects if self._on_heard(heard, now) else [*effects, Stop(0, "enough")]
+
+    def _look_around(self, now: float) -> list[Effect]:
+        """After a silence listen to all keys for a moment, each message once; then say which they are and go back to the wanted."""
+        if self._look is None or now < self._look:
+            return []
+        if self._elsewhere is None and self._wanted != self._all:
+            self._looked, self._elsewhere, self._look = True, set(), now + LOOK
+            return [Unsubscribe(self._wanted), Subscribe(self._all)]
+        keys, self._elsewhere, self._look = self._elsewhere or set(), None, None
+        assert self._on_silence is not None
+        self._on_silence(sorted(keys))
+        return [Subscribe(self._wanted), Unsubscribe(self._all)] if self._wanted != self._all else []
+
+
+def kinds(keys: list[str]) -> str:
+    """Keys of one run in few words: `truth, gossip/** (16 keys)`."""
+    counts = Counter(key.split("/")[2] for key in keys)
+    alone = {key.split("/", 2)[2] for key in keys}
+    return ", ".join(kind if kind in alone else f"{kind}/** ({number} key{'s' * (number != 1)})" for kind, number in sorted(counts.items()))
 
 
 def fields(message: Message) -> dict[str, Any]:

@@ -32,6 +32,16 @@ def check_endpoints(settings: NetworkSettings) -> None:
                 raise BadSetting(f"{said}: should be tls/address:port, for network.ca asks for certificates")
 
 
+def check_loopback() -> None:
+    """Raise BadSetting when this machine cannot reach itself."""
+    try:
+        with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()[:2], timeout=5.0):
+            pass
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BadSetting(f"127.0.0.1 cannot be reached: {reason}; `ip link set lo up` switches the loopback interface on") from None
+
+
 def check_files(settings: NetworkSettings, name: str) -> None:
     """Raise BadSetting for a file of mutual TLS that is missing, for the owner of that common name."""
     if not settings.encrypted:

@@ -28,7 +28,7 @@ from protocol.inbox import Arrival, Flow, Inbox, awaited, patient_kind, together
 from protocol.linger import Sockets
 from protocol.links import LinkFaults
 from protocol.messages import Message
-from protocol.node import QUIET, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import QUIET, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, Warn
 from protocol.reception import Reception
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin
@@ -217,6 +217,8 @@ class Driver:
             self._unsubscribe(effect.expression)
         elif isinstance(effect, Stop):
             self.stop(effect.code, effect.reason)
+        elif isinstance(effect, Warn):
+            log.warning(effect.text)
         elif isinstance(effect, Reopen) and self._link is None:  # where links are spoilt on purpose silence proves nothing
             log.warning("opening the session anew: %s", effect.reason)
             if self._reopening is None or self._reopening.done():

@@ -84,6 +84,7 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     max_turn_rate: float = 0.0  # rad/s
     heard: tuple[str, ...] = ()
     local: bool = False  # True: I hear the world's Hello alone and know my peers by their beacons
+    settings: dict[str, int] = {}  # hash of each section that all must agree on (`agreement`); what is missing is not compared
 
     def check(self) -> None:
         check_number("max_speed", self.max_speed, least=0.0)
@@ -106,6 +107,10 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
     sensor_class: str = ""  # as in Hello
     sensor: WedgeSensor | None = None  # as in Hello
     asks: bool = False  # True: whoever hears this, say a beacon soon
+    settings: Count = 0  # hash of all settings that the Hello names; 0: not said
+    widest_reach: float = 0.0  # the largest reach, distance from sensor to COD and power radius of all of whom I know, me included
+    widest_offset: float = 0.0
+    widest_radius: float = 0.0
 
     @property
     def tile(self) -> tuple[int, int]:
@@ -118,6 +123,9 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
         check_vector("cod", self.cod)
         check_number("power_radius", self.power_radius, least=0.0)
         check_number("reach", self.reach, least=0.0)
+        check_number("widest_reach", self.widest_reach, least=0.0)
+        check_number("widest_offset", self.widest_offset, least=0.0)
+        check_number("widest_radius", self.widest_radius, least=0.0)
 
 
 class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):

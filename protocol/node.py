@@ -98,7 +98,14 @@ class Reopen:
     reason: str
 
 
-Effect = Message | Subscribe | Unsubscribe | Stop | Reopen
+@dataclass(frozen=True, slots=True)
+class Warn:
+    """Something that the user should know; it goes to the log."""
+
+    text: str
+
+
+Effect = Message | Subscribe | Unsubscribe | Stop | Reopen | Warn
 QUIET: list[Effect] = []  # this very object as an answer: nothing is to be done, and the deadline is what it was; never to be changed
 
 

@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
@@ -25,6 +26,7 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 STANDARD_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
 Config = TypeVar("Config", bound=Common)
+Role = TypeVar("Role", bound=Node)
 
 
 class JsonLines(logging.Formatter):
@@ -50,6 +52,7 @@ def log_json_lines(run: str, name: str) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines(run, name))
     logging.basicConfig(level=os.environ.get("COVEY_LOG", "INFO").upper(), handlers=[handler], force=True)
+    logging.raiseExceptions = False  # a log that finds no room ends nothing
 
 
 def die_with_parent() -> None:
@@ -78,8 +81,9 @@ def let_others_finish() -> None:
 def leave(code: int) -> NoReturn:
     """End the process now: a Zenoh session that failed to close could hold up the interpreter's own end for ever."""
     logging.shutdown()
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
     os._exit(code)
 
 
@@ -87,7 +91,15 @@ def arguments(role: str, words: list[str] | None = None) -> argparse.Namespace:
     """The parsed command line of `python -m agents` or `python -m world`."""
     parser = argparse.ArgumentParser(prog=f"python -m {role}", description=f"One {role} process of a Covey run.")
     parser.add_argument("--name", required=role == "agents", default="world", help="name of this process, unique in the run")
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="a resolved scenario (run.toml)")
+    parser.add_argument(
+        "--config",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help="agents.toml of a run directory; the world: run.toml",
+    )
+    if role == "agents":
+        parser.add_argument("--sensor", default="", metavar="CLASS", help="of the own sensor; default: as the roster of FILE says")
     parser.add_argument("--incarnation", type=int, default=None, help="grows with every restart; default: the clock in ms")
     parser.add_argument("--listen", action="append", metavar="ENDPOINT", help="listen here instead of network.listen")
     parser.add_argument("--seed-endpoint", action="append", metavar="ENDPOINT", help="dial this instead of network.seeds")
@@ -102,23 +114,36 @@ def network_of(config: Common, options: argparse.Namespace) -> NetworkSettings:
     return msgspec.structs.replace(config.network, listen=listen, seeds=seeds, admit=config.network.admit or tuple(config.members))
 
 
-def main(role: str, into: type[Config], build: Callable[[Config, str, int], Node]) -> NoReturn:
-    """Be one process: read the configuration, build the node, drive it, leave with its exit code; 2 on bad input."""
+def _with_sensor(config: Config, options: argparse.Namespace) -> Config:
+    """The configuration with the own sensor in the roster, if the command line names one."""
+    sensor_class = getattr(options, "sensor", "")
+    return msgspec.structs.replace(config, members={**config.members, options.name: sensor_class}) if sensor_class else config
+
+
+def main(
+    role: str, into: type[Config], build: Callable[[Config, str, int], Role], on_line: Callable[[Role, str], None] | None = None
+) -> NoReturn:
+    """Be one process: read the configuration, build the node, drive it, leave with its exit code; 2 on bad input.
+
+    `on_line` takes the lines that a parent writes to the standard input; without it they say how links are spoilt.
+    """
     options = arguments(role)
     if options.supervised:
         die_with_parent()
     sys.path.append(os.environ.get("COVEY_MODULES", "."))  # where a user's own sensor models and controllers are
     try:
-        config = load(options.config, into)
+        config = _with_sensor(load(options.config, into), options)
         log_json_lines(config.run.name, options.name)
         if role == "agents" and config.run.clock == "lockstep":
             let_others_finish()
         incarnation = options.incarnation if options.incarnation is not None else time.time_ns() // 1_000_000
         node = build(config, options.name, incarnation)
-        link = LiveLink(config.run.seed, options.name, logging.getLogger(__name__).warning) if config.network.link_faults else None
-        on_line = link.on_line if link else None
-        code = live.run(node, network_of(config, options), watch_stdin=options.supervised, on_line=on_line, link=link)
+        link = LiveLink(config.dice, options.name, logging.getLogger(__name__).warning) if config.network.link_faults else None
+        hear = partial(on_line, node) if on_line else link.on_line if link else None
+        code = live.run(node, network_of(config, options), watch_stdin=options.supervised, on_line=hear, link=link)
     except BadSetting as error:
+        if error.__cause__ is not None:  # an error inside a class of the user's own, who wants to know where
+            logging.getLogger(__name__).error("%s", error, exc_info=error.__cause__)
         print(f"{role}: {error}", file=sys.stderr)
         code = 2
     except Exception:

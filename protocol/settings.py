@@ -18,6 +18,7 @@ from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1.0e9)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1.0e9)]
+Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 
@@ -31,17 +32,18 @@ class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class RunSettings(Section, frozen=True, kw_only=True):
-    """[run] what is run and how time passes."""
+    """[run] what is run and how time passes; the world's own seed is in `world.config`."""
 
     name: Name = "covey"
     scenario: str = ""  # the name or path it was made from
-    seed: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)] = 1
     seconds: Positive = 200.0  # of world time
     dt: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.25  # world time between ticks, s
     clock: Literal["realtime", "lockstep"] = "realtime"
     rate: Positive = 1.0  # world seconds per wall second, realtime only
+    pace: NotNegative = 0.0  # lockstep: at most so many world seconds per wall second; 0 = as fast as it goes
     patience: Positive = 5.0  # lockstep: how long a missing peer is waited for, wall s
-    start_timeout: Positive = 60.0  # how long the start line waits for the expected agents, wall s
+    start_timeout: Positive = 60.0  # how long the start line waits for the next of the expected agents, once one is there, wall s
+    strict: bool = False  # never start without all of them
 
     @property
     def ticks(self) -> int:
@@ -59,14 +61,14 @@ class ArenaSettings(Section, frozen=True, kw_only=True):
 class DetectionSettings(Section, frozen=True, kw_only=True):
     """[detection] what a scan returns for a target in view, and what else."""
 
-    noise: Positive = 0.25  # standard deviation of a detection per axis, m
-    clutter: NotNegative = 0.1  # expected clutter points per scan, uniform in the footprint
+    noise: Annotated[float, msgspec.Meta(ge=0.001, le=1000.0)] = 0.25  # standard deviation of a detection per axis, m
+    clutter: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.1  # expected clutter points per scan, uniform in the footprint
 
 
 class LimitSettings(Section, frozen=True, kw_only=True):
     """[limits] of every body (paper, section IV)."""
 
-    speed: NotNegative = 2.0  # m/s
+    speed: Annotated[float, msgspec.Meta(ge=0.0, le=1.0e4)] = 2.0  # m/s
     turn_rate: NotNegative = 5.0  # rad/s
 
 
@@ -77,7 +79,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
     """
 
     angle: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None  # viewing angle, degrees
-    radius: Annotated[float, msgspec.Meta(gt=0.0, le=1.0e6)] | None = None  # m
+    radius: Annotated[float, msgspec.Meta(gt=0.0, le=5.0e5)] | None = None  # m
     prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # else that of the paper, or 1
     model: str = "wedge"
     parameters: dict[str, Any] = {}
@@ -92,11 +94,22 @@ class SensorSettings(Section, frozen=True, kw_only=True):
             angle = paper.angle if self.angle is None else math.radians(self.angle)
             radius = paper.radius if self.radius is None else self.radius
             return WedgeSensor(angle, radius, paper.prob_detection if self.prob_detection is None else self.prob_detection)
-        sensor = load_named(self.model)(**self.parameters)
+        try:
+            sensor = load_named(self.model)(**self.parameters)
+        except (ValueError, ImportError, TypeError):
+            raise
+        except Exception as error:
+            raise ValueError(f"{self.model} raised {type(error).__name__}: {error}") from error
         missing = [part for part in ("reach", "area", "probability", "footprint") if not hasattr(sensor, part)]
         if missing:
             raise ValueError(f"{self.model} lacks {', '.join(missing)} of protocol.sensing.SensorModel")
-        return sensor
+        if isinstance(sensor, WedgeSensor):
+            return sensor
+        from protocol.foreign import CheckedSensor, probe  # which imports this file
+
+        checked = CheckedSensor(sensor, self.model)
+        probe(checked, self.model)
+        return checked
 
 
 class NetworkSettings(Section, frozen=True, kw_only=True):
@@ -135,6 +148,11 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
     sensors: dict[str, SensorSettings] = {}
     members: dict[Name, str] = {}  # agent name -> sensor class, in team order
 
+    @property
+    def dice(self) -> int:
+        """The seed of this process's own random streams."""
+        return 0
+
 
 def load_named(name: str) -> Any:
     """The object that `module:Name` names; raises ValueError or ImportError with what is wrong."""
@@ -142,9 +160,17 @@ def load_named(name: str) -> Any:
     if not colon or not module or module.startswith("."):
         raise ValueError(f"{name!r} should read module:Name")
     try:
-        return getattr(importlib.import_module(module), attribute)
-    except AttributeError:
-        raise ValueError(f"module {module} has no {attribute}") from None
+        found = importlib.import_module(module)
+    except ImportError:
+        raise
+    except Exception as error:  # whatever a module does while it is imported
+        where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
+        raise ValueError(
+            f"module {module} cannot be imported: {type(error).__name__}: {error.args[0] if error.args else ''}{where}"
+        ) from error
+    if not hasattr(found, attribute):
+        raise ValueError(f"module {module} has no {attribute}")
+    return getattr(found, attribute)
 
 
 _BUILT: dict[int, tuple[SensorSettings, SensorModel]] = {}  # one model serves all who have these settings in common, by their id
@@ -205,7 +231,7 @@ def load(path: Path, into: type[T]) -> T:
 def explain(text: str, data: Any, into: Any) -> str:
     """A msgspec complaint in the words of the file: `section.field = value: what would be right`."""
     complaint, _, where = text.partition(" - at ")
-    path, value, hint = _locate(data, into, where)
+    path, value, hint = locate(data, into, where)
     unknown = re.search(r"unknown field `(.*)`", complaint)
     if unknown:
         fields = list(getattr(hint, "__struct_encode_fields__", ()))
@@ -238,22 +264,22 @@ def _right(complaint: str, hint: Any) -> str:
     return words.replace("Expected", "should be", 1)
 
 
-def _locate(data: Any, into: Any, where: str) -> tuple[list[str], Any, Any]:
+def locate(data: Any, into: Any, where: str) -> tuple[list[str], Any, Any]:
     """Names, value and type along a msgspec path such as `$.faults[0].at`; `[...]`, some key of a table, is looked up by trying."""
     path: list[str] = []
     value, hint = data, into
     for step in re.findall(r"\.\.\.|[^.\[\]`$]+", where.removeprefix("`key` in ")):
         if step == "...":
-            step = next((key for key, item in value.items() if not _fits(item, get_args(hint)[-1])), step)
+            step = next((key for key, item in value.items() if not fits(item, get_args(hint)[-1])), step)
         path.append(step)
         value = value[int(step)] if isinstance(value, list | tuple) else value.get(step)
-        hint = _inside(hint, step)
+        hint = part_of(hint, step)
     if where.startswith("`key`"):
-        value = next((key for key in value if not _fits(key, get_args(hint)[0])), value)
+        value = next((key for key in value if not fits(key, get_args(hint)[0])), value)
     return path, value, hint
 
 
-def _inside(hint: Any, step: str) -> Any:
+def part_of(hint: Any, step: str) -> Any:
     """The type of the part `step` of a struct, table or list."""
     arguments = get_args(hint)
     if hasattr(hint, "__struct_fields__"):
@@ -265,7 +291,8 @@ def _inside(hint: Any, step: str) -> Any:
     return get_args(inner)[0] if get_origin(inner) is Annotated else inner
 
 
-def _fits(value: Any, hint: Any) -> bool:
+def fits(value: Any, hint: Any) -> bool:
+    """Whether a value is right for a type."""
     try:
         msgspec.convert(value, hint)
     except (msgspec.ValidationError, ValueError):

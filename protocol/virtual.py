@@ -52,7 +52,8 @@ class VirtualBus:
         self.messages = 0  # published
         self.deliveries = 0
         self.bytes = 0  # published
-        self.tap: Callable[[Node, Event], None] | None = None  # called when a node has taken an event
+        self.tap: Callable[[Node, Sequence[Event]], None] | None = None  # called when a node has taken an event, or a batch of events
+        self.batches = True  # what comes in one instant is handed over together; False: one by one, for comparison
         self._use_codec = use_codec
         self._link = link
         self._pace = pace
@@ -168,7 +169,7 @@ class VirtualBus:
                 if seat is not sender:
                     self._hand(seat, event)
             return
-        batch = fan.gather(self._ready) if self.tap is None else None  # who watches sees them one by one
+        batch = fan.gather(self._ready) if self.batches else None
         for seat in fan.listeners:
             if batch is None and seat is sender:
                 continue
@@ -190,10 +191,10 @@ class VirtualBus:
 
     def _empty(self, seat: Seat) -> None:
         for part in seat.empty_box():
-            if seat.take_all is not None and seat.can_take() and self.tap is None:
+            if seat.take_all is not None and seat.can_take() and self.batches:
                 effects = seat.take(part, self.now)
-                if effects is not QUIET or seat.armed is None:
-                    self._taken(seat, part.events[-1] if isinstance(part, Batch) else part[-1], effects)
+                if effects is not QUIET or seat.armed is None or self.tap is not None:
+                    self._taken(seat, part.without(seat) if isinstance(part, Batch) else part, effects)
                 continue
             for event in part.without(seat) if isinstance(part, Batch) else part:
                 self._hand(seat, event)
@@ -206,17 +207,17 @@ class VirtualBus:
             if not isinstance(event, Timer):
                 seat.waiting.append(event)
             return
-        self._taken(seat, event, seat.handle(event, self._time_of(seat) if seat.clock else self.now))
+        self._taken(seat, (event,), seat.handle(event, self._time_of(seat) if seat.clock else self.now))
 
-    def _taken(self, seat: Seat, event: Event, effects: list[Effect]) -> None:
-        """A node has taken an event: what follows."""
+    def _taken(self, seat: Seat, events: Sequence[Event], effects: list[Effect]) -> None:
+        """A node has taken events together: what follows."""
         for effect in effects:
             self._carry_out(seat, effect)
         if self.tap is not None:
-            self.tap(seat.node, event)
+            self.tap(seat.node, events)
         if effects is QUIET and seat.armed is not None:
             return
-        if seat.work > 0.0 and is_observation(event):
+        if seat.work > 0.0 and any(map(is_observation, events)):
             seat.at_work = True
             self._schedule(seat, _Done(), seat.work)
         elif seat.deadline() != seat.armed:

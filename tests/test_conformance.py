@@ -69,6 +69,7 @@ FULL: dict[str, Message] = {
         max_turn_rate=5.0,
         heard=("s2",),
         local=True,
+        settings={"arena": 2**32 - 1},
     ),
     "beacon": Beacon(
         sender="s1",
@@ -83,6 +84,10 @@ FULL: dict[str, Message] = {
         sensor_class="A",
         sensor=WedgeSensor(1.5, 8.0, 0.9),
         asks=True,
+        settings=2**62 + 1,
+        widest_reach=25.0,
+        widest_offset=7.0,
+        widest_radius=20.5,
     ),
     "gossip": Gossip(
         sender="s1",

@@ -2,8 +2,10 @@
 
 import ast
 import hashlib
+import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -53,7 +55,18 @@ def test_an_environment_that_is_up_to_date_is_used_as_it_is(tmp_path: Path) -> N
     python.chmod(0o755)
     (tmp_path / ".venv" / "covey-installed").write_text(stamp + "\n")
     done = launch(tmp_path, "up", "quick")
-    assert (done.returncode, done.stdout) == (0, f"-P -m deploy up quick in {tmp_path}\n")
+    assert (done.returncode, done.stdout) == (0, f"-P -m deploy up quick in {tmp_path}:{tmp_path}/deploy/interface\n")
+
+
+def test_mutants_are_planted_instead_of_the_usual_tests(tmp_path: Path) -> None:
+    stamp = hashlib.sha256((ROOT / "pyproject.toml").read_bytes()).hexdigest()
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.write_text('#!/bin/sh\necho "$@"\nexit 1\n')
+    python.chmod(0o755)
+    (tmp_path / ".venv" / "covey-installed").write_text(stamp + " study test\n")
+    done = launch(tmp_path, "test", "--mutants", "12", "kappa")
+    assert (done.returncode, done.stdout) == (1, "-m tests.mutants.run 12 kappa\n")
 
 
 def test_a_changed_list_of_packages_is_installed_anew(tmp_path: Path) -> None:
@@ -64,6 +77,90 @@ def test_a_changed_list_of_packages_is_installed_anew(tmp_path: Path) -> None:
     (tmp_path / ".venv" / "covey-installed").write_text("old\n")
     for _ in range(2):
         assert launch(tmp_path, "ps").returncode == 0
-    calls = (tmp_path / "calls").read_text().splitlines()
-    assert [call.split()[:3] for call in calls] == [["-m", "pip", "install"], ["-P", "-m", "deploy"], ["-P", "-m", "deploy"]]
-    assert "eclipse-zenoh==1.10.2" in calls[0]
+    calls = [call for call in (tmp_path / "calls").read_text().splitlines() if "--version" not in call]
+    assert [call.split()[:3] for call in calls] == [
+        ["-m", "pip", "install"],
+        ["-P", "-m", "deploy"],
+        ["-P", "-m", "deploy"],
+    ]
+    assert "eclipse-zenoh==1.10.2" in "".join(calls)
+
+
+def test_an_environment_whose_setup_was_interrupted_is_made_anew(tmp_path: Path) -> None:
+    (tmp_path / "uv").write_text(
+        f"""#!/bin/sh
+echo "$1" >> {tmp_path}/calls
+[ "$1" = venv ] && /bin/mkdir -p {tmp_path}/.venv/bin && /bin/cp {tmp_path}/fake {tmp_path}/.venv/bin/python
+[ "$1" = venv ] || ! [ -e {tmp_path}/broken ]
+"""
+    )
+    (tmp_path / "fake").write_text(f'#!/bin/sh\n[ "$1" = -c ] && exec {sys.executable} "$@"\ntrue\n')
+    for name in ("uv", "fake"):
+        (tmp_path / name).chmod(0o755)
+    (tmp_path / "broken").touch()
+    assert launch(tmp_path, "ps", PATH=str(tmp_path)).returncode == 2
+    (tmp_path / "broken").unlink()
+    for _ in range(2):
+        assert launch(tmp_path, "ps", PATH=str(tmp_path)).returncode == 0
+    assert (tmp_path / "calls").read_text().split() == ["venv", "pip", "venv", "pip"]
+
+
+def fake_environment(folder: Path, interpreter: str = sys.executable) -> None:
+    """An environment whose Python notes what it is asked to install, and says what it runs."""
+    (folder / "bin").mkdir(parents=True)
+    (folder / "lib" / "python3.99" / "site-packages").mkdir(parents=True)
+    python = folder / "bin" / "python"
+    asked = f'[ "$1" = -c ] && exec {interpreter} "$@"\n[ "$3" = --version ] && exit\n'
+    asked += f'[ "$2" = pip ] && echo "$@" >> {folder}/installed && exit\n'
+    program = asked + f'echo "{folder.name} $COVEY_LAUNCHER"\n'
+    python.write_text("#!/bin/sh\n" + program)
+    python.chmod(0o755)
+
+
+def test_packages_of_an_extra_are_installed_when_a_command_asks_for_them_and_kept_from_then_on(tmp_path: Path) -> None:
+    fake_environment(tmp_path / ".venv")
+    assert launch(tmp_path, "demo").stderr.endswith(".venv; this takes a minute or two, once\n")
+    asked = launch(tmp_path, "figures", "x", COVEY_EXTRAS="study")
+    assert (asked.returncode, asked.stderr) == (0, "covey: installing what this command needs besides (study), once\n")
+    assert asked.stdout == f".venv {tmp_path}/covey\n"
+    calls = (tmp_path / ".venv" / "installed").read_text().splitlines()
+    assert ["pyarrow" in call for call in calls] == [False, True]
+    assert launch(tmp_path, "figures", "x", COVEY_EXTRAS="study").stderr == ""
+    (tmp_path / "pyproject.toml").unlink()
+    (tmp_path / ".venv" / "covey-installed").write_text("older study\n")
+    launch(tmp_path, "demo")
+    assert "pyarrow" in (tmp_path / ".venv" / "installed").read_text().splitlines()[-1]
+
+
+def test_the_environment_finds_the_package_and_the_rooms_from_where_it_lies(tmp_path: Path) -> None:
+    fake_environment(tmp_path / ".venv")
+    launch(tmp_path, "demo")
+    packages = tmp_path / ".venv" / "lib" / "python3.99" / "site-packages"
+    lines = (packages / "covey.pth").read_text().splitlines()
+    assert [(packages / line).resolve() for line in lines] == [tmp_path, tmp_path / "deploy" / "interface"]
+
+
+def test_an_environment_of_another_user_is_used_while_it_is_ready_and_else_one_of_the_users_own_is_made() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder, root = Path(name), os.getuid() == 0
+        interpreter = "/usr/bin/python3" if root else sys.executable  # that of root may lie where nobody else can read
+        user = 65534 if root else None
+        folder.chmod(0o755)
+        caches = folder / "caches"
+        caches.mkdir()
+        caches.chmod(0o777)
+        own = caches / "covey" / f"venv-{hashlib.sha256(str(folder).encode()).hexdigest()[:12]}"
+        fake_environment(folder / ".venv", interpreter)
+        launch(folder, "demo")
+        fake_environment(own, interpreter)
+        for path in (own.parent, own, *own.rglob("*")):
+            path.chmod(0o777)
+        for path in (folder, folder / ".venv"):
+            path.chmod(0o555)
+        command = [interpreter, str(folder / "covey"), "demo"]
+        for extra, used in (("", ".venv"), ("study", own.name)):
+            environment = {"PATH": "", "XDG_CACHE_HOME": str(caches), "COVEY_EXTRAS": extra}
+            done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False, user=user)
+            assert (done.returncode, done.stdout) == (0, f"{used} {folder}/covey\n"), done.stderr
+        folder.chmod(0o755)
+        (folder / ".venv").chmod(0o755)

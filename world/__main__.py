@@ -41,6 +41,10 @@ class KeptWorld:
         """As the world says."""
         return self._world.deadline()
 
+    def expect(self, names: tuple[str, ...]) -> None:
+        """As the world does."""
+        self._world.expect(names)
+
     def _keep(self, truth: Truth) -> None:
         if self._path is None:
             return
@@ -81,7 +85,7 @@ def main() -> NoReturn:
         world = World(config, incarnation, restored)
         return KeptWorld(world, own.keep) if own.keep else world
 
-    process.main("world", WorldConfig, build)
+    process.main("world", WorldConfig, build, lambda world, line: world.expect(tuple(line.split())))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,13 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from protocol.settings import Common, NotNegative, Section
+from protocol.settings import Common, NotNegative, RunSettings, Section, Seed
+
+
+class WorldRun(RunSettings, frozen=True, kw_only=True):
+    """[run] with the seed from which target tracks, starts and detections follow; no agent reads it."""
+
+    seed: Seed = 1
 
 
 class TargetSettings(Section, frozen=True, kw_only=True):
@@ -27,5 +33,11 @@ class BodySettings(Section, frozen=True, kw_only=True):
 class WorldConfig(Common, frozen=True, kw_only=True):
     """Everything the world process needs."""
 
+    run: WorldRun = WorldRun()
     targets: TargetSettings = TargetSettings()
     bodies: BodySettings = BodySettings()
+
+    @property
+    def dice(self) -> int:
+        """The run's seed."""
+        return self.run.seed

@@ -1,7 +1,5 @@
 """The roster: which agents are there, by their liveliness tokens, and what they have said of themselves."""
 
-from collections.abc import Iterable
-
 from protocol.fields import MAX_NAMES
 from protocol.messages import Hello
 
@@ -12,7 +10,8 @@ class Roster:
     def __init__(self) -> None:
         self.hellos: dict[str, Hello] = {}  # the newest of each name
         self._tokens: dict[str, set[int]] = {}
-        self._everybody: set[str] = set()  # the last that `is_complete` was asked about
+        self._expected: tuple[str, ...] | None = None  # the last that `is_complete` was asked about
+        self._everybody: set[str] = set()  # they, and the world
         self._unchecked: list[str] = []  # of them, the agents that have not been found ready
         self._spoken: dict[str, int] = {}  # the newest incarnation of which a message has arrived
 
@@ -54,7 +53,7 @@ class Roster:
         """Whether the incarnation that counts has been heard of."""
         return name in self._tokens and self._spoken.get(name) == self.live(name)
 
-    def is_complete(self, expected: Iterable[str], world: str) -> bool:
+    def is_complete(self, expected: tuple[str, ...], world: str) -> bool:
         """Whether all the expected are alive, heard here, and say that they hear each other and the world; who knows its peers by
         their beacons need hear the world alone.
 
@@ -62,7 +61,8 @@ class Roster:
         """
         if self._unchecked:
             self._check(world)
-        if not self._unchecked:
+        if not self._unchecked or expected is not self._expected:
+            self._expected = expected
             self._everybody = {*expected, world}
             self._unchecked = [name for name in self._everybody if name != world]
             self._check(world)

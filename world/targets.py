@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from protocol.fields import MAX_DETECTIONS
+from protocol.foreign import fault_of, real_array, shown
 from protocol.settings import ArenaSettings, BadSetting, load_named
 from protocol.streams import key, normal, scramble, stream
 from world.config import TargetSettings
@@ -45,9 +46,28 @@ def build_motion(settings: TargetSettings, dt: float, seed: int) -> Motion:
         motion = load_named(settings.motion)(settings, dt, seed)
     except (ValueError, ImportError, TypeError) as error:
         raise BadSetting(f"targets.motion = {settings.motion!r}: {error}; should be constant-speed or module:Class") from None
+    except Exception as error:
+        raise BadSetting(f"targets.motion = {settings.motion!r}: raised {type(error).__name__}: {error}") from error
     if not hasattr(motion, "move"):
         raise BadSetting(f"targets.motion = {settings.motion!r}: has no method move (see world.targets.Motion)")
-    return motion
+    return CheckedMotion(motion, settings.motion)
+
+
+class CheckedMotion:
+    """A motion of the user's own: an answer that is none raises BadSetting naming the class."""
+
+    def __init__(self, motion: Motion, name: str) -> None:
+        self._motion, self._name = motion, name
+
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> tuple[np.ndarray, np.ndarray]:
+        """As the motion says."""
+        what = f"{self._name}.move of {len(ids)} targets"
+        with fault_of(what):
+            answer = self._motion.move(positions, headings, ids, tick)
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise BadSetting(f"{what} returned {shown(answer)}: should be positions (T, 2) and headings (T,)")
+        count = len(ids)
+        return real_array(f"{what}, positions:", answer[0], (count, 2)), real_array(f"{what}, headings:", answer[1], (count,))
 
 
 def arrival_rate(settings: TargetSettings, arena: ArenaSettings) -> float:

@@ -1,11 +1,15 @@
 """The World node: moves the targets, owns the bodies, hands out detections and says the truth to watchers.
 
 A tick k: publish Observation(k) to every agent that is alive, and Truth(k); then wait for the Commands (lockstep) or for the clock
-(real time); then move bodies and targets to k + 1. Tick 0 is the state at the start, before anything has moved.
+(real time); then move bodies and targets to k + 1. Tick 0 is the state at the start, before anything has moved. With `run.pace` lockstep
+waits for both: the Commands are those of the tick whatever the clock says, so the pace changes no bit of the run.
 """
+
+import math
 
 import numpy as np
 
+from protocol.agreement import agreed, common_sections
 from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
 from protocol.messages import Command, Hello, Observation, Truth
@@ -24,6 +28,7 @@ HOLD = 2.0  # a command drives a body for so long at most, s of world time, real
 MOST_PERIODS_LATE = 5  # a world that is later than this gives up catching up, real time only
 RESTORE_GAP = 2  # ticks from the last Truth that was kept to the first of a restarted world: agents may have seen one more
 RESTORE_TIMEOUT = 1.0  # s, how long a restarted world waits for those who were alive before
+EXIT_INCOMPLETE = 4  # of a strict world whose agents do not all come
 
 
 class World:
@@ -48,20 +53,23 @@ class World:
         self._presence = Presence(self.name, config.members)
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
+        self._pause = config.run.dt / config.run.pace if self._lockstep and config.run.pace else 0.0  # s between two ticks, at least
+        self._not_before = 0.0  # lockstep: when the tick may end
         self._detector = Detector(config.detection, config.run.seed)
         self._sensors: dict[str, SensorModel] = {}
         self._last_poses: dict[str, Pose] = {}  # of a restored run
-        self._expected, self._patience = tuple(config.members), config.run.start_timeout
+        self._expected, self._patience, self._strict = tuple(config.members), config.run.start_timeout, config.run.strict
         self.targets = Targets(config.targets, config.arena, config.run.dt, config.run.seed)
         self.bodies = Bodies(config.run.dt, config.limits)
         if restored is not None:
             self._restore(restored)
         for name, sensor_class in config.members.items():
             self._embody(name, sensor_of(config, sensor_class))
+        self._settings = agreed(common_sections(config))
         self._commands: dict[str, Command] = {}  # the newest of each live agent
         self._waiting: set[str] = set()  # lockstep: whose command of this tick is still missing
         self._due: float | None = None
-        self._begun = 0.0
+        self._changed = 0.0  # when an agent came, or one heard of more than before; until the start
         self._anchor = 0.0  # real time: when tick 0 would have been
 
     def handle(self, event: Event, now: float) -> list[Effect]:
@@ -90,12 +98,16 @@ class World:
         """How many commands the tick waits for; in real time it waits for the clock."""
         return len(self._waiting) if self._lockstep or not self.started else 1 << 30
 
+    def expect(self, names: tuple[str, ...]) -> None:
+        """Wait for these agents before the first tick, however long they take: a parent that sees their processes asks for it."""
+        self._expected, self._patience = names, math.inf
+
     def deadline(self) -> float | None:
         """When the next Hello or tick is due, in the time of `now`."""
         return self._due
 
     def _begin(self, now: float) -> list[Effect]:
-        self._begun, self._due = now, now + HELLO_PERIOD
+        self._changed, self._due = now, now + HELLO_PERIOD
         return [Subscribe(all_of(self.run, "hello")), Subscribe(all_of(self.run, "command")), self._hello()]
 
     def _on_time(self, now: float) -> list[Effect]:
@@ -108,7 +120,10 @@ class World:
 
     def _hear(self, hello: Hello, now: float) -> list[Effect]:
         """Take a Hello; whoever speaks for the first time after the start is answered."""
+        known = self._roster.hellos.get(hello.sender)
         is_new = self._roster.hear(hello)
+        if known is None or len(hello.heard) > len(known.heard):
+            self._changed = now
         if not hello.local:
             self._presence.greet(hello.sender, now)
         reason = "" if hello.local else self._presence.split(hello, now)  # it hears nobody else's Hello
@@ -125,6 +140,7 @@ class World:
         self._presence.appear(name, incarnation)
         self._embody_guest(name)
         if not self.started:
+            self._changed = now if is_new else self._changed
             return self._try_start(now)
         if not is_new:
             return []
@@ -166,14 +182,24 @@ class World:
         if name not in self._waiting:
             return []
         self._waiting.discard(name)
-        return [] if self._waiting else self._finish_tick(now)
+        if self._waiting:
+            return []
+        if now < self._not_before:
+            self._due = self._not_before
+            return []
+        return self._finish_tick(now)
 
     def _try_start(self, now: float) -> list[Effect]:
-        """The first tick, once everybody expected is ready or has been waited for long enough and somebody is there."""
+        """The first tick, once everybody expected is ready; without those who are missing when long nothing has changed.
+
+        The time before the first agent does not count, however long agents take to start. A strict world stops instead.
+        """
         complete = self._roster.is_complete(self._expected, self.name)
-        if self._due is None or (not complete and now - self._begun < self._patience) or not self._present():
+        if self._due is None or (not complete and now - self._changed < self._patience) or not self._present():
             return []
-        self.started = True
+        if self._strict and not complete:
+            return self._stop(EXIT_INCOMPLETE, "not all agents are ready, and the run is strict")
+        self.started, self._not_before = True, now
         self._anchor = now - self.tick * self._period
         return [self._hello(), *self._open_tick(now)]
 
@@ -186,7 +212,8 @@ class World:
         scans = self._detector.scans(sensors, poses, present, targets.positions, targets.ids, self.tick, seen)
         if self._lockstep:
             self._waiting = {name for name in present if self._roster.speaks(name)}
-            self._due = now + (self._config.run.patience if self._waiting else self._period)
+            self._not_before = max(self._not_before, now - self._pause) + self._pause  # late by less than a pause is made up for
+            self._due = now + self._config.run.patience if self._waiting else max(now + self._period, self._not_before)
         else:
             self._due = self._anchor + (self.tick + 1) * self._period
         return [*map(self._observation, present, scans), self._truth(present, count_in_view(seen))]
@@ -242,10 +269,11 @@ class World:
         step_until(self.targets, min(truth.tick + RESTORE_GAP, self._config.run.ticks - 1))
         self.tick = self.targets.tick
         self._last_poses = {name: (x, y, heading) for name, (x, y, heading) in zip(truth.bodies, truth.poses.tolist())}
-        self._expected, self._patience = truth.alive, min(self._patience, RESTORE_TIMEOUT)
+        self._expected, self._patience, self._strict = truth.alive, min(self._patience, RESTORE_TIMEOUT), False
 
     def _hello(self) -> Hello:
-        return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=tuple(sorted(self._presence.heard(), key=order)))
+        heard = tuple(sorted(self._presence.heard(), key=order))
+        return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=heard, settings=self._settings)
 
     def _observation(self, name: str, detections: np.ndarray) -> Observation:
         return Observation(

@@ -15,7 +15,7 @@ from agents.control import Lloyd, Situation
 from agents.particles import NONE, Particles, join
 from agents.step import Step
 from agents.words import Eye, Words, eye_of, pack_row
-from deploy.scenario import Scenario, world_config
+from deploy.scenario import Scenario, agent_config, world_config
 from protocol.geometry import rectangle
 from protocol.messages import Command
 from protocol.sensing import SensorModel
@@ -40,7 +40,7 @@ class Central:
 
     def __init__(self, scenario: Scenario, arithmetic: Arithmetic) -> None:
         self._scenario, self._arithmetic = scenario, arithmetic
-        config = world_config(scenario)
+        config, self._config = world_config(scenario), agent_config(scenario)
         run, arena = scenario.run, scenario.arena
         sensors = {name: sensor_of(scenario, sensor_class) for name, sensor_class in scenario.members.items()}
         clutter = scenario.detection.clutter
@@ -50,16 +50,16 @@ class Central:
         for member in self._team:
             self._bodies.place(member.name, start_pose(member.name, config.bodies, arena, run.seed))
         mass = scenario.filter.prior_density * arena.width * arena.height
-        self._particles = prior(run.seed, round(scenario.filter.particles_per_target * mass), scenario.filter, arena)
+        self._particles = prior(self._config.dice, round(scenario.filter.particles_per_target * mass), scenario.filter, arena)
         self._unused = [member.facts.capability for member in self._team]
         self._corners, self._tick, self._law = rectangle(arena.width, arena.height), 0, Lloyd()
 
     def tick(self) -> float:
         """Detect, predict, correct, divide, draw, drive."""
-        scenario, arithmetic, step = self._scenario, self._arithmetic, Step(self._scenario, self._tick)
+        scenario, arithmetic, step = self._scenario, self._arithmetic, Step(self._config, self._tick)
         words = self._scans()
         run = scenario.run
-        born = background_births(run.seed, self._tick, run.dt, scenario.filter, scenario.birth, scenario.arena)
+        born = background_births(self._config.dice, self._tick, run.dt, scenario.filter, scenario.birth, scenario.arena)
         near, _ = arithmetic.gather(self._particles, born, self._corners, (0.0, 0.0), 0.0, step)
         updated = arithmetic.update(near, words, self._corners, step)
         points, radii = words.points, words.radii
@@ -99,7 +99,7 @@ class Central:
         velocity, turn_rate = self._law.command(
             Situation(
                 name=member.name,
-                seed=scenario.run.seed,
+                seed=self._config.dice,
                 tick=self._tick,
                 dt=scenario.run.dt,
                 pose=pose,

@@ -36,11 +36,12 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
     config = me.config
     names = (me.name, *list(heard)[:BOUNDS])
     bounds = np.array([(*mine.cod, mine.power_radius), *([(0.0, 0.0, 1.0)] * (len(names) - 1))])
-    count = round(PARTICLES / len(config.members))
+    everybody = max(len(config.members), len(neighbours.peers) + 1)
+    count = round(PARTICLES / everybody)
     states = np.tile(np.array([*mine.cod, 1.0, 1.0]), (count, 1))
     owned = Particles(states, np.full(count, 1.0 / count), np.arange(1, count + 1, dtype=np.uint64))
     share = Share(me.name, make_claim(names, bounds, tuple(order(name) for name in names)), owned, VIEW)
-    side = math.sqrt(config.arena.width * config.arena.height / len(config.members))
+    side = math.sqrt(config.arena.width * config.arena.height / everybody)
     angle = TURN_RATE * mine.tick * config.run.dt
     return Outcome(
         belief=Belief(mine.tick, share, Copies(NONE), frozenset((*heard, me.name))),

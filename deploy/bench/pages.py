@@ -10,7 +10,6 @@ import itertools
 import os
 import statistics
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -24,12 +23,12 @@ import aiohttp
 from deploy.bench.browser import Browser, browser, parent
 from deploy.bench.processes import TEAMS, Mark, Swarm, cpu_of, swarm
 from deploy.bench.timing import Row, cpu_seconds, median_seconds
+from deploy.modules import ROOT, command, environment
 from deploy.monitor.frames import frame
 from deploy.monitor.picture import Picture
 from deploy.monitor_node import Scorer
 from deploy.records.recorder import Recorder
 from deploy.records.recording import Entry, Recording, event_of
-from deploy.swarm.processes import ROOT
 from protocol.endpoints import free_port
 from protocol.node import Event
 from protocol.settings import BadSetting
@@ -191,9 +190,9 @@ def _play(chromium: Browser, server: int, speed: float, seconds: float) -> Row:
 def _command(words: list[str], folder: str) -> "subprocess.Popen[str]":
     """The `covey` command, running."""
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "deploy", *words],
+        [*command("deploy"), *words],
         cwd=ROOT,
-        env={**os.environ, "COVEY_RUNS": folder, "PYTHONPATH": str(ROOT)},
+        env={**environment(), "COVEY_RUNS": folder},
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

@@ -7,7 +7,6 @@ disturbs less. The reference of `live` is the same swarm with empty rounds (`dep
 import json
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -15,9 +14,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from deploy import modules
 from deploy.bench.timing import Row
 from deploy.swarm.control import ControlClient
-from deploy.swarm.processes import ROOT
 from deploy.swarm.rundir import RunDirectory
 from protocol.settings import BadSetting
 
@@ -95,10 +94,10 @@ def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False) -> 
     before = os.environ.get("COVEY_RUNS")
     with tempfile.TemporaryDirectory() as folder:
         os.environ["COVEY_RUNS"] = folder
-        command = [sys.executable, "-m", "deploy", "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
-        environment = {**os.environ, "COVEY_ROUNDS": "empty" if empty else ""}
+        command = [*modules.command("deploy"), "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
+        environment = {**modules.environment(), "COVEY_ROUNDS": "empty" if empty else ""}
         process = subprocess.Popen(
-            [*command, "--seconds", "1000000", *words], cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            [*command, "--seconds", "1000000", *words], cwd=modules.ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
         begun = time.monotonic()
         try:

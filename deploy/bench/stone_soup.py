@@ -14,7 +14,7 @@ from agents.particles import Particles
 from agents.step import Step
 from agents.words import Words, eye_of, pack_row
 from deploy.bench.timing import Row, median_seconds
-from deploy.scenario import resolve
+from deploy.scenario import agent_config, resolve
 from protocol.geometry import rectangle
 from protocol.settings import sensor_of
 from world.score import ospa
@@ -31,7 +31,7 @@ def _points(count: int, seed: int) -> np.ndarray:
 def our_scan(arithmetic: Arithmetic) -> Any:
     """A call that plays one scan of the whole arena with one sensor that sees all of it."""
     scenario = resolve("convergence", {"team.composition": "L1", "sensors.L": WIDE})
-    sensor, step, corners = sensor_of(scenario, "L"), Step(scenario, 1), rectangle(SIDE, SIDE)
+    sensor, step, corners = sensor_of(scenario, "L"), Step(agent_config(scenario), 1), rectangle(SIDE, SIDE)
     pose = (SIDE / 2.0, SIDE / 2.0, 0.0)
     row = pack_row(eye_of("s1", sensor, 0.1), pose, (*pose[:2], 1.0), DETECTIONS, 0.0, 0, True)
     words = Words.of_scans(bytearray(row), _points(DETECTIONS, 2))
@@ -39,7 +39,7 @@ def our_scan(arithmetic: Arithmetic) -> Any:
     particles = Particles(states, np.full(PARTICLES, DETECTIONS / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
 
     def scan() -> Particles:
-        born = background_births(scenario.run.seed, 1, scenario.run.dt, scenario.filter, scenario.birth, scenario.arena)
+        born = background_births(step.config.dice, 1, scenario.run.dt, scenario.filter, scenario.birth, scenario.arena)
         near, _ = arithmetic.gather(particles, born, corners, (0.0, 0.0), 0.0, step)
         return arithmetic.resample(arithmetic.update(near, words, corners, step), "s1", step)
 

@@ -46,6 +46,7 @@ OPTIONS: dict[str, dict[str, type]] = {  # what a fault may say beside its value
     "reorder": {"spread": float},
 }
 KINDS = ("both", "one-way", "bridge")
+REFUSED = "refused"  # the verb of an action in place of a fault that cannot be carried out
 
 
 class Action(NamedTuple):
@@ -158,20 +159,27 @@ class Schedule:
         self._order = sorted(range(len(self.faults)), key=lambda index: self.faults[index].at)
 
     def due(self, time: float, alive: Sequence[str], dead: Sequence[str], known: Sequence[str]) -> list[Action]:
-        """Everything that is due at the world time `time`, s; draws from the dead for a restart, else from the living."""
+        """Everything that is due at the world time `time`, s; draws from the dead for a restart, else from the living.
+
+        In place of a fault that cannot be carried out, since too few agents qualify, stands an action `REFUSED`; its option says why.
+        """
         actions = [action for at, action in self._ends if at <= time]
         self._ends = [end for end in self._ends if end[0] > time]
         while self._next < len(self._order) and self.faults[self._order[self._next]].at <= time:
             index = self._order[self._next]
             fault = self.faults[index]
             verb = plain_verb(fault.verb)
-            names = self._names(index, verb, dead if verb == "restart" else alive, known)
+            self._next += 1
+            try:
+                names = self._names(index, verb, dead if verb == "restart" else alive, known)
+            except BadSetting as error:
+                actions.append(Action(REFUSED, [], None, {"why": f"{verb} {error}"}))
+                continue
             actions.append(Action(verb, names, fault.value, fault.options))
             if fault.seconds is not None and verb in INVERSE:
                 self._ends.append((fault.at + fault.seconds, Action(INVERSE[verb], names)))
             elif fault.seconds is not None and verb in ENDED_BY_ZERO:
                 self._ends.append((fault.at + fault.seconds, Action(verb, names, 0.0)))
-            self._next += 1
         return actions
 
     def _names(self, index: int, verb: str, candidates: Sequence[str], known: Sequence[str]) -> list[str]:

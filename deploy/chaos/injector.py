@@ -11,15 +11,16 @@ import msgspec
 
 from agents.agent import Agent
 from agents.arithmetic import Arithmetic
+from agents.config import AgentConfig
 from deploy.chaos.faults import LINK_VERBS, Action
 from deploy.chaos.links import Links
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, agent_config
 from protocol.node import Alive, Gone
 from protocol.virtual import VirtualBus
 
 RECONNECT = 0.5  # s from the end of a cut to the new session
 Pair = tuple[str, str]
-Build = Callable[[Scenario, str, int, Arithmetic], Agent]  # from the scenario, a name and an incarnation
+Build = Callable[[AgentConfig, str, int, Arithmetic, str], Agent]  # from what agents know, a name, an incarnation and a sensor class
 
 
 class Injector:
@@ -29,7 +30,8 @@ class Injector:
         self.agents: dict[str, Agent] = {}  # by label: the name, or s3#2 for the second of a name
         self._bus, self._links = bus, links
         self._arithmetic, self._build = arithmetic, build
-        self.scenario = scenario  # with the newcomers among its members
+        self.scenario = scenario  # with the newcomers among its members, of whom the agents are told nothing
+        self._config = agent_config(scenario)
         self._incarnations = dict.fromkeys(scenario.members, 0)
         self._pauses: dict[str, int] = {}  # label -> number of the pause it is in
         self._unseen: set[str] = set()  # stopped for so long that their tokens are lost
@@ -68,7 +70,7 @@ class Injector:
         self._incarnations[name] += 1
         label = f"{name}#{self._incarnations[name]}" if twin else name
         self._bus.stopped.pop(label, None)
-        self.agents[label] = self._build(self.scenario, name, self._incarnations[name], self._arithmetic)
+        self.agents[label] = self._build(self._config, name, self._incarnations[name], self._arithmetic, self.scenario.members[name])
         self._bus.add(self.agents[label], label)
         for other in self.agents:
             if self._cut(label, other):

@@ -1,8 +1,8 @@
 """Invariants: what must hold after every event of a simulation, whatever is broken, and what must hold once all has healed."""
 
 import math
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,7 +81,7 @@ class Watch:
         self._mass_kept = (MASS_KEPT_REDRAWN if simulation.scenario.filter.least_particles > 100 else MASS_KEPT)[len(kinds) <= 1]
         self._outcomes: dict[str, Outcome] = {}
         self._newest: dict[tuple[str, int, str], int] = {}  # (name, incarnation, other's name) -> the youngest incarnation it has seen
-        self._prints: dict[tuple[str, int], tuple[Any, ...]] = {}
+        self._prints: dict[tuple[str, int], Print] = {}
         self._first_mass: float | None = None
         self._oracle: Oracle | None = None
         self._ear = Ear(simulation.scenario.run.name)
@@ -106,10 +106,10 @@ class Watch:
 
     # ------------------------------------------------------------------ after every event
 
-    def _after(self, node: Node, event: Event) -> None:
+    def _after(self, node: Node, events: Sequence[Event]) -> None:
         if not isinstance(node, Agent):
             return
-        self._check_incarnations(node, event)
+        self._check_incarnations(node, events)
         label, outcome = f"{node.name}#{node.incarnation}", node.outcome
         before = self._outcomes.get(label, outcome)
         self._outcomes[label] = outcome
@@ -120,19 +120,26 @@ class Watch:
         while self._ear.commands:
             self._check_command(self._ear.commands.pop())
 
-    def _check_incarnations(self, agent: Agent, event: Event) -> None:
-        """A message of an incarnation older than one whose token was seen changes nothing."""
+    def _check_incarnations(self, agent: Agent, events: Sequence[Event]) -> None:
+        """A message of an incarnation older than one whose token was seen changes nothing.
+
+        In a batch the other messages may change the agent: then what it holds of the old one's sender must be what it was.
+        """
         own = agent.name, agent.incarnation
-        if isinstance(event, Alive) and event.role == "agent":
-            who = (*own, event.name)
-            self._newest[who] = max(event.incarnation, self._newest.get(who, 0))
+        for event in events:
+            if isinstance(event, Alive) and event.role == "agent":
+                who = (*own, event.name)
+                self._newest[who] = max(event.incarnation, self._newest.get(who, 0))
         if max(self._newest.values(), default=0) <= 1:
             return
-        after = fingerprint(agent)
-        if isinstance(event, Received) and isinstance(event.message, Gossip | Hello):
-            message = event.message
-            if message.incarnation < self._newest.get((*own, message.sender), 0) and own in self._prints:
-                need(after == self._prints[own], f"{agent.name}: a message of an old incarnation of {message.sender} changed its state")
+        before, after = self._prints.get(own), fingerprint(agent)
+        messages = [event.message for event in events if isinstance(event, Received) and isinstance(event.message, Gossip | Hello)]
+        is_old = [(said.sender, said.incarnation < self._newest.get((*own, said.sender), 0)) for said in messages]
+        others = {sender for sender, old in is_old if not old}
+        alone = not others and len(is_old) == len(events)
+        for sender in {sender for sender, old in is_old if old} - others:
+            same = before is None or (after == before if alone else after.of(sender) == before.of(sender))
+            need(same, f"{agent.name}: a message of an old incarnation of {sender} changed its state")
         self._prints[own] = after
 
     def _check_command(self, command: Command) -> None:
@@ -230,10 +237,21 @@ def check_diagram(agent: Agent) -> None:
         )
 
 
-def fingerprint(agent: Agent) -> tuple[Any, ...]:
+class Print(NamedTuple):
     """Everything about an agent that a message could change, but for the counters."""
+
+    tick: int
+    outcome: int  # identity of its outcome
+    peers: dict[str, tuple[Any, ...]]  # what it knows of each peer
+    held: dict[str, tuple[object, ...]]  # what it holds of each peer's gossips
+
+    def of(self, name: str) -> tuple[Any, ...]:
+        """The part that is about one peer."""
+        return self.peers.get(name), self.held.get(name)
+
+
+def fingerprint(agent: Agent) -> Print:
+    """The print of an agent; taking it changes nothing about how the agent keeps its gossips."""
     neighbours = agent.neighbours
-    peers = tuple((name, p.incarnation, p.token, p.gone_at, p.missed, p.outfit is None) for name, p in neighbours.peers.items())
-    last = tuple((name, gossip.incarnation, gossip.tick) for name, gossip in neighbours.said.last.items())
-    said = tuple((tick, tuple((name, id(gossip)) for name, gossip in found.items())) for tick, found in neighbours.said.spell_out().items())
-    return agent.tick, id(agent.outcome), peers, last, said
+    peers = {name: (p.incarnation, p.token, p.gone_at, p.missed, p.outfit is None) for name, p in neighbours.peers.items()}
+    return Print(agent.tick, id(agent.outcome), peers, neighbours.said.held())

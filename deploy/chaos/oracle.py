@@ -13,10 +13,10 @@ import numpy as np
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.births import background_births
 from agents.claims import Claim
-from agents.config import AgentConfig
 from agents.particles import NONE, Particles, canonical, join, select
 from agents.step import Step
 from agents.words import learn, side_by_side
+from deploy.scenario import Scenario, agent_config
 from protocol.geometry import rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -26,8 +26,9 @@ from protocol.settings import ArenaSettings, sensor_of
 class Oracle:
     """A PHD over the whole arena; `particles` holds after the tick `stamp`, `updated` is what the new ones were drawn from."""
 
-    def __init__(self, config: AgentConfig, particles: Particles, stamp: int = -1, arithmetic: Arithmetic = PLAIN) -> None:
-        self.config, self.arithmetic = config, arithmetic
+    def __init__(self, scenario: Scenario, particles: Particles, stamp: int = -1, arithmetic: Arithmetic = PLAIN) -> None:
+        self.config, self.arithmetic = agent_config(scenario), arithmetic
+        self._classes = scenario.members
         self.particles, self.stamp = particles, stamp
         self.updated = particles
 
@@ -35,10 +36,10 @@ class Oracle:
         """One tick on: predict, correct with the scans of all `gossips`, draw new particles in each of the `claims`."""
         self.stamp += 1
         config, step = self.config, Step(self.config, self.stamp)
-        born = background_births(config.run.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
+        born = background_births(config.filter.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
         said = [gossips[name] for name in sorted(gossips, key=order)]
         for gossip in said:
-            learn(gossip, sensor_of(config, config.members[gossip.sender]), config)
+            learn(gossip, sensor_of(config, self._classes[gossip.sender]), config)
         all_over = _widely(config.arena)
         everything, _ = self.arithmetic.gather(self.particles, born, all_over, (0.0, 0.0), 0.0, step)
         self.updated = self.arithmetic.update(everything, side_by_side(said), all_over, step)

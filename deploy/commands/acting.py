@@ -5,11 +5,10 @@ import sys
 import time
 from typing import Any
 
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Console
 
+from deploy.commands import board, ended
 from deploy.commands.display import process_table, swarm_line
-from deploy.field import swarm_map
 from deploy.swarm.control import ControlClient
 from deploy.swarm.rundir import find_running
 from protocol.settings import BadSetting
@@ -19,6 +18,18 @@ DOWN_SECONDS = 20.0
 PLAIN_WIDTH = 160  # columns where there is no terminal
 
 
+def meant(verb: str, names: tuple[str, ...], random: int | None, otherwise: str | None) -> str:
+    """Who is meant, as one text: names, a share or a number; `otherwise` when nobody is named. Raises BadSetting."""
+    if not names and random is None and otherwise is None:
+        raise BadSetting(f"{verb}: nobody is named; give names such as s3, a number such as 4, or a share such as 30%")
+    if random is not None and names:
+        raise BadSetting(f"--random {random}: draws agents; {' '.join(names)} names them: give one of both")
+    drawn = [name for name in names if name.isdecimal() or name.endswith("%")]
+    if drawn and len(names) > 1:
+        raise BadSetting(f"{' '.join(names)}: should be names, or one number or share such as {drawn[0]}")
+    return str(random) if random is not None else ",".join(names) or str(otherwise)
+
+
 def act(verb: str, who: str, run: str | None, value: float | None = None, options: dict[str, Any] | None = None) -> int:
     """Ask the supervisor of a run to do something to somebody."""
     client = ControlClient(find_running(run))
@@ -26,8 +37,10 @@ def act(verb: str, who: str, run: str | None, value: float | None = None, option
     return 0
 
 
-def ps(run: str | None, as_json: bool) -> int:
-    """All processes of a running swarm."""
+def ps(run: str | None, as_json: bool, everything: bool = False) -> int:
+    """All processes of a running swarm; with `everything` of all running swarms of this folder, and the runs that have ended."""
+    if everything:
+        return ended.ps_all(run, as_json)
     data = ControlClient(find_running(run)).ask("status")["data"]
     if as_json:
         print(json.dumps(data))
@@ -50,7 +63,7 @@ def down(run: str | None) -> int:
 
 
 def watch(run: str | None) -> int:
-    """A live table until the run ends; plain lines where there is no terminal."""
+    """A live picture until the run ends or q is pressed; plain lines where there is no terminal."""
     client = ControlClient(find_running(run))
     console = Console(highlight=False)
     try:
@@ -58,12 +71,8 @@ def watch(run: str | None) -> int:
             while True:
                 print(watch_line(client.ask("status")["data"]), flush=True)
                 time.sleep(2.0 * WATCH_PERIOD)
-        with Live(console=console, refresh_per_second=4) as live:
-            while True:
-                data = client.ask("status")["data"]
-                room = console.height - len(data["processes"]) - 6
-                live.update(Group(swarm_map(data["swarm"], data["processes"], room), process_table(data)))
-                time.sleep(WATCH_PERIOD)
+        board.show(client.ask, console)
+        return 0
     except BadSetting as error:
         console.print(str(error))
         return 0

@@ -3,64 +3,68 @@
 import asyncio
 import logging
 import os
-from pathlib import Path
+import sys
 from typing import NoReturn
 
 from deploy.commands.display import Display, show_result
+from deploy.commands.options import Showing
+from deploy.commands.staying import is_at_terminal, open_browser, until_key
 from deploy.monitor.picture import Picture
 from deploy.monitor.server import PageServer, address_of
 from deploy.monitor.source import LiveSource
 from deploy.onlookers import Onlookers, open_recorder, recording_path
+from deploy.pace import too_small
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import RunDirectory
-from deploy.swarm.supervisor import Supervisor
-from deploy.swarm.warm import announce
+from deploy.swarm.supervisor import EXIT_CRASHED, Supervisor
 from deploy.swarm.zygote import Zygote
 from protocol.process import JsonLines, leave
 from protocol.settings import BadSetting
 
 
-def attend(
-    scenario: Scenario,
-    directory: RunDirectory,
-    lock: int,
-    zygote: Zygote | None,
-    title: str,
-    as_json: bool,
-    record: bool | Path,
-    page: bool | str,
-) -> NoReturn:
+def attend(scenario: Scenario, directory: RunDirectory, lock: int, zygote: Zygote | None, title: str, showing: Showing) -> NoReturn:
     """Supervise the run whose folder is claimed (`lock`), show its progress and its result, and end this process with the exit code."""
-    if zygote is not None:
-        announce()
     handler = logging.FileHandler(directory.log("supervisor"))
     handler.setFormatter(JsonLines(scenario.run.name, "supervisor"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    with Display(to_stderr=as_json) as display:
+    logging.raiseExceptions = False  # a log that finds no room ends nothing, and is not told in a traceback
+    with Display(to_stderr=showing.json) as display:
         try:
             supervisor = Supervisor(scenario, directory, display.event, display.status, zygote)
         except BadSetting:
             if zygote is not None:
                 zygote.close()
             raise
-        server = page_of(supervisor, page)
+        server, address = page_of(supervisor, showing.page), ""
         if server is not None:
-            display.event(f"page: {server.bind()}")
+            address = server.bind()
+            directory.page.write_text(address + "\n", encoding="utf-8")
+            display.event(f"page: {address}")
+            if showing.open:
+                display.event(open_browser(address))
         display.event(title)
-        path = recording_path(record, directory.path)
+        display.event(too_small(scenario))
+        path = recording_path(showing.record, directory.path)
         recorder = open_recorder(path, supervisor.scenario) if path else None
-        code = asyncio.run(_attended(supervisor, Onlookers(supervisor.scorer, recorder, server)))
-        if recorder is not None and recorder.stopped:
-            display.event(f"{path}: {recorder.stopped}; the recording ended early, {recorder.lost} messages are not in it")
-    os.close(lock)
-    if supervisor.result is not None and code == 0:
-        show_result(supervisor.result, directory.path, as_json)
+        stays = showing.stays and not showing.json and server is not None and is_at_terminal()
+
+        async def work() -> int:
+            async with Onlookers(supervisor.scorer, recorder, server):
+                code = await supervisor.run()
+                os.close(lock)
+                display.close()
+                if recorder is not None and recorder.stopped:
+                    display.event(f"{path}: {recorder.stopped}; the recording ended early, {recorder.lost} messages are not in it")
+                if supervisor.result is not None:
+                    show_result(supervisor.result, directory.path, showing.json)
+                if stays and code in (0, EXIT_CRASHED):
+                    display.event(f"the page stays at {address} until Enter or Ctrl-C")
+                    await until_key()
+                return code
+
+        code = asyncio.run(work())
+    sys.stdout.flush()  # raises when there is no room for it
     leave(code)
-
-
-async def _attended(supervisor: Supervisor, onlookers: Onlookers) -> int:
-    async with onlookers:
-        return await supervisor.run()
 
 
 def page_of(supervisor: Supervisor, page: bool | str) -> PageServer | None:

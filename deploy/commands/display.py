@@ -41,12 +41,16 @@ class Display:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Take the panel off the screen; lines may still follow."""
         if self._live:
             self._live.stop()
 
     def event(self, text: str) -> None:
-        """One line that stays."""
-        if self._is_ready():
+        """One line that stays; nothing for an empty text."""
+        if text and self._is_ready():
             self._console.print(text, markup=False, soft_wrap=True)
             sys.stdout.flush()
 
@@ -70,24 +74,38 @@ class Display:
 
 def status_line(status: "Status") -> str:
     """The figures of a swarm in one line."""
-    alive = sum(agent.alive for agent in status.agents)
+    alive = sum(agent.alive and not agent.paused for agent in status.agents)
     if status.tick < 0:
-        return f"starting: {alive} of {len(status.agents)} agents alive"
+        return f"starting: {status.waiting or f'{alive} of {len(status.agents)} agents alive'}"
     share = 100.0 * (status.tick + 1) / status.ticks
-    return f"{share:3.0f} %  {swarm_line(msgspec.to_builtins(status))}  alive {alive}/{len(status.agents)}"
+    paused = sum(agent.paused for agent in status.agents)
+    living = f"alive {alive}/{len(status.agents)}" + (f", {paused} paused" if paused else "")
+    return f"{share:3.0f} %  {swarm_line(msgspec.to_builtins(status))}  {living}"
 
 
 def swarm_line(swarm: dict[str, Any]) -> str:
     """Time and scores of a swarm."""
     scores = f"OSPA {swarm['ospa']:5.2f} m  GOSPA {swarm['gospa']:5.1f} m  in view {swarm['in_view']}/{swarm['targets']}"
-    return f"t {swarm['time']:7.2f} s  {scores}  hole {100.0 * swarm['hole']:.2f} %  overlap {100.0 * swarm['overlap']:.2f} %"
+    cells = f"hole {100.0 * swarm['hole']:.2f} %  overlap {100.0 * swarm['overlap']:.2f} %"
+    return f"t {swarm['time']:7.2f} s  {scores}  {cells}  {pace_words(swarm['pace'])}".rstrip()
+
+
+def pace_words(pace: dict[str, Any]) -> str:
+    """`7.1 of 8 ticks/s, 3 rounds skipped, 1 late`; what is nothing is left out."""
+    speed = "" if pace["ticks_per_s"] is None else f"{pace['ticks_per_s']:.1f}"
+    asked = f" of {pace['asked_per_s']:g}" if speed and pace["asked_per_s"] is not None else ""
+    counts = [f"{pace['skipped']} rounds skipped" if pace["skipped"] else "", f"{pace['late']} late" if pace["late"] else ""]
+    return ", ".join(filter(None, [f"{speed}{asked} ticks/s" if speed else "", *counts]))
 
 
 def status_table(status: "Status") -> Table:
     """The figures of a swarm, and one row of blocks for its agents."""
     table = Table.grid(padding=(0, 2))
     table.add_row(status_line(status))
-    table.add_row(" ".join(f"[green]{agent.name}[/]" if agent.alive else f"[red strike]{agent.name}[/]" for agent in status.agents))
+    absent = "dim" if status.tick < 0 else "red strike"
+    table.add_row(" ".join(f"[{'yellow' if one.paused else 'green' if one.alive else absent}]{one.name}[/]" for one in status.agents))
+    if status.pace.advice:
+        table.add_row(f"[yellow]{status.pace.advice}[/]")
     return table
 
 
@@ -102,8 +120,9 @@ def result_table(result: "Result", title: str) -> Table:
 def process_table(data: dict[str, Any]) -> Table:
     """Every process of a running swarm."""
     title = f"{data['run']} ({data['scenario']})  {swarm_line(data['swarm'])}"
-    table = Table(title=title, title_justify="left", box=None, caption=f"subscribe at {data['endpoint']}", caption_justify="left")
-    for head in ("name", "class", "state", "pid", "inc", "tick", "cell %", "mass", "targets", "round ms"):
+    caption = "\n".join(filter(None, [f"subscribe at {data['endpoint']}", data["swarm"]["pace"]["advice"]]))
+    table = Table(title=title, title_justify="left", box=None, caption=caption, caption_justify="left")
+    for head in ("name", "class", "state", "pid", "inc", "tick", "cell %", "mass", "targets", "round ms", "skipped", "late"):
         table.add_column(head, justify="left" if head in ("name", "class", "state") else "right", no_wrap=True)
     for row in data["processes"]:
         table.add_row(*process_cells(row), style="" if row["state"] == "running" else "red" if row["state"] == "dead" else "yellow")
@@ -116,16 +135,19 @@ def process_cells(row: dict[str, Any]) -> list[str]:
     if state == "dead":
         when = f" at {time.strftime('%H:%M:%S', time.localtime(row['ended_at']))}" if row["ended_at"] else ""
         state = f"dead: {row['end']}{when}" if row["end"] else "not started"
-    figures = ["", "", "", "", ""]
+    if row.get("differs") and state != "dead":
+        state = f"{row['state']}, refused: other {', '.join(row['differs'])}"
+    figures = [""] * 7
     if "tick" in row and row["tick"] >= 0:
-        figures = [str(row["tick"]), f"{100.0 * row['cell']:.1f}", f"{row['mass']:.2f}", str(row["targets"]), f"{row['round_ms']:.1f}"]
+        owns = [f"{100.0 * row['cell']:.1f}", f"{row['mass']:.2f}", str(row["targets"])] if row["alive"] else ["", "", ""]
+        figures = [str(row["tick"]), *owns, f"{row['round_ms']:.1f}", str(row["skipped"]), str(row["late"])]
     return [row["name"], row["class"], state, str(row["pid"] or ""), str(row["incarnation"]), *figures]
 
 
 def show_result(result: "Result", path: Path | None, as_json: bool) -> None:
     """The result as a table, or as the last line of standard output."""
     console = Console(stderr=as_json, highlight=False)
-    where = f"; logs and result in {os.path.relpath(path)}" if path else ""
+    where = f"; kept in {os.path.relpath(path)}" if path else ""
     console.print(result_table(result, f"{result.scenario}, seed {result.seed}: {result.agents} agents{where}"))
     if as_json:
         print(result.to_json())

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import shutil
 import signal
 from collections import deque
 from collections.abc import Iterator
@@ -13,11 +14,12 @@ import msgspec
 from rich.console import Console
 
 from deploy.commands.display import result_table
+from deploy.extras import need
 from deploy.monitor.server import PageServer, address_of
 from deploy.records.recording import DRAWING, Recording, find_recording
 from deploy.records.replay import ReplayNode, ReplaySource
 from deploy.records.rescore import difference, rescore, write_scores
-from deploy.swarm.rundir import RunDirectory
+from deploy.swarm.runs import take
 from protocol.endpoints import free_port
 from protocol.live import Driver
 from protocol.settings import BadSetting, NetworkSettings
@@ -54,6 +56,7 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
 
 def export(name: str, form: str, out: Path | None) -> int:
     """Write a recording in the form of other tools."""
+    need("export")
     from deploy.records.export import write_tables  # these load slowly
     from deploy.records.foxglove import write_foxglove
 
@@ -124,8 +127,7 @@ async def _play(server: PageServer, recording: Recording, publish: bool) -> None
 
 async def _say_again(server: PageServer, recording: Recording, over: asyncio.Event) -> None:
     """Publish what is played under the same keys, as a run of its own directory that `echo`, `hz`, `ls` and `watch --page` find."""
-    directory = RunDirectory(f"{recording.run}-replay")
-    lock = directory.claim()
+    directory, lock = take(f"{recording.run[:48]}-replay", recording.scenario.run.scenario)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     network = msgspec.structs.replace(recording.scenario.network, listen=(endpoint,), seeds=())
     found = msgspec.structs.replace(network, listen=NetworkSettings().listen, seeds=(endpoint,))
@@ -138,4 +140,5 @@ async def _say_again(server: PageServer, recording: Recording, over: asyncio.Eve
     await over.wait()
     driver.stop(0, "the replay is over")
     await serving
+    shutil.rmtree(directory.path, ignore_errors=True)  # it was there to be found, and holds nothing that is worth keeping
     os.close(lock)

@@ -23,7 +23,7 @@ from deploy.records.recorder import RecorderNode
 from deploy.result import Fault
 from deploy.swarm.control import ask
 from deploy.swarm.rundir import RunDirectory
-from deploy.watching import Heard, Listener, Rates, block, expression, plain_line, swarm_to_watch
+from deploy.watching import Heard, Listener, Rates, block, expression, kinds, plain_line, swarm_to_watch
 from protocol import live
 from protocol.keys import order
 from protocol.settings import BadSetting
@@ -57,7 +57,12 @@ def echo(key: str, count: int | None, run: str | None) -> int:
 
     if count is not None and count < 1:
         raise BadSetting(f"--count {count}: should be 1 or more")
-    node = Listener(scenario.run.name, own_name("echo"), expression(key, scenario.run.name), on_heard)
+
+    def on_silence(keys: list[str]) -> None:
+        where = f"; written are {kinds(keys)}" if keys else ", nor under any other key"
+        print(f"covey: nothing is said under {key} so far{where}; still listening, Ctrl-C ends it", file=sys.stderr, flush=True)
+
+    node = Listener(scenario.run.name, own_name("echo"), expression(key, scenario.run.name), on_heard, on_silence=on_silence)
     return _quietly(live.run(node, scenario.network))
 
 

@@ -7,23 +7,47 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter, Token
 
+from deploy.commands import completing
+
 if TYPE_CHECKING:
     from deploy.scenario import FaultSettings, Scenario
 
 FLAG = Parameter(negative="")
 
 
+def whole(kind: object, tokens: Sequence[Token]) -> int:
+    """A whole number; 1.5 is none, and is not rounded."""
+    try:
+        return int(tokens[-1].value)
+    except ValueError:
+        raise ValueError(f"{tokens[-1].value} is no whole number") from None
+
+
+WHOLE = Parameter(converter=whole)
+
+
+@dataclass(frozen=True)
+class Showing:
+    """How a run with processes is shown and kept."""
+
+    json: bool = False  # the result as one JSON object on the last line
+    record: bool | Path = False
+    page: bool | str = False
+    open: bool = False  # the page in a browser
+    stays: bool = False  # the page stays at the end, where somebody sits at a terminal
+
+
 @dataclass
 class RunOptions:
     """Laid over the scenario file; what is not given stays as the file says."""
 
-    seed: int | None = None
+    seed: Annotated[int | None, WHOLE] = None
     """Seed of the run: the same scenario and seed, the same run."""
     team: str | None = None
     """A team of the paper (1-8), or a composition such as 20E+4H or A4,B12."""
     triple: str | None = None
     """The three sensor classes of teams 2 to 5."""
-    targets: int | None = None
+    targets: Annotated[int | None, WHOLE] = None
     """Number of targets at the start."""
     partition: Literal["power", "voronoi", "voronoi-cod"] | None = None
     capacity: Literal["literal", "expected", "static", "saturating"] | None = None
@@ -39,16 +63,18 @@ class RunOptions:
     """Lose this share (0 to 1) of the messages between agents from the start."""
     delay: float | None = None
     """Deliver the messages between agents this many seconds late."""
-    settings: Annotated[list[str], Parameter(name="--set", negative="")] = field(default_factory=list)
+    settings: Annotated[list[str], Parameter(name="--set", negative="", completer=completing.settings)] = field(default_factory=list)
     """Any setting of the scenario: section.key=value. May be repeated."""
     run: str | None = None
-    """Name of the run, and of its directory under ./runs (or COVEY_RUNS)."""
+    """Name of the run, and of its directory under ./runs (or COVEY_RUNS); default: <date>-<scenario>-<n>."""
     lockstep: Annotated[bool, FLAG] = False
     """As fast as it goes: the world waits for every live agent."""
     rate: float | None = None
     """Real time, so many world seconds per second."""
     spawn: Literal["zygote", "exec"] = "zygote"
     """How agent processes start: forked from a prepared process, or each executed anew. Of demo and up only."""
+    strict: Annotated[bool, FLAG] = False
+    """Never start with fewer agents than the scenario has: an agent that dies before the first tick ends the run."""
     insecure: Annotated[bool, FLAG] = False
     """Allow endpoints beyond this machine without TLS."""
     keys: Path | None = None
@@ -73,6 +99,7 @@ class RunOptions:
             "run.name": self.run,
             "run.rate": self.rate,
             "run.clock": "lockstep" if self.lockstep else "realtime" if self.rate is not None else None,
+            "run.strict": self.strict or None,
             "network.insecure": self.insecure or None,
             **self._certificates(),
             "network.link_faults": True if self.loss is not None or self.delay is not None else None,
@@ -89,15 +116,38 @@ class RunOptions:
         """The resolved scenario; raises BadSetting naming what is wrong."""
         import msgspec
 
-        from deploy.chaos.faults import check_faults
-        from deploy.scenario import FaultSettings, resolve
+        from deploy.checks import check_scenario
+        from deploy.scenario import resolve
 
         scenario = resolve(name, self.overrides())
-        faults = scenario.faults + tuple(parse_kill(text) for text in self.kill)
-        faults += tuple(FaultSettings(at=0.0, verb=verb, value=value) for verb, value in self._links() if value is not None)
-        scenario = msgspec.structs.replace(scenario, faults=faults)
-        check_faults(scenario.faults, list(scenario.members))
+        scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *self.faults()))
+        check_scenario(scenario)
         return scenario
+
+    def wish(self, scenario: "Scenario") -> str | None:
+        """The name that the user gives the run, here or in the scenario; None: there is no such wish."""
+        from protocol.settings import RunSettings
+
+        return self.run or (scenario.run.name if scenario.run.name != RunSettings().name else None)
+
+    def mistakes(self, name: str) -> list[str]:
+        """Everything that is wrong with the scenario and the options, a line each."""
+        from deploy.checks import all_mistakes
+        from deploy.scenario import read
+        from protocol.settings import BadSetting
+
+        try:
+            data, source = read(name, self.overrides())
+            return all_mistakes(data, name, source, self.faults())
+        except BadSetting as error:
+            return [str(error)]
+
+    def faults(self) -> "tuple[FaultSettings, ...]":
+        """What --kill, --loss and --delay stand for."""
+        from deploy.scenario import FaultSettings
+
+        links = tuple(FaultSettings(at=0.0, verb=verb, value=value) for verb, value in self._links() if value is not None)
+        return (*map(parse_kill, self.kill), *links)
 
     def _links(self) -> list[tuple[str, float | None]]:
         from protocol.settings import BadSetting

@@ -4,82 +4,94 @@ import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import NoReturn
 
 import msgspec
 
-from deploy.scenario import FaultSettings, Scenario
-from deploy.swarm.processes import ROOT, Spawn, child_environment
-from deploy.swarm.rundir import RunDirectory, runs_folder
+from deploy.commands.options import Showing
+from deploy.modules import command, environment
+from deploy.pace import too_small
+from deploy.scenario import FaultSettings, Scenario, named
+from deploy.swarm.processes import Spawn, child_environment
+from deploy.swarm.rundir import runs_folder
+from deploy.swarm.runs import take
 from deploy.swarm.zygote import Zygote
+from protocol.endpoints import check_loopback
 from protocol.settings import BadSetting
 
+DETACHED = "COVEY_DETACHED"  # the environment variable that hands a detached run its name
 DETACH_SECONDS = 90.0  # that a detached swarm may take to start
 
 
-def run_live(
-    scenario: Scenario, title: str, as_json: bool, record: bool | Path = False, page: bool | str = False, spawn: Spawn = "zygote"
-) -> NoReturn:
-    """Run a scenario with real processes, show its progress and its result, and end this process with the exit code."""
-    directory = RunDirectory(scenario.run.name)
-    lock = directory.claim()
+def run_live(scenario: Scenario, wish: str | None, title: str, showing: Showing, spawn: Spawn) -> NoReturn:
+    """Run a scenario with real processes, show its progress and its result, and end this process with the exit code.
+
+    `wish`: the name that the user gives the run; None: one of the date and the scenario.
+    """
+    check_loopback()
+    detached = os.environ.pop(DETACHED, None)  # the name that the waiting command has chosen
+    directory, lock = take(detached or wish, scenario.run.scenario)
+    scenario = named(scenario, directory.name)
     zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
     from deploy.commands.attending import attend
 
-    attend(scenario, directory, lock, zygote, title, as_json, record, page)
+    other = f"; runs/{wish} holds an earlier run" if detached is None and wish not in (None, directory.name) else ""
+    attend(scenario, directory, lock, zygote, f"run {directory.name}{other}: {title}", showing)
 
 
-def demo(scenario: Scenario, as_json: bool, record: bool | Path = False, page: bool | str = True, spawn: Spawn = "zygote") -> NoReturn:
+def demo(scenario: Scenario, wish: str | None, showing: Showing, spawn: Spawn = "zygote") -> NoReturn:
     """Section IV-A live, with 3 of 16 agents killed at mid-run unless the options say otherwise."""
     if not scenario.faults:
         deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
         scenario = msgspec.structs.replace(scenario, faults=(deaths,))
     agents, targets, run = len(scenario.members), scenario.targets.count, scenario.run
-    pace = "as fast as it goes" if run.clock == "lockstep" else f"{run.rate:g} x real time"
-    title = f"{agents} agent processes and one world, {targets} targets, {run.seconds:g} s of world time, {pace}; Ctrl-C ends it"
-    run_live(scenario, title, as_json, record, page, spawn)
+    title = f"{agents} agent processes and one world, {targets} targets, {run.seconds:g} s of world time, {_pace(scenario)}; Ctrl-C ends it"
+    run_live(scenario, wish, title, showing, spawn)
 
 
-def up(
-    scenario: Scenario, as_json: bool, detach: bool, record: bool | Path = False, page: bool | str = False, spawn: Spawn = "zygote"
-) -> NoReturn:
+def _pace(scenario: Scenario) -> str:
+    """How fast time passes, for people."""
+    run = scenario.run
+    if run.clock == "realtime":
+        return f"{run.rate:g} x real time"
+    if run.pace:
+        return f"at most {run.pace:g} x real time ({run.seconds / run.pace:.0f} s; --fast for as fast as it goes)"
+    return "as fast as it goes"
+
+
+def up(scenario: Scenario, wish: str | None, detach: bool, showing: Showing, spawn: Spawn = "zygote") -> NoReturn:
     """Run a scenario in the foreground, or detached."""
     if detach:
-        _detach(scenario)
+        _detach(scenario, wish)
     run = scenario.run
     pace = "lockstep" if run.clock == "lockstep" else f"rate {run.rate:g}"
-    run_live(
-        scenario,
-        f"run {run.name}: {run.scenario}, {len(scenario.members)} agents, {pace}; other terminal: covey ps | kill | watch",
-        as_json,
-        record,
-        page,
-        spawn,
-    )
+    title = f"{run.scenario}, {len(scenario.members)} agents, {pace}; other terminal: covey ps | kill | watch"
+    run_live(scenario, wish, title, showing, spawn)
 
 
-def _detach(scenario: Scenario) -> NoReturn:
+def _detach(scenario: Scenario, wish: str | None) -> NoReturn:
     """Start the same command without --detach in a session of its own, and wait until its control socket answers."""
-    directory = RunDirectory(scenario.run.name)
-    os.close(directory.claim())  # complains if the run is running
+    directory, lock = take(wish, scenario.run.scenario)
+    os.close(lock)
     words = [word for word in sys.argv[1:] if word not in ("--detach", "-d")]
-    output = runs_folder() / scenario.run.name / "up.log"
-    with output.open("wb") as log:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "COVEY_RUNS": str(runs_folder())}
+    with directory.output.open("wb") as log:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "deploy", *words],
+            [*command("deploy"), *words],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,
-            env=environment,
+            env={**environment(), "COVEY_RUNS": str(runs_folder()), DETACHED: directory.name},
             start_new_session=True,
         )
     end = time.monotonic() + DETACH_SECONDS
     while process.poll() is None and not directory.control.exists() and time.monotonic() < end:
         time.sleep(0.05)
     if process.poll() is not None and process.returncode != 0:
-        lines = output.read_text(errors="replace").strip().splitlines()
+        lines = directory.output.read_text(errors="replace").strip().splitlines()
         raise BadSetting((lines or ["the run ended at once"])[-1].removeprefix("covey: "))
-    print(f"run {scenario.run.name} is up, process {process.pid}; covey ps | watch | down --run {scenario.run.name}")
+    print(f"run {directory.name} is up, process {process.pid}; covey ps | watch | down --run {directory.name}")
+    if directory.page.exists():
+        print(f"page: {directory.page.read_text(encoding='utf-8').strip()}")
+    if advice := too_small(scenario):
+        print(advice)
     sys.exit(0)

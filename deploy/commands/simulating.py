@@ -12,31 +12,54 @@ from rich.console import Console
 from deploy.commands.display import show_result
 from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.trace import Trace, check_trace
-from deploy.scenario import Scenario
+from deploy.result import Result
+from deploy.scenario import Scenario, named
 from deploy.simulate import Simulation
-from deploy.swarm.rundir import RunDirectory
+from deploy.swarm.runs import link_latest, take
 from deploy.swarm.warm import announce
 from protocol.messages import Truth
 
 
 def simulate_here(
     scenario: Scenario,
+    wish: str | None,
     as_json: bool,
     record: bool | Path = False,
     trace: Path | None = None,
     clock: Literal["lockstep", "realtime"] = "lockstep",
 ) -> int:
-    """Run the same nodes in this process in virtual time; a recording goes into the run directory unless a file is named."""
+    """Run the same nodes in this process in virtual time.
+
+    The result is kept as a run when it is named (`wish`) or recorded without a file's name.
+    """
     if trace is not None:
         check_trace(trace)
+    if wish is None and record is not True:
+        result, path = _simulate(scenario, clock, recording_path(record, Path()), trace)
+        _show(result, None, as_json, path)
+        return 0
+    directory, lock = take(wish, scenario.run.scenario)
+    scenario = named(scenario, directory.name)
+    directory.write_config(scenario, simulated=True)
+    link_latest(directory)
+    result, path = _simulate(scenario, clock, recording_path(record, directory.path), trace)
+    directory.result.write_text(result.to_json() + "\n", encoding="utf-8")
+    os.close(lock)
+    _show(result, directory.path, as_json, path)
+    return 0
+
+
+def _simulate(
+    scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None, trace: Path | None
+) -> tuple[Result, Path | None]:
+    """The result, and where it was recorded."""
     announce()
     simulation = Simulation(scenario, clock=clock)
     series = Trace(simulation)
-    folder = RunDirectory(scenario.run.name).path
-    path = recording_path(record, folder)
+    console = Console(stderr=True, highlight=False)
+    simulation.scorer.on_told = lambda told: console.print(f"[{told.time:.1f} s] {told.text}", markup=False, soft_wrap=True)
     if path is not None:
         Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
-    console = Console(stderr=True, highlight=False)
     with console.status("") if console.is_terminal else nullcontext() as spinner:
         show = (lambda text: spinner.update(text)) if spinner else console.print
         pace = Pace(show, 0.25 if spinner else 5.0)
@@ -49,10 +72,13 @@ def simulate_here(
         result = simulation.run()
     if trace is not None:
         series.write(trace, result)
-    show_result(result, None, as_json)
-    if path is not None:
-        console.print(f"recorded in {os.path.relpath(path)}")
-    return 0
+    return result, path
+
+
+def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | None) -> None:
+    show_result(result, folder, as_json)
+    if recorded is not None:
+        Console(stderr=True, highlight=False).print(f"recorded in {os.path.relpath(recorded)}", soft_wrap=True)
 
 
 class Pace:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from deploy.commands.options import FLAG
+from deploy.commands.options import FLAG, WHOLE
 
 
 def study(
@@ -13,8 +13,8 @@ def study(
     /,
     *,
     quick: Annotated[bool, FLAG] = False,
-    trials: int | None = None,
-    seed: int | None = None,
+    trials: Annotated[int | None, WHOLE] = None,
+    seed: Annotated[int | None, WHOLE] = None,
     teams: str | None = None,
     targets: str | None = None,
     methods: str | None = None,
@@ -25,12 +25,13 @@ def study(
     seconds: float | None = None,
     settings: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
     into: Path | None = None,
-    workers: int | None = None,
+    workers: Annotated[int | None, WHOLE] = None,
     scheduler: str | None = None,
     json: Annotated[bool, FLAG] = False,
 ) -> int:
-    """Run a study of the paper: convergence (IV-A), efficacy (IV-B, figure 4) or heterogeneity (IV-C, figure 5); or robustness.
+    """Run a study of the paper, or the robustness study.
 
+    Name: convergence (IV-A), efficacy (IV-B, figure 4), heterogeneity (IV-C, figure 5), or robustness.
     Every method gets the same seeds. What is finished is kept: after Ctrl-C the same command goes on.
     robustness: OSPA around a fault (10 to 90 % killed; loss; delay; partitions), against no fault and a fresh team of the survivors.
 
@@ -69,6 +70,9 @@ def study(
     json
         The last line of standard output is the table as one JSON object.
     """
+    from deploy.extras import need
+
+    need("study")
     from deploy.commands import studying
     from protocol.settings import BadSetting
 

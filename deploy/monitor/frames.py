@@ -139,6 +139,7 @@ def _agent(picture: Picture, known: Known) -> dict[str, Any]:
         data["cell"] = _flat(estimate.cell) if known.alive else []
         data["targets"] = _flat(estimate.targets) if known.alive else []
         data["unused"], data["load"], data["mass"] = round(estimate.unused, 2), round(estimate.load, 3), round(estimate.mass, 3)
+        data["skipped"], data["late"] = estimate.counters.get("skipped", 0), estimate.counters.get("late", 0)
         data["ms"], data["rejected"] = round(1000.0 * estimate.round_seconds, 2), rejected + known.rejected
     return data
 

@@ -6,6 +6,7 @@ back, silent, heard again) stands in a time line.
 
 import math
 from collections import Counter, deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeVar
 
@@ -25,12 +26,23 @@ UNKNOWN = 0  # incarnation of who has not been heard
 MOST_TICKS = 24  # kept of what an agent said
 
 
+PAUSES = ("pause", "resume", "kill", "restart")  # verbs of faults that begin or end a pause
+
+
+def paused_after(faults: Iterable[Fault], before: frozenset[str] = frozenset()) -> frozenset[str]:
+    """Who is paused after some faults."""
+    for fault in faults:
+        names = frozenset(fault.who.split(","))
+        before = before | names if fault.verb == "pause" else before - names if fault.verb in PAUSES else before
+    return before
+
+
 class Happening(NamedTuple):
     """An entry of the time line."""
 
     number: int
     time: float  # of the world, s
-    kind: str  # lost, back, joined, twin, silent, paused, heard, asked, world; of the links partition, heal, links
+    kind: str  # lost, back, joined, twin, silent, paused, heard, asked, told, world; of the links partition, heal, links
     who: str
     text: str
 
@@ -139,8 +151,11 @@ class Picture:
         self.happenings.append(Happening(self._numbered, self.time if time is None else time, kind, who, text))
 
     def note_fault(self, fault: Fault) -> None:
-        """Put a fault on the time line that was ordered and that no message shows."""
-        self.note(fault.verb if fault.verb in ("partition", "heal") else "links", "", fault.text, fault.time)
+        """Put a fault on the time line that was ordered and that no message shows; note who is paused."""
+        if fault.verb in PAUSES:
+            self.pause(paused_after([fault], self.paused))
+        else:
+            self.note(fault.verb if fault.verb in ("partition", "heal") else "links", "", fault.text, fault.time)
 
     def take_happenings(self, other: "Picture") -> None:
         """Show the time line of another picture instead of an own one: that of a whole recording, while this one jumps about in it."""
@@ -306,10 +321,10 @@ class Picture:
             self.note("joined", name, f"{name} has joined")
 
     def _state(self, known: Known) -> str:
+        if known.name in self.paused and known.seen:
+            return "paused"  # after a while its token goes, too
         if not known.alive:
             return "dead" if known.seen else "waiting"
-        if known.name in self.paused:
-            return "paused"
         if known.gossip is None or self.truth is None:
             return "alive"
         if self.truth.tick - known.gossip.tick > self._silent_after:

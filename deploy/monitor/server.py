@@ -94,6 +94,7 @@ class PageServer:
         self._shown: tuple[Any, ...] = ()
         self._version = -1
         self._shown_at = 0.0
+        self.is_frozen = False  # the run is over: what is shown stays
 
     def bind(self) -> str:
         """Take the port and return the page's address; raises BadSetting when it is taken."""
@@ -124,6 +125,13 @@ class PageServer:
         await self._runner.setup()
         await web.SockSite(self._runner, self._socket).start()
         self._tasks = [asyncio.create_task(self._broadcast()), asyncio.create_task(self._source_chores())]
+
+    def freeze(self) -> None:
+        """The run is over: what is shown stays, and says so."""
+        self.is_frozen = True
+
+    def _extra(self) -> dict[str, Any]:
+        return {**self.source.extra(), "over": True} if self.is_frozen else self.source.extra()
 
     async def close(self) -> None:
         """Say goodbye to the browsers and stop to serve."""
@@ -163,7 +171,7 @@ class PageServer:
         if self._jumps != self.source.jumps:
             self._jumps = self.source.jumps
             self._greet_again()
-        extra, picture, score = self.source.extra(), self.source.picture, self.source.score()
+        extra, picture, score = self._extra(), self.source.picture, self.source.score()
         happened = picture.happenings[-1].number if picture.happenings else 0
         state = (score.tick if score else picture.time, happened, picture.paused, picture.roster_version, repr(extra))
         now = asyncio.get_running_loop().time()
@@ -201,7 +209,7 @@ class PageServer:
         return web.Response(body=text.encode(), headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 
     async def _frame(self, request: web.Request) -> web.Response:
-        data = {**moment(self.source.picture, self.source.score()), **self.source.extra()}
+        data = {**moment(self.source.picture, self.source.score()), **self._extra()}
         return web.Response(body=msgspec.json.encode(data), content_type="application/json")
 
     async def _agent(self, request: web.Request) -> web.Response:
@@ -240,7 +248,7 @@ class PageServer:
                     if client.roster_version != self.source.picture.roster_version:
                         client.roster_version = self.source.picture.roster_version
                         await client.socket.send_str(self._greeting())
-                        client.frame = client.frame or frame(self.source.picture, self.source.score(), self.source.extra())
+                        client.frame = client.frame or frame(self.source.picture, self.source.score(), self._extra())
                     data, client.frame = client.frame, None
                     if data is not None:
                         await client.socket.send_bytes(data)

@@ -55,6 +55,7 @@ class LiveSource:
         self._directory = directory
         self._look_again = asyncio.Event()
         self._faults = 0  # of the supervisor's list that stand on the time line
+        self._waiting = ""  # what the first tick waits for
 
     def scores(self) -> Sequence[Score]:
         return self._scorer.scores
@@ -68,7 +69,11 @@ class LiveSource:
         return {"source": "live", "verbs": possible if may_act and self._directory else []}
 
     def extra(self) -> dict[str, Any]:
-        return {}
+        if self._waiting and self.picture.truth is None:
+            return {"waiting": self._waiting}
+        pace = self._scorer.pace.now()
+        speeds = [None if speed is None else round(speed, 1) for speed in (pace.ticks_per_s, pace.asked_per_s)]
+        return {"pace": [*speeds, pace.skipped, pace.late], "advice": pace.advice}
 
     async def ask(self, request: dict[str, Any]) -> str:
         verb, who = str(request.get("verb", "")), str(request.get("who", ""))
@@ -81,10 +86,11 @@ class LiveSource:
         return text
 
     async def chores(self) -> None:
-        """Ask the supervisor now and then what cannot be heard: who is paused and not only silent, and which links have been cut."""
+        """Ask the supervisor now and then what cannot be heard: what the start waits for, who is paused, which links have been cut."""
         while True:
             with contextlib.suppress(BadSetting, OSError, KeyError, TypeError):
                 status = (await self._control("status", ""))["data"]
+                self._waiting = status["swarm"]["waiting"]
                 self.picture.pause(frozenset(row["name"] for row in status["processes"] if row["state"] == "paused"))
                 for fault in status["faults"][self._faults :]:
                     self.picture.note_fault(Fault(*fault))

@@ -121,7 +121,7 @@ class Recorder:
     def note_fault(self, fault: Fault) -> None:
         """Record a fault that was ordered."""
         if not self._closed:
-            self._writer.add_metadata(FAULT, {"time": repr(fault.time), "verb": fault.verb, "text": fault.text})
+            self._writer.add_metadata(FAULT, {"time": repr(fault.time), "verb": fault.verb, "text": fault.text, "who": fault.who})
             self._guarded(self._settle)
 
     def flush(self, after: float = 0.0) -> None:

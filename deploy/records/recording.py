@@ -22,6 +22,7 @@ from deploy.records.recorder import ABOUT, FAULT
 from deploy.result import Fault
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import runs_folder
+from deploy.swarm.runs import find_run
 from protocol import codec
 from protocol.fields import Malformed
 from protocol.keys import parse_token
@@ -138,7 +139,8 @@ class Recording:
             if record.name == ABOUT:
                 about = record.metadata
             elif record.name == FAULT:
-                self.faults.append(Fault(float(record.metadata["time"]), record.metadata["verb"], record.metadata["text"]))
+                found = record.metadata
+                self.faults.append(Fault(float(found["time"]), found["verb"], found["text"], found.get("who", "")))
         return about
 
     def _note_channels(self, chunk: Chunk) -> None:
@@ -168,15 +170,18 @@ def event_of(entry: Entry) -> Event:
 
 
 def find_recording(name: str) -> Path:
-    """The recording that is meant: a file, a run directory, or the name of a run; raises BadSetting when there is none."""
-    path = Path(name)
-    if path.is_file():
+    """The recording that is meant: of a run by its name, which wins over a file of that name; a file; or a run directory.
+
+    `latest` is the newest run. Raises BadSetting when there is no recording.
+    """
+    path, run = Path(name), find_run(name)
+    if run is None and path.is_file():
         return path
-    for folder in (path, runs_folder() / name):
-        if folder.is_dir():
-            ours = (file for file in folder.glob("*.mcap") if not file.name.endswith(DRAWING))
-            found = sorted(ours, key=lambda file: file.stat().st_mtime)
-            if found:
-                return found[-1]
-            raise BadSetting(f"{folder}: no recording in it; run with --record to have one")
-    raise BadSetting(f"{name}: no such file, and no run of this name in {runs_folder()}")
+    folder = run.path if run is not None else path
+    if not folder.is_dir():
+        raise BadSetting(f"{name}: no such file, and no run of this name in {runs_folder()}; `covey runs` lists them")
+    ours = (file for file in folder.glob("*.mcap") if not file.name.endswith(DRAWING))
+    found = sorted(ours, key=lambda file: file.stat().st_mtime)
+    if not found:
+        raise BadSetting(f"{folder.resolve()}: no recording in it; run with --record to have one")
+    return found[-1]

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from deploy.monitor.picture import TRAIL, Picture
+from deploy.monitor.picture import TRAIL, Picture, paused_after
 from deploy.monitor_node import Score, Scorer
 from deploy.records.recording import Entry, Recording, event_of
 from deploy.records.rescore import rescore_slowly
@@ -42,6 +42,7 @@ class ReplaySource:
         self._historian = Picture(recording.scenario)
         self._scan: Iterator[float] | None = rescore_slowly(recording, self._scorer)
         self._scorer.on_event = self._historian.see
+        self._scorer.on_told = lambda told: self._historian.note("told", told.who, told.text, told.time)
         self._faults = deque(recording.faults)  # that do not stand on the time line yet
         self.picture.take_happenings(self._historian)
         self._entries: Iterator[Entry] = recording.entries()
@@ -128,6 +129,7 @@ class ReplaySource:
 
     def _feed(self, until: float, jumped_from: float | None = None) -> None:
         """Show the picture what was heard up to a time. After a jump: of what is older than `jumped_from` the truth and tokens alone."""
+        self.picture.pause(paused_after(fault for fault in self._recording.faults if fault.time <= until))
         while True:
             entry = self._next or next(self._entries, None)
             self._next = None

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,9 +30,13 @@ def rescore(recording: Recording) -> Scorer:
 def rescore_slowly(recording: Recording, scorer: Scorer) -> Iterator[float]:
     """Show a recording to a scorer; gives the world's time, s, after every thing that was heard, and is finished at the end."""
     now = 0.0
+    faults = deque(recording.faults)
     for entry in recording.entries():
         now = entry.published / 1e9
         scorer.handle(event_of(entry), now)
+        while faults and scorer.truth is not None and scorer.truth.time >= faults[0].time:
+            fault = faults.popleft()
+            scorer.note_fault(fault.verb, fault.text, fault.who, now)
         yield entry.time
     scorer.finish(now)
 

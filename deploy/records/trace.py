@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from deploy.extras import need
 from deploy.result import Result
 from deploy.simulate import Simulation
 from protocol.messages import Truth
@@ -24,6 +25,8 @@ def check_trace(path: Path) -> None:
     """Raise BadSetting unless a trace can be written there."""
     if path.suffix not in KINDS:
         raise BadSetting(f"--trace {path}: should end in {', '.join(KINDS)}")
+    if path.suffix == ".parquet":
+        need(f"--trace {path}")
     if not path.absolute().parent.is_dir():
         raise BadSetting(f"--trace {path}: the folder {path.parent} does not exist")
 
@@ -48,7 +51,13 @@ class Trace:
         return {name: [row[name] for row in rows] for name in (rows[0] if rows else {})}
 
     def write(self, path: Path, result: Result) -> None:
-        """Write everything."""
+        """Write everything; raises BadSetting naming the file when it cannot be written."""
+        try:
+            self._write(path, result)
+        except OSError as error:
+            raise BadSetting(f"--trace {path}: {error.strerror or error}") from None
+
+    def _write(self, path: Path, result: Result) -> None:
         texts = {"result": result.to_json(), "scenario": json.dumps(msgspec.to_builtins(self._simulation.scenario))}
         columns = self.columns()
         if path.suffix == ".npz":

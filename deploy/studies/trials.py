@@ -20,9 +20,9 @@ from deploy.simulate import Simulation
 from protocol.settings import BadSetting
 
 Row = dict[str, Any]
-ROOT = Path(__file__).resolve().parents[2]
+ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
 CORE = ("protocol", "agents", "world", "deploy/simulate.py", "deploy/scenario.py", "deploy/monitor_node.py", "deploy/scores.py")
-LEFT_OUT = ("wall_s", "bytes", "kills")  # of a result: what another machine or the codec changes, and lists
+LEFT_OUT = ("wall_s", "bytes", "kills", "missing", "events", "pace", "exit_code")  # of a result: what another machine changes, and lists
 FLAGS = {  # options of `covey simulate`
     "run.seed": "--seed",
     "team.composition": "--team",
@@ -92,7 +92,7 @@ def source_hash(parts: tuple[str, ...]) -> str:
     """A hash of source files and folders, named from the root."""
     digest = hashlib.blake2b(digest_size=6)
     for part in parts:
-        path = ROOT / part
+        path = ROOMS / part
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -4,6 +4,9 @@ keys/ca.pem     the authority's certificate, which everybody trusts
 keys/ca.key     its private key; no process of a run reads it
 keys/s3.pem     the certificate of s3: common name s3, for TLS servers and clients
 keys/s3.key     its private key
+keys/.gitignore keeps all of them out of git
+
+The authority's key is not made inside a git work tree unless that is asked for.
 """
 
 import contextlib
@@ -28,12 +31,19 @@ HERE = ("localhost", "127.0.0.1", "::1")
 HOST = re.compile(r"^(?=.{1,253}\Z)[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?)*\Z")
 
 
-def make_keys(names: list[str], folder: Path, hosts: tuple[str, ...] = (), *, days: int = 730, force: bool = False) -> list[Path]:
+def make_keys(
+    names: list[str], folder: Path, hosts: tuple[str, ...] = (), *, days: int = 730, force: bool = False, in_git: bool = False
+) -> list[Path]:
     """The certificates made, one for each name, signed by the folder's authority, which is made when it is missing.
 
     `hosts` are addresses beyond loopback under which the owners listen. Raises BadSetting for a name that cannot be one, for a host
-    that is none, and, unless `force`, for a file that exists.
+    that is none, unless `force` for a file that exists, and unless `in_git` for a folder in a git work tree.
     """
+    tree = work_tree(folder)
+    if tree is not None and not in_git:
+        raise BadSetting(
+            f"--into {folder}: lies in the git work tree {tree}, where {AUTHORITY}.key is soon published; take another folder, or --in-git"
+        )
     for name in names:
         if not NAME.match(name) or name == AUTHORITY:
             raise BadSetting(f"name {name!r}: should be 1 to 64 letters, digits, or any of _ . - and not {AUTHORITY!r}")
@@ -43,10 +53,17 @@ def make_keys(names: list[str], folder: Path, hosts: tuple[str, ...] = (), *, da
     alternatives = [_alternative(host) for host in (*HERE, *hosts)]
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        (folder / ".gitignore").write_text("*\n", encoding="utf-8")
         authority, signing_key = _authority(folder)
         return [_certify(name, folder, alternatives, authority, signing_key, days) for name in dict.fromkeys(names)]
     except OSError as error:
         raise BadSetting(f"--into {folder}: {error.strerror}") from None
+
+
+def work_tree(folder: Path) -> Path | None:
+    """The git work tree in which a folder lies."""
+    here = folder.absolute()
+    return next((path for path in (here, *here.parents) if (path / ".git").exists()), None)
 
 
 def _alternative(host: str) -> x509.GeneralName:

@@ -5,15 +5,16 @@ SIGKILL when the thread that started it ends; so children are started from the m
 """
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
-import sys
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from deploy.modules import ROOT, command, environment
 from deploy.scenario import Scenario
 from deploy.swarm.rundir import RunDirectory
 from deploy.swarm.zygote import Forked, Zygote
@@ -21,7 +22,7 @@ from protocol.settings import BadSetting
 
 Spawn = Literal["zygote", "exec"]  # how agents are started
 
-ROOT = Path(__file__).resolve().parents[2]
+CRASHES = (1, *(-number for number in (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGFPE)))
 EXIT_FENCED = 3  # of an agent that has met a younger process of its name
 
 
@@ -32,7 +33,7 @@ class Child:
     name: str
     room: str  # agents or world
     directory: RunDirectory
-    arguments: list[str]  # endpoints
+    arguments: list[str]  # endpoints, and the sensor of an agent
     incarnation: int = 0
     paused: bool = False
     returncode: int | None = None  # of the newest incarnation; negative: the signal that ended it
@@ -47,7 +48,7 @@ class Child:
 
     @property
     def pid(self) -> int | None:
-        """Its process id while it runs."""
+        """Its process id while it runs and as soon as it is known."""
         return self.process.pid if self.process else None
 
     def start(self, *extra: str) -> None:
@@ -55,16 +56,16 @@ class Child:
         assert self.process is None
         self.incarnation += 1
         self.paused, self.returncode, self.ended_at = False, None, None
-        words = ["--name", self.name, "--config", str(self.directory.config), "--supervised"]
+        config = self.directory.agents if self.room == "agents" else self.directory.config
+        words = ["--name", self.name, "--config", str(config), "--supervised"]
         words += ["--incarnation", str(self.incarnation), *self.arguments, *extra]
         if self.zygote is not None:
             with contextlib.suppress(OSError):  # a zygote that has died: the child is executed instead
                 self.process = self.zygote.fork(words, self.directory.log(self.name))
                 return
-        command = [sys.executable, "-m", self.room, *words]
         with self.directory.log(self.name).open("ab") as log:
             self.process = subprocess.Popen(
-                command,
+                [*command(self.room), *words],
                 cwd=ROOT,
                 env=child_environment(),
                 stdin=subprocess.PIPE,
@@ -105,14 +106,56 @@ class Child:
             return f"killed by {signal.Signals(-self.returncode).name}"
         return f"exit code {self.returncode}{': a younger process of this name has taken over' if self.returncode == EXIT_FENCED else ''}"
 
+    @property
+    def crashed(self) -> bool:
+        """Whether it ended by an exception or a crash of its own: neither done, nor stopped, nor killed."""
+        return self.returncode in CRASHES
+
     def last_words(self) -> str:
-        """The last line of its log that is no JSON, where complaints about bad input stand; else its last line; empty when silent."""
+        """The last line of its log that is no JSON, where complaints about bad input stand; else its last exception or message."""
         try:
             lines = self.directory.log(self.name).read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:
             return ""
         plain = [line for line in lines if line.strip() and not line.startswith("{")]
-        return (plain or lines or [""])[-1]
+        return plain[-1] if plain else _message(lines[-1]) if lines else ""
+
+
+def _message(line: str) -> str:
+    """What a line of a log says: the last line of its exception where it has one."""
+    try:
+        record = json.loads(line)
+    except ValueError:
+        return line
+    exception = str(record.get("exception", "")).strip().splitlines()
+    return exception[-1] if exception else str(record.get("message", line))
+
+
+def rooms(scenario: Scenario) -> dict[str, str]:
+    """The processes of a run and the room that each is of."""
+    return {"world": "world", **dict.fromkeys(scenario.members, "agents")}
+
+
+def endpoints(name: str, listens: Mapping[str, str], seeds: Sequence[str]) -> list[str]:
+    """The command-line options of a process: a seed listens where all expect it, and nobody dials itself."""
+    own = listens.get(name)
+    words = ["--listen", own] if own else []
+    for endpoint in seeds:
+        words += ["--seed-endpoint", endpoint] if endpoint != own else []
+    return words
+
+
+def process_rows(children: Mapping[str, Child], members: Mapping[str, str], agents: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every process as `ps` shows it, with what the scorer knows of the agents; guests, which were not started here, at the end."""
+    scored = {agent["name"]: agent for agent in agents}
+    rows: list[dict[str, Any]] = []
+    for name, child in children.items():
+        state = "paused" if child.paused else "running" if child.is_running else "dead"
+        row: dict[str, Any] = {"name": name, "class": members.get(name, ""), "state": state, "pid": child.pid}
+        row |= {"incarnation": child.incarnation, "end": child.end(), "ended_at": child.ended_at}
+        rows.append({**scored.pop(name, {}), **row})
+    guest = {"class": "", "state": "guest", "pid": None, "end": "", "ended_at": None}
+    return rows + [{**agent, **guest} for agent in scored.values() if agent["alive"]]
 
 
 def check_names(scenario: Scenario) -> None:
@@ -124,4 +167,4 @@ def check_names(scenario: Scenario) -> None:
 
 def child_environment() -> dict[str, str]:
     """The environment of children: they look for a user's own modules in the user's folder, after ours; numpy uses one thread."""
-    return {**os.environ, "COVEY_MODULES": os.getcwd(), "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    return {**environment(), "COVEY_MODULES": os.getcwd(), "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}

@@ -1,13 +1,16 @@
 """The directory of a run, and which runs are running.
 
-    runs/<name>/run.toml       the resolved scenario that every process reads
+    runs/<name>/run.toml       the resolved scenario, which the world and the watchers read
+                agents.toml    what an agent may know of it
                 versions.json  software, Python, machine
                 logs/          one file per process, JSON lines
                 result.json    the result, once there is one
-                lock           held by the supervisor as long as the run runs
+                recording.mcap the recording, if one was asked for
+                lock           held by the supervisor or the simulation as long as the run runs
                 control.json   where the supervisor's control socket is
+                page           the address of the page, if there is one
 
-`runs` lies in the current directory unless COVEY_RUNS names another place.
+`runs` lies in the current directory unless COVEY_RUNS names another place. How runs are named and kept: `deploy.swarm.runs`.
 """
 
 import contextlib
@@ -20,17 +23,20 @@ import shutil
 import socket
 import sys
 import tempfile
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, agent_config
 from deploy.toml_text import toml_text
 from protocol.messages import WIRE_VERSION
 from protocol.settings import BadSetting
 
+LATEST = "latest"  # the link to the run that began last
+ROOM = 16384  # bytes that a run needs at least, for its run.toml
 PACKAGES = ("covey", "eclipse-zenoh", "numpy", "scipy", "shapely", "msgspec", "numba")
 
 
@@ -46,22 +52,22 @@ class RunDirectory:
         self.name = name
         self.path = runs_folder() / name
         self.config = self.path / "run.toml"
+        self.agents = self.path / "agents.toml"
         self.versions = self.path / "versions.json"
         self.logs = self.path / "logs"
         self.result = self.path / "result.json"
         self.lock = self.path / "lock"
         self.control = self.path / "control.json"
         self.truth = self.path / "truth.msgpack"
+        self.page = self.path / "page"  # its address
+        self.output = self.path / "up.log"  # what a detached run would have said in a terminal
 
     def log(self, name: str) -> Path:
         """The log file of one process."""
         return self.logs / f"{name}.jsonl"
 
-    def claim(self) -> int:
-        """Take the run for this process: a descriptor that holds the lock while it is open. Raises BadSetting when the run is running.
-
-        What an earlier run of this name left behind is removed.
-        """
+    def hold(self) -> int | None:
+        """Lock the run for this process: a descriptor that holds the lock while it is open; None while another process holds it."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(self.lock, os.O_RDWR | os.O_CREAT, 0o600)
@@ -71,17 +77,37 @@ class RunDirectory:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(descriptor)
-            raise BadSetting(
-                f"--run {self.name}: a run of this name is running; end it with `covey down --run {self.name}` or take another name"
-            ) from None
-        for file in (self.config, self.versions, self.result, self.control, self.truth):
-            file.unlink(missing_ok=True)
-        shutil.rmtree(self.logs, ignore_errors=True)
-        self.logs.mkdir()
+            return None
         return descriptor
 
+    def claim(self) -> int:
+        """Hold the run and remove what an earlier one of this name left behind; raises BadSetting when the run is running."""
+        descriptor = self.hold()
+        if descriptor is None:
+            raise is_running_already(self.name)
+        self.clear()
+        return descriptor
+
+    def clear(self) -> None:
+        """Remove what an earlier run left, and check that a run finds room; raises BadSetting when it does not."""
+        with self._writing():
+            for file in (self.config, self.agents, self.versions, self.result, self.control, self.truth):
+                file.unlink(missing_ok=True)
+            shutil.rmtree(self.logs, ignore_errors=True)
+            self.logs.mkdir()
+            self.config.write_bytes(bytes(ROOM))  # a full disk is known before anything starts
+            self.config.unlink()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """What cannot be written here is told with the name of the folder."""
+        try:
+            yield
+        except OSError as error:
+            raise BadSetting(f"run directory {self.path}: {error.strerror}; COVEY_RUNS names another place") from None
+
     def is_running(self) -> bool:
-        """Whether a supervisor holds the run."""
+        """Whether a supervisor or a simulation holds the run."""
         try:
             descriptor = os.open(self.lock, os.O_RDWR)
         except OSError:
@@ -94,10 +120,26 @@ class RunDirectory:
             os.close(descriptor)
         return False
 
-    def write_config(self, scenario: Scenario) -> None:
-        """Write run.toml and versions.json."""
-        self.config.write_text(toml_text(msgspec.to_builtins(scenario)), encoding="utf-8")
-        self.versions.write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
+    def is_free(self) -> bool:
+        """Whether nothing is here but what a start that failed may leave, so that a run can take the place."""
+        if not self.path.is_dir():
+            return not os.path.lexists(self.path)
+        return {file.name for file in self.path.iterdir()} <= {file.name for file in (self.lock, self.logs, self.output, self.page)}
+
+    def write_config(self, scenario: Scenario, *, simulated: bool = False) -> None:
+        """Write run.toml, agents.toml and versions.json."""
+        about = {**versions(), "simulated": simulated}
+        with self._writing():
+            self.config.write_text(toml_text(msgspec.to_builtins(scenario)), encoding="utf-8")
+            self.agents.write_text(toml_text(msgspec.to_builtins(agent_config(scenario))), encoding="utf-8")
+            self.versions.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+
+    def is_simulated(self) -> bool:
+        """Whether the run is a simulation, which has no processes and no supervisor that could be asked."""
+        try:
+            return bool(json.loads(self.versions.read_text(encoding="utf-8")).get("simulated"))
+        except (OSError, ValueError, AttributeError):
+            return False
 
     def socket_path(self) -> Path:
         """Where to put the control socket: a short path of this user's own, for socket paths are limited to about 100 bytes."""
@@ -107,6 +149,11 @@ class RunDirectory:
             raise BadSetting(f"{folder}: belongs to somebody else; set TMPDIR to a folder of your own")
         _sweep(folder)
         return folder / f"{self.name[:40]}-{os.getpid()}.sock"
+
+
+def is_running_already(name: str) -> BadSetting:
+    """The complaint about a name whose run is running."""
+    return BadSetting(f"--run {name}: a run of this name is running; end it with `covey down --run {name}` or take another name")
 
 
 def _sweep(folder: Path) -> None:
@@ -131,6 +178,8 @@ def _exists(pid: int) -> bool:
 def find_running(name: str | None) -> RunDirectory:
     """The running run of that name, or the newest running one; raises BadSetting when there is none."""
     if name is not None:
+        with contextlib.suppress(OSError):
+            name = os.readlink(runs_folder() / LATEST) if name == LATEST else name
         directory = RunDirectory(name)
         if not directory.is_running():
             raise BadSetting(f"--run {name}: no run of this name is running in {runs_folder()}{_others()}")
@@ -142,10 +191,10 @@ def find_running(name: str | None) -> RunDirectory:
 
 
 def running_runs() -> list[RunDirectory]:
-    """All runs that are running, the newest last."""
+    """All swarms of processes that are running, the newest last."""
     folder = runs_folder()
-    names = [path.name for path in folder.iterdir() if path.is_dir()] if folder.is_dir() else []
-    running = [directory for directory in map(RunDirectory, names) if directory.is_running()]
+    names = [path.name for path in folder.iterdir() if path.is_dir() and not path.is_symlink()] if folder.is_dir() else []
+    running = [directory for directory in map(RunDirectory, names) if directory.is_running() and not directory.is_simulated()]
     return sorted(running, key=lambda directory: directory.config.stat().st_mtime if directory.config.exists() else 0.0)
 
 

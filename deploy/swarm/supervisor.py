@@ -6,7 +6,6 @@ Everything runs in one event loop in the main thread (children must be started f
 
 import asyncio
 import contextlib
-import importlib
 import logging
 import signal
 import time
@@ -16,15 +15,17 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from deploy.chaos.faults import LINK_VERBS, Action, Schedule, check_fault, check_faults, choose, plain_verb
+from deploy.chaos.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
 from deploy.chaos.links import Links, describe
 from deploy.monitor_node import Scorer, Status
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario
 from deploy.swarm.control import Answer, ControlServer
-from deploy.swarm.processes import Child, check_names
+from deploy.swarm.processes import Child, check_names, endpoints, process_rows, rooms
 from deploy.swarm.rundir import RunDirectory
+from deploy.swarm.runs import link_latest
 from deploy.swarm.seeds import seed_listeners
+from deploy.swarm.startline import StartLine
 from deploy.swarm.zygote import Zygote
 from protocol.codec import encode
 from protocol.endpoints import check_endpoints, check_files
@@ -33,8 +34,8 @@ from protocol.live import Driver
 from protocol.messages import Truth
 from protocol.settings import BadSetting, NetworkSettings
 
-START_LINE = 20.0  # s that the last agent is held back at most
 GRACE = 2.5  # s for children to end by themselves
+EXIT_CRASHED = 1  # of a run in which a process ended by an exception
 EXIT_BAD_INPUT = 2
 
 log = logging.getLogger(__name__)
@@ -71,10 +72,15 @@ class Supervisor:
         self.scorer = Scorer(self.scenario, incarnation=time.time_ns() // 1_000_000)
         self.scorer.on_truth = self._on_truth
         self.scorer.on_twin = self._on_twin
-        self.children = {name: Child(name, room, directory, self._endpoints(name)) for name, room in self._rooms().items()}
+        self.scorer.on_differing = self._on_differing
+        self.scorer.on_told = lambda told: on_event(f"[{told.time:.1f} s] {told.text}")
+        self.crashed: list[str] = []  # processes that have ended by an exception or a crash of their own
+        self._advised = False
+        self.children = {name: Child(name, room, directory, self._words(name, seeds)) for name, room in rooms(scenario).items()}
         self._zygote = zygote
         for name in scenario.members:
             self.children[name].zygote = self._zygote
+        self._start = StartLine(list(scenario.members), list(self.children.values()), self.scorer, zygote, directory.log("zygote"))
         self._schedule = Schedule(scenario.run.seed, scenario.faults)
         self._links = Links(scenario.run.seed, list(scenario.members))
         self._on_event, self._on_status = on_event, on_status
@@ -92,18 +98,22 @@ class Supervisor:
             loop.add_signal_handler(number, self._on_signal, code)
         loop.add_signal_handler(signal.SIGCHLD, self._reap)
         if self._zygote is not None:
-            loop.add_reader(self._zygote.fileno(), self._reap)
+            loop.add_reader(self._zygote.fileno(), self._hear, self._zygote)
         driver = Driver(self.scorer, self._own_network)
         control = ControlServer(self.directory, self._answer)
-        monitor = None
+        monitor = start = None
         try:
             self.directory.write_config(self.scenario)
+            link_latest(self.directory)
             await driver.open()
             monitor = asyncio.create_task(driver.serve())
             await control.open()
-            await self._start_all()
-            return await self._watch(monitor)
+            start = asyncio.create_task(self._start.start_all(self._tell))
+            return await self._watch(monitor, start)
         finally:
+            if start is not None:
+                start.cancel()
+                await asyncio.gather(start, return_exceptions=True)
             await self._wind_down()
             if self._zygote is not None:
                 loop.remove_reader(self._zygote.fileno())
@@ -113,38 +123,32 @@ class Supervisor:
             if monitor is not None:
                 await asyncio.gather(monitor, return_exceptions=True)
 
-    async def _start_all(self) -> None:
-        """Start everybody, the last agent only when the monitor hears all others: the world waits for it, so nothing is missed."""
-        assert self._over is not None
-        *first, last = self.children.values()
-        for child in first:
-            if child.zygote is not None:
-                await asyncio.to_thread(child.zygote.wait_until_ready)
-            child.start()
-        await asyncio.to_thread(importlib.import_module, "scipy.optimize")  # for the first score, while the agents gather
-        end = time.monotonic() + START_LINE
-        while not self._over.done() and time.monotonic() < end:
-            if all(child.name in self.scorer.greeted or not child.is_running for child in first):
-                break
-            await asyncio.wait([self._over], timeout=0.02)
-        if not self._over.done():
-            last.start()
-
-    async def _watch(self, monitor: "asyncio.Task[int]") -> int:
+    async def _watch(self, monitor: "asyncio.Task[int]", start: "asyncio.Task[None]") -> int:
         """Report the status twice a second until the run is over."""
         assert self._over is not None
         while not self._over.done():
             await asyncio.wait([self._over], timeout=0.5)
             self._reap()  # in case a signal was merged with another
-            self._on_status(self.scorer.status())
+            status = self._status()
+            self._on_status(status)
+            if status.pace.advice and not self._advised:
+                self._advised = True
+                self._tell(status.pace.advice)
+            if start.done() and not self._over.done():
+                start.result()
             if monitor.done() and not self._over.done():
                 monitor.result()
                 raise RuntimeError("the monitor's session has ended")
         code = self._over.result()
         if code == 0:
             await self._wait_for_estimates()
-        self._make_result()
+            code = EXIT_CRASHED if self.crashed else 0
+        self._make_result(code)
         return code
+
+    def _status(self) -> Status:
+        """What is known of the swarm, and what its start waits for."""
+        return msgspec.structs.replace(self.scorer.status(), waiting=self._start.waiting())
 
     async def _wait_for_estimates(self) -> None:
         """Give the estimates of the last tick a moment to arrive."""
@@ -153,25 +157,28 @@ class Supervisor:
                 while not self.scorer.is_up_to_date():
                     await asyncio.sleep(0.01)
 
-    def _make_result(self) -> None:
+    def _make_result(self, code: int) -> None:
         now = asyncio.get_running_loop().time()
         self.scorer.finish(now)
-        self.result = self.scorer.result(now - (self._first_truth_at or now))
+        result = self.scorer.result(now - (self._first_truth_at or now))
+        self.result = msgspec.structs.replace(result, exit_code=code, pace=self.scorer.pace.whole())
         try:
             self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
         except OSError as error:
             self._tell(f"{self.directory.result}: {error.strerror}; the result is not kept")
 
     async def _wind_down(self) -> None:
-        """End all children: politely, then not; at the end none is left."""
+        """End all children: politely, then not; at the end none is left. Before the first tick there is nothing that they could finish."""
         self._winding_down = True
         for child in self.children.values():
             child.send(signal.SIGTERM)
             child.send(signal.SIGCONT)
-        end = time.monotonic() + GRACE
+        end = time.monotonic() + (GRACE if self.scorer.truth is not None else 0.0)
         while any(child.is_running for child in self.children.values()):
             if time.monotonic() > end:
                 self._kill_all()
+                if self._zygote is not None:  # with a child whose pid it has not told
+                    self._zygote.kill()
             await asyncio.sleep(0.02)
             self._reap()
 
@@ -189,6 +196,13 @@ class Supervisor:
         if self._over is not None and not self._over.done():
             self._over.set_result(code)
 
+    def _hear(self, zygote: Zygote) -> None:
+        """Take what the zygote tells, until it has ended."""
+        zygote.collect()
+        if zygote.is_gone:
+            asyncio.get_running_loop().remove_reader(zygote.fileno())
+        self._reap()
+
     def _reap(self) -> None:
         """Notice who has died."""
         for child in self.children.values():
@@ -202,7 +216,18 @@ class Supervisor:
             return
         if child.returncode == EXIT_BAD_INPUT or (self.scorer.truth is None and child.returncode == 1):
             self._fail(BadSetting(child.last_words() or f"{child.name} ended with {child.end()}"))
-        self._tell(f"{child.name} died: {child.end()}")
+        if self.scorer.truth is None and self.scenario.run.strict:
+            why = self._start.waiting() if child.name == "world" else f"{child.name} died: {child.end()}"
+            self._fail(BadSetting(f"{why}; --strict refuses to start with fewer than {len(self.scenario.members)} agents"))
+        self._start.expect()
+        self._note_pauses("kill", [child.name])
+        words = f"{child.name} died: {child.end()}"
+        if child.crashed:
+            self.crashed.append(child.name)
+            words += f": {child.last_words()}"
+        if child.name == "world":
+            words += f"; the swarm stands still until `covey restart world --run {self.directory.name}`, Ctrl-C ends the run"
+        self._tell(words)
 
     def _fail(self, error: Exception) -> None:
         if self._over is not None and not self._over.done():
@@ -217,11 +242,16 @@ class Supervisor:
         if self._first_truth_at is None:
             self._first_truth_at = asyncio.get_running_loop().time()
             log.info("the first tick", extra={"seconds": round(self._first_truth_at - self._started_at, 3)})
-        try:
-            for action in self._schedule.due(truth.time, self._agents("running"), self._agents("dead"), list(self.children)):
+            if complaint := self._start.check(truth):
+                log.warning(complaint)
+                self._tell(complaint)
+        for action in self._schedule.due(truth.time, self._agents("running"), self._agents("dead"), list(self.children)):
+            try:
+                if action.verb == REFUSED:
+                    raise BadSetting(action.options["why"])
                 self._act(action)
-        except BadSetting as error:
-            self._tell(f"a fault of the scenario could not be carried out: {error}")
+            except BadSetting as error:
+                self._tell(f"a fault of the scenario could not be carried out: {error}")
 
     def _on_twin(self, name: str, known: int, other: int) -> None:
         """Two processes have one name: an alarm, unless the younger one was started here in place of one that has just been killed."""
@@ -230,6 +260,11 @@ class Supervisor:
             text = f"two processes are called {name}, incarnations {known} and {other}: the older one stops itself"
             log.warning(text)
             self._tell(text)
+
+    def _on_differing(self, name: str, sections: tuple[str, ...]) -> None:
+        text = f"the settings of {name} are not those of the run in {', '.join(sections)}: the others refuse it"
+        log.warning(text)
+        self._tell(text)
 
     # ------------------------------------------------------------------ verbs
 
@@ -255,6 +290,7 @@ class Supervisor:
         verb, names, done = action.verb, action.names, []
         if verb in LINK_VERBS:
             return self._spoil_links(action)
+        self._note_pauses(verb, [name for name in names if self.children[name].is_running])
         for name in names:
             child = self.children[name]
             if verb == "restart":
@@ -269,6 +305,11 @@ class Supervisor:
         log.info(text)
         self._tell(text)
         return text
+
+    def _note_pauses(self, verb: str, names: list[str]) -> None:
+        """Tell the scorer who is paused by order and who no longer is: a paused agent whose token goes has not died."""
+        if verb in ("pause", "resume") or self.scorer.losses.paused.intersection(names):
+            self.scorer.note_fault(verb, f"{verb} {', '.join(names)}", ",".join(names), asyncio.get_running_loop().time())
 
     def _spoil_links(self, action: Action) -> str:
         """Change the links between agents: every agent is told how it hears the others from now on."""
@@ -296,6 +337,7 @@ class Supervisor:
             child.start("--restore", str(self.directory.truth))
         else:
             child.start()
+            self._start.expect()
             self._tell_links(child.name)
 
     def _agents(self, state: str) -> list[str]:
@@ -314,28 +356,12 @@ class Supervisor:
 
     def status(self) -> dict[str, Any]:
         """What `ps` and `watch` show: the swarm as scored, and every process."""
-        swarm = msgspec.to_builtins(self.scorer.status())
-        scored = {agent["name"]: agent for agent in swarm.pop("agents")}
-        rows: list[dict[str, Any]] = []
-        for name, child in self.children.items():
-            state = "paused" if child.paused else "running" if child.is_running else "dead"
-            row: dict[str, Any] = {"name": name, "class": self.scenario.members.get(name, ""), "state": state, "pid": child.pid}
-            row |= {"incarnation": child.incarnation, "end": child.end(), "ended_at": child.ended_at}
-            rows.append({**scored.pop(name, {}), **row})
-        guest = {"class": "", "state": "guest", "pid": None, "end": "", "ended_at": None}  # a process that was not started here
-        rows += [{**agent, **guest} for agent in scored.values() if agent["alive"]]
+        swarm = msgspec.to_builtins(self._status())
+        rows = process_rows(self.children, self.scenario.members, swarm.pop("agents"))
         head = {"run": self.directory.name, "scenario": self.scenario.run.scenario, "endpoint": self._own_network.listen[0]}
         return {**head, "swarm": swarm, "processes": rows, "faults": self.scorer.faults}
 
-    # ------------------------------------------------------------------ endpoints
-
-    def _rooms(self) -> dict[str, str]:
-        return {"world": "world", **dict.fromkeys(self.scenario.members, "agents")}
-
-    def _endpoints(self, name: str) -> list[str]:
-        """The command-line options of a process: a seed listens where all expect it, and nobody dials itself."""
-        own = self._listens.get(name)
-        words = ["--listen", own] if own else []
-        for endpoint in self.scenario.network.seeds:
-            words += ["--seed-endpoint", endpoint] if endpoint != own else []
-        return words
+    def _words(self, name: str, seeds: tuple[str, ...]) -> list[str]:
+        """The command-line options of a process: its endpoints, and of an agent its sensor class."""
+        sensor = ["--sensor", self.scenario.members[name]] if name in self.scenario.members else []
+        return [*endpoints(name, self._listens, seeds), *sensor]

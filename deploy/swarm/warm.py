@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -11,8 +12,10 @@ from typing import Literal
 import numpy as np
 
 from agents.agent import Agent
+from agents.arithmetic import PLAIN, Arithmetic
 from agents.config import AgentConfig, TimingSettings
-from agents.numba_cache import compiled_before, tidy
+from agents.numba_cache import compiled_before, loops_on_disk, tidy
+from deploy.modules import ROOT, command
 from protocol.codec import encode
 from protocol.keys import message_key
 from protocol.messages import Beacon, Gossip, Hello, Observation
@@ -20,11 +23,12 @@ from protocol.node import Alive, Effect, Received, Started, Timer
 from protocol.settings import ArenaSettings, convert
 
 NAMES = ("s1", "s2")
+HALF = ("refresh", "refresh_all")  # functions of the arithmetic that take as long to compile as all others together
 ROUNDS = 24
 LOST = (4, 5)  # ticks in which nobody hears the other
 SKIPPED = (8, 9)  # ticks that s2 does not see
 LATE = 1e3  # s after which every open round closes
-LONGEST = 90.0  # s to wait while somebody else compiles
+LONGEST = 90.0  # s to wait for the next loop while another process compiles
 
 
 def announce() -> None:
@@ -37,41 +41,69 @@ def warm() -> None:
     """Let two agents play a few rounds, good ones and bad ones, so that every compiled loop is in memory; the first time compiles them.
 
     What only a fault calls for must be among them, or the first fault on a machine makes all agents compile, and be silent for it.
-    Of several who begin at once one compiles, and the others wait and load what it has left on disk.
+    Of several processes that begin at once one compiles, and the others wait and load what it has left on disk.
     """
-    interests: tuple[Literal["all", "neighbours"], ...] = ("all", "neighbours")
+    from agents.fast import FAST
+
     with _one_by_one():
-        for interest in interests:
-            arena, timing = ArenaSettings(width=30.0, height=30.0), TimingSettings(interest=interest)
-            _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing))
-        _measure()
+        if not compiled_before() and len(os.sched_getaffinity(0)) > 1:
+            _compile_on_two_cores(FAST)
+        _play_all(FAST)
         tidy()
     convert({"members": {"s1": "A"}}, AgentConfig, "")  # what is looked up about its types once is looked up for all who are forked
 
 
+def _compile_on_two_cores(fast: Arithmetic) -> None:
+    """Leave the loops on disk: one half is compiled here, the other by a second process, which ends with this one."""
+    other = subprocess.Popen(command("deploy.swarm.warm"), cwd=ROOT, stdin=subprocess.PIPE)
+    try:
+        _play_all(PLAIN._replace(**{name: getattr(fast, name) for name in HALF}))
+        other.wait()
+    finally:
+        other.kill()
+        other.communicate()
+
+
+def main() -> None:
+    """Be the second process: compile everything but the first half."""
+    from agents.fast import FAST
+    from protocol.process import die_with_parent
+
+    die_with_parent()
+    _play_all(FAST._replace(**{name: getattr(PLAIN, name) for name in HALF}))
+
+
 @contextlib.contextmanager
 def _one_by_one() -> Iterator[None]:
-    """After the others on this machine who are at it, but those who take too long, for they may have been stopped."""
+    """Hold the folder alone, after the others on this machine that compile; not after one that gets no further, for it may be stopped."""
     from agents.update_kernels import update
 
     descriptor = os.open(str(update.stats.cache_path), os.O_RDONLY)  # the folder in which numba keeps what it has compiled
     try:
-        patience = time.monotonic() + LONGEST
-        while time.monotonic() < patience:
+        done, end = 0, time.monotonic() + LONGEST
+        while time.monotonic() < end:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError:
                 time.sleep(0.05)
+            if loops_on_disk() > done:
+                done, end = loops_on_disk(), time.monotonic() + LONGEST
         yield
     finally:
         os.close(descriptor)
 
 
-def _play(config: AgentConfig) -> None:
-    from agents.fast import FAST
+def _play_all(arithmetic: Arithmetic) -> None:
+    interests: tuple[Literal["all", "neighbours"], ...] = ("all", "neighbours")
+    for interest in interests:
+        arena, timing = ArenaSettings(width=15.0, height=15.0), TimingSettings(interest=interest)  # in some round both hear the same
+        _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing), arithmetic)
+    _measure(arithmetic)
 
-    pair = [Agent(config, name, 1, FAST) for name in NAMES]
+
+def _play(config: AgentConfig, arithmetic: Arithmetic) -> None:
+    pair = [Agent(config, name, 1, arithmetic) for name in NAMES]
     for agent, other in (pair, pair[::-1]):
         agent.handle(Alive("agent", other.name, 1), 0.0)
         _tell(other, agent.handle(Started(), 0.0))
@@ -84,14 +116,12 @@ def _play(config: AgentConfig) -> None:
             agent.handle(Timer(), LATE * (tick + 0.5))
 
 
-def _measure() -> None:
+def _measure(arithmetic: Arithmetic) -> None:
     """Distances from read-only polygons and to parts of arrays, as only a crowd asks for them."""
-    from agents import cell_kernels
-
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    cell_kernels.distances(square, np.zeros((3, 3))[:, :2])
+    arithmetic.distances(square, np.zeros((3, 3))[:, :2])
     square.flags.writeable = False
-    cell_kernels.distances(square, np.zeros((3, 2)))
+    arithmetic.distances(square, np.zeros((3, 2)))
 
 
 def _sees(agent: Agent, tick: int) -> bool:
@@ -111,3 +141,7 @@ def _seen(name: str, tick: int) -> Observation:
     pose = (1.0 + 10.0 * (name == NAMES[1]), 10.0, 3.0)
     detection = bytes(4) + b"\x00\x00\x20\x41"
     return Observation(sender="world", incarnation=1, recipient=name, tick=tick, time=0.0, pose=pose, detections_bytes=detection)
+
+
+if __name__ == "__main__":
+    main()

@@ -2,6 +2,13 @@
 
 Each child is a process of its own: its own Zenoh session, log, process group, random streams and end. The zygote opens no session
 and starts no thread. It ends with its supervisor, and its children with it; `--spawn exec` does without it.
+
+The supervisor never waits for the zygote: it sends requests and hears messages whenever they come, each a JSON object.
+
+    {"number": 3, "words": [...]}   to the zygote: fork a child with this command line; its stdin and its log come along
+    {"ready": true}                 from it: everything has been imported, and compiled
+    {"forked": 3, "pid": 4711}      the child of request 3
+    {"ended": 4711, "code": -9}     a child has ended
 """
 
 import contextlib
@@ -18,18 +25,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
-ROOT = Path(__file__).resolve().parents[2]
-ANSWER_SECONDS = 120.0  # that the zygote may take to import, and on the very first start to compile
+from deploy.modules import ROOT, command
+
+END_SECONDS = 2.0  # for the zygote to end by itself once its children have
 
 
 @dataclass
 class Forked:
-    """A forked child, with the part of subprocess.Popen's face that the supervisor uses."""
+    """A child of the zygote, with the part of subprocess.Popen's face that the supervisor uses."""
 
-    pid: int
     stdin: Any  # the only write end of its stdin
     zygote: "Zygote"
-    returncode: int | None = field(default=None)
+    pid: int | None = None  # None until the zygote has told it
+    returncode: int | None = None
+    signals: list[int] = field(default_factory=list)  # that were sent before the pid was known
 
     def poll(self) -> int | None:
         """The exit code, negative for a signal; None while it runs."""
@@ -44,9 +53,17 @@ class Forked:
         self.stdin.close()
         return self.returncode
 
+    def born(self, pid: int) -> None:
+        """Note the pid, and deliver the signals that have been waiting for it."""
+        self.pid = pid
+        for number in self.signals:
+            self.send_signal(number)
+
     def send_signal(self, number: int) -> None:
         """Send a signal unless it has ended."""
-        if self.poll() is None:
+        if self.returncode is None and self.pid is None:
+            self.signals.append(number)
+        elif self.returncode is None and self.pid is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, number)
 
@@ -56,18 +73,21 @@ class Forked:
 
 
 class Zygote:
-    """The supervisor's end: starts the zygote, asks for children, hears of their ends."""
+    """The supervisor's end: starts the zygote, asks for children, hears of their ends. Nothing here waits but `close`."""
 
     def __init__(self, environment: dict[str, str], log: Path) -> None:
         self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._children: dict[int, Forked] = {}
-        self._ready = False
+        self._requests: dict[int, Forked] = {}  # by number: children of which the pid is not known
+        self._children: dict[int, Forked] = {}  # by pid
+        self._number = 0
+        self.is_ready = False
+        self.is_gone = False
         with log.open("ab") as output:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "deploy.swarm.zygote", str(theirs.fileno())],
+                [*command("deploy.swarm.zygote"), str(theirs.fileno())],
                 cwd=ROOT,
                 env=environment,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,  # its end tells of a supervisor that died before the zygote could ask for a signal
                 stdout=output,
                 stderr=output,
                 pass_fds=[theirs.fileno()],
@@ -76,69 +96,65 @@ class Zygote:
         theirs.close()
 
     def fileno(self) -> int:
-        """For event loops: readable when a child has ended."""
+        """For event loops: readable when there is something to collect."""
         return self._channel.fileno()
-
-    def wait_until_ready(self) -> None:
-        """Wait until everything has been imported; at once when it has."""
-        with contextlib.suppress(OSError):
-            if not self._ready:
-                self._answer("ready")
-            self._ready = True
 
     def fork(self, words: list[str], log: Path) -> Forked:
         """A new agent process with this command line; raises OSError when the zygote is gone."""
+        if self.is_gone:
+            raise OSError("the zygote has ended")
+        self._number += 1
+        request = json.dumps({"number": self._number, "words": words}).encode()
         read, write = os.pipe()
         try:
             with log.open("ab") as output:
-                socket.send_fds(self._channel, [json.dumps(words).encode()], [read, output.fileno()])
-            pid = self._answer("forked")
+                socket.send_fds(self._channel, [request], [read, output.fileno()])
         except OSError:
             os.close(write)
             raise
         finally:
             os.close(read)
-        child = self._children[pid] = Forked(pid, os.fdopen(write, "wb"), self)
+        child = self._requests[self._number] = Forked(os.fdopen(write, "wb"), self)
         return child
 
-    def _answer(self, to: str) -> int:
-        """The value of the first message that holds `to`; other messages are noted on the way."""
-        end = time.monotonic() + ANSWER_SECONDS
-        while time.monotonic() < end:
-            if select.select([self._channel], [], [], 1.0)[0]:
-                message = self._receive()
-                if to in message:
-                    return message[to]
-        raise OSError("the zygote does not answer")
-
     def collect(self) -> None:
-        """Hear who has ended; if the zygote itself has, all its children have."""
+        """Hear what the zygote has told; if it has ended, all its children have."""
         try:
-            while select.select([self._channel], [], [], 0.0)[0]:
-                self._receive()
+            while not self.is_gone and select.select([self._channel], [], [], 0.0)[0]:
+                data = self._channel.recv(4096)
+                if not data:
+                    raise ConnectionResetError
+                self._hear(json.loads(data))
         except OSError:
-            for child in self._children.values():
+            self.is_gone = True
+            for child in (*self._children.values(), *self._requests.values()):
                 child.returncode = -signal.SIGKILL
             self._children.clear()
+            self._requests.clear()
 
-    def _receive(self) -> dict[str, int]:
-        data = self._channel.recv(4096)
-        if not data:
-            raise OSError("the zygote has ended")
-        message: dict[str, int] = json.loads(data)
-        if "ended" in message and message["ended"] in self._children:
+    def _hear(self, message: dict[str, int]) -> None:
+        if "ready" in message:
+            self.is_ready = True
+        elif "forked" in message:
+            child = self._children[message["pid"]] = self._requests.pop(message["forked"])
+            child.born(message["pid"])
+        elif "ended" in message:
             self._children.pop(message["ended"]).returncode = message["code"]
-        return message
+
+    def kill(self) -> None:
+        """End it at once, and with it its children."""
+        self._process.kill()
 
     def close(self) -> None:
         """End the zygote; the children must have ended before, or they go with it."""
-        for child in self._children.values():
+        for child in (*self._children.values(), *self._requests.values()):
             child.stdin.close()
         self._channel.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(2.0)
+        if self.is_ready:  # else it compiles, and hears nothing
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(END_SECONDS)
         self._process.kill()
-        self._process.wait()
+        self._process.communicate()
 
 
 def serve(channel: socket.socket) -> None:
@@ -149,7 +165,7 @@ def serve(channel: socket.socket) -> None:
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
     signal.set_wakeup_fd(waker.fileno())
     gc.collect()
-    channel.send(json.dumps({"ready": 1}).encode())
+    channel.send(json.dumps({"ready": True}).encode())
     gc.freeze()  # so that collections in a child do not copy the pages of what was imported
     while True:
         ready, _, _ = select.select([channel, awake], [], [])
@@ -160,6 +176,7 @@ def serve(channel: socket.socket) -> None:
             data, descriptors, _, _ = socket.recv_fds(channel, 65536, 2)
             if not data:
                 return
+            request = json.loads(data)
             pid = os.fork()
             if pid == 0:
                 signal.set_wakeup_fd(-1)
@@ -167,12 +184,12 @@ def serve(channel: socket.socket) -> None:
                 os.setpgid(0, 0)  # Ctrl-C in the terminal is the supervisor's alone
                 for end in (channel, awake, waker):
                     end.close()
-                _be_agent(json.loads(data), descriptors)
+                _be_agent(request["words"], descriptors)
             with contextlib.suppress(OSError):
                 os.setpgid(pid, pid)  # here as well as in the child, so that it holds whoever comes first
             for descriptor in descriptors:
                 os.close(descriptor)
-            channel.send(json.dumps({"forked": pid}).encode())
+            channel.send(json.dumps({"forked": request["number"], "pid": pid}).encode())
 
 
 def _report(channel: socket.socket) -> None:

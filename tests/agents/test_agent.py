@@ -2,13 +2,15 @@
 
 import math
 
+import msgspec
 import pytest
 
 from agents.agent import EXIT_FENCED, Agent
 from agents.config import AgentConfig, ControlSettings, TimingSettings
 from agents.greetings import CROWD, EARLY, SOON
+from protocol.agreement import whole
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
-from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, BadSetting, RunSettings
 
@@ -254,3 +256,45 @@ def test_an_impossible_word_does_not_raise_the_dead() -> None:
     agent.handle(word(1, unused=30.0), 1.2)
     agent.handle(see(1), 1.3)
     assert agent.outcome.belief.mine.claim.names == ("s1",)
+
+
+def test_somebody_with_other_settings_is_named_once_counted_each_time_and_still_heard() -> None:
+    agent = met()
+    other = {"settings": {**CONFIG.agreed(), "filter": 1, "arena": 2}}
+    effects = agent.handle(hello("s7", **other), 0.1)
+    text = "the settings of s7 differ from those of s1 in arena, filter: it computes another PHD and is refused"
+    assert effects == [Warn(text)] and agent.handle(hello("s7", **other), 0.2) == []
+    assert agent.counters["rejected.settings"] == 2
+    assert [type(effect) for effect in agent.handle(hello("s7", incarnation=2, **other), 0.3)] == [Warn]  # a process of its own
+    due = agent.deadline()
+    assert due is not None
+    assert "s7" in only(agent.handle(Timer(), due), Hello).heard  # type: ignore[attr-defined]
+
+
+def test_a_world_of_another_arena_is_a_warning() -> None:
+    agent = Agent(CONFIG, "s1")
+    agent.handle(Started(), 0.0)
+    world = Hello(sender="world", incarnation=1, role="world", settings={"arena": 1})
+    assert agent.handle(Received(world), 0.1) == [Warn("the settings of world differ from those of s1 in arena")]
+    assert agent.handle(see(0), 0.2)
+
+
+def test_a_beacon_of_other_settings_is_refused() -> None:
+    config = msgspec.structs.replace(CONFIG, timing=TimingSettings(interest="neighbours"))
+    agent, right = Agent(config, "s1"), whole(config.agreed())
+    seen = Beacon(
+        sender="s2",
+        incarnation=1,
+        tick=0,
+        position=(1.0, 1.0),
+        cod=(2.0, 1.0),
+        power_radius=1.0,
+        reach=8.0,
+        column=0,
+        row=0,
+        sensor_class="B",
+    )
+    for settings, known in [(right ^ 2, set()), (0, {"s2"}), (right, {"s2", "s3"})]:
+        agent.handle(Received(msgspec.structs.replace(seen, sender="s3" if settings == right else "s2", settings=settings)), 0.1)
+        assert agent.neighbours.peers.keys() == known
+    assert agent.counters["rejected.settings"] == 1

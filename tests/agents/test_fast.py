@@ -108,7 +108,7 @@ def words(rng: np.random.Generator, particles: Particles, width: float = math.in
 
 
 def step(seed: int = 3, tick: int = 7, **filters: Any) -> Step:
-    return Step(AgentConfig(run=RunSettings(seed=seed, dt=0.5), arena=ARENA, filter=FilterSettings(**filters)), tick)
+    return Step(AgentConfig(run=RunSettings(dt=0.5), arena=ARENA, filter=FilterSettings(seed=seed, **filters)), tick)
 
 
 def test_every_function_is_compared_here() -> None:
@@ -205,8 +205,8 @@ def test_distances(seed: int, count: int, places: int) -> None:
 @some
 def test_births(seed: int, count: int, share: float, wanted: bool) -> None:
     birth = BirthSettings(background_particles=count, border_share=share, background=wanted)
-    run, arena = RunSettings(seed=seed, dt=0.5), ArenaSettings(width=SIDE, height=2.0 * SIDE)
-    assert_same("births", Step(AgentConfig(run=run, arena=arena, birth=birth), seed % 1000))
+    run, filters, arena = RunSettings(dt=0.5), FilterSettings(seed=seed), ArenaSettings(width=SIDE, height=2.0 * SIDE)
+    assert_same("births", Step(AgentConfig(run=run, filter=filters, arena=arena, birth=birth), seed % 1000))
 
 
 @given(seeds, st.integers(0, 60), st.sampled_from(["cross", "reflect"]), st.floats(0.0, 2.0))

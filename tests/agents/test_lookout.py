@@ -18,7 +18,7 @@ from protocol.settings import ArenaSettings, RunSettings
 CONFIG = AgentConfig(
     members={"s1": "A", "s2": "A", "s3": "A"},
     arena=ArenaSettings(width=200.0, height=200.0),
-    timing=TimingSettings(interest="neighbours"),
+    timing=TimingSettings(interest="neighbours", tile=18.0),
     run=RunSettings(dt=1.0),
 )
 GOSSIP, TOKEN = one_of(CONFIG.run.name, "gossip", "s2"), tokens_of(CONFIG.run.name, "agent", "s2")
@@ -50,6 +50,20 @@ def look(watcher: Lookout, tick: int, x: float) -> list[Effect]:
     watcher.hear(beacon("s2", tick, x))
     watcher.hear(beacon("s3", tick, 60.0))
     return about_s2(watcher.look(HOME, beacon("s1", tick, 10.0), tick))
+
+
+def test_how_far_the_widest_sensor_reaches_is_passed_on_from_beacon_to_beacon() -> None:
+    watcher = lookout()
+    watcher.hear(msgspec.structs.replace(beacon("s2", 0, 30.0), widest_reach=25.0, widest_offset=7.0, widest_radius=20.0))
+    said = [effect for effect in watcher.answer() if isinstance(effect, Beacon)]
+    assert [(one.widest_reach, one.widest_offset, one.widest_radius) for one in said] == [(25.0, 7.0, 20.0)]
+
+
+def test_an_announced_sensor_counts_though_its_beacon_says_nothing_of_others() -> None:
+    watcher = lookout()
+    watcher.hear(msgspec.structs.replace(beacon("s2", 0, 30.0), sensor_class="D"))
+    [said] = watcher.answer()
+    assert isinstance(said, Beacon) and said.widest_reach == 25.0
 
 
 def test_who_goes_and_comes_back_is_listened_to_all_the_while() -> None:

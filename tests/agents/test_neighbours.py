@@ -1,5 +1,6 @@
 """Who is there: tokens, greetings and gossips decide who bounds the diagram of a tick and whose word a round waits for."""
 
+import msgspec
 import pytest
 
 from agents.config import AgentConfig
@@ -12,6 +13,11 @@ CONFIG = AgentConfig(members={"s1": "A", "s2": "B", "s3": "C"})  # a silent peer
 
 def hello(name: str, incarnation: int = 1, sensor_class: str = "B") -> Hello:
     return Hello(sender=name, incarnation=incarnation, sensor_class=sensor_class)
+
+
+def differing(name: str) -> Hello:
+    """Of somebody who works in another arena."""
+    return msgspec.structs.replace(hello(name), settings={**CONFIG.agreed(), "arena": 1})
 
 
 def gossip(name: str, tick: int, incarnation: int = 1, listening: bool = False, radius: float = 2.0, cod: float = 3.0) -> Gossip:
@@ -221,3 +227,31 @@ def test_a_calm_round_is_heard_at_once_as_it_would_be_one_by_one(arrived: list[t
         names = [name for name, _ in arrived[:calm]]
         assert awaited == {"s2", "s3", "s4"} - set(names) == peers.missing(1)
         assert set(peers.fresh(1)) == set(names)
+
+
+def test_a_peer_of_other_settings_is_refused_and_waited_for_by_nobody() -> None:
+    peers = neighbours("s3")
+    peers.alive("s2", 1)
+    assert peers.greet(differing("s2")) == "settings"
+    assert peers.peers["s2"].differs == ("arena",) and not peers.strangers()
+    assert set(peers.missing(0)) == {"s3"} and peers.hear(gossip("s2", 0)) == "settings"
+    assert peers.hear(gossip("s3", 0)) is None
+    assert generators(peers, 0) == ["s3"] and peers.close(0) == 0
+
+
+def test_a_spoilt_greeting_neither_shuts_out_a_peer_that_agreed_nor_keeps_one_out_for_ever() -> None:
+    peers = neighbours("s2")
+    assert peers.greet(differing("s2")) == "settings"
+    assert peers.hear(gossip("s2", 0)) is None
+    peers.alive("s3", 1)
+    assert peers.greet(differing("s3")) == "settings" and peers.greet(hello("s3")) is None
+    assert peers.hear(gossip("s3", 0)) is None and generators(peers, 0) == ["s2", "s3"]
+
+
+def test_a_peer_that_comes_back_with_the_right_settings_is_a_peer_again() -> None:
+    peers = neighbours("s2")
+    peers.alive("s3", 1)
+    peers.greet(differing("s3"))
+    peers.gone("s3", 1, 3)
+    peers.alive("s3", 2)
+    assert peers.greet(hello("s3", 2)) is None and list(peers.circle) == ["s2", "s3"]

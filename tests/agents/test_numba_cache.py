@@ -1,6 +1,7 @@
 """What is compiled and kept on disk is never older than its source."""
 
 import ast
+import fcntl
 import os
 import shutil
 import subprocess
@@ -58,6 +59,41 @@ def test_a_loop_is_compiled_anew_when_one_that_it_calls_in_another_file_changes(
     assert run(tmp_path)[:2] == (10.0, 0)
     source.write_text(INNER)
     assert run(tmp_path)[:2] == (8.0, 1)  # as before
+
+
+def test_a_process_that_has_compiled_a_loop_keeps_it_when_no_other_does(tmp_path: Path) -> None:
+    package = tmp_path / "agents"
+    package.mkdir()
+    shutil.copy(HERE / "numba_cache.py", package)
+    (package / "__init__.py").touch()
+    (package / "outer_kernels.py").write_text(OUTER)
+    (package / "inner_kernels.py").write_text(INNER)
+    place = run(tmp_path)[2].parent
+    (package / "inner_kernels.py").write_text(INNER.replace("1.0", "3.0"))
+    place = place.with_name(folder_of(tmp_path))
+    place.mkdir()
+    held = os.open(place, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    try:
+        with subprocess.Popen([sys.executable, "-c", PROGRAM], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as other:
+            with pytest.raises(subprocess.TimeoutExpired):
+                other.wait(5.0)
+            assert not list(place.glob("*/*.nb?"))
+            os.close(held)
+            held = -1
+            assert other.communicate(timeout=110)[0].startswith("12.0 0 ")
+        assert len(list(place.glob("*/*.nb?"))) == 2
+    finally:
+        if held >= 0:
+            os.close(held)
+
+
+def folder_of(place: Path) -> str:
+    """The name of the folder for the loops of a small package."""
+    program = "from agents.numba_cache import folder; print(folder().name)"
+    return subprocess.run(
+        [sys.executable, "-c", program], cwd=place, capture_output=True, text=True, timeout=110, check=True
+    ).stdout.strip()
 
 
 def test_where_the_sources_cannot_be_written_loops_lie_in_the_folder_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

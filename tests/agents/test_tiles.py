@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from agents.config import AgentConfig
-from agents.tiles import Box, Rectangle, Tiling, bounds_of
+from agents.capacity import sensor_facts
+from agents.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
+from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings
 
 TILING = Tiling(25.0, ArenaSettings(width=110.0, height=60.0))  # five columns, the last 10 m wide, and three rows
@@ -28,9 +29,19 @@ def test_the_box_of_a_rectangle_holds_it() -> None:
     assert TILING.around((0, 2), 1).tiles() == [(0, 1), (0, 2), (1, 1), (1, 2)]
 
 
-def test_the_bounds_are_the_largest_of_the_team() -> None:
-    """Class D: 240 degrees, 25 m, p_d 0.99; class B: 45 degrees, 8 m. The COD of D lies 2 R sin(120 deg) / (3 * 2 pi / 3) ahead."""
-    bounds = bounds_of(AgentConfig(members={"s1": "B", "s2": "D"}))
+def of_class(name: str) -> Bounds:
+    return bounds_of(SENSOR_CLASSES[name], sensor_facts(SENSOR_CLASSES[name]))
+
+
+def test_what_two_do_not_exceed_is_the_larger_of_each() -> None:
+    narrow, long = Bounds(8.0, 5.0, 3.0), Bounds(25.0, 2.0, 3.0)
+    assert narrow.wider(long) == long.wider(narrow) == Bounds(25.0, 5.0, 3.0)
+    assert narrow.wider(Bounds(1.0, 5.0, 0.0)) is narrow
+
+
+def test_the_bounds_of_a_sensor_are_its_reach_its_cod_and_the_radius_of_its_whole_capability() -> None:
+    """Class D: 240 degrees, 25 m, p_d 0.99. Its COD lies 2 R sin(120 deg) / (3 * 2 pi / 3) ahead."""
+    bounds = of_class("D")
     half = math.radians(120.0)
     assert bounds.reach == 25.0
     assert bounds.offset == pytest.approx(2.0 * 25.0 * math.sin(half) / (3.0 * half))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.capacity import sensor_facts
-from deploy.examples.sensors import DATA, RangeFalling, SampledGrid
+from covey.examples.sensors import DATA, RangeFalling, SampledGrid
 from deploy.scenario import resolve
 from deploy.simulate import simulate
 from protocol.geometry import polygon_area

@@ -46,7 +46,15 @@ def test_each_name_gets_a_certificate_that_the_authority_has_signed_and_a_key_th
         context.load_cert_chain(folder / f"{name}.pem", folder / f"{name}.key")  # raises when they do not belong together
     assert {mode(file) for file in folder.glob("*.key")} == {0o600}
     assert mode(folder) == 0o700
-    assert sorted(file.name for file in folder.iterdir()) == ["a_b.c.key", "a_b.c.pem", "ca.key", "ca.pem", "s1.key", "s1.pem"]
+    assert sorted(file.name for file in folder.iterdir()) == [
+        ".gitignore",
+        "a_b.c.key",
+        "a_b.c.pem",
+        "ca.key",
+        "ca.pem",
+        "s1.key",
+        "s1.pem",
+    ]
 
 
 def test_a_later_name_is_signed_by_the_same_authority_and_nothing_is_overwritten_unless_forced(tmp_path: Path) -> None:
@@ -102,3 +110,15 @@ def test_the_command_knows_the_names_of_a_scenario_and_complains_in_one_line(tmp
     (tmp_path / "file").write_text("")
     with pytest.raises(BadSetting, match="--into"):
         keys(["s9"], None, tmp_path / "file", (), 10, False)
+
+
+def test_keys_are_kept_out_of_git_and_out_of_work_trees_unless_that_is_asked_for(tmp_path: Path) -> None:
+    (tmp_path / ".git").mkdir()
+    folder = tmp_path / "deep" / "keys"
+    with pytest.raises(
+        BadSetting, match=r"lies in the git work tree .*, where ca\.key is soon published; take another folder, or --in-git"
+    ):
+        make_keys(["s1"], folder)
+    assert not folder.exists()
+    make_keys(["s1"], folder, in_git=True)
+    assert (folder / ".gitignore").read_text() == "*\n"

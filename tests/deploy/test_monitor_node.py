@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deploy.commands.display import process_cells
 from deploy.monitor_node import Scorer, hole_and_overlap
-from deploy.scenario import Scenario, resolve
+from deploy.scenario import Scenario, agent_config, resolve
 from protocol.fields import pack
 from protocol.geometry import polygon_area
-from protocol.messages import Estimate, Gossip, Truth
+from protocol.messages import Estimate, Gossip, Hello, Truth
 from protocol.node import Alive, Gone, Received, Started, Subscribe
 
 LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])
@@ -204,3 +205,18 @@ def test_two_cells_whose_common_border_differs_in_the_last_digit_do_not_swallow_
     second += [[33.62261710078804, 0.0], [40.0, 0.0], [40.0, 12.166848100513812]]
     area = polygon_area(np.array(first)) + polygon_area(np.array(second))
     assert hole_and_overlap([np.array(first), np.array(second)], area) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_an_agent_of_other_settings_is_told_of_once_and_named_in_the_table_of_processes(scenario: Scenario) -> None:
+    scorer, told = Scorer(scenario), list[tuple[str, tuple[str, ...]]]()
+    scorer.on_differing = lambda name, sections: told.append((name, sections))
+    right = agent_config(scenario).agreed()
+    for settings in ({**right, "filter": 1, "arena": 2}, {**right, "filter": 1, "arena": 2}, {}):
+        scorer.handle(Received(Hello(sender="b", incarnation=1, settings=settings)), 0.0)
+        scorer.handle(Received(Hello(sender="a", incarnation=1, settings=right)), 0.0)
+        if len(settings):
+            assert [agent.differs for agent in scorer.status().agents] == [[], ["arena", "filter"]]
+    assert told == [("b", ("arena", "filter"))]
+    assert [agent.differs for agent in scorer.status().agents] == [[], []]
+    row = {"name": "b", "class": "B", "state": "running", "pid": 7, "incarnation": 1, "differs": ["arena", "filter"]}
+    assert process_cells(row)[2] == "running, refused: other arena, filter"

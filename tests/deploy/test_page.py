@@ -16,10 +16,12 @@ from deploy.monitor.picture import Picture
 from deploy.monitor.server import Address, Client, PageServer, address_of
 from deploy.monitor.source import LiveSource
 from deploy.monitor_node import Score, Scorer
+from deploy.onlookers import Onlookers
 from deploy.scenario import resolve
 from deploy.simulate import Simulation
 from deploy.swarm.rundir import RunDirectory
 from protocol.endpoints import free_port
+from protocol.node import Gone
 from protocol.settings import BadSetting
 
 
@@ -247,3 +249,75 @@ def test_links_can_be_cut_from_the_page_where_the_scenario_allows_link_faults() 
         assert ("partition" in source.about(True)["verbs"], "heal" in source.about(True)["verbs"]) == (allowed, allowed)
         assert "kill" in source.about(True)["verbs"]
         assert source.about(False)["verbs"] == []
+
+
+def watched(ticks: int) -> tuple[Simulation, PageServer]:
+    """A simulation of 12 ticks with a page beside it, played for some of them."""
+    simulation = Simulation(resolve("quick", {"run.seconds": 3.0, "run.dt": 0.25, "team.composition": "3E"}))
+    server = PageServer(LiveSource(simulation.scorer, Picture(simulation.scenario), None), Address("127.0.0.1", 0, True))
+    Onlookers(simulation.scorer, None, server)
+    while simulation.scorer.truth is None or simulation.scorer.truth.tick < ticks - 1:
+        simulation.bus.step()
+    simulation.bus.step(simulation.bus.now)
+    return simulation, server
+
+
+def states(server: PageServer) -> list[str]:
+    return [known.state for known in server.source.picture.agents.values()]
+
+
+def leave(simulation: Simulation, *tokens: tuple[str, str]) -> None:
+    for role, name in tokens:
+        simulation.scorer.handle(Gone(role, name, 1), simulation.bus.now)  # type: ignore[arg-type]
+
+
+def test_who_leaves_after_the_last_tick_of_the_world_is_no_dead_on_the_page() -> None:
+    simulation, server = watched(12)
+    leave(simulation, ("world", "world"), ("agent", "s1"), ("agent", "s2"))
+    assert states(server) == ["alive"] * 3
+    assert server.is_frozen
+
+
+def test_who_leaves_after_the_run_has_been_scored_is_no_dead_on_the_page() -> None:
+    simulation, server = watched(6)
+    simulation.scorer.finish(simulation.bus.now)
+    leave(simulation, ("agent", "s1"), ("world", "world"))
+    assert states(server) == ["alive"] * 3
+    assert server.is_frozen
+
+
+def test_a_world_that_dies_in_the_middle_is_not_the_end_of_the_page() -> None:
+    simulation, server = watched(6)
+    leave(simulation, ("world", "world"), ("agent", "s1"))
+    assert states(server) == ["dead", "alive", "alive"]
+    assert not server.is_frozen
+
+
+def test_a_frame_says_that_the_run_is_over_and_how_fast_it_went() -> None:
+    async def scene() -> None:
+        simulation, server = watched(12)
+        url = server.bind()
+        await server.open()
+        try:
+            async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws") as ws:
+                first = await frame_of(ws)
+                assert "over" not in first and first["pace"][1:] == [None, 0, 0]
+                simulation.scorer.finish(simulation.bus.now)
+                assert (await frame_of(ws))["over"] is True
+                async with session.get(f"{url}api/frame") as answer:
+                    assert (await answer.json())["over"] is True
+        finally:
+            await server.close()
+
+    asyncio.run(scene())
+
+
+def test_a_paused_agent_whose_token_goes_is_paused_on_the_page_until_it_is_killed() -> None:
+    simulation, server = watched(6)
+    simulation.scorer.note_fault("pause", "pause s1, s2", "s1,s2")
+    leave(simulation, ("agent", "s1"))
+    assert states(server) == ["paused", "paused", "alive"]
+    simulation.scorer.note_fault("kill", "kill s1", "s1")
+    simulation.scorer.note_fault("resume", "resume s2", "s2")
+    assert states(server) == ["dead", "alive", "alive"]
+    assert [kill.name for kill in simulation.scorer.result(0.0).kills] == ["s1"]

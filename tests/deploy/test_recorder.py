@@ -196,13 +196,18 @@ def test_faults_that_do_not_show_by_themselves_stand_in_the_recording(tmp_path: 
     recorder.see(received(command(1)), 0.0)
     recorder.note_fault(Fault(12.25, "partition", "cut off s1"))
     recorder.see(received(command(2)), 0.0)
+    recorder.note_fault(Fault(13.0, "pause", "pause s2, s3", "s2,s3"))
     recorder.note_fault(Fault(14.0, "heal", "all links are clear again"))
     data = (tmp_path / "a.mcap").read_bytes()  # as a kill would leave it
     recorder.close()
     if not whole:
         (tmp_path / "a.mcap").write_bytes(data)
     recording = Recording(tmp_path / "a.mcap")
-    assert recording.faults == [(12.25, "partition", "cut off s1"), (14.0, "heal", "all links are clear again")]
+    assert recording.faults == [
+        (12.25, "partition", "cut off s1", ""),
+        (13.0, "pause", "pause s2, s3", "s2,s3"),
+        (14.0, "heal", "all links are clear again", ""),
+    ]
     assert len(list(recording.entries())) == 2
     assert recording.is_whole == whole
 

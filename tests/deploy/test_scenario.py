@@ -112,10 +112,10 @@ def test_the_scenarios_of_the_paper_have_the_numbers_of_section_iv() -> None:
 
 
 def test_agents_and_world_read_the_same_file_each_its_own_sections() -> None:
-    data = {"run": {"seed": 4}, "targets": {"count": 3}, "filter": {"gate": 5.0}, "team": {"composition": "2"}}
+    data = {"run": {"dt": 0.5}, "targets": {"count": 3}, "filter": {"gate": 5.0}, "team": {"composition": "2"}}
     assert convert(data, AgentConfig, "x").filter.gate == 5.0
     assert convert(data, WorldConfig, "x").targets.count == 3
-    assert convert(data, Common, "x").run.seed == 4
+    assert convert(data, Common, "x").run.dt == 0.5
 
 
 def test_options_are_laid_over_the_file() -> None:

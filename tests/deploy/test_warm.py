@@ -30,7 +30,8 @@ struck += (fault(13.0, "join", "s20", **{"class": "A"}),)
 for scene in (ledger(*struck), tracking(*struck), tracking(*struck, timing__interest="neighbours", filter__border="reflect")):
     for clock in ("realtime", "lockstep"):
         watch(scene, clock=clock, arithmetic=fast())
-assert before
+from agents.numba_cache import loops_on_disk, number_of_loops
+assert before and loops_on_disk() == number_of_loops()  # what the progress of the first start counts
 print(sorted(compiled() - before))
 """
 
@@ -38,6 +39,21 @@ print(sorted(compiled() - before))
 def test_after_warming_up_no_fault_makes_anybody_compile() -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=ROOT, capture_output=True, text=True, timeout=110, check=False)
     assert (done.stdout, done.returncode) == ("[]\n", 0), done.stdout + done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core compiles by itself")
+def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    program = "from deploy.swarm import warm; warm.warm(); import resource; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime)"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=880, check=False)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) > 5.0  # s of the second process
+    program = "from agents.fast import FAST; from deploy.swarm import warm; warm.warm(); print(warm.compiled_before())"
+    program += "; from agents.round_kernels import refresh; print(sum(refresh.stats.cache_misses.values()))"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=110, check=False)
+    assert done.stdout.split() == ["True", "0"], done.stderr
 
 
 def test_who_warms_up_while_another_does_waits_for_it() -> None:

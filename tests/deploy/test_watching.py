@@ -4,12 +4,13 @@ import json
 from collections.abc import Callable
 
 import pytest
+import zenoh
 
 from deploy.field import swarm_map
-from deploy.watching import Heard, Listener, Rates, block, expression, fields, plain_line
+from deploy.watching import LOOK, SILENCE, Heard, Listener, Rates, block, expression, fields, kinds, lies_in, plain_line
 from protocol import codec
 from protocol.messages import Command, Truth
-from protocol.node import Alive, Received, Rejected, Started, Stop, Subscribe, Timer
+from protocol.node import Alive, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.settings import BadSetting
 
 COMMAND = Command(sender="s1", incarnation=1, tick=7, velocity=(1.0, 2.0), turn_rate=0.5)
@@ -70,6 +71,66 @@ def test_a_listener_stops_when_its_time_is_up_and_knows_who_is_there() -> None:
     assert node.deadline() == 12.0
     assert node.handle(Timer(), 12.0) == [Stop(0, "time is up")]
     assert node.tokens == {("agent", "s1", 4)}
+
+
+def silent(wanted: str, heard: list[Heard], told: list[list[str]]) -> Listener:
+    def on_heard(one: Heard, now: float) -> bool:
+        heard.append(one)
+        return True
+
+    return Listener("r", "echo-1", wanted, on_heard, on_silence=told.append)
+
+
+def test_after_a_silence_a_listener_looks_where_something_is_said_tells_it_once_and_listens_on() -> None:
+    heard: list[Heard] = []
+    told: list[list[str]] = []
+    node = silent("covey/r/nothing", heard, told)
+    assert node.handle(Started(), 1.0) == [Subscribe("covey/r/nothing")]
+    assert node.deadline() == 1.0 + SILENCE
+    everything = "covey/r/**"
+    assert node.handle(Timer(), 1.0 + SILENCE) == [Unsubscribe("covey/r/nothing"), Subscribe(everything)]
+    assert node.handle(received(COMMAND), 4.5) == [] and told == []
+    assert node.handle(Timer(), 1.0 + SILENCE + LOOK) == [Subscribe("covey/r/nothing"), Unsubscribe(everything)]
+    assert told == [["covey/r/command/s1"]] and node.deadline() is None
+    assert node.handle(received(COMMAND), 6.5) == [] and heard == [], "what was on its way is not what was asked for"
+    assert node.handle(Rejected("x", "kind", "covey/r/nothing", b""), 7.0) == []
+    assert [one.key for one in heard] == ["covey/r/nothing"]
+
+
+def test_what_is_wanted_and_comes_while_it_looks_is_handed_on_and_nothing_is_told() -> None:
+    heard: list[Heard] = []
+    told: list[list[str]] = []
+    node = silent("covey/r/command/*", heard, told)
+    node.handle(Started(), 0.0)
+    node.handle(Timer(), SILENCE)
+    assert node.handle(received(COMMAND), SILENCE + 0.5) == [Subscribe("covey/r/command/*"), Unsubscribe("covey/r/**")]
+    assert len(heard) == 1 and told == [] and node.deadline() is None
+
+
+def test_whoever_hears_something_in_time_is_told_nothing_and_silence_under_all_keys_needs_no_look() -> None:
+    told: list[list[str]] = []
+    node = silent("covey/r/command/*", [], told)
+    node.handle(Started(), 0.0)
+    node.handle(received(COMMAND), 1.0)
+    assert node.deadline() is None
+    node = silent("covey/r/**", [], told)
+    node.handle(Started(), 0.0)
+    assert node.handle(Timer(), SILENCE) == [] and told == [[]]
+
+
+@pytest.mark.parametrize(
+    "wanted", ["covey/r/estimate/s3", "covey/r/*/s3", "covey/**", "**/s3", "covey/r/estimate/$*3", "covey/**/estimate/*"]
+)
+def test_a_key_lies_in_an_expression_or_not(wanted: str) -> None:
+    keys = ["covey/r/estimate/s3", "covey/r/truth", "covey/r/estimate/s4", "covey/r/beacon/1/2/s5"]
+    inside = [lies_in(wanted, key) for key in keys]
+    assert inside == ([True] * 4 if wanted == "covey/**" else [True, False, wanted.endswith("estimate/*"), False])
+    assert inside == [zenoh.KeyExpr(wanted).intersects(zenoh.KeyExpr(key)) for key in keys]
+
+
+def test_keys_are_named_by_kind() -> None:
+    keys = ["covey/r/truth", "covey/r/gossip/s1", "covey/r/gossip/s2", "covey/r/beacon/3/4/s1"]
+    assert kinds(keys) == "beacon/** (1 key), gossip/** (2 keys), truth"
 
 
 def test_a_known_message_is_printed_as_json_with_its_arrays_spelled_out() -> None:

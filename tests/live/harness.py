@@ -4,12 +4,14 @@ Nothing here measures by waiting: a test waits for a condition, or reads in the 
 """
 
 import contextlib
+import fcntl
 import json
 import math
 import os
 import signal
 import subprocess
 import sys
+import termios
 import time
 import tomllib
 from collections.abc import Callable
@@ -68,17 +70,31 @@ class Covey:
         (folder / "ledger.toml").write_text(LEDGER)
 
     def start(
-        self, *words: str, module: str = "deploy", limit: Callable[[], None] | None = None, variables: dict[str, str] | None = None
+        self,
+        *words: str,
+        module: str = "deploy",
+        limit: Callable[[], None] | None = None,
+        variables: dict[str, str] | None = None,
+        terminal: int | None = None,
     ) -> subprocess.Popen[str]:
-        """The command, or another module as a program, running."""
+        """The command, or another module as a program, running; with a `terminal` in front on it, in a session of its own."""
+        pipe = subprocess.PIPE if terminal is None else terminal
+
+        def take_terminal() -> None:
+            if terminal is not None:
+                fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+            if limit is not None:
+                limit()
+
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", module, *words],
             cwd=self.folder,
             env={**self._environment, **(variables or {})},
-            preexec_fn=limit,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            preexec_fn=take_terminal,
+            start_new_session=terminal is not None,
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
             text=True,
         )
         self.started.append(process)
@@ -120,16 +136,15 @@ class Covey:
         """The status once all processes run and the world's time has begun."""
         return self.wait(lambda data: data["swarm"]["tick"] >= 1 and all(row["state"] == "running" for row in data["processes"]))
 
-    def seeds(self, run: str = "covey") -> tuple[str, ...]:
+    def seeds(self, run: str = "latest") -> tuple[str, ...]:
         """Where the processes of a run can be dialled."""
         return tuple(tomllib.loads((self.runs / run / "run.toml").read_text())["network"]["seeds"])
 
-    def by_hand(self, name: str, incarnation: int, sensor_class: str = "") -> subprocess.Popen[str]:
+    def by_hand(self, name: str, incarnation: int, sensor_class: str = "", config: Path | None = None) -> subprocess.Popen[str]:
         """One more agent process of the running swarm, which the supervisor knows nothing of; of a class, if it is no member."""
-        config = self.folder / f"{name}.toml"
-        member = f'[members]\n{name} = "{sensor_class}"\n' if sensor_class else "[members]\n"
-        config.write_text((self.runs / "covey" / "run.toml").read_text().replace("[members]\n", member))
-        return self.start("--name", name, "--config", str(config), "--incarnation", str(incarnation), "--supervised", module="agents")
+        sensor = ("--sensor", sensor_class) if sensor_class else ()
+        words = ("--name", name, *sensor, "--config", str(config or self.runs / "latest" / "agents.toml"))
+        return self.start(*words, "--incarnation", str(incarnation), "--supervised", module="agents")
 
     def processes(self) -> set[int]:
         """Every process that runs for this test, by the variable that all of them have inherited; no zombies."""
@@ -154,7 +169,7 @@ class Covey:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 
-    def last_words(self, run: str = "covey") -> str:
+    def last_words(self, run: str = "latest") -> str:
         """The end of every log, for whoever must find out why a test failed."""
         logs = sorted((self.runs / run / "logs").glob("*.jsonl"))
         return "\n".join(f"{log.stem}: {log.read_text(errors='replace')[-300:]}" for log in logs)
@@ -163,7 +178,7 @@ class Covey:
 class Journal:
     """What a recorded run has said, when (Unix time, s), and how each tick was scored."""
 
-    def __init__(self, covey: Covey, run: str = "covey") -> None:
+    def __init__(self, covey: Covey, run: str = "latest") -> None:
         recording = Recording(covey.runs / run / "recording.mcap")
         self.heard: list[tuple[float, Event]] = [(entry.published / 1e9, event_of(entry)) for entry in recording.entries()]
         self.scores = {score.tick: score for score in rescore(recording).scores}

@@ -65,7 +65,7 @@ def ends_of(covey: Covey) -> dict[str, float]:
     """When the supervisor killed whom, Unix time, s."""
     import json
 
-    lines = map(json.loads, (covey.runs / "covey" / "logs" / "supervisor.jsonl").read_text().splitlines())
+    lines = map(json.loads, (covey.runs / "latest" / "logs" / "supervisor.jsonl").read_text().splitlines())
     return {line["message"].removeprefix("killed "): line["time"] for line in lines if line["message"].startswith("killed ")}
 
 

@@ -1,6 +1,7 @@
 """Who comes late, comes back, or comes twice: processes started by hand beside those of the supervisor."""
 
 import statistics
+from pathlib import Path
 
 import pytest
 
@@ -69,3 +70,39 @@ def test_of_two_processes_with_one_name_the_older_leaves_with_code_3_and_the_use
     print(f"the older left {1000.0 * (left[0] - came[0]):.0f} ms after the younger came")
     assert (came[1], left[1]) == (1000, 1) and left[0] - came[0] <= 1.0
     assert 0.99 <= statistics.median(journal.masses(tick + 4)) <= 1.01
+
+
+def test_who_filters_with_other_settings_is_refused_and_named_to_the_user(covey: Covey) -> None:
+    supervisor = covey.start(*LEDGER)
+    covey.wait(lambda data: data["swarm"]["tick"] >= 8)
+    text = (covey.runs / "latest" / "agents.toml").read_text()
+    assert "gate = 6.0" in text
+    other = covey.folder / "other.toml"
+    other.write_text(text.replace("gate = 6.0", "gate = 5.0"))
+    covey.by_hand("s20", 1, "L", other)
+    covey.wait(lambda data: rows(data).get("s20", {}).get("differs") == ["filter"])
+    assert "guest, refused: other filter" in covey.run("ps")[1]
+    assert covey.run("down")[0] == 0
+    output, _ = supervisor.communicate(timeout=60)
+    assert "the settings of s20 are not those of the run in filter: the others refuse it" in output
+    warned = "the settings of s20 differ from those of s1 in filter: it computes another PHD and is refused"
+    assert (covey.runs / "latest" / "logs" / "s1.jsonl").read_text().count(warned) == 1
+
+
+@pytest.mark.parametrize("interest", ["all", "neighbours"])
+def test_no_agent_process_is_given_a_word_of_the_worlds(covey: Covey, interest: str) -> None:
+    """Neither its files nor its command line nor its environment hold the seed of the world or how fast targets are."""
+    secrets = ("987654321", "1.73205")
+    settings = (f"targets.speed={secrets[1]}", f"timing.interest={interest}")
+    covey.start("up", "quick", "--seed", secrets[0], "--seconds", "1000", *(word for each in settings for word in ("--set", each)))
+    covey.running()
+    data = covey.status()
+    assert data is not None
+    for row in data["processes"]:
+        if row["name"] != "world":
+            known = [Path(f"/proc/{row['pid']}/{file}").read_bytes().decode() for file in ("cmdline", "environ")]
+            known += [(covey.runs / "latest" / name).read_text() for name in ("agents.toml", f"logs/{row['name']}.jsonl")]
+            assert str(covey.runs / "latest" / "agents.toml") in known[0] or "deploy.swarm.zygote" in known[0]
+            assert not [secret for secret in secrets for text in known if secret in text]
+    assert covey.run("down")[0] == 0
+    covey.wait_until_gone()

@@ -59,7 +59,7 @@ def test_a_recorder_that_is_killed_a_page_that_is_stopped_and_a_browser_that_rea
     at = covey.wait(lambda data: data["swarm"]["tick"] > begin + 150)["swarm"]["tick"]
     result = ended(supervisor)
     assert at < result["ticks"] == 1600 and result["transcript"] == transcript(400.0)
-    assert Recording(covey.folder / "beside.mcap").run == "covey"
+    assert Recording(covey.folder / "beside.mcap").run == (covey.runs / "latest").readlink().name
     browser.close()
     page.kill()
 
@@ -73,7 +73,7 @@ def test_a_full_disk_ends_the_recording_with_a_warning_and_not_the_run(covey: Co
     assert process.returncode == 0 and "Traceback" not in complaints
     assert "recording.mcap: File too large; the recording ended early" in complaints
     assert json.loads(output.splitlines()[-1])["transcript"] == transcript(60.0)
-    file = covey.runs / "covey" / "recording.mcap"
+    file = covey.runs / "latest" / "recording.mcap"
     assert 0 < file.stat().st_size <= ROOM and len(list(Recording(file).entries())) > 100
 
 

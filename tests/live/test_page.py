@@ -12,7 +12,7 @@ import pytest
 from deploy.records.recording import Recording, event_of
 from protocol.messages import Estimate, Truth
 from protocol.node import Received
-from tests.live.harness import Covey, rows
+from tests.live.harness import ROOT, Covey, rows
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs the Python package playwright")
 CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
@@ -29,6 +29,13 @@ PATIENCE = 120_000.0  # ms; reached only when something hangs
 KILL_SECONDS = 2.0  # from the click until the body is grey, its cell taken over, and the time line says so
 ALIVE_SECONDS = 5.0  # from the address of the demo until the page is alive
 BUSY = 5.0  # times the limits that the page promises: other tests run beside this one; docs/watching.md has what a quiet machine takes
+
+
+SLOW = """
+import sys, time
+if "deploy.swarm.zygote" in sys.orig_argv:
+    time.sleep(20.0)
+"""
 
 
 @pytest.fixture
@@ -159,7 +166,7 @@ def test_what_the_page_shows_is_what_was_recorded(covey: Covey, page: Any) -> No
     page.goto("about:blank")  # a page that is open would complain that its server has gone
     assert covey.run("down")[0] == 0
     process.wait(timeout=60)
-    events = map(event_of, Recording(covey.folder / "runs" / "covey" / "recording.mcap").entries())
+    events = map(event_of, Recording(covey.folder / "runs" / "latest" / "recording.mcap").entries())
     messages = [event.message for event in events if isinstance(event, Received)]
     truth = next(message for message in messages if isinstance(message, Truth) and message.tick == shown["tick"])
     assert shown["targets"] == pytest.approx(truth.targets.ravel(), abs=0.006)
@@ -195,3 +202,14 @@ def test_a_replay_plays_pauses_is_scrubbed_and_changes_its_speed(covey: Covey, p
     assert page.evaluate("covey.frame.score[0]") == pytest.approx(page.evaluate("covey.frame.time"))
     page.click("#play")
     until(page, "covey.frame.time > 21")
+
+
+def test_the_page_says_what_the_start_waits_for_until_it_begins(covey: Covey, page: Any) -> None:
+    (covey.folder / "sitecustomize.py").write_text(SLOW)
+    process = covey.start(*LONG, variables={"PYTHONPATH": f"{covey.folder}:{ROOT}"})
+    page.goto(address(process))
+    waiting = "document.getElementById('waiting')"
+    until(page, f"!{waiting}.hidden && {waiting}.textContent === 'loading the compiled loops'")
+    assert page.evaluate("covey.frame.tick") == -1
+    until(page, f"covey.frame.tick > 0 && {waiting}.hidden")
+    assert covey.run("down")[0] == 0

@@ -13,7 +13,6 @@ from tests.live.harness import BOUND, Covey
 
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.timeout(400)]
 LAST_SECOND = 1.0  # s that a recorder which is killed may lose
-SPARE = 3.0  # s more for a machine that is busy
 
 
 def truths(path: Path) -> list[tuple[int, float]]:
@@ -26,6 +25,7 @@ def truths(path: Path) -> list[tuple[int, float]]:
     return found
 
 
+@pytest.mark.alone
 def test_a_recorder_that_is_killed_loses_the_last_second_and_nobody_notices(covey: Covey) -> None:
     covey.start("up", "quick", "--seconds", "1000", "--rate", "2", "--record")
     covey.running()
@@ -43,12 +43,14 @@ def test_a_recorder_that_is_killed_loses_the_last_second_and_nobody_notices(cove
     killed_at = time.time()
 
     recording = Recording(file)
-    (first, _), (tick, heard_at) = truths(file)[0], truths(file)[-1]
+    (first, _), (tick, _) = truths(file)[0], truths(file)[-1]
     assert not recording.is_whole
-    assert killed_at - heard_at < LAST_SECOND + SPARE
+    lost = killed_at - max(entry.published for entry in recording.entries()) / 1e9
+    print(f"the last {lost:.2f} s are lost")
+    assert lost <= LAST_SECOND
     covey.wait(lambda data: data["swarm"]["tick"] > heard + 4)
     assert covey.run("down")[0] == 0
-    whole = {entry.payload for entry in Recording(covey.folder / "runs" / "covey" / "recording.mcap").entries()}
+    whole = {entry.payload for entry in Recording(covey.folder / "runs" / "latest" / "recording.mcap").entries()}
     messages = [entry for entry in recording.entries() if isinstance(event_of(entry), Received) and 0.25 * first < entry.time < 0.25 * tick]
     assert len(messages) > 0
     assert all(entry.payload in whole for entry in messages)
@@ -57,7 +59,7 @@ def test_a_recorder_that_is_killed_loses_the_last_second_and_nobody_notices(cove
 @pytest.mark.parametrize("pace", [("--lockstep",), ("--rate", "4")])
 def test_a_recording_alone_gives_the_figures_of_the_live_run(covey: Covey, pace: tuple[str, ...]) -> None:
     live = covey.result("up", "quick", "--seconds", "10", "--kill", "s3@4", "--record", *pace)
-    again = covey.result("score", "covey")
+    again = covey.result("score", "latest")
     assert again["transcript"] == live["transcript"]
     assert again["ticks"] == live["ticks"] > 30
     for name in ("mean_ospa", "steady_ospa", "final_ospa", "mean_gospa", "final_gospa", "cardinality_error", "hole_area", "overlap_area"):
@@ -82,7 +84,7 @@ def test_a_swarm_that_was_cut_in_two_is_cut_in_every_recording(covey: Covey) -> 
     assert covey.run("down")[0] == 0
     process.wait(timeout=BOUND)
     recorder.wait(timeout=BOUND)
-    recording = Recording(covey.folder / "runs" / "covey" / "recording.mcap")
+    recording = Recording(covey.folder / "runs" / "latest" / "recording.mcap")
     assert [(fault.verb, fault.text) for fault in recording.faults] == [
         ("partition", "cut off s1, s2"),
         ("heal", "all links are clear again"),

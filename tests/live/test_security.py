@@ -130,11 +130,11 @@ async def until_there(file: Path) -> NetworkSettings:
 def test_nothing_that_a_stranger_or_an_insider_forges_is_delivered_and_strangers_hear_nothing(covey: Covey) -> None:
     assert covey.run("keys", "--scenario", "quick", "--into", "ours")[0] == 0
     make_keys(["s2"], covey.folder / "theirs")
-    supervisor = covey.start("up", "quick", "--keys", "ours", "--lockstep", "--json", "--seconds", "20")
+    supervisor = covey.start("up", "quick", "--run", RUN, "--keys", "ours", "--lockstep", "--json", "--seconds", "20")
     eavesdropper = Eavesdropper()
 
     async def scene() -> dict[str, Stranger]:
-        network = await until_there(covey.folder / "runs" / "covey" / "run.toml")
+        network = await until_there(covey.folder / "runs" / "latest" / "run.toml")
         assert all(seed.startswith("tls/127.0.0.1:") for seed in network.seeds)
         watcher = live.Driver(eavesdropper, network)
         watching = asyncio.create_task(watcher.serve())
@@ -173,7 +173,7 @@ def test_nothing_that_a_stranger_or_an_insider_forges_is_delivered_and_strangers
     simulated = simulate(resolve("quick", {"run.seconds": 20.0}))
     assert result["transcript"] == simulated.transcript
     assert result["ticks"] == simulated.ticks
-    for log in (covey.folder / "runs" / "covey" / "logs").glob("s[1-6].jsonl"):
+    for log in (covey.folder / "runs" / "latest" / "logs").glob("s[1-6].jsonl"):
         assert '"rejected"' not in log.read_text() and '"error"' not in log.read_text(), log
 
 

@@ -152,7 +152,10 @@ def test_an_agent_process_by_hand_refuses_an_unknown_name_and_a_missing_file(cov
     root = Path(__file__).parents[2]
     (covey.folder / "run.toml").write_text('[members]\ns1 = "A"\n')
     for words, complaint in [
-        (("--name", "s9", "--config", "run.toml"), "agents: --name s9: the scenario has no such member; it has s1"),
+        (
+            ("--name", "s9", "--config", "run.toml"),
+            "agents: --name s9: the roster has no such member; it has s1. --sensor CLASS says which sensor it carries",
+        ),
         (("--name", "s1", "--config", "nowhere.toml"), "agents: nowhere.toml: there is no such file"),
     ]:
         done = subprocess.run(

@@ -36,7 +36,7 @@ def test_the_cells_of_the_rest_cover_the_arena_again_after_one_and_after_five_de
         assert ordered <= kill["tick"] < 110
         assert kill["closed_ticks"] is not None and kill["closed_ticks"] <= 3
     assert result["ticks"] == 120
-    logs = Path(covey.folder / "runs" / "covey" / "logs").glob("s*.jsonl")
+    logs = Path(covey.folder / "runs" / "latest" / "logs").glob("s*.jsonl")
     assert not any('"level": "error"' in log.read_text() for log in logs)
 
 
@@ -59,10 +59,10 @@ def test_in_real_time_a_dead_body_stands_still_and_a_restarted_agent_finds_it_th
 
 
 def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> None:
-    supervisor = covey.start("up", "quick", "--lockstep", "--json", "--seconds", "60", *PATIENT)
+    supervisor = covey.start("up", "quick", "--run", "covey", "--lockstep", "--json", "--seconds", "60", *PATIENT)
 
     async def vandal() -> int:
-        config = covey.folder / "runs" / "covey" / "run.toml"
+        config = covey.folder / "runs" / "latest" / "run.toml"
         while not config.is_file() or not config.read_text():
             await asyncio.sleep(0.02)
         seeds = tuple(tomllib.loads(config.read_text())["network"]["seeds"])
@@ -85,7 +85,7 @@ def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> Non
     simulated = simulate(resolve("quick", {"run.seconds": 60.0}))
     assert thrown > 100
     assert result["transcript"] == simulated.transcript
-    logs = list((covey.folder / "runs" / "covey" / "logs").glob("s*.jsonl"))
+    logs = list((covey.folder / "runs" / "latest" / "logs").glob("s*.jsonl"))
     assert any('"rejected"' in log.read_text() for log in logs)
 
 

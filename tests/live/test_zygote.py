@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deploy.swarm.processes import child_environment
-from deploy.swarm.zygote import Zygote
+from deploy.swarm.zygote import Forked, Zygote
 
 pytestmark = pytest.mark.live
 
@@ -23,8 +23,17 @@ def ended(pid: int) -> bool:
 @pytest.fixture
 def zygote(tmp_path: Path) -> Zygote:
     made = Zygote(child_environment(), tmp_path / "zygote.log")
-    made.wait_until_ready()
+    while not made.is_ready:
+        made.collect()
+        time.sleep(0.02)
     return made
+
+
+def pid_of(child: Forked) -> int:
+    """Its process id, as soon as the zygote has told it."""
+    while child.pid is None:
+        child.zygote.collect()
+    return child.pid
 
 
 def test_bad_input_ends_the_child_with_code_2_and_one_line(zygote: Zygote, tmp_path: Path) -> None:
@@ -38,15 +47,15 @@ def test_a_killed_child_is_reported_and_the_others_live_until_the_zygote_goes(zy
     config = tmp_path / "run.toml"
     config.write_text('[members]\ns1 = "A"\ns2 = "A"\n', encoding="utf-8")
     one, other = (zygote.fork(["--name", name, "--config", str(config), "--supervised"], tmp_path / f"{name}.log") for name in ("s1", "s2"))
-    assert one.pid != other.pid and os.getpgid(one.pid) == one.pid
+    assert pid_of(one) != pid_of(other) and os.getpgid(pid_of(one)) == one.pid
     one.kill()
     assert one.wait() == -signal.SIGKILL
     assert other.poll() is None
     zygote.close()
     end = time.monotonic() + 20.0
-    while not ended(other.pid) and time.monotonic() < end:
+    while not ended(pid_of(other)) and time.monotonic() < end:
         time.sleep(0.02)
-    assert ended(other.pid)
+    assert ended(pid_of(other))
 
 
 @pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="Linux only")
@@ -57,7 +66,7 @@ def test_in_lockstep_agents_let_each_other_finish_and_in_real_time_nobody_is_hel
     child = zygote.fork(["--name", "s1", "--config", str(config), "--supervised"], tmp_path / "s1.log")
     wanted = os.SCHED_BATCH if clock == "lockstep" else os.SCHED_OTHER
     end = time.monotonic() + 20.0
-    while time.monotonic() < end and (threads := policies(child.pid)) != {wanted}:
+    while time.monotonic() < end and (threads := policies(pid_of(child))) != {wanted}:
         time.sleep(0.02)
     assert threads == {wanted}
     zygote.close()

@@ -4,9 +4,10 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from protocol.sensing import SENSOR_CLASSES, WedgeSensor
+from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
 from protocol.settings import (
     ArenaSettings,
     BadSetting,
@@ -44,9 +45,11 @@ class Camera:
 
     def probability(self, points: Any, pose: Any) -> Any:
         """Nothing is ever seen."""
+        return np.zeros(len(points))
 
     def footprint(self, pose: Any) -> Any:
-        """Nowhere."""
+        """A triangle."""
+        return np.array([[0.0, 0.0], [self.reach, 0.0], [0.0, self.reach]])
 
 
 class Blind:
@@ -60,13 +63,13 @@ WRONG = [
     ({"run": {"dt": math.nan}}, "run.dt = nan: should be a number >= 0.01"),
     ({"run": {"dt": 11}}, "run.dt = 11: should be a number <= 10.0"),
     ({"run": {"dt": "fast"}}, "run.dt = 'fast': should be a number, got a text"),
-    ({"run": {"seed": -1}}, "run.seed = -1: should be a whole number >= 0"),
-    ({"run": {"seed": 1.5}}, "run.seed = 1.5: should be a whole number, got a number"),
-    ({"run": {"seed": True}}, "run.seed = True: should be a whole number, got true or false"),
+    ({"network": {"most_per_second": 0}}, "network.most_per_second = 0: should be a whole number >= 1"),
+    ({"network": {"most_per_second": 1.5}}, "network.most_per_second = 1.5: should be a whole number, got a number"),
+    ({"network": {"most_per_second": True}}, "network.most_per_second = True: should be a whole number, got true or false"),
     ({"run": {"clock": "sundial"}}, "run.clock = 'sundial': should be one of realtime, lockstep"),
     ({"run": {"name": "two words"}}, "run.name = 'two words': should be 1 to 64 letters, digits, or any of _ . -"),
     ({"run": {"name": "newline\n"}}, "run.name = 'newline\\n': should be 1 to 64 letters, digits, or any of _ . -"),
-    ({"run": {"sead": 1}}, "run.sead: there is no such field; did you mean seed?"),
+    ({"run": {"nane": 1}}, "run.nane: there is no such field; did you mean name?"),
     ({"run": 3}, "run = 3: should be a table, got a whole number"),
     ({"rum": {}}, "rum: there is no such field; did you mean run?"),
     ({"zzz": {}}, "zzz: there is no such field; known are run, arena, detection, limits, network, sensors, members, listed"),
@@ -125,9 +128,9 @@ def test_the_number_of_ticks_is_the_rounded_quotient_and_never_zero() -> None:
 
 def test_a_file_is_loaded(tmp_path: Path) -> None:
     path = tmp_path / "run.toml"
-    path.write_text('[run]\nseed = 7\n[members]\ns1 = "A"\n', encoding="utf-8")
+    path.write_text('[run]\nrate = 7\n[members]\ns1 = "A"\n', encoding="utf-8")
     settings = load(path, Common)
-    assert (settings.run.seed, settings.members) == (7, {"s1": "A"})
+    assert (settings.run.rate, settings.members) == (7.0, {"s1": "A"})
 
 
 def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
@@ -176,7 +179,7 @@ def test_360_degrees_is_a_full_disc() -> None:
 
 def test_a_sensor_model_of_the_users_own_is_built_with_its_parameters() -> None:
     camera = sensor_of(Common(sensors={"X": SensorSettings(model=f"{__name__}:Camera", parameters={"reach": 9.0})}), "X")
-    assert (type(camera).__name__, camera.reach, camera.area) == ("Camera", 9.0, 81.0)
+    assert isinstance(camera, SensorModel) and (camera.reach, camera.area) == (9.0, 81.0)
 
 
 @pytest.mark.parametrize(

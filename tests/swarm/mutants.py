@@ -13,12 +13,12 @@ import pytest
 from agents import speech
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic, in_steps
+from agents.config import AgentConfig
 from agents.neighbours import Neighbours, Peer
 from agents.particles import Particles, select
 from agents.round import Outcome, Self
 from deploy.chaos import fuzz
 from deploy.chaos.fuzz import Case
-from deploy.scenario import Scenario
 from protocol.messages import Gossip, Observation
 from protocol.streams import key, scramble
 
@@ -45,21 +45,22 @@ def no_keyed_noise(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     calls = iter(range(10**9))
 
     def gather(particles, births, polygon, eye, reach, step):  # type: ignore[no-untyped-def]
-        run = msgspec.structs.replace(step.config.run, seed=next(calls))
-        return PLAIN.gather(particles, births, polygon, eye, reach, step._replace(config=msgspec.structs.replace(step.config, run=run)))
+        filters = msgspec.structs.replace(step.config.filter, seed=next(calls))
+        config = msgspec.structs.replace(step.config, filter=filters)
+        return PLAIN.gather(particles, births, polygon, eye, reach, step._replace(config=config))
 
     return fuzz.play(case, arithmetic=in_its_steps(PLAIN._replace(gather=gather)))
 
 
 def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    def build(scenario: Scenario, name: str, incarnation: int, arithmetic: Arithmetic) -> Agent:
+    def build(config: AgentConfig, name: str, incarnation: int, arithmetic: Arithmetic, sensor_class: str) -> Agent:
         def update(particles, words, polygon, step):  # type: ignore[no-untyped-def]
             updated = PLAIN.update(particles, words, polygon, step)
-            salt = key(scenario.run.seed, "birth", step.tick, key("sensor", name))
+            salt = key(config.filter.seed, "birth", step.tick, key("sensor", name))
             mine = scramble(np.arange(10000, dtype=np.uint64), salt)
             return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
 
-        return Agent(scenario, name, incarnation, in_its_steps(PLAIN._replace(update=update)))
+        return Agent(config, name, incarnation, in_its_steps(PLAIN._replace(update=update)), sensor_class)
 
     return fuzz.play(case, build=build)
 

@@ -38,12 +38,12 @@ def test_bytes_on_the_wire_change_nothing() -> None:
 
 @pytest.mark.parametrize("interest", ["all", "neighbours"])
 def test_taking_what_comes_in_an_instant_together_changes_nothing(interest: str) -> None:
-    """Whoever watches every event makes the driver hand out the messages one by one."""
+    """The bus hands out messages one by one, or as batches."""
     faults = fault(2.0, "kill", "25%", seconds=2.0), fault(3.0, "pause", "1", seconds=1.0), fault(4.0, "slow", "1", 0.3, seconds=2.0)
     alone, together = [], []
-    for said, tap in ((alone, lambda node, event: None), (together, None)):
+    for said, batches in ((alone, False), (together, True)):
         simulation = Simulation(tracking(*faults, run__seconds=8.0, timing__interest=interest))
-        simulation.bus.tap = tap
+        simulation.bus.batches = batches
         result = simulation.run()
         counters = {name: dict(agent.counters) for name, agent in simulation.agents.items()}
         said += [result.transcript, simulation.bus.messages, simulation.bus.deliveries, counters]

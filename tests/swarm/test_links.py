@@ -28,9 +28,10 @@ def test_at_ten_per_cent_loss_nobody_is_taken_for_dead() -> None:
     def look(tick: int, simulation: Simulation) -> None:
         worst.append(max(peer.missed for agent in simulation.agents.values() for peer in agent.neighbours.peers.values()))
 
-    watch(ledger(fault(0.0, "drop", "100%", 0.1), run__seconds=60.0), clock="realtime", at_tick=look)
+    scenario = ledger(fault(0.0, "drop", "100%", 0.1), run__seconds=60.0)
+    watch(scenario, clock="realtime", at_tick=look)
     print(f"{max(worst)} rounds of silence in a row at most")
-    assert 0 < max(worst) < 4 + 1
+    assert 0 < max(worst) < scenario.timing.silent_rounds
 
 
 def test_copies_and_overtaking_change_nothing_when_nothing_comes_too_late() -> None:
@@ -64,10 +65,28 @@ def test_a_partition_heals_to_one_claim_per_place(kind: str, tokens: bool, clock
     assert relative(seen, 14.0).min() >= 0.99 and relative(seen, 14.0).max() <= 1.01
 
 
+@pytest.mark.slow
+def test_redrawn_particles_leave_a_healed_partition_a_twentieth_off_at_most() -> None:
+    """With 300 particles an owner, every cell is redrawn in each tick, and the two sides hold different samples of one PHD.
+
+    After the heal a place counts for the side whose generator is nearer there. Sensors drive to where their own sample is dense, so the
+    nearer side has the larger mass there: the sum is 2 % too large in the mean.
+    """
+    cut, masses = fault(5.0, "partition", "50%", seconds=6.0), []
+    for seed in range(1, 9):
+        seen = watch(ledger(cut, run__seconds=15.0, run__seed=seed, filter__least_particles=300))
+        healed = relative(seen, 12.0)
+        assert np.ptp(healed) < 1e-6
+        masses.append(healed[0])
+    print("mass after the heal: " + ", ".join(f"{mass:.3f}" for mass in masses))
+    assert min(masses) >= 0.95 and max(masses) <= 1.05
+    assert abs(float(np.mean(masses)) - 1.0) <= 0.03
+
+
 def test_each_side_of_a_partition_covers_the_whole_arena() -> None:
     seen = watch(ledger(fault(5.0, "partition", "s1,s2,s3,s4", seconds=6.0)))
     apart = slice(seen.at(8.0), seen.at(10.5))
-    assert max(seen.holes[apart]) == 0.0
+    assert max(seen.holes[apart]) <= 1e-12  # areas of polygons are rounded
     assert np.allclose(seen.overlaps[apart], 1.0, atol=1e-9)
     assert np.allclose(np.array(seen.masses[apart]) / seen.masses[0], 2.0, atol=0.02)
 

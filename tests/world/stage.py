@@ -6,8 +6,8 @@ import msgspec
 
 from protocol.messages import Command, Hello
 from protocol.node import Alive, Effect, Event, Received, Started
-from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
-from world.config import BodySettings, TargetSettings, WorldConfig
+from protocol.settings import ArenaSettings, DetectionSettings
+from world.config import BodySettings, TargetSettings, WorldConfig, WorldRun
 from world.world import World
 
 T = TypeVar("T")
@@ -17,7 +17,7 @@ POSES = {"s1": (10.0, 10.0, 0.0), "s2": (30.0, 30.0, 1.0)}
 def config(clock: str = "lockstep", **run: object) -> WorldConfig:
     settings = {"seconds": 10.0, "dt": 0.5, "clock": clock, "patience": 5.0, "start_timeout": 60.0, **run}
     return WorldConfig(
-        run=msgspec.convert(settings, RunSettings),
+        run=msgspec.convert(settings, WorldRun),
         arena=ArenaSettings(width=40.0, height=40.0),
         detection=DetectionSettings(clutter=0.5),
         members={"s1": "A", "s2": "B"},

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from protocol.agreement import agreed, common_sections
 from protocol.messages import Hello, Observation, Truth
 from protocol.node import Alive, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import BadSetting
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started
 from world.config import WorldConfig
-from world.world import HELLO_PERIOD, World
+from world.world import EXIT_INCOMPLETE, HELLO_PERIOD, World
 
 # ---------------------------------------------------------------- the start line
 
@@ -18,7 +19,8 @@ def test_the_world_listens_to_hellos_and_commands_and_says_hello() -> None:
     world = World(config(), incarnation=3)
     effects = feed(world, Started())
     assert [effect.expression for effect in of_kind(Subscribe, effects)] == ["covey/covey/hello/*", "covey/covey/command/*"]
-    assert of_kind(Hello, effects) == [Hello(sender="world", incarnation=3, role="world")]
+    settings = agreed(common_sections(config()))
+    assert of_kind(Hello, effects) == [Hello(sender="world", incarnation=3, role="world", settings=settings)]
     assert world.deadline() == HELLO_PERIOD
 
 
@@ -68,11 +70,44 @@ def test_it_goes_on_with_who_is_there_when_the_time_is_up() -> None:
     assert [one.recipient for one in of_kind(Observation, feed(world, Timer(), now=102.2))] == ["s2"]
 
 
-def test_it_does_not_start_alone() -> None:
+def test_it_does_not_start_alone_and_the_time_before_the_first_agent_does_not_count() -> None:
     world = World(config(start_timeout=2.0), incarnation=1)
     feed(world, Started())
     assert of_kind(Observation, feed(world, Timer(), now=50.0)) == []
-    assert [one.recipient for one in of_kind(Observation, feed(world, Alive("agent", "s1", 1), now=50.1))] == ["s1"]
+    assert of_kind(Observation, feed(world, Alive("agent", "s1", 1), Timer(), now=51.0)) == []
+    assert of_kind(Observation, feed(world, Timer(), now=52.9)) == []
+    assert [one.recipient for one in of_kind(Observation, feed(world, Timer(), now=53.2))] == ["s1"]
+
+
+def test_it_waits_as_long_as_agents_keep_coming_and_find_each_other() -> None:
+    world = World(config(start_timeout=2.0), incarnation=1)
+    feed(world, Started(), Alive("agent", "s1", 1), hello("s1", heard=()), now=10.0)
+    assert of_kind(Observation, feed(world, Timer(), hello("s1", heard=("world",)), Alive("agent", "s2", 1), now=11.9)) == []
+    assert of_kind(Observation, feed(world, Timer(), hello("s2", heard=("s1",)), now=13.8)) == []
+    assert of_kind(Observation, feed(world, Timer(), hello("s2", heard=("s1",)), now=15.7)) == []  # says nothing new
+    assert [one.recipient for one in of_kind(Observation, feed(world, Timer(), now=16.0))] == ["s1", "s2"]
+
+
+def test_it_waits_without_limit_for_agents_that_a_parent_expects_and_no_longer_for_one_that_has_ended() -> None:
+    world = World(config(start_timeout=2.0), incarnation=1)
+    world.expect(("s1", "s2"))
+    feed(world, Started(), Alive("agent", "s1", 1), hello("s1", heard=("world",)))
+    assert of_kind(Observation, feed(world, Timer(), now=10_000.0)) == []
+    world.expect(("s1",))
+    assert [one.recipient for one in of_kind(Observation, feed(world, Timer(), now=10_001.0))] == ["s1"]
+
+
+def test_a_strict_world_stops_when_an_agent_does_not_come() -> None:
+    world = World(config(start_timeout=2.0, strict=True), incarnation=1)
+    feed(world, Started(), Alive("agent", "s1", 1), hello("s1", heard=("world",)), now=10.0)
+    assert of_kind(Stop, feed(world, Timer(), now=11.9)) == []
+    assert feed(world, Timer(), now=12.2)[1:] == [Stop(EXIT_INCOMPLETE, "not all agents are ready, and the run is strict")]
+    assert not world.started and world.deadline() is None
+
+
+def test_a_strict_world_starts_with_all() -> None:
+    world, effects = started(config(strict=True))
+    assert len(of_kind(Observation, effects)) == 2 and world.started
 
 
 def test_truth_tells_watchers_what_the_agents_must_not_know() -> None:

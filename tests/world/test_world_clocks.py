@@ -32,6 +32,37 @@ def test_lockstep_goes_on_without_a_silent_agent_and_its_body_stands_still() -> 
     assert world.late_commands == 1
 
 
+def test_a_paced_lockstep_holds_a_tick_back_until_its_time_and_changes_nothing_else() -> None:
+    world, _ = started(config(pace=0.25), now=10.0)  # 0.5 s of the world in 2 s
+    assert feed(world, command("s1", 0), command("s2", 0), now=10.1) == []
+    assert world.deadline() == 12.0
+    assert feed(world, Timer(), now=11.9) == []
+    paced = feed(world, Timer(), now=12.0)
+    free, _ = started(config())
+    assert [one.detections_bytes for one in of_kind(Observation, paced)] == [
+        one.detections_bytes for one in of_kind(Observation, feed(free, command("s1", 0), command("s2", 0)))
+    ]
+    assert of_kind(Truth, paced)[0].tick == 1
+    assert world.bodies.poses == free.bodies.poses
+    assert world.late_commands == 0
+
+
+def test_a_paced_lockstep_waits_for_the_slow_as_ever_and_makes_up_for_less_than_one_tick() -> None:
+    world, _ = started(config(pace=0.25))
+    assert world.deadline() == 5.0  # the patience
+    feed(world, command("s1", 0))
+    assert of_kind(Truth, feed(world, command("s2", 0), now=3.0))[0].tick == 1  # 1 s late
+    feed(world, command("s1", 1), command("s2", 1), now=3.1)
+    assert world.deadline() == 4.0
+    feed(world, Timer(), now=4.0)
+    feed(world, command("s1", 2))
+    feed(world, command("s2", 2), now=8.9)  # 2.9 s late: a whole tick is given up
+    feed(world, command("s1", 3), command("s2", 3), now=9.0)
+    assert world.tick == 4
+    feed(world, command("s1", 4), command("s2", 4), now=9.1)
+    assert world.deadline() == 10.9
+
+
 def test_a_timer_before_its_time_does_nothing() -> None:
     world, _ = started(config())
     assert feed(world, Timer(), now=4.9) == []

@@ -11,13 +11,13 @@ from protocol import codec
 from protocol.fields import pack
 from protocol.messages import Truth
 from protocol.node import Alive, Started, Timer
-from protocol.settings import BadSetting, RunSettings
+from protocol.settings import BadSetting
 from world.__main__ import KeptWorld, read_truth
-from world.config import WorldConfig
+from world.config import WorldConfig, WorldRun
 from world.world import World
 
 ROOT = Path(__file__).resolve().parents[2]
-CONFIG = WorldConfig(run=RunSettings(start_timeout=1.0), members={"s1": "A"})
+CONFIG = WorldConfig(run=WorldRun(start_timeout=1.0), members={"s1": "A"})
 
 
 def run_a_little(node: KeptWorld) -> list[Truth]:

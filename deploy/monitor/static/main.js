@@ -66,6 +66,8 @@ function picture(data) {
   for (const one of frame.happenings) state.happenings.set(one[0], one);
   if (!state.frame || frame.time !== state.frame.time) remember(frame);
   state.frame = frame;
+  if (frame.over && !over) { over = true; link("the run is over", true); }
+  else if (!frame.over && !frame.play) link(frame.advice ? `live; ${frame.advice}` : "live", Boolean(frame.advice));
   append(state.history, frame.score, state.rate);
   schedule();
 }
@@ -109,6 +111,8 @@ function draw() {
   arena.draw();
   if (!state.frame) return;
   const { frame, hello } = state, now = performance.now();
+  $("waiting").textContent = frame.waiting ?? "";
+  $("waiting").hidden = !frame.waiting;
   $("clock").textContent = frame.tick < 0 ? "starting" : `${frame.time.toFixed(1)} of ${(hello.ticks * hello.dt).toFixed(0)} s · tick ${frame.tick}`;
   if (frame.play) play(frame.play, frame.time);
   if (now - tableAt > TABLE_PERIOD) {

@@ -31,4 +31,4 @@ export function alpha(hex, share) {
   return hex + Math.round(255 * share).toString(16).padStart(2, "0");
 }
 
-export const GLYPHS = { lost: "✕", back: "▲", joined: "▲", twin: "⚠", silent: "◌", paused: "‖", heard: "●", asked: "☞", partition: "≠", heal: "=", links: "≈", world: "■" };
+export const GLYPHS = { lost: "✕", back: "▲", joined: "▲", twin: "⚠", silent: "◌", paused: "‖", heard: "●", asked: "☞", told: "→", partition: "≠", heal: "=", links: "≈", world: "■" };

@@ -12,7 +12,7 @@ export function element(tag, attributes = {}, ...children) {
 }
 
 // ---------------------------------------------------------------- figures
-const FIGURES = ["OSPA", "GOSPA", "targets", "in cells", "alive", "hole", "overlap", "messages"];
+const FIGURES = ["OSPA", "GOSPA", "targets", "in cells", "alive", "hole", "overlap", "messages", "ticks", "skipped"];
 
 export function buildFigures(box) {
   box.replaceChildren(...FIGURES.map((name) => element("div", { id: `figure-${name.replace(" ", "-")}` }, element("b"), element("span", {}, name))));
@@ -25,6 +25,8 @@ export function fillFigures(box, state) {
     : [["–", ""], ["–", ""], ["–", ""], ["–", ""]];
   values.push([`${alive} of ${frame.agents.length}`, ""], [score ? (100 * score[6]).toFixed(2) : "–", "%"], [score ? (100 * score[7]).toFixed(2) : "–", "%"]);
   values.push([rate === null ? "–" : rate.toFixed(0), "/s"]);
+  const [done, asked, skipped, late] = frame.pace || [null, null, 0, 0];
+  values.push([done === null ? "–" : done.toFixed(1), asked === null ? "/s" : `of ${asked} /s`], [String(skipped), late ? `rounds, ${late} late` : "rounds"]);
   values.forEach(([value, unit], index) => {
     const b = box.children[index].firstChild;
     if (b.dataset.text === value + unit) return;
@@ -34,6 +36,8 @@ export function fillFigures(box, state) {
   box.children[4].classList.toggle("bad", alive < frame.agents.length);
   box.children[5].classList.toggle("bad", Boolean(score) && score[6] > 0.001);
   box.children[6].classList.toggle("bad", Boolean(score) && score[7] > 0.001);
+  for (const at of [8, 9]) box.children[at].hidden = !frame.pace; // a replay has no pace of its own
+  box.children[9].classList.toggle("bad", skipped > 0);
 }
 
 // ---------------------------------------------------------------- roster
@@ -41,7 +45,7 @@ export function buildRoster(body, state, choose) {
   body.replaceChildren(...state.hello.agents.map((agent, index) => {
     const colour = element("i"), button = element("button", { type: "button" }, colour, agent.name, element("small", {}, agent.class));
     colour.style.background = owner(index);
-    const row = element("tr", { id: `row-${agent.name}` }, element("th", { scope: "row" }, button), ...Array.from({ length: 8 }, () => element("td")));
+    const row = element("tr", { id: `row-${agent.name}` }, element("th", { scope: "row" }, button), ...Array.from({ length: 9 }, () => element("td")));
     row.addEventListener("click", () => choose(agent.name));
     return row;
   }));
@@ -59,6 +63,7 @@ export function fillRoster(body, state) {
     values.forEach((value, at) => set(cells[2 + at], value));
     set(cells[7], agent.age === null ? "" : agent.age.toFixed(agent.age < 10 ? 2 : 0));
     set(cells[8], agent.rejected ? String(agent.rejected) : "");
+    set(cells[9], agent.skipped ? String(agent.skipped) : "");
   });
 }
 
@@ -91,7 +96,7 @@ export function fillBelief(box, state) {
   set(box.querySelector("#belief-counters"), Object.entries(belief.counters || {}).map(([name, count]) => `${name} ${count}`).join("  ·  "));
   for (const button of box.querySelectorAll("[data-verb]")) {
     const verb = button.dataset.verb, dead = agent.state === "dead" || agent.state === "waiting", paused = agent.state === "paused";
-    button.disabled = { kill: dead, pause: dead || paused, resume: !paused, restart: !dead, partition: dead }[verb] || false;
+    button.disabled = state.frame.over || { kill: dead, pause: dead || paused, resume: !paused, restart: !dead, partition: dead }[verb] || false;
   }
 }
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from protocol.sensing import Pose
+from covey import Pose
 
 DATA = Path(__file__).parent
 

@@ -1,0 +1,111 @@
+"""Studies: many trials with paired seeds, kept in a folder so that one that was stopped goes on where it was."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from covey.columns import Columns, columns_of, to_arrow, to_pandas
+from deploy.studies.paired import Summary, groups_of, summarise
+from deploy.studies.study import Folder, methods_of, plan, read_results
+from protocol.settings import BadSetting
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
+
+
+@dataclass(frozen=True, repr=False)
+class Study:
+    """The rows of a study, one for each trial."""
+
+    folder: Path
+    rows: tuple[Mapping[str, Any], ...] = field(repr=False)
+
+    def columns(self) -> Columns:
+        """All fields of the rows by name: what was run, what came out, the command that repeats it, every setting."""
+        return columns_of(self.rows)
+
+    def summary(self) -> list[Summary]:
+        """Median, least and greatest steady OSPA, m, of each method for each team and number of targets."""
+        rows = [dict(row) for row in self.rows]
+        found = [summarise(rows, group, method) for group in groups_of(rows) for method in methods_of(rows)]
+        return [one for one in found if one is not None]
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The columns as a pandas.DataFrame; raises ImportError where pandas is not installed."""
+        return to_pandas(self.columns())
+
+    def to_arrow(self) -> "pyarrow.Table":
+        """The columns as a pyarrow.Table; raises ImportError where pyarrow is not installed."""
+        return to_arrow(self.columns())
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        methods = ", ".join(methods_of([dict(row) for row in self.rows]))
+        return f"<Study in {self.folder}: {len(self.rows)} trials of {methods}>"
+
+
+def study(
+    name: Literal["convergence", "efficacy", "heterogeneity"],
+    *,
+    quick: bool = False,
+    trials: int | None = None,
+    seed: int | None = None,
+    teams: Sequence[str] | None = None,
+    targets: Sequence[int] | None = None,
+    methods: Sequence[str] | None = None,
+    triple: str | None = None,
+    capacity: str | None = None,
+    dt: float | None = None,
+    seconds: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+    into: str | Path | None = None,
+    workers: int | None = None,
+) -> Study:
+    """Run a study of the paper on the cores of this machine; trials that its folder holds already are not run again.
+
+    In a script the call belongs below `if __name__ == "__main__":`, because the trials run in processes of their own.
+
+    Parameters
+    ----------
+    name
+        convergence (section IV-A), efficacy (IV-B, figure 4) or heterogeneity (IV-C, figure 5).
+    quick
+        Few short trials.
+    trials, seed
+        Seeds for each combination of team, number of targets and method, and the first of them.
+    teams, targets, methods
+        What is compared: compositions such as "20E+4H", numbers of targets, and power, voronoi, voronoi-cod, pursuit and others.
+    triple, capacity, dt, seconds, settings
+        Of all trials, as in `scenario`.
+    into
+        The folder of the study; default: runs/study-NAME.
+    workers
+        Processes; default: one for each core.
+    """
+    from deploy.commands import studying
+    from deploy.extras import need
+    from deploy.studies.trials import run_trial
+
+    need("covey.study")
+    if name == "robustness":
+        raise BadSetting("study 'robustness': run it with the command covey study robustness")
+    joined = [None if values is None else ",".join(map(str, values)) for values in (teams, targets, methods)]
+    given = studying.given(trials, seed, *joined)
+    options = {**studying.options_of(triple, capacity, dt, seconds, []), **(settings or {})}
+    found = studying.chosen(name, quick, given, options)
+    folder = Folder(Path(into) if into is not None else studying.default_folder(name, quick))
+    with folder.claimed():
+        console = studying.console_of(as_json=True)
+        rows = studying.play_open(found.scenario, folder, plan(found), workers, None, console, run_trial)
+        folder.publish(rows)
+    return Study(folder.path, tuple(rows))
+
+
+def load_study(folder: str | Path) -> Study:
+    """A study that has been run: its folder, its results.parquet or its results.csv."""
+    path = Path(folder)
+    return Study(path, tuple(read_results(path)))

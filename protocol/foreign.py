@@ -1,0 +1,111 @@
+"""Classes of the user's own, named in a scenario as `module:Class`: what they return is checked at every call.
+
+A wrong answer is a `BadSetting` that names the class, what it returned and what would be right; so is an exception inside the class, with
+the exception as its cause.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from protocol.sensing import Pose, SensorModel
+from protocol.settings import BadSetting
+
+AT_REST: Pose = (0.0, 0.0, 0.0)
+
+
+@contextmanager
+def fault_of(what: str) -> Iterator[None]:
+    """An exception in here is the fault of `what`."""
+    try:
+        yield
+    except BadSetting:
+        raise
+    except Exception as error:
+        raise BadSetting(f"{what} raised {type(error).__name__}: {' '.join(str(error).split())}") from error
+
+
+def real_array(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """The value, an array of finite real numbers of this shape (-1: any length); raises BadSetting naming what was returned."""
+    right = f"should be an array of shape {shape} of finite real numbers".replace("-1", "N")
+    if not isinstance(value, np.ndarray):
+        raise BadSetting(f"{what} returned {shown(value)}: {right}")
+    fits = len(value.shape) == len(shape) and all(length in (-1, found) for length, found in zip(shape, value.shape))
+    if not fits or value.dtype.kind not in "fiub":
+        raise BadSetting(f"{what} returned an array of shape {value.shape} and type {value.dtype}: {right}")
+    if not np.isfinite(value).all():
+        raise BadSetting(f"{what} returned an array with {value[~np.isfinite(value)][0]} in it: {right}")
+    return value
+
+
+def shown(value: Any) -> str:
+    """A value in a few characters."""
+    text = " ".join(repr(value).split())
+    return f"{text[:40]}... ({type(value).__name__})" if len(text) > 40 else text
+
+
+class CheckedSensor:
+    """A sensor model of the user's own; everything but the contract is handed through."""
+
+    def __init__(self, sensor: SensorModel, name: str) -> None:
+        self._sensor, self._name = sensor, name
+
+    def __getattr__(self, part: str) -> Any:
+        if part.startswith("_"):
+            raise AttributeError(part)
+        return getattr(self._sensor, part)
+
+    @property
+    def reach(self) -> float:
+        return self._positive("reach")
+
+    @property
+    def area(self) -> float:
+        return self._positive("area")
+
+    def _positive(self, part: str) -> float:
+        with fault_of(f"{self._name}.{part}"):
+            value = getattr(self._sensor, part)
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool | complex | np.complexfloating)
+        if not number or not 0.0 < value <= 1e13:
+            raise BadSetting(f"{self._name}.{part} = {shown(value)}: should be a number > 0")
+        return float(value)
+
+    def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
+        """p_d of points (N, 2): (N,), each from 0 to 1."""
+        what = f"{self._name}.probability of {len(points)} points"
+        with fault_of(what):
+            value = self._sensor.probability(points, pose)
+        found = real_array(what, value, (len(points),))
+        if len(found) and not (found.min() >= 0.0 and found.max() <= 1.0):
+            wrong = found[(found < 0.0) | (found > 1.0)][0]
+            raise BadSetting(f"{what} returned an array with {wrong} in it: should be from 0 to 1")
+        return found
+
+    def footprint(self, pose: Pose) -> np.ndarray:
+        """The outline (V, 2) with at least three corners."""
+        what = f"{self._name}.footprint"
+        with fault_of(what):
+            value = self._sensor.footprint(pose)
+        found = real_array(what, value, (-1, 2))
+        if len(found) < 3:
+            raise BadSetting(f"{what} returned {len(found)} corners: a polygon has at least 3")
+        return found
+
+
+def probe(sensor: CheckedSensor, name: str) -> None:
+    """Ask a sensor everything once; raises BadSetting for an answer that is none."""
+    import shapely  # only who brings a class of its own pays for it
+
+    reach = sensor.reach
+    for points in (np.array([[0.5 * reach, 0.0], [0.0, 0.25 * reach], [2.0 * reach, 2.0 * reach]]), np.empty((0, 2))):
+        sensor.probability(points, AT_REST)
+    outline = shapely.Polygon(sensor.footprint(AT_REST))
+    if not outline.is_valid or not outline.area > 0.0:
+        why = shapely.is_valid_reason(outline).partition("[")[0] if not outline.is_valid else "no area"
+        raise BadSetting(f"{name}.footprint returned no polygon: {why.strip()}; should be the corners of one in order")
+    if not math.isfinite(sensor.area):
+        raise BadSetting(f"{name}.area = {sensor.area}: should be a number > 0")

@@ -1,0 +1,66 @@
+"""Everything that is wrong with the data of a settings file, not only the first thing."""
+
+import copy
+import re
+from typing import Any, get_args, get_type_hints
+
+import msgspec
+
+from protocol.settings import explain, fits, locate, part_of
+
+MOST = 50  # mistakes that are told
+PLAIN: tuple[Any, ...] = (1.0, 1, "x", False, {}, [])  # one of them takes the place of what is missing or wrong
+
+
+def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str]], dict[str, Any]]:
+    """What is wrong: a line each in the words of the file, and the names that lead there; and data without it that `into` takes."""
+    found: list[str] = []
+    paths: list[list[str]] = []
+    rest = copy.deepcopy(data)
+    for _ in range(10 * MOST):
+        try:
+            msgspec.convert(rest, into)
+            return found, paths, rest
+        except msgspec.ValidationError as error:
+            kind, path, hint = _what(str(error), rest, into)
+            if not any(path[: len(known)] == known for known in paths):  # else it follows from what has been told
+                found.append(explain(str(error), rest, into))
+                paths.append(path)
+            _mend(rest, kind, path, hint)
+        if len(found) == MOST:
+            break
+    return [*found, "and more"], paths, {}
+
+
+def _what(text: str, data: dict[str, Any], into: type) -> tuple[str, list[str], Any]:
+    """The kind of a mistake, the names that lead to it, and its type: an unknown field, a wrong key, a missing field, a wrong value."""
+    complaint, _, where = text.partition(" - at ")
+    path, value, hint = locate(data, into, where)
+    unknown = re.search(r"unknown field `(.*)`", complaint)
+    if unknown:
+        return "unknown", [*path, unknown[1]], None
+    if where.startswith("`key`"):
+        return "key", [*path, str(value)], None
+    missing = re.search(r"missing required field `(.*)`", complaint)
+    if missing:
+        return "missing", [*path, missing[1]], part_of(hint, missing[1])
+    return "wrong", path, hint
+
+
+def _mend(data: dict[str, Any], kind: str, path: list[str], hint: Any) -> None:
+    """Take the mistake out; what cannot be left out gets some value that is right."""
+    holder: Any = data
+    for step in path[:-1]:
+        holder = holder[int(step)] if isinstance(holder, list) else holder[step]
+    if kind != "missing" and isinstance(holder, dict):
+        holder.pop(path[-1])
+        return
+    holder[int(path[-1]) if isinstance(holder, list) else path[-1]] = _some(hint)
+
+
+def _some(hint: Any) -> Any:
+    """A value that is right for a type."""
+    if hasattr(hint, "__struct_fields__"):
+        hints = get_type_hints(hint, include_extras=True)
+        return {field.encode_name: _some(hints[field.name]) for field in msgspec.structs.fields(hint) if field.required}
+    return next((copy.copy(value) for value in (*PLAIN, *get_args(hint)) if fits(value, hint)), None)

@@ -1,0 +1,144 @@
+"""Every setting of an agent reaches the round: a small swarm goes another way when it changes, the same way with both arithmetics."""
+
+from functools import cache
+from typing import Any
+
+import msgspec
+import pytest
+
+from agents.arithmetic import PLAIN
+from agents.config import (
+    AgentConfig,
+    BirthSettings,
+    CapacitySettings,
+    ControlSettings,
+    ExtractionSettings,
+    FilterSettings,
+    PartitionSettings,
+    TimingSettings,
+)
+from deploy.scenario import resolve
+from deploy.simulate import Simulation, compiled
+from protocol.messages import Message
+from protocol.node import Event, Received
+from tests.golden.fields import digest, values_of
+from tests.swarm.scene import fault
+
+BASE: dict[str, Any] = {
+    "team.composition": "A2,D2",
+    "targets.count": 8,
+    "arena.width": 36.0,
+    "arena.height": 30.0,
+    "run.dt": 0.25,
+    "run.seconds": 4.0,
+    "detection.clutter": 2.0,
+    "filter.least_particles": 20,
+    "birth.background_particles": 40,
+    "capacity.mode": "saturating",
+}
+CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the defaults
+    "filter.seed": 5,
+    "filter.speed": 1.5,
+    "filter.heading_noise": 0.6,
+    "filter.position_noise": 0.3,
+    "filter.lifetime": 50.0,
+    "filter.border": "reflect",
+    "filter.prior_density": 0.002,
+    "filter.particles_per_target": 40,
+    "filter.least_particles": 300,
+    "filter.most_particles": 60,
+    "filter.gate": 2.0,
+    "filter.halo": 1.0,
+    "birth.border_share": 0.2,
+    "birth.background_particles": 25,
+    "birth.background": False,
+    "birth.measurement": False,
+    "birth.copies": 5,
+    "birth.radius": 1.0,
+    "birth.least_share": 2.0,
+    "birth.most_density": 0.0001,
+    "capacity.mode": "expected",
+    "capacity.limit": 1.0,
+    "partition.kind": "voronoi",
+    "control.mode": "random",
+    "control.heading": "literal",
+    "extraction.bin": 0.7,
+    "extraction.threshold": 0.2,
+    "detection.noise": 0.5,
+    "limits.speed": 1.0,
+    "limits.turn_rate": 0.3,
+    "timing.interest": "neighbours",
+    "timing.estimate_every": 2,
+}
+IN_TROUBLE: dict[str, Any] = {  # settings that act only when words are late or missing
+    "timing.deadline": 0.1,
+    "timing.silent_rounds": 1,
+    "timing.listening_rounds": 0,
+    "timing.overlap": 3.0,
+}
+TROUBLE = (fault(0.0, "delay", value=0.02, jitter=0.12), fault(0.5, "partition", "2", seconds=1.5), fault(1.0, "kill", "1", seconds=1.0))
+AMONG_NEIGHBOURS: dict[str, Any] = {"timing.tile": 12.0}  # settings that act only where agents hear their neighbours alone
+SECTIONS = {
+    "filter": FilterSettings,
+    "birth": BirthSettings,
+    "capacity": CapacitySettings,
+    "partition": PartitionSettings,
+    "control": ControlSettings,
+    "extraction": ExtractionSettings,
+    "timing": TimingSettings,
+}
+
+
+@cache
+def said(setting: str = "", value: object = None, plain: bool = False) -> bytes:
+    """The hash of all that the swarm says."""
+    options = BASE | ({setting: value} if setting else {})
+    simulation, heard = Simulation(resolve("efficacy", options), arithmetic=PLAIN if plain else compiled(), scores=False), []
+
+    def hear(event: Event, now: float) -> None:
+        message: Message | None = event.message if isinstance(event, Received) else None
+        if message is not None and (values := list(values_of(message).values())):
+            heard.append(digest(values).hex())
+
+    simulation.scorer.on_event = hear
+    simulation.run()
+    return digest(heard)
+
+
+def test_every_setting_of_an_agent_is_changed_here() -> None:
+    assert set(SECTIONS) <= set(AgentConfig.__struct_fields__)
+    known = {f"{section}.{field}" for section, kind in SECTIONS.items() for field in kind.__struct_fields__}
+    assert known <= {*CHANGES, *IN_TROUBLE, *AMONG_NEIGHBOURS}
+
+
+@pytest.mark.parametrize("setting", CHANGES)
+def test_a_setting_changes_what_the_swarm_does(setting: str) -> None:
+    assert said(setting, CHANGES[setting]) != said()
+
+
+@pytest.mark.parametrize("setting", ["", *CHANGES])
+def test_a_setting_means_the_same_to_plain_and_to_compiled_arithmetic(setting: str) -> None:
+    assert said(setting, CHANGES.get(setting)) == said(setting, CHANGES.get(setting), plain=True)
+
+
+@pytest.mark.parametrize("setting", AMONG_NEIGHBOURS)
+def test_a_setting_for_neighbours_changes_what_is_sent(setting: str) -> None:
+    options = BASE | {"arena.width": 60.0, "timing.interest": "neighbours"}
+    deliveries = []
+    for change in ({}, {setting: AMONG_NEIGHBOURS[setting]}):
+        simulation = Simulation(resolve("efficacy", options | change), scores=False)
+        simulation.run()
+        deliveries.append(simulation.bus.deliveries)
+    assert deliveries[0] != deliveries[1]
+
+
+@pytest.mark.parametrize("setting", IN_TROUBLE)
+def test_a_setting_for_trouble_changes_what_the_swarm_does_in_trouble(setting: str) -> None:
+    assert in_trouble(setting, IN_TROUBLE[setting]) != in_trouble()
+
+
+@cache
+def in_trouble(setting: str = "", value: object = None) -> str:
+    """The transcript of the swarm in real time, with late words, a cut and a death."""
+    options = BASE | {"run.seconds": 6.0} | ({setting: value} if setting else {})
+    return Simulation(msgspec.structs.replace(resolve("efficacy", options), faults=TROUBLE), clock="realtime").run().transcript

@@ -1,0 +1,167 @@
+"""Steps of a round that both arithmetics share a definition of: what they must give, not only that they agree."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agents.arithmetic import PLAIN, Arithmetic, Task
+from agents.births import Scan, measurement_births
+from agents.cells import cut
+from agents.claims import make_claim
+from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
+from agents.particles import NONE, Particles
+from agents.phd import sample_offset
+from agents.places import NOBODY
+from agents.round import _claim
+from agents.step import Step
+from agents.words import KAPPA, Words, eye_of, learn, side_by_side
+from deploy.simulate import compiled
+from protocol.fields import pack
+from protocol.geometry import rectangle
+from protocol.keys import order
+from protocol.messages import Gossip
+from protocol.sensing import SENSOR_CLASSES, WedgeSensor
+from protocol.settings import ArenaSettings, DetectionSettings
+from protocol.streams import key
+
+BOTH = pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
+SENSOR = WedgeSensor(math.pi, 20.0, 0.9)
+POSE = (10.0, 30.0, 0.0)
+CONFIG = AgentConfig(
+    arena=ArenaSettings(width=60.0, height=60.0),
+    detection=DetectionSettings(noise=0.5, clutter=2.0),
+    filter=FilterSettings(speed=1e-9, heading_noise=0.0, position_noise=0.0, lifetime=0.0),
+    birth=BirthSettings(background=False, measurement=False),
+)
+
+
+def particles(*rows: tuple[float, float, float]) -> Particles:
+    """Slow particles at x, y of some weight, with ids 1, 2, ..."""
+    table = np.array(rows, dtype=float).reshape(-1, 3)
+    states = np.column_stack([table[:, :2], np.full((len(table), 2), 1e-9)])
+    return Particles(states, table[:, 2].copy(), np.arange(1, len(table) + 1, dtype=np.uint64))
+
+
+def said(name: str, pose: tuple[float, float, float], *detections: tuple[float, float], cod: tuple[float, float] | None = None) -> Gossip:
+    gossip = Gossip(
+        sender=name,
+        incarnation=1,
+        tick=5,
+        pose=pose,
+        cod=cod or pose[:2],
+        power_radius=0.0,
+        unused=0.0,
+        detections_bytes=pack(np.array(detections, dtype=float).reshape(-1, 2), "<f4"),
+    )
+    learn(gossip, SENSOR, CONFIG)
+    return gossip
+
+
+def task(told: Particles, words: Words, polygon: np.ndarray) -> Task:
+    claim = make_claim(("s1",), np.array([[10.0, 30.0, 0.0]]), (order("s1"),))
+    return Task("s1", SENSOR, POSE, told, words, NONE, polygon, claim, Step(CONFIG, 5))
+
+
+@BOTH
+def test_the_load_counts_what_lies_in_the_footprint_far_from_the_cell_too(arithmetic: Arithmetic) -> None:
+    """The cell ends at x = 12 m and its halo at 18 m; of what lies beyond nobody else's scan is applied here."""
+    cell = rectangle(12.0, 60.0)
+    told = particles((11.0, 30.0, 0.2), (25.0, 30.0, 0.4), (25.0, 55.0, 0.8), (5.0, 30.0, 1.6))  # in the cell, far, out of reach, behind
+    found = arithmetic.refresh(task(told, side_by_side([said("s1", POSE)]), cell))
+    assert found.load == pytest.approx(0.2 * (1.0 - 0.9) + 0.4)
+    assert found.detected == pytest.approx(0.9 * found.load)
+    assert sorted(found.updated.ids.tolist()) == [1, 4]
+
+
+@BOTH
+def test_a_detection_shares_its_unit_of_mass_between_a_particle_and_clutter(arithmetic: Arithmetic) -> None:
+    """w (1 - p) + w p g / (kappa + w p g), g = exp(-d^2 / (2 s^2)) / (2 pi s^2), kappa = clutter / area."""
+    weight, apart, noise, probability = 0.3, 0.6, 0.5, 0.9
+    words = side_by_side([said("s1", POSE, (20.0 + apart, 30.0))])
+    found = arithmetic.refresh(task(particles((20.0, 30.0, weight)), words, rectangle(60.0, 60.0)))
+    kappa = 2.0 / (math.pi * 20.0**2 / 2.0)
+    likelihood = math.exp(-(apart**2) / (2.0 * noise**2)) / (2.0 * math.pi * noise**2)
+    seen = weight * probability * likelihood
+    assert found.updated.weights.tolist() == pytest.approx([weight * (1.0 - probability) + seen / (kappa + seen)], rel=1e-5)
+
+
+@BOTH
+def test_beyond_the_gate_a_detection_says_nothing_of_a_particle(arithmetic: Arithmetic) -> None:
+    """6 standard deviations of 0.5 m."""
+    for apart, is_near in ((2.99, True), (3.01, False)):
+        words = side_by_side([said("s1", POSE, (20.0 + apart, 30.0))])
+        found = arithmetic.refresh(task(particles((20.0, 30.0, 0.3)), words, rectangle(60.0, 60.0)))
+        assert (found.updated.weights[0] > 0.3 * (1.0 - 0.9) + 1e-12) == is_near
+
+
+def test_clutter_density_is_the_expected_clutter_over_the_area() -> None:
+    sensor = SENSOR_CLASSES["A"]
+    right = 0.1 / (math.radians(240.0) / 2.0 * 8.0**2)
+    assert eye_of("s1", sensor, 0.1).numbers[3] == pytest.approx(right, rel=1e-12)
+    words = side_by_side([said("s1", POSE, (12.0, 30.0))])
+    right = 2.0 / (math.pi / 2.0 * 20.0**2)
+    assert words.table[0, KAPPA] == pytest.approx(right, rel=1e-12) and words.scans()[0].clutter_density == pytest.approx(right, rel=1e-12)
+
+
+@BOTH
+def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told(arithmetic: Arithmetic) -> None:
+    told, copies = particles((1.0, 1.0, 0.1), (2.0, 2.0, 0.2), (3.0, 3.0, 0.3)), particles((9.0, 9.0, 0.9), (8.0, 8.0, 0.8))
+    united = arithmetic.unite(told, np.array([True, False, True]), copies, np.array([True, True]))
+    assert united.ids.tolist() == [1, 2, 3] and united.weights.tolist() == [0.1, 0.8, 0.3]
+    twice = particles((1.0, 1.0, 0.1), (2.0, 2.0, 0.2))
+    twice = Particles(twice.states, twice.weights, np.array([7, 7], dtype=np.uint64))
+    assert arithmetic.unite(twice, np.array([True, True]), NONE, np.array([], dtype=bool)).weights.tolist() == [0.1]
+
+
+@pytest.mark.parametrize("name", ["s1", "s2", "s10"])
+def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(name: str) -> None:
+    """s1 before s2 before s10; receivers go by the names."""
+    words = side_by_side([said("s1", (10.0, 10.0, 0.0)), said("s2", (30.0, 10.0, 0.0)), said("s10", (20.0, 40.0, 0.0))])
+    cell = cut(words.names.index(name), words.points, words.radii, rectangle(60.0, 60.0))
+    claim = _claim(words, cell, NOBODY)
+    received = make_claim(claim.names, claim.generators, tuple(order(other) for other in claim.names))
+    assert claim.names[0] == name and len(claim.names) == 3
+    assert claim.first.tolist() == received.first.tolist() == [order(other) < order(name) for other in claim.names]
+
+
+@BOTH
+def test_a_point_on_a_border_belongs_to_the_first_name_alone(arithmetic: Arithmetic) -> None:
+    generators = np.array([[10.0, 10.0, 0.0], [30.0, 10.0, 0.0]])
+    first = make_claim(("s1", "s2"), generators, (order("s1"), order("s2")))
+    second = make_claim(("s2", "s1"), generators[::-1].copy(), (order("s2"), order("s1")))
+    between = np.array([[20.0, 25.0]])
+    assert [arithmetic.owned(between, claim, CONFIG.arena).tolist() for claim in (first, second)] == [[True], [False]]
+
+
+@pytest.mark.parametrize(
+    ("kind", "generator"), [("power", (7.0, 8.0, 3.0)), ("voronoi-cod", (7.0, 8.0, 0.0)), ("voronoi", (1.0, 2.0, 0.0))]
+)
+def test_the_generator_is_the_cod_and_the_power_radius_or_what_the_partition_makes_of_them(kind: str, generator: tuple[float, ...]) -> None:
+    config = AgentConfig(partition=PartitionSettings(kind=kind))  # type: ignore[arg-type]
+    gossip = Gossip(sender="s1", incarnation=1, tick=5, pose=(1.0, 2.0, 0.5), cod=(7.0, 8.0), power_radius=3.0, unused=30.0)
+    learn(gossip, SENSOR, config)
+    assert side_by_side([gossip]).generators.tolist() == [list(generator)]
+
+
+def test_every_owner_draws_with_a_die_of_its_own_in_every_tick() -> None:
+    offsets = {sample_offset(seed, owner, tick) for seed in (1, 2) for owner in ("s1", "s2") for tick in (5, 6)}
+    assert len(offsets) == 8 and all(0.0 <= offset < 1.0 for offset in offsets)
+
+
+@BOTH
+def test_background_births_have_the_speed_of_all_particles(arithmetic: Arithmetic) -> None:
+    config = AgentConfig(filter=FilterSettings(speed=1.5), birth=BirthSettings(background_particles=200, border_share=0.5))
+    born = arithmetic.births(Step(config, 5))
+    assert len(born.ids) == 200
+    assert np.hypot(born.states[:, 2], born.states[:, 3]) == pytest.approx(np.full(200, 1.5), rel=1e-12)
+
+
+def test_measurement_births_are_spread_by_the_noise_in_east_and_north() -> None:
+    """4000 copies: a standard error of 1.1 % of a standard deviation."""
+    places = np.random.default_rng(1).random((400, 2)) * 60.0
+    scan = Scan(key("sensor", "s1"), SENSOR, POSE, places, np.arange(400, dtype=np.uint64), 0.01)
+    born = measurement_births(scan, np.full(400, 0.1), 5, 1, 0.5, CONFIG.filter, CONFIG.birth)
+    offsets = born.states[:, :2] - np.repeat(places, CONFIG.birth.copies, axis=0)
+    assert offsets.std(axis=0) == pytest.approx([0.5, 0.5], rel=0.05)
+    assert abs(np.corrcoef(offsets.T)[0, 1]) < 0.08

@@ -1,0 +1,89 @@
+"""What is known of others but not heard from them: far generators, unknown claimants, changed senders, sensors out of reach."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from agents.arithmetic import PLAIN
+from agents.belief import Belief, Copies
+from agents.capacity import sensor_facts
+from agents.cells import cut
+from agents.config import AgentConfig
+from agents.control import Lloyd
+from agents.particles import NONE
+from agents.peers import Outfit, mark_of, plausible
+from agents.places import Far
+from agents.round import Self, _claim, _fields, _own_cell
+from agents.unison import Together
+from agents.words import Words, learn, side_by_side
+from protocol.geometry import rectangle
+from protocol.messages import Gossip
+from protocol.sensing import SENSOR_CLASSES
+from tests.agents.test_belief import merged, particles, share
+
+CONFIG = AgentConfig()
+ARENA = rectangle(100.0, 100.0)
+SENSOR = SENSOR_CLASSES["A"]  # sees 8 m far
+ME = Self("s1", SENSOR, sensor_facts(SENSOR), Lloyd(), PLAIN, CONFIG, ARENA)
+
+
+def said(name: str, x: float, y: float) -> Gossip:
+    gossip = Gossip(sender=name, incarnation=1, tick=5, pose=(x, y, 0.0), cod=(x, y), power_radius=0.0, unused=0.0)
+    learn(gossip, SENSOR, CONFIG)
+    return gossip
+
+
+def speaking() -> Words:
+    return side_by_side([said("s1", 20.0, 50.0), said("s2", 60.0, 50.0), said("s4", 20.0, 90.0)])
+
+
+def test_generators_that_are_known_but_not_heard_bound_the_cell_and_stand_in_the_claim() -> None:
+    """s1 at 20 m, s2 at 60 m, and s3, of which a beacon told, at 30 m: the border is at 25 m."""
+    far = Far(np.array([[30.0, 50.0, 0.0]]), ("s2", "s3", "s4"), np.array([True, False, True]))
+    cell = _own_cell(ME, speaking(), far)
+    assert cell.polygon[:, 0].max() == 25.0
+    claim = _claim(speaking(), cell, far)
+    assert claim.names[0] == "s1" and set(claim.names) == {"s1", "s3", "s4"}
+    places = np.array([[20.0, 50.0], [60.0, 50.0], [20.0, 90.0], [30.0, 50.0]])
+    assert np.array_equal(cell.polygon, cut(0, places, np.zeros(4), ARENA).polygon)
+
+
+def test_only_sensors_that_reach_the_region_around_the_cell_are_fields() -> None:
+    """The cell ends at 40 m, its halo at 46 m; s2 sees 8 m far. Beyond 54 m it is none."""
+    for x, number in ((53.9, 2), (54.1, 1)):
+        words = side_by_side([said("s1", 20.0, 50.0), said("s2", x, 50.0)])
+        cell = cut(0, np.array([[20.0, 50.0], [60.0, 50.0]]), np.zeros(2), ARENA)
+        assert len(_fields(ME, cell, words)) == number
+
+
+def test_the_claim_of_a_stranger_never_agrees_with_mine_whatever_view_it_states() -> None:
+    """s2, unknown until now, claims what lies beyond 50 m, and I what lies before 60 m; both say the same view."""
+    mine = share("s1", particles((1, 49.0, 0.1), (2, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s3": (90.0, 50.0, 0.0)}, view=7)
+    theirs = share("s2", particles((4, 59.0, 0.1)), view=7)
+    belief = Belief(4, mine, Copies(NONE), frozenset({"s1", "s3"}), frozenset({"s3"}))
+    assert merged(belief, [theirs]) == [1, 4]
+    assert merged(replace(belief, acquainted=frozenset({"s2", "s3"})), [theirs]) == [1, 2, 4]
+
+
+def test_what_comes_together_is_from_just_those_who_are_expected() -> None:
+    expected = [mark_of(name, 1, SENSOR) for name in ("s1", "s3")]
+    words = [said(name, 20.0, 50.0) for name in ("s1", "s2", "s3")]
+    for stranger in (None, 0, 2):
+        marks = [mark_of(word.sender, 2 if place == stranger else 1, SENSOR) for place, word in enumerate(words)]
+        assert Together(words, marks).is_from(expected, 1) == (stranger is None)
+
+
+def test_each_bound_of_what_a_sensor_can_do_is_kept_by_itself() -> None:
+    """Class A: D = 132.7 m^2, g(D) = 6.499 m, and the COD lies within 8 m."""
+    outfit = Outfit(SENSOR, sensor_facts(SENSOR))
+    most, radius = outfit.facts.capability, math.sqrt(outfit.facts.capability / math.pi)
+    usual = {"unused": most, "power_radius": radius, "cod": (8.0, 0.0)}
+    odd = {"unused": 1.001 * most, "power_radius": 1.001 * radius, "cod": (8.01, 0.0)}
+
+    def is_plausible(**fields: Any) -> bool:
+        return plausible(Gossip(sender="s2", incarnation=1, tick=5, pose=(0.0, 0.0, 0.0), **{**usual, **fields}), outfit)
+
+    assert is_plausible()
+    assert {field: is_plausible(**{field: value}) for field, value in odd.items()} == dict.fromkeys(odd, False)

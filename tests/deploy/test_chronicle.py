@@ -1,0 +1,135 @@
+"""The chronicle: what came of an event, from cells before and after; squares of 10 m, by hand."""
+
+import msgspec
+import numpy as np
+
+from deploy.chronicle import Chronicle, View, names_of, shares
+from deploy.result import Told
+from deploy.scenario import FaultSettings, resolve
+from deploy.simulate import simulate
+
+
+def box(west: float, south: float, east: float, north: float) -> np.ndarray:
+    return np.array([[west, south], [east, south], [east, north], [west, north]])
+
+
+def view(
+    tick: int,
+    cells: dict[str, np.ndarray],
+    *,
+    hole: float = 0.0,
+    overlap: float = 0.0,
+    targets: tuple[tuple[float, float], ...] = (),
+    estimates: tuple[tuple[float, float], ...] = (),
+) -> View:
+    """Four ticks a second; targets are numbered from 1 on."""
+    places, told = (np.array(points, dtype=float).reshape(-1, 2) for points in (targets, estimates))
+    return View(tick, 0.25 * tick, cells, np.arange(1, len(places) + 1), places, told, hole, overlap)
+
+
+BEFORE = {"s1": box(0, 0, 10, 10), "s2": box(10, 0, 20, 10), "s3": box(20, 0, 30, 10)}
+AFTER = {"s1": box(0, 0, 16, 10), "s3": box(16, 0, 30, 10)}
+IN_S2, IN_S1 = ((12.0, 5.0), (18.0, 5.0)), (5.0, 5.0)
+
+
+def play(chronicle: Chronicle, views: list[View]) -> list[Told]:
+    return [told for one in views for told in chronicle.see(one)]
+
+
+def test_a_death_says_who_took_how_much_and_when_and_that_no_target_was_lost() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE, targets=IN_S2, estimates=IN_S2))
+    chronicle.lose("s2", "died", 100, 25.0)
+    opened = [view(100, AFTER), view(101, AFTER, hole=0.1, targets=IN_S2), view(102, AFTER, targets=IN_S2)]
+    assert play(chronicle, opened) == []
+    told = play(chronicle, [view(tick, AFTER, targets=IN_S2, estimates=IN_S2) for tick in range(103, 120)])
+    assert told == [Told(27.5, "s2", "s2 died: s1 (60 %) and s3 (40 %) took its cell within 2 ticks; no target lost")]
+
+
+def test_a_target_that_is_tracked_no_more_when_the_cells_have_settled_is_lost_and_one_elsewhere_is_not_counted() -> None:
+    chronicle = Chronicle()
+    targets = (*IN_S2, IN_S1)
+    chronicle.see(view(99, BEFORE, targets=targets, estimates=targets))
+    chronicle.lose("s2", "died", 100, 25.0)
+    early = [view(tick, AFTER, targets=targets, estimates=targets) for tick in range(101, 105)]  # what a copy still says is no proof
+    late = [view(tick, AFTER, targets=targets, estimates=((12.5, 5.0),)) for tick in range(105, 112)]
+    assert [told.text for told in play(chronicle, early + late)] == [
+        "s2 died: s1 (60 %) and s3 (40 %) took its cell within 1 tick; 1 of 2 targets in it lost"
+    ]
+
+
+def test_a_target_that_has_left_the_arena_and_one_that_was_not_tracked_are_not_lost() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE, targets=(*IN_S2, (15.0, 1.0)), estimates=IN_S2))
+    chronicle.lose("s2", "died", 100, 25.0)
+    told = play(chronicle, [view(tick, AFTER, targets=IN_S2[:1], estimates=IN_S2[:1]) for tick in range(101, 112)])
+    assert told[0].text.endswith("no target lost")
+
+
+def test_a_cell_that_nobody_takes_and_an_agent_without_a_cell_are_told_as_such() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE))
+    chronicle.lose("s2", "died", 100, 25.0)
+    chronicle.lose("s9", "died", 100, 25.0)
+    told = play(chronicle, [view(tick, {"s1": BEFORE["s1"]}, hole=0.3) for tick in range(101, 165)])
+    assert [one.text for one in told] == ["s2 died: its cell is still open", "s9 died: its cell is still open"]
+    chronicle.lose("s7", "died", 165, 41.25)
+    assert [one.text for one in play(chronicle, [view(tick, AFTER) for tick in range(166, 176)])] == ["s7 died; it owned no cell"]
+
+
+def test_what_is_open_at_the_end_of_the_run_is_told_then() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE))
+    for name in ("s2", "s3"):
+        chronicle.lose(name, "died", 100, 25.0)
+    chronicle.see(view(101, AFTER))
+    chronicle.lose("s1", "is paused", 101, 25.25)
+    texts = [one.text for one in chronicle.finish()]
+    assert texts[0] == "s2 died: s1 (60 %) and s3 (40 %) took its cell within 1 tick; no target lost"
+    assert texts[2] == "s1 is paused: its cell was open when the run ended"
+    assert chronicle.finish() == []
+
+
+def test_a_return_is_told_when_the_agent_owns_a_cell_and_overtakes_what_was_open_about_it() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE))
+    chronicle.lose("s2", "died", 100, 25.0)
+    chronicle.see(view(101, AFTER))
+    chronicle.regain("s2", 102)
+    told = play(chronicle, [view(102, BEFORE), view(103, AFTER), view(104, {**AFTER, "s2": np.empty((0, 2))}), view(105, BEFORE)])
+    assert told == [Told(26.25, "s2", "s2 is back: it owns a cell again after 3 ticks")]
+
+
+def test_a_cut_is_told_when_both_sides_cover_the_arena_and_a_healing_when_the_cells_tile_it() -> None:
+    chronicle = Chronicle()
+    chronicle.cut("partition", 100)
+    told = play(chronicle, [view(tick, BEFORE, overlap=min(1.0, 0.25 * (tick - 100))) for tick in range(101, 110)])
+    assert [one.text for one in told] == ["the cut: each side covers the whole arena by itself after 4 ticks"]
+    chronicle.cut("heal", 110)
+    told = play(chronicle, [view(111, BEFORE, overlap=0.5), view(112, BEFORE, hole=0.1), view(113, BEFORE), view(114, BEFORE)])
+    assert [one.text for one in told] == ["the links are clear: the cells tile the arena again after 3 ticks"]
+
+
+def test_shares_are_of_the_former_cell_and_many_heirs_are_counted() -> None:
+    assert shares(box(0, 0, 10, 10), {"a": box(5, 0, 50, 50), "b": box(0, 0, 5, 9), "c": box(0, 9, 0.4, 10), "d": np.empty((0, 2))}) == [
+        ("a", 0.5),
+        ("b", 0.45),
+    ]
+    assert names_of([("a", 0.5), ("b", 0.25)]) == "a (50 %) and b (25 %)"
+    assert names_of([(name, 0.15) for name in "abcdef"]) == "a (15 %), b (15 %), c (15 %), d (15 %) and 2 more"
+    assert names_of([]) == ""
+
+
+def test_the_result_of_a_run_tells_every_death_and_return_and_a_paused_agent_is_not_counted_dead() -> None:
+    faults = (
+        FaultSettings(at=10.0, verb="kill", who="s2"),
+        FaultSettings(at=12.0, verb="pause", who="s5", seconds=6.0),
+        FaultSettings(at=20.0, verb="restart", who="s2"),
+    )
+    scenario = resolve("quick", {"run.seconds": 30.0, "targets.count": 6})
+    result = simulate(msgspec.structs.replace(scenario, faults=faults), use_codec=False)
+    texts = [told.text for told in result.events]
+    assert any(text.startswith("s2 died: ") and "took its cell within" in text for text in texts)
+    assert any(text.startswith("s5 is paused: ") for text in texts)
+    assert [text for text in texts if "is back" in text][-1].startswith("s2 is back: it owns a cell again after")
+    assert [kill.name for kill in result.kills] == ["s2"]

@@ -1,0 +1,121 @@
+"""The command line: groups, examples, versions, completion in a real bash, and several names at once."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cyclopts import App
+
+from deploy.__main__ import app
+from deploy.commands.acting import meant
+from deploy.commands.app import SET_UP
+from deploy.result import VERSION
+from protocol.settings import BadSetting
+
+ROOT = Path(__file__).parents[2]
+COMMANDS: dict[str, App] = {name: command for name, command in app.resolved_commands().items() if not name.startswith("-")}
+
+
+def examples(command: App) -> list[str]:
+    """The lines of a command's example that begin with `covey`."""
+    lines = str(command.help_epilogue).removeprefix("Example:").splitlines()
+    return [line.strip() for line in lines]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_stands_in_a_group_and_shows_an_example_that_can_be_typed(name: str) -> None:
+    command = COMMANDS[name]
+    assert command.group and command.help
+    for example in examples(command):
+        words = example.partition("<(")[2].rstrip(")") or example.partition(" > ")[0]
+        program, *rest = words.replace("'", "").split()
+        assert program == "covey" and rest[0] == name
+        app.parse_args(rest, exit_on_error=False, print_error=False)
+
+
+def test_the_overview_names_the_groups_and_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    app(["help"], result_action="return_value")
+    shown = capsys.readouterr().out
+    for word in ("Run", "Act on a running swarm", "Look", "Keep", "Study", "Set up", *COMMANDS):
+        assert f" {word} " in shown
+    assert app["--version"].group == (SET_UP,)
+
+
+def test_help_of_a_command_is_what_its_option_shows(capsys: pytest.CaptureFixture[str]) -> None:
+    app(["help", "kill"], result_action="return_value")
+    by_command = capsys.readouterr().out
+    app(["kill", "--help"], result_action="return_value")
+    assert by_command == capsys.readouterr().out
+    assert "Example: covey kill s1 s2 s3" in by_command
+
+
+def test_version_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    app(["--version"], result_action="return_value")
+    assert capsys.readouterr().out == f"covey {VERSION}\n"
+
+
+@pytest.mark.parametrize(
+    ("names", "random", "text"),
+    [
+        (("s1", "s2", "s3"), None, "s1,s2,s3"),
+        (("s1,s2", "s3"), None, "s1,s2,s3"),
+        (("30%",), None, "30%"),
+        (("4",), None, "4"),
+        ((), 4, "4"),
+    ],
+)
+def test_several_names_may_follow_each_other(names: tuple[str, ...], random: int | None, text: str) -> None:
+    assert meant("kill", names, random, None) == text
+
+
+@pytest.mark.parametrize(
+    ("names", "random", "complaint"),
+    [
+        ((), None, "kill: nobody is named"),
+        (("s1", "30%"), None, "s1 30%: should be names, or one"),
+        (("s1",), 2, "--random 2: draws agents"),
+    ],
+)
+def test_who_is_meant_must_be_clear(names: tuple[str, ...], random: int | None, complaint: str) -> None:
+    with pytest.raises(BadSetting, match=complaint):
+        meant("kill", names, random, None)
+
+
+def offered(words: list[str], folder: Path) -> list[str]:
+    """What a real bash offers after these words, the last of them not finished, in a folder."""
+    program = folder / "covey"
+    program.write_text(f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -P -m deploy "$@"\n')
+    program.chmod(0o755)
+    quoted = " ".join(f"'{word}'" for word in [str(program), *words])
+    script = (
+        f'source <({program} completion bash)\nCOMP_WORDS=({quoted})\nCOMP_CWORD={len(words)}\n_covey\nprintf "%s\\n" "${{COMPREPLY[@]}}"\n'
+    )
+    environment = {**os.environ, "COVEY_RUNS": str(folder / "runs")}
+    done = subprocess.run(["bash", "--norc", "-c", script], cwd=folder, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
+def test_a_real_bash_completes_commands_options_scenarios_files_runs_agents_and_settings(tmp_path: Path) -> None:
+    config = tmp_path / "runs" / "hunt" / "run.toml"
+    config.parent.mkdir(parents=True)
+    config.write_text('[members]\ns1 = "A"\ns2 = "B"\n')
+    (tmp_path / "mine.toml").touch()
+    assert offered(["ki"], tmp_path) == ["kill"]
+    assert offered(["simulate", "--partition", "voronoi-"], tmp_path) == ["voronoi-cod"]
+    assert offered(["up", "qu"], tmp_path) == ["quick"]
+    assert offered(["up", "mi"], tmp_path) == ["mine.toml"]
+    assert offered(["down", "--run", ""], tmp_path) == ["hunt"]
+    assert offered(["kill", "s"], tmp_path) == ["s1", "s2"]
+    assert offered(["up", "--set", "run.see"], tmp_path) == ["run.seed="]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_there_is_a_completion_for_each_shell(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    app(["completion", shell], result_action="return_value")
+    script = capsys.readouterr().out
+    assert "covey" in script and all(command in script for command in COMMANDS)

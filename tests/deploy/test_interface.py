@@ -1,0 +1,197 @@
+"""`import covey`: what it gives is what the command gives, and what is wrong is said in one line."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import covey
+from covey import plugged
+from deploy.chaos.faults import check_faults
+from deploy.scenario import resolve
+from deploy.simulate import simulate
+from deploy.studies.study import plan
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Stay:
+    """A control law that others can import."""
+
+    def command(self, situation: covey.Situation) -> covey.Command:
+        return covey.STAND
+
+
+class Ring:
+    """A sensor that sees all around, with a radius of its own."""
+
+    def __init__(self, radius: float = 5.0) -> None:
+        self.reach, self.area = radius, np.pi * radius**2
+
+    def probability(self, points: np.ndarray, pose: covey.Pose) -> np.ndarray:
+        return np.where(np.hypot(points[:, 0] - pose[0], points[:, 1] - pose[1]) <= self.reach, 0.9, 0.0)
+
+    def footprint(self, pose: covey.Pose) -> np.ndarray:
+        turns = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+        return np.column_stack([pose[0] + self.reach * np.cos(turns), pose[1] + self.reach * np.sin(turns)])
+
+
+@pytest.fixture(scope="module")
+def run() -> Iterator[covey.Run]:
+    """Ten seconds of the scenario quick."""
+    yield covey.simulate("quick", seconds=10, seed=3)
+
+
+def test_a_run_is_that_of_the_simulation_and_its_arrays_are_the_series_behind_the_result(run: covey.Run) -> None:
+    result = simulate(resolve("quick", {"run.seconds": 10.0, "run.seed": 3, "run.clock": "lockstep"}))
+    assert run.result.transcript == result.transcript
+    assert len(run) == len(run.ospa) == result.ticks == 40
+    assert run.ospa.mean() == pytest.approx(result.mean_ospa, rel=1e-12)
+    assert run.gospa[-1] == result.final_gospa
+    assert np.allclose(np.diff(run.time), 0.25)
+    assert run.poses.shape == (40, len(run.agents), 3)
+    assert [len(targets) for targets in run.true_targets] == run.targets.tolist()
+    columns = run.columns()
+    assert np.allclose(columns["localisation"] + columns["missed"] + columns["false"], run.gospa)
+    assert repr(run) == (
+        f"<Run of quick, seed 3: 6 agents, 40 ticks of 0.25 s; OSPA {result.mean_ospa:.2f} m mean, "
+        f"{result.steady_ospa:.2f} m steady, {result.final_ospa:.2f} m at the end>"
+    )
+
+
+def test_bodies_stand_where_the_arrays_say(run: covey.Run) -> None:
+    from deploy.simulate import Simulation
+
+    simulation = Simulation(run.scenario)
+    seen = {}
+    simulation.on_truth = lambda truth: seen.update({truth.tick: dict(zip(truth.bodies, truth.poses.tolist()))})
+    simulation.run()
+    for row, tick in enumerate(run.tick.tolist()):
+        assert [seen[tick][name] for name in run.agents] == run.poses[row].tolist()
+
+
+def test_an_agent_that_is_killed_keeps_its_column_and_the_kill_is_in_the_result() -> None:
+    run = covey.simulate("quick", seconds=4, kill="s2@2")
+    assert [kill.name for kill in run.result.kills] == ["s2"]
+    assert run.poses.shape[1] == 6
+
+
+def test_a_scenario_can_be_laid_over_again_and_its_team_changed() -> None:
+    first = covey.scenario("quick", seed=5, settings={"detection.clutter": 0.5, "network.seeds": ["tcp/127.0.0.1:7"]})
+    assert (first.run.seed, first.detection.clutter, first.network.seeds) == (5, 0.5, ("tcp/127.0.0.1:7",))
+    again = covey.scenario(first, seconds=3, kill=["1@1"])
+    assert again.detection.clutter == 0.5 and again.members == first.members and again.run.scenario == "quick"
+    check_faults(again.faults, list(again.members))
+    other = covey.scenario(first, team="2A+1B")
+    assert list(other.members.values()) == ["A", "A", "B"]
+    assert covey.scenario(first) == first
+
+
+def test_own_classes_and_objects_do_what_their_names_do() -> None:
+    class Local(Stay):
+        """A law that no import finds."""
+
+    runs = [covey.simulate("quick", seconds=2, control=law) for law in ("static", Stay, Stay(), Local)]
+    assert len({run.result.transcript for run in runs}) == 1
+    assert runs[1].scenario.control.mode == f"{__name__}:Stay"
+    wide = covey.simulate("quick", seconds=2, sensors={"ring": Ring(8.0)}, team="3ring")
+    settings = {"sensors.ring.model": plugged.name_of(Ring), "sensors.ring.parameters": {"radius": 8.0}}
+    named = covey.simulate("quick", seconds=2, team="3ring", settings=settings)
+    assert wide.result.transcript == named.result.transcript
+    assert covey.simulate("quick", seconds=2, sensors={"ring": Ring}, team="3ring").result.transcript != wide.result.transcript
+
+
+def test_what_was_passed_in_another_process_is_told_apart_from_what_never_was() -> None:
+    with pytest.raises(covey.BadSetting, match=r"module covey\.plugged has no Ring_999"):
+        covey.simulate("quick", control="covey.plugged:Ring_999")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"name": "nowhere"}, "scenario 'nowhere' does not exist"),
+        ({"seconds": -1.0}, r"run\.seconds = -1\.0"),
+        ({"settings": {"run.sede": 1}}, r"run\.sede: there is no such field; did you mean seed\?"),
+        ({"kill": "half"}, "--kill half"),
+        ({"team": "3nothing"}, "sensor class 'nothing' does not exist"),
+        ({"control": object()}, r"needs a method command\(situation\)"),
+        ({"sensors": {"x": object()}, "team": "1x"}, "lacks reach, area, probability, footprint"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(options: dict[str, object], says: str) -> None:
+    with pytest.raises(covey.BadSetting, match=says) as caught:
+        covey.scenario(**options) if "control" not in options else covey.simulate(**options)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wrong_option_over_a_scenario_names_no_file_that_the_user_never_saw() -> None:
+    with pytest.raises(covey.BadSetting, match=r"^scenario quick with options: run\.dt"):
+        covey.scenario(covey.scenario("quick"), dt=99.0)
+
+
+def test_a_recording_gives_back_the_run_that_it_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("simulate", "quick", "--seconds", "5", "--record", "--run", "kept", "--json")
+    program = "import sys; from deploy.__main__ import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words], env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True
+    )
+    loaded = covey.load("kept")
+    assert loaded.result.transcript == json.loads(done.stdout.splitlines()[-1])["transcript"]
+    again = covey.simulate(covey.scenario("quick", seconds=5))
+    assert np.array_equal(loaded.ospa, again.ospa) and np.array_equal(loaded.poses, again.poses)
+    with pytest.raises(covey.BadSetting, match="no such file, and no run of this name"):
+        covey.load("lost")
+
+
+def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None:
+    options = {"trials": 1, "methods": ["power", "static"], "seconds": 2.0, "workers": 1, "into": tmp_path / "study"}
+    study = covey.study("convergence", **options)
+    assert len(study) == len(plan_of(options)) == 2
+    assert repr(study) == f"<Study in {tmp_path / 'study'}: 2 trials of power, static>"
+    assert [one.method for one in study.summary()] == ["power", "static"]
+    assert study.columns()["steady_ospa"].shape == (2,)
+    began = (tmp_path / "study" / "trials.jsonl").stat().st_mtime_ns
+    assert covey.study("convergence", **options).rows == study.rows
+    assert (tmp_path / "study" / "trials.jsonl").stat().st_mtime_ns == began
+    assert covey.load_study(tmp_path / "study").columns()["seed"].tolist() == [100, 100]
+    with pytest.raises(covey.BadSetting, match="covey study robustness"):
+        covey.study("robustness")  # type: ignore[arg-type]
+
+
+def plan_of(options: dict[str, object]) -> list[object]:
+    """The trials that the command plans for these options."""
+    from deploy.commands import studying
+
+    given = studying.given(1, None, None, None, "power,static")
+    return list(plan(studying.chosen("convergence", False, given, {"run.seconds": 2.0})))
+
+
+def test_tables_need_their_packages_and_say_so(run: covey.Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    for ask, package in ((run.to_pandas, "pandas"), (run.to_arrow, "pyarrow")):
+        with pytest.raises(ImportError, match=f"pip install {package}"):
+            ask()
+
+
+def test_a_table_has_the_columns(run: covey.Run) -> None:
+    table = run.to_arrow()
+    assert table.column_names == list(run.columns())
+    assert table["ospa"].to_pylist() == run.ospa.tolist()
+
+
+def test_import_covey_loads_nothing_heavy_and_every_public_name_is_there() -> None:
+    program = "import sys, covey; print(*sys.modules); [getattr(covey, name) for name in covey.__all__]; assert len(dir(covey)) > 9"
+    path = os.pathsep.join([str(ROOT), str(ROOT / "deploy" / "interface")])
+    done = subprocess.run(
+        [sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=True
+    )
+    assert not {"numpy", "numba", "agents", "deploy", "rich"} & set(done.stdout.split())
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        covey.nothing  # noqa: B018

@@ -1,0 +1,90 @@
+"""`covey logs` and `covey ps -a`: logs merged by time, one process or all, while they grow, and runs that have ended."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from deploy.commands.ended import ps_all
+from deploy.commands.logs import Tails, logs
+from deploy.swarm.rundir import RunDirectory
+from protocol.settings import BadSetting
+
+
+def line(time: float, name: str, message: str, **more: object) -> str:
+    return json.dumps({"time": time, "level": "info", "run": "r", "agent": name, "message": message, **more}) + "\n"
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunDirectory:
+    monkeypatch.setenv("COVEY_RUNS", str(tmp_path))
+    monkeypatch.setenv("TZ", "UTC")
+    directory = RunDirectory("r")
+    directory.logs.mkdir(parents=True)
+    directory.log("s1").write_text(line(10.0, "s1", "first") + line(30.0, "s1", "third", tick=7, level="warning"))
+    directory.log("supervisor").write_text(
+        line(20.0, "supervisor", "second") + "agents: a complaint\n" + line(40.0, "supervisor", "s1 ended: killed by SIGKILL")
+    )
+    return directory
+
+
+def test_all_logs_come_out_by_time_and_a_line_without_one_stays_behind_the_line_before(
+    run: RunDirectory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert logs((), None, follow=True, lines=None, raw=False) == 0
+    shown = [entry.split(maxsplit=2)[1:] for entry in capsys.readouterr().out.splitlines()]
+    assert shown == [
+        ["s1", "first"],
+        ["supervisor", "second"],
+        ["supervisor", "agents: a complaint"],
+        ["s1", "warning: third  (tick 7)"],
+        ["supervisor", "s1 ended: killed by SIGKILL"],
+    ]
+
+
+def test_one_process_the_last_lines_and_the_raw_lines(run: RunDirectory, capsys: pytest.CaptureFixture[str]) -> None:
+    logs(("s1",), "r", follow=False, lines=None, raw=True)
+    assert capsys.readouterr().out == run.log("s1").read_text()
+    logs((), "r", follow=False, lines=1, raw=True)
+    assert capsys.readouterr().out == line(40.0, "supervisor", "s1 ended: killed by SIGKILL")
+    logs((), "r", follow=False, lines=0, raw=True)
+    assert capsys.readouterr().out == ""
+
+
+def test_what_is_written_later_is_read_later_and_half_a_line_waits_for_its_end(run: RunDirectory) -> None:
+    tails = Tails(run)
+    assert len(tails.read()) == 5
+    whole = line(50.0, "s2", "a newcomer")
+    with run.log("s2").open("w") as log:
+        log.write(whole[:20])
+        log.flush()
+        assert tails.read() == []
+        log.write(whole[20:])
+    assert [(entry.name, entry.fields["message"]) for entry in tails.read()] == [("s2", "a newcomer")]
+    assert tails.read() == []
+
+
+def test_an_exception_stands_below_its_line(run: RunDirectory, capsys: pytest.CaptureFixture[str]) -> None:
+    run.log("s1").write_text(line(1.0, "s1", "the process ends", exception="Traceback:\n  here"))
+    logs(("s1",), "r", follow=False, lines=None, raw=False)
+    assert capsys.readouterr().out == "00:00:01.000  s1          the process ends\n    Traceback:\n      here\n"
+
+
+def test_a_run_or_a_process_that_is_not_there_is_told_with_those_that_are(run: RunDirectory) -> None:
+    with pytest.raises(BadSetting, match=r"'s9': run r has no such process; it has s1, supervisor"):
+        logs(("s9",), "r", follow=False, lines=None, raw=False)
+    with pytest.raises(BadSetting, match=r"--run q: there is no such run in .*; there are r"):
+        logs((), "q", follow=False, lines=None, raw=False)
+
+
+def test_ps_a_shows_a_run_that_has_ended_and_who_died_in_it(run: RunDirectory, capsys: pytest.CaptureFixture[str]) -> None:
+    run.config.write_text('[run]\nscenario = "quick"\n[members]\ns1 = "A"\ns2 = "A"\n')
+    run.result.write_text("{}")
+    assert ps_all(None, as_json=True) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["running"] == [] and len(found["ended"]) == 1
+    ended = found["ended"][0]
+    assert (ended["run"], ended["scenario"], ended["agents"], ended["ended_at"]) == ("r", "quick", 2, 40.0)
+    assert ended["deaths"] == [{"name": "s1", "end": "killed by SIGKILL"}] and ended["result"].endswith("r/result.json")
+    ps_all(None, as_json=False)
+    assert "s1 (killed by SIGKILL)" in capsys.readouterr().out

@@ -1,0 +1,40 @@
+"""What makes trials comparable: methods differ in what they say they do, nothing outweighs it, and rows are of one program."""
+
+import pytest
+
+from deploy.studies import trials
+from deploy.studies.trials import METHODS, Trial
+
+
+def trial(method: str, **options: object) -> Trial:
+    return Trial(scenario="efficacy", seed=100, team="2", targets=30, method=method, options=dict(options))
+
+
+@pytest.mark.parametrize("kind", ["power", "voronoi", "voronoi-cod"])
+def test_a_partition_is_compared_under_its_own_name(kind: str) -> None:
+    scenario = trial(kind).resolve()
+    assert (scenario.partition.kind, scenario.control.mode) == (kind, "lloyd")
+
+
+@pytest.mark.parametrize("mode", ["pursuit", "uniform-density", "random", "static"])
+def test_a_control_law_is_compared_on_power_cells(mode: str) -> None:
+    scenario = trial(mode).resolve()
+    assert (scenario.partition.kind, scenario.control.mode) == ("power", mode)
+
+
+def test_options_of_a_study_do_not_outweigh_the_method_the_seed_or_the_team() -> None:
+    options = {"partition.kind": "voronoi", "run.seed": 7, "team.composition": "5", "targets.count": 3, "run.dt": 0.5}
+    scenario = trial("power", **options).resolve()
+    assert (scenario.partition.kind, scenario.run.seed, len(scenario.members), scenario.targets.count) == ("power", 100, 24, 30)
+    assert scenario.run.dt == 0.5
+
+
+def test_rows_of_another_program_have_another_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = trial("power").key()
+    assert trial("power").key() == before
+    monkeypatch.setattr(trials, "fingerprint", lambda: "another program")
+    assert trial("power").key() != before
+
+
+def test_every_method_is_compared_here() -> None:
+    assert set(METHODS) == {"power", "voronoi", "voronoi-cod", "pursuit", "uniform-density", "random", "static"}

@@ -1,0 +1,57 @@
+"""A child process and what is said of it: how it ended, its last words, its row in `ps`."""
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from deploy.swarm.processes import Child, endpoints, process_rows
+from deploy.swarm.rundir import RunDirectory
+
+
+@pytest.fixture
+def child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Child:
+    monkeypatch.setenv("COVEY_RUNS", str(tmp_path))
+    directory = RunDirectory("one")
+    directory.logs.mkdir(parents=True)
+    return Child("s2", "agents", directory, [])
+
+
+def line(**fields: str) -> str:
+    return json.dumps({"time": 1.0, "level": "info", **fields})
+
+
+def test_the_last_words_of_a_process_are_its_complaint_or_the_last_line_of_its_exception(child: Child) -> None:
+    log = child.directory.log("s2")
+    assert child.last_words() == ""
+    log.write_text(line(message="joined") + "\n" + line(message="the end", exception="Traceback:\n  a.py\nZeroDivisionError: no way\n"))
+    assert child.last_words() == "ZeroDivisionError: no way"
+    log.write_text(line(message="joined") + "\n")
+    assert child.last_words() == "joined"
+    log.write_text("agents: --name s9: no such member\n" + line(message="joined") + "\n")
+    assert child.last_words() == "agents: --name s9: no such member"
+
+
+@pytest.mark.parametrize(
+    ("code", "crashed"),
+    [(None, False), (0, False), (1, True), (3, False), (-signal.SIGSEGV, True), (-signal.SIGKILL, False), (-signal.SIGTERM, False)],
+)
+def test_an_exception_and_a_crash_are_the_processs_own_and_a_kill_is_not(child: Child, code: int | None, crashed: bool) -> None:
+    child.returncode = code
+    assert child.crashed == crashed
+
+
+def test_every_process_has_a_row_with_what_is_known_of_it_and_living_guests_follow(child: Child) -> None:
+    child.returncode = -signal.SIGKILL
+    known = {"tick": 7, "cell": 0.0}
+    agents = [{"name": name, "alive": alive, **known} for name, alive in (("s2", False), ("guest", True), ("gone", False))]
+    dead, guest = process_rows({"s2": child}, {"s2": "A"}, agents)
+    assert (dead["name"], dead["class"], dead["state"], dead["end"], dead["tick"]) == ("s2", "A", "dead", "killed by SIGKILL", 7)
+    assert (guest["name"], guest["state"], guest["alive"]) == ("guest", "guest", True)
+
+
+def test_a_seed_listens_and_nobody_dials_itself() -> None:
+    seeds = ("tcp/a", "tcp/b")
+    assert endpoints("s1", {"s1": "tcp/a"}, seeds) == ["--listen", "tcp/a", "--seed-endpoint", "tcp/b"]
+    assert endpoints("s2", {"s1": "tcp/a"}, seeds) == ["--seed-endpoint", "tcp/a", "--seed-endpoint", "tcp/b"]

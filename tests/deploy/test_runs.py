@@ -1,0 +1,230 @@
+"""Kept runs: every run has a directory of its own, a name means one run, and what is removed was asked for."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from deploy.__main__ import app
+from deploy.commands.runs import rm, runs
+from deploy.commands.simulating import simulate_here
+from deploy.records.recording import find_recording
+from deploy.scenario import resolve
+from deploy.swarm.rundir import LATEST, RunDirectory, find_running, running_runs, runs_folder
+from deploy.swarm.runs import age_of, find_run, kept_runs, link_latest, take
+from protocol.keys import NAME
+from protocol.settings import BadSetting
+
+TODAY = time.strftime("%Y-%m-%d")
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COVEY_RUNS", str(tmp_path / "runs"))
+    monkeypatch.chdir(tmp_path)
+
+
+def play(wish: str | None = None, *, seed: int = 1, ended: bool = True, recorded: bool = False, code: int = 0, age: float = 0.0) -> str:
+    """A run as it lies in its folder afterwards; its name."""
+    directory, lock = take(wish, "quick")
+    directory.write_config(resolve("quick", {"run.seed": seed}))
+    link_latest(directory)
+    if ended:
+        directory.result.write_text(json.dumps({"steady_ospa": 0.5 + seed, "exit_code": code}))
+    if recorded:
+        (directory.path / "recording.mcap").write_bytes(bytes(1_500_000))
+    os.close(lock)
+    os.utime(directory.config, (time.time() - age, time.time() - age))
+    return directory.name
+
+
+def test_runs_that_nobody_names_are_numbered_by_date_and_scenario() -> None:
+    assert [play(), play(), play()] == [f"{TODAY}-quick-{number}" for number in (1, 2, 3)]
+    rm([f"{TODAY}-quick-2"], False, None, False)
+    assert play() == f"{TODAY}-quick-4"  # a number that was removed may stand in somebody's notes
+
+
+def test_a_scenario_of_any_path_gives_a_name_that_fits_into_a_key() -> None:
+    for scenario in ("my runs/ä b#1.toml", "x" * 300, ".toml"):
+        directory, lock = take(None, scenario)
+        os.close(lock)
+        assert NAME.match(directory.name)
+        assert directory.path.parent == runs_folder()
+
+
+def test_a_name_that_an_ended_run_has_is_continued_and_nothing_of_the_ended_run_changes() -> None:
+    assert play("hunt", seed=1, recorded=True) == "hunt"
+    before = {file: file.read_bytes() for file in RunDirectory("hunt").path.rglob("*") if file.is_file()}
+    assert [play("hunt", seed=2), play("hunt", seed=3)] == ["hunt-2", "hunt-3"]
+    assert {file: file.read_bytes() for file in RunDirectory("hunt").path.rglob("*") if file.is_file()} == before
+
+
+def test_a_name_of_64_characters_is_continued_within_64_characters() -> None:
+    assert [len(play("x" * 64)) for _ in range(3)] == [64, 64, 64]
+
+
+def test_a_folder_with_anything_in_it_is_no_place_for_a_run() -> None:
+    for file in ("hunt/recording.mcap", "hunt-2/trials.jsonl", "hunt-3"):
+        (runs_folder() / file).parent.mkdir(parents=True, exist_ok=True)
+        (runs_folder() / file).write_text("mine")
+    assert play("hunt") == "hunt-4"
+
+
+def test_what_a_start_that_failed_has_left_is_used_again() -> None:
+    directory, lock = take("hunt", "quick")
+    directory.log("zygote").write_text("no memory")
+    directory.output.write_text("no memory")
+    directory.page.write_text("http://127.0.0.1:1/")
+    os.close(lock)
+    directory, lock = take("hunt", "quick")
+    os.close(lock)
+    assert directory.name == "hunt"
+    assert list(directory.logs.iterdir()) == []
+
+
+def test_a_name_whose_run_is_running_is_refused_and_two_unnamed_starts_at_once_get_two_names() -> None:
+    _, lock = take("hunt", "quick")
+    with pytest.raises(BadSetting, match=r"--run hunt: .*covey down --run hunt"):
+        take("hunt", "quick")
+    os.close(lock)
+    held = [take(None, "quick") for _ in range(2)]
+    link_latest(held[1][0])
+    assert find_running(LATEST).name == held[1][0].name
+    assert [directory.name for directory, _ in held] == [f"{TODAY}-quick-1", f"{TODAY}-quick-2"]
+    for _, lock in held:
+        os.close(lock)
+
+
+@pytest.mark.parametrize("name", ["latest", "..", ".", "a/b", "", "x" * 65, "a b"])
+def test_a_name_that_is_no_folder_or_no_part_of_a_key_is_refused(name: str) -> None:
+    with pytest.raises(BadSetting, match="--run"):
+        take(name, "quick")
+
+
+def test_latest_is_the_run_that_began_last_wherever_a_run_is_named() -> None:
+    assert find_run(LATEST) is None
+    play("one", recorded=True)
+    play("two", recorded=True)
+    assert (runs_folder() / LATEST).readlink() == Path("two")
+    assert find_recording(LATEST) == RunDirectory("two").path / "recording.mcap"
+    rm([LATEST], False, None, False)
+    assert find_recording(LATEST) == RunDirectory("one").path / "recording.mcap"
+    rm(["one"], False, None, False)
+    assert not (runs_folder() / LATEST).is_symlink()
+
+
+def test_the_name_of_a_run_wins_over_a_file_of_that_name() -> None:
+    play("covey", recorded=True)
+    Path("covey").write_text("the launcher")
+    assert find_recording("covey") == RunDirectory("covey").path / "recording.mcap"
+    assert find_recording("./covey") == Path("covey")
+    rm(["covey"], False, None, False)
+    assert find_recording("covey") == Path("covey")
+
+
+def test_a_run_without_a_recording_and_a_name_that_nobody_has_are_one_line_each() -> None:
+    play("hunt")
+    with pytest.raises(BadSetting, match="hunt: no recording in it; run with --record"):
+        find_recording("hunt")
+    with pytest.raises(BadSetting, match=r"nowhere: no such file, and no run of this name in .*covey runs"):
+        find_recording("nowhere")
+
+
+def test_the_list_says_what_became_of_each_run(capsys: pytest.CaptureFixture[str]) -> None:
+    play("ended", seed=1, recorded=True, age=30.0)
+    play("killed", seed=2, ended=False, age=20.0)
+    play("stopped", seed=3, code=130, age=10.0)
+    directory, lock = take("going", "quick")
+    directory.write_config(resolve("quick", {"run.seed": 4}), simulated=True)
+    assert runs(as_json=True) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
+    assert list(rows) == ["going", "stopped", "killed", "ended"]
+    assert [rows[name]["state"] for name in rows] == ["running", "interrupted", "interrupted", "ended"]
+    assert (rows["ended"]["scenario"], rows["ended"]["seed"], rows["ended"]["ospa"]) == ("quick", 1, 1.5)
+    assert (rows["ended"]["recording_bytes"], rows["killed"]["recording_bytes"]) == (1_500_000, 0)
+    assert runs(as_json=False) == 0
+    table = capsys.readouterr().out
+    assert "quick (simulated)" in table and "1.50" in table and "1.5 MB" in table
+    os.close(lock)
+
+
+def test_a_running_simulation_is_no_swarm_that_could_be_asked() -> None:
+    directory, lock = take("virtual", "quick")
+    directory.write_config(resolve("quick"), simulated=True)
+    assert directory.is_running()
+    assert running_runs() == []
+    with pytest.raises(BadSetting, match="no run is running"):
+        find_running(None)
+    os.close(lock)
+
+
+def test_a_running_run_is_not_removed_and_then_nothing_is() -> None:
+    play("one")
+    _, lock = take("two", "quick")
+    RunDirectory("two").write_config(resolve("quick"))
+    with pytest.raises(BadSetting, match="two: the run is running"):
+        rm(["one", "two"], False, None, False)
+    assert [kept.name for kept in kept_runs()] == ["two", "one"]
+    assert rm([], True, None, True) == 0
+    assert [kept.name for kept in kept_runs()] == ["two"]
+    os.close(lock)
+
+
+def test_nothing_but_runs_is_removed() -> None:
+    (runs_folder() / "study-efficacy").mkdir(parents=True)
+    (runs_folder() / "study-efficacy" / "trials.jsonl").write_text("weeks of work")
+    play("one")
+    for name in ("study-efficacy", "..", "one/..", "nowhere"):
+        with pytest.raises(BadSetting, match="there is no run of this name"):
+            rm([name], False, None, False)
+    assert rm([], True, None, True) == 0
+    assert [path.name for path in runs_folder().iterdir()] == ["study-efficacy"]
+
+
+def test_old_runs_are_removed_by_age_and_without_a_terminal_only_with_yes() -> None:
+    play("old", age=8.0 * 86400.0)
+    play("new", age=6.0 * 86400.0)
+    with pytest.raises(BadSetting, match="would remove 1 runs; add -y"):
+        rm([], False, "7d", False)
+    assert rm([], False, "7d", True) == 0
+    assert [kept.name for kept in kept_runs()] == ["new"]
+
+
+@pytest.mark.parametrize("words", [([], False, None), (["a"], True, None), ([], True, "7d"), (["a"], False, "7d")])
+def test_what_is_removed_is_said_in_one_way(words: tuple[list[str], bool, str | None]) -> None:
+    with pytest.raises(BadSetting, match="give names of runs, or --all, or --older-than 7d"):
+        rm(*words, True)
+
+
+def test_an_age_has_a_number_and_a_unit() -> None:
+    assert [age_of(text) for text in ("30m", "12h", "7d", "1.5w")] == [1800.0, 43200.0, 604800.0, 907200.0]
+    for text in ("7", "d", "7y", "-1d", "1e9d", ""):
+        with pytest.raises(BadSetting, match="30m, 12h, 7d or 2w"):
+            age_of(text)
+
+
+def test_a_simulation_is_kept_when_it_is_named_or_recorded_and_not_otherwise(capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = resolve("quick", {"run.seconds": 1.0, "team.composition": "2E"})
+    simulate_here(scenario, None, False)
+    simulate_here(scenario, None, False, Path("mine.mcap"))
+    assert not runs_folder().exists()
+    assert Path("mine.mcap").exists()
+    simulate_here(scenario, "virtual", False)
+    simulate_here(scenario, None, False, True)
+    assert [(kept.name, kept.state, kept.simulated) for kept in kept_runs()] == [
+        (f"{TODAY}-quick-1", "ended", True),
+        ("virtual", "ended", True),
+    ]
+    assert find_recording(LATEST).parent.name == f"{TODAY}-quick-1"
+    assert not list(RunDirectory("virtual").path.glob("*.mcap"))
+
+
+def test_the_commands_take_names_and_the_short_yes() -> None:
+    _, bound, _ = app.parse_args(["rm", "one", "two"])
+    assert bound.args == ("one", "two")
+    _, bound, _ = app.parse_args(["rm", "--all", "-y"])
+    assert (bound.arguments["all"], bound.arguments["yes"]) == (True, True)
+    _, bound, _ = app.parse_args(["rm", "--older-than", "7d"])
+    assert bound.arguments["older_than"] == "7d"

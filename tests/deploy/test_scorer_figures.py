@@ -1,0 +1,66 @@
+"""The figures of a result, by hand: one target in a 10 x 10 m arena of two agents, ten ticks, of which the last five are steady."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from deploy.monitor_node import Scorer
+from deploy.scenario import Scenario
+from protocol.messages import Gossip
+from protocol.node import Received
+from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, scenario, started, truth
+
+__all__ = ["scenario"]  # the fixture
+EARLY, LATE = np.add(TARGET, [3.0, 4.0]), np.add(TARGET, [0.0, 1.0])  # 5 m and 1 m away from the target
+TWO = np.vstack([LATE, np.add(TARGET, [0.0, 7.0])])  # a false one beside
+
+
+def played(scenario: Scenario) -> Scorer:
+    scenario = msgspec.structs.replace(scenario, study=msgspec.structs.replace(scenario.study, steady_share=0.5))
+    scorer = started(scenario)
+    for tick in range(10):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("a", tick, LEFT, EARLY if tick < 5 else TWO, mass=0.5 if tick < 5 else 2.5), float(tick))
+        scorer.handle(estimate("b", tick, {3: EMPTY, 4: WHOLE}.get(tick, RIGHT), mass=0.0), float(tick))
+    return scorer
+
+
+def test_means_are_over_the_whole_run_or_over_its_steady_part(scenario: Scenario) -> None:
+    """OSPA is 5 m, then (1 + 10) / 2; GOSPA is 5 m, then 1 + 10 / 2."""
+    result = played(scenario).result(1.0)
+    assert (result.mean_ospa, result.steady_ospa, result.final_ospa) == pytest.approx((5.25, 5.5, 5.5))
+    assert (result.mean_gospa, result.steady_gospa, result.final_gospa) == pytest.approx((5.5, 6.0, 6.0))
+
+
+def test_the_cardinality_error_is_that_of_the_mass(scenario: Scenario) -> None:
+    result = played(scenario).result(1.0)
+    assert result.cardinality_error == pytest.approx(1.5)  # 2.5 expected for one target; two were reported
+
+
+def test_the_largest_hole_and_overlap_of_the_run_count(scenario: Scenario) -> None:
+    result = played(scenario).result(1.0)
+    assert (result.hole_area, result.overlap_area) == pytest.approx((0.5, 0.5))
+
+
+def test_the_mass_that_is_reported_is_that_of_the_particles_that_are_said(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    scorer.handle(truth(0), 0.0)
+    scorer.handle(estimate("a", 0, WHOLE, mass=0.5), 0.0)
+    states, ids = np.zeros((4, 4), "<f4").tobytes(), np.arange(4, dtype="<u8").tobytes()
+    pose, claim = (1.0, 1.0, 0.0), np.array([[1.0, 1.0, 0.0]]).tobytes()
+    common = {"sender": "a", "incarnation": 1, "pose": pose, "cod": pose[:2], "power_radius": 0.0, "unused": 0.0}
+    gossip = Gossip(**common, tick=1, claim_tick=0, claim_names=("a",), claim_bytes=claim, weight=0.2, states_bytes=states, ids_bytes=ids)
+    scorer.handle(Received(gossip), 0.5)
+    assert scorer.result(1.0).mass_residual == pytest.approx(abs(0.5 - 4 * 0.2))
+
+
+def test_who_has_been_silent_for_longer_than_it_stays_a_generator_is_not_scored(scenario: Scenario) -> None:
+    """Four rounds; the world is far ahead of its word, and a tick is scored without it."""
+    scorer = started(scenario)
+    for tick in range(40):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("a", tick, LEFT, TARGET), float(tick))
+        if tick == 0:
+            scorer.handle(estimate("b", tick, RIGHT, LATE), 0.0)
+    estimated = [score.estimated for score in scorer.scores]
+    assert estimated[:8] == [2] * 5 + [1] * 3

@@ -1,0 +1,54 @@
+"""What the golden record holds of an agent's tick: the one place that knows the names of messages and of their fields.
+
+A rename of a message or of its fields is followed here and moves no hash: values are hashed in the order of `FIELDS`, without names.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from protocol.messages import Command, Estimate, Gossip, Message
+
+Values = list[Any]  # numbers, texts, arrays, or lists of them
+FIELDS: dict[str, tuple[type[Message], Callable[[Any], Iterable[Any]]]] = {
+    "pose": (Gossip, lambda said: (said.pose, said.cod, said.scanned, said.listening)),
+    "scan": (Gossip, lambda said: (said.detections,)),
+    "unused": (Gossip, lambda said: (said.unused, said.power_radius)),
+    "claim": (Gossip, lambda said: (said.claim_tick, said.claim_names, said.claim)),
+    "view": (Gossip, lambda said: (said.view,)),
+    "ids": (Gossip, lambda said: (said.ids,)),
+    "states": (Gossip, lambda said: (said.states,)),
+    "weights": (Gossip, lambda said: (said.weight,)),
+    "command": (Command, lambda said: (said.velocity, said.turn_rate)),
+    "cell": (Estimate, lambda said: (said.cell, said.neighbours, said.view)),
+    "mass": (Estimate, lambda said: (said.mass, said.load, said.unused)),
+    "estimates": (Estimate, lambda said: (said.targets,)),
+    "counters": (Estimate, lambda said: (sorted([name, count] for name, count in said.counters.items() if count),)),
+}
+
+
+def values_of(message: Message) -> dict[str, Values]:
+    """The values of the fields that a message holds; other messages hold none."""
+    return {name: list(read(message)) for name, (kind, read) in FIELDS.items() if isinstance(message, kind)}
+
+
+def address_of(message: Message) -> tuple[int, str, int]:
+    """Tick, sender and incarnation of a message that has fields."""
+    return message.tick, message.sender, message.incarnation  # type: ignore[attr-defined]
+
+
+def digest(values: object) -> bytes:
+    """Eight bytes that change with any bit of any value; -0.0 counts as 0.0, and the precision of an array does not matter."""
+    return hashlib.blake2b(_canonical(values), digest_size=8).digest()
+
+
+def _canonical(value: object) -> bytes:
+    """Bytes that tell all values apart."""
+    if isinstance(value, np.ndarray):
+        numbers = value.astype("<f8") + 0.0 if value.dtype.kind == "f" else value.astype("<u8")
+        return repr(value.shape).encode() + numbers.tobytes()
+    if isinstance(value, list | tuple):
+        return b"(" + b",".join([_canonical(part) for part in value]) + b")"
+    return (float.hex(value + 0.0) if isinstance(value, float) else repr(value)).encode()

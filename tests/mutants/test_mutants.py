@@ -1,0 +1,76 @@
+"""The table of mutants is in order, its runner tells the killed from the rest, and (nightly) every mutant is killed."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.mutants import run
+from tests.mutants.run import ROOT, Edit, Mutant, chosen, judge, planted, read_table
+
+TABLE = read_table()
+LEAST = 200
+
+
+def test_every_mutant_can_be_planted_and_names_tests_that_exist() -> None:
+    for mutant in TABLE:
+        assert mutant.tests, f"{mutant.name}: no test"
+        for edit in mutant.edits:
+            assert planted(edit) != (ROOT / edit.file).read_text(), f"{mutant.name}: changes nothing"
+        for test in mutant.tests:
+            file, _, name = test.partition("::")
+            assert (ROOT / file).is_file(), f"{mutant.name}: there is no {file}"
+            assert f"def {name.partition('[')[0]}" in (ROOT / file).read_text(), f"{mutant.name}: there is no {test}"
+
+
+def test_mutants_have_names_of_their_own_and_are_many() -> None:
+    names = [mutant.name for mutant in TABLE]
+    assert len(set(names)) == len(names) >= LEAST
+
+
+def test_a_text_that_has_gone_is_an_error_that_says_so(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("x = 1\nx = 1\n")
+    for old, times in (("y = 1", 0), ("x = 1", 2)):
+        with pytest.raises(ValueError, match=f"a.py: the old text stands there {times} times"):
+            planted(Edit("a.py", old, "z"), tmp_path)
+
+
+def test_mutants_are_chosen_by_number_or_by_a_part_of_the_name() -> None:
+    assert [mutant.number for mutant in chosen(TABLE, ["2", TABLE[0].name])] == [1, 2]
+    assert chosen(TABLE, []) == TABLE and chosen(TABLE, ["no such mutant"]) == []
+
+
+@pytest.mark.parametrize(
+    ("test", "what"),
+    [
+        ("assert double(2) == 4", "killed"),
+        ("assert double(0) == 0", "SURVIVED"),
+        ("import no_such_module", "killed"),
+        ("import time; time.sleep(60)", "TIMEOUT"),
+    ],
+)
+def test_a_mutant_is_killed_by_a_failing_test_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, test: str, what: str) -> None:
+    if what == "TIMEOUT":
+        monkeypatch.setattr(run, "LIMIT", 8.0)
+    (tmp_path / "doubling.py").write_text("def double(x):\n    return 2 * x\n")
+    (tmp_path / "test_it.py").write_text(f"from doubling import double\n\ndef test_it():\n    {test}\n")
+    (tmp_path / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["."]\nmarkers = ["slow"]\n')
+    mutant = Mutant(1, "triple", "it triples", (Edit("doubling.py", "2 * x", "3 * x"),), ("test_it.py",))
+    assert judge(mutant, tmp_path).what == what
+    assert (tmp_path / "doubling.py").read_text() == "def double(x):\n    return 2 * x\n"
+
+
+def test_a_test_that_cannot_even_be_read_kills_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("x = 1\n")
+    (tmp_path / "test_it.py").write_text("from a import y\n")
+    (tmp_path / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["."]\nmarkers = ["slow"]\n')
+    assert judge(Mutant(1, "two", "two", (Edit("a.py", "1", "2"),), ("test_it.py",)), tmp_path).what == "ERROR"
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+@pytest.mark.timeout(7200)
+def test_every_mutant_is_killed() -> None:
+    done = subprocess.run([sys.executable, "-m", "tests.mutants.run"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]

@@ -1,0 +1,163 @@
+"""The particle PHD filter of sections II-C and IV with dice of its own: motion, births, misses, clutter, iterated corrector, redraw.
+
+It is central: one PHD of the whole arena, corrected with the scans of all sensors. Settings are those that a run has recorded, as a
+plain dictionary. What the paper leaves open is read as docs/paper.md says.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+
+from tests.oracle.wedges import Pose, Wedge, sees
+
+Settings = dict[str, Any]
+
+
+class Phd(NamedTuple):
+    """Particles: states (N, 4) of x, y, vx, vy in m and m/s; weights (N,) in expected targets."""
+
+    states: np.ndarray
+    weights: np.ndarray
+
+    def mass(self, where: np.ndarray | None = None) -> float:
+        """Expected targets, in all or where a mask (N,) says."""
+        return math.fsum(self.weights if where is None else self.weights[where])
+
+    def __add__(self, other: "Phd") -> "Phd":  # type: ignore[override]
+        return Phd(np.vstack([self.states, other.states]), np.concatenate([self.weights, other.weights]))
+
+
+NOTHING = Phd(np.empty((0, 4)), np.empty(0))
+
+
+class Scan(NamedTuple):
+    """What one sensor returned."""
+
+    name: str
+    wedge: Wedge
+    pose: Pose
+    detections: np.ndarray  # (M, 2), m
+    clutter_density: float  # kappa, per m^2: what is expected per scan, uniform in the footprint
+
+
+def public_order(scans: list[Scan]) -> list[Scan]:
+    """The order in which the corrector takes the scans of a tick (docs/protocol.md): shorter names first, then by their bytes."""
+    return sorted(scans, key=lambda scan: (len(scan.name), scan.name.encode()))
+
+
+def birth_density(predicted: Phd, scan: Scan, birth: Settings) -> np.ndarray:
+    """Density b of targets not yet represented at each detection, per m^2: that of the predicted PHD nearby, within bounds; (M,)."""
+    near = _apart(predicted, scan.detections) <= birth["radius"]
+    density = predicted.weights @ near / (math.pi * birth["radius"] ** 2)
+    return np.clip(density, birth["least_share"] * scan.clutter_density, None).clip(None, birth["most_density"])
+
+
+def predict(phd: Phd, settings: Settings, dice: np.random.Generator) -> Phd:
+    """One step on: constant speed, noisy heading, noisy position, survival; what leaves an open arena is gone."""
+    motion, dt = settings["filter"], settings["run"]["dt"]
+    heading = np.arctan2(phd.states[:, 3], phd.states[:, 2]) + motion["heading_noise"] * math.sqrt(dt) * dice.normal(size=len(phd.weights))
+    velocity = motion["speed"] * np.column_stack([np.cos(heading), np.sin(heading)])
+    place = phd.states[:, :2] + dt * velocity + motion["position_noise"] * dice.normal(size=(len(phd.weights), 2))
+    sides = np.array([settings["arena"]["width"], settings["arena"]["height"]])
+    if motion["border"] == "reflect":
+        velocity = np.where((place < 0.0) | (place > sides), -velocity, velocity)
+        place = np.where(place < 0.0, -place, np.where(place > sides, 2.0 * sides - place, place))
+    survival = math.exp(-dt / motion["lifetime"]) if motion["lifetime"] > 0.0 else 1.0
+    weights = np.where(((place >= 0.0) & (place <= sides)).all(axis=1), survival * phd.weights, 0.0)
+    return Phd(np.hstack([place, velocity]), weights)
+
+
+def prior(count: int, settings: Settings, dice: np.random.Generator) -> Phd:
+    """The uniform PHD before the first tick."""
+    width, height = settings["arena"]["width"], settings["arena"]["height"]
+    mass = settings["filter"]["prior_density"] * width * height
+    places = dice.uniform(size=(count, 2)) * [width, height]
+    return Phd(np.hstack([places, _any_way(count, settings, dice)]), np.full(count, mass / count))
+
+
+def background(settings: Settings, dice: np.random.Generator) -> Phd:
+    """What enters in one step: density x speed x perimeter / pi per second, most of it on the border, inward by the cosine law."""
+    width, height = settings["arena"]["width"], settings["arena"]["height"]
+    motion, birth = settings["filter"], settings["birth"]
+    if not birth["background"]:
+        return NOTHING
+    count = birth["background_particles"]
+    mass = motion["prior_density"] * motion["speed"] * 2.0 * (width + height) / math.pi * settings["run"]["dt"]
+    on_border = np.arange(count) < round(birth["border_share"] * count)
+    side = dice.choice(4, size=count, p=np.array([width, height, width, height]) / (2.0 * (width + height)))
+    share, inward = dice.uniform(size=count), np.array([0.5, 1.0, 1.5, 2.0])[side] * math.pi
+    x = np.select([side % 2 == 0, side == 1], [share * width, width], 0.0)
+    y = np.select([side % 2 == 1, side == 2], [share * height, height], 0.0)
+    heading = inward + np.arcsin(dice.uniform(-1.0, 1.0, size=count))
+    entering = np.column_stack([x, y, motion["speed"] * np.cos(heading), motion["speed"] * np.sin(heading)])
+    anywhere = np.hstack([dice.uniform(size=(count, 2)) * [width, height], _any_way(count, settings, dice)])
+    return Phd(np.where(on_border[:, None], entering, anywhere), np.full(count, mass / count))
+
+
+def correct(predicted: Phd, scans: list[Scan], settings: Settings, dice: np.random.Generator) -> Phd:
+    """The PHD after all scans of a tick, one after the other: w (1 - p_d) + sum over z of w p_d g / (kappa + p_d b + sum of w p_d g).
+
+    g is a Gaussian cut at `filter.gate` standard deviations; the share p_d b of a detection becomes new particles around it.
+    """
+    sigma, copies = settings["detection"]["noise"], settings["birth"]["copies"]
+    phd = predicted
+    for scan in public_order(scans):
+        seen = scan.wedge.prob * sees(scan.wedge, scan.pose, phd.states[:, :2])
+        apart = _apart(phd, scan.detections)
+        likelihood = np.where(apart <= settings["filter"]["gate"] * sigma, (norm.pdf(apart / sigma) / sigma) * (norm.pdf(0.0) / sigma), 0.0)
+        shares = (phd.weights * seen)[:, None] * likelihood
+        fresh = np.zeros(len(scan.detections))
+        if settings["birth"]["measurement"]:
+            fresh = scan.wedge.prob * sees(scan.wedge, scan.pose, scan.detections) * birth_density(predicted, scan, settings["birth"])
+        explained = scan.clutter_density + fresh + shares.sum(axis=0)
+        explained[explained == 0.0] = 1.0
+        phd = Phd(phd.states, phd.weights * (1.0 - seen) + (shares / explained).sum(axis=1))
+        if settings["birth"]["measurement"]:
+            count = copies * len(fresh)
+            places = np.repeat(scan.detections, copies, axis=0) + sigma * dice.normal(size=(count, 2))
+            phd += Phd(np.hstack([places, _any_way(count, settings, dice)]), np.repeat(fresh / explained / copies, copies))
+    return phd
+
+
+def within(phd: Phd, settings: Settings) -> Phd:
+    """The part in the arena: a detection near the border may have given birth to particles beyond it, which are in nobody's cell."""
+    places, sides = phd.states[:, :2], [settings["arena"]["width"], settings["arena"]["height"]]
+    inside = ((places >= 0.0) & (places <= sides)).all(axis=1)
+    return Phd(phd.states[inside], phd.weights[inside])
+
+
+def redraw(phd: Phd, count: int, dice: np.random.Generator) -> Phd:
+    """`count` particles of equal weight and the same mass, each drawn about as often as its weight says."""
+    bounds = np.cumsum(phd.weights)
+    marks = (np.arange(count) + dice.uniform()) * (bounds[-1] / count)
+    return Phd(phd.states[np.searchsorted(bounds, marks).clip(max=len(bounds) - 1)], np.full(count, bounds[-1] / count))
+
+
+class PaperFilter:
+    """The filter over a whole run."""
+
+    def __init__(self, settings: Settings, seed: int) -> None:
+        self.settings, self.dice = settings, np.random.default_rng(seed)
+        self._per_target = settings["filter"]["particles_per_target"]
+        mass = settings["filter"]["prior_density"] * settings["arena"]["width"] * settings["arena"]["height"]
+        self.phd = prior(max(1, round(self._per_target * mass)), settings, self.dice)
+
+    def step(self, scans: list[Scan]) -> Phd:
+        """The PHD after the next tick."""
+        predicted = predict(self.phd, self.settings, self.dice) + background(self.settings, self.dice)
+        phd = within(correct(predicted, scans, self.settings, self.dice), self.settings)
+        self.phd = redraw(phd, max(1, round(self._per_target * phd.mass())), self.dice)
+        return phd
+
+
+def _any_way(count: int, settings: Settings, dice: np.random.Generator) -> np.ndarray:
+    """Velocities (N, 2) in any direction."""
+    heading = dice.uniform(0.0, 2.0 * math.pi, size=count)
+    return settings["filter"]["speed"] * np.column_stack([np.cos(heading), np.sin(heading)])
+
+
+def _apart(phd: Phd, points: np.ndarray) -> np.ndarray:
+    """Distances (N, M) of the particles from points (M, 2), m."""
+    return np.hypot(phd.states[:, :1] - points[:, 0], phd.states[:, 1:2] - points[:, 1])

@@ -1,0 +1,55 @@
+"""Classes of the user's own: a right answer is handed through as it is, a wrong one is told with the name of the class."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.foreign import CheckedSensor, fault_of, probe, real_array
+from protocol.sensing import SENSOR_CLASSES, SensorModel
+from protocol.settings import BadSetting
+
+WEDGE = SENSOR_CLASSES["A"]
+POINTS = np.array([[1.0, 0.0], [-7.0, 3.0]])
+
+
+def test_right_answers_are_the_very_arrays_of_the_class_and_everything_else_is_handed_through() -> None:
+    checked = CheckedSensor(WEDGE, "mine:Wedge")
+    assert isinstance(checked, SensorModel)
+    assert (checked.reach, checked.area, checked.prob_detection) == (8.0, WEDGE.area, 0.99)
+    np.testing.assert_array_equal(checked.probability(POINTS, (0.0, 0.0, 0.0)), WEDGE.probability(POINTS, (0.0, 0.0, 0.0)))
+    probe(checked, "mine:Wedge")
+    with pytest.raises(AttributeError):
+        _ = checked.no_such_part
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (None, "returned None: should be an array of shape (2,)"),
+        ([0.1, 0.2], "returned [0.1, 0.2]: should be an array"),
+        (np.zeros(3), "shape (3,) and type float64"),
+        (np.zeros((2, 1)), "shape (2, 1) and type float64"),
+        (np.zeros(2, dtype=complex), "type complex128"),
+        (np.array(["a", "b"]), "type <U1"),
+        (np.array([0.0, np.inf]), "with inf in it"),
+        ("x" * 200, "... (str): should be an array"),
+    ],
+)  # fmt: skip
+def test_what_is_no_array_of_that_shape_is_told_in_one_short_line(value: Any, told: str) -> None:
+    with pytest.raises(BadSetting) as caught:
+        real_array("mine:Camera.probability", value, (2,))
+    text = str(caught.value)
+    assert text.startswith("mine:Camera.probability returned ") and told in text
+    assert len(text) < 200 and "\n" not in text
+
+
+def test_an_exception_inside_is_the_cause_and_a_bad_setting_passes() -> None:
+    with (
+        pytest.raises(BadSetting, match=r"mine:Law\.command raised ZeroDivisionError: division by zero") as caught,
+        fault_of("mine:Law.command"),
+    ):
+        _ = 1 / 0
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    with pytest.raises(BadSetting, match=r"^as it is$"), fault_of("mine:Law.command"):
+        raise BadSetting("as it is")
