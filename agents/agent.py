@@ -6,9 +6,6 @@ and drive. The mathematics lives in `phd`, `belief`, `cells`, `capacity` and `co
 """
 
 from collections import Counter
-from collections.abc import Sequence
-from itertools import groupby
-from typing import Any
 
 from agents import speech
 from agents.accord import Accord
@@ -18,24 +15,24 @@ from agents.births import prior, prior_around, prior_size
 from agents.config import AgentConfig
 from agents.greetings import SOON, Greetings
 from agents.lookout import Lookout
-from agents.neighbours import Neighbours
+from agents.neighbours import ACCEPTED, OWN, UNASKED, Neighbours
 from agents.particles import NONE
 from agents.round import Outcome, oneself, play
-from agents.unison import Unison, together_of
 from protocol.keys import all_of, one_of, tokens_of
-from protocol.messages import Beacon, Gossip, Hello, Message, Observation
-from protocol.node import QUIET, Alive, Batch, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.messages import Beacon, Gossip, Hello, Observation
+from protocol.node import QUIET, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
 
 EXIT_FENCED = 3
 MANY = 1 << 30
 
 
-class Agent:
+class Agent(Node):
     """The Node of one sensor."""
 
     role = "agent"
     patient = "/gossip/"  # one gossip is no reason to wake up
+    newest_only = "/observation/"
 
     def __init__(
         self, config: AgentConfig, name: str, incarnation: int = 1, arithmetic: Arithmetic = PLAIN, sensor_class: str = ""
@@ -44,10 +41,11 @@ class Agent:
         self.config = config
         self.sensor_class = sensor_class or config.members[name]  # empty: as the roster says
         self.counters: Counter[str] = Counter()
-        self.neighbours = Neighbours(config, name, incarnation)
+        self.neighbours = Neighbours(config, name)
         self.tick = -1  # of the newest observation
         self.self = oneself(config, name, self.sensor_class, arithmetic)
-        self.local = self.neighbours.local  # then the driver shows me only the tokens that I ask for
+        self.local = self.neighbours.local
+        self.sees_all_tokens = not self.local
         self._lookout = Lookout(self.self, self.neighbours, incarnation) if self.local else None
         everywhere = NONE if self.local else prior(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena)
         self.outcome = Outcome(start(everywhere, name), self.self.facts.capability)
@@ -67,8 +65,7 @@ class Agent:
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event; the effects in order (Node)."""
         if type(event) is Received:
-            message = event.message
-            return self._on_gossip(message, now) if type(message) is Gossip else self._on_message(message, now)
+            return self._on_batch(event.batch, now)
         match event:
             case Timer():
                 return self._on_timer(now)
@@ -92,12 +89,20 @@ class Agent:
                 self.counters[f"rejected.{reason}"] += 1
         return []
 
-    def _on_message(self, message: Message, now: float) -> list[Effect]:
-        if isinstance(message, Observation):
-            return self._on_observation(message, now)
-        if isinstance(message, Hello):
-            return self._on_hello(message, now)
-        return self._see_each([message], now) if isinstance(message, Beacon) and message.sender != self.name else QUIET
+    def _on_batch(self, batch: Batch, now: float) -> list[Effect]:
+        """Take messages that arrived together."""
+        if batch.kind is Gossip:
+            return self._on_gossips(batch, now)
+        if batch.kind is Beacon:
+            return self._on_beacons([message for message in batch.messages if message.sender != self.name], now)
+        effects: list[Effect] = QUIET
+        for message in batch.messages:
+            if isinstance(message, Hello):
+                more = self._on_hello(message, now)
+            else:
+                more = self._on_observation(message, now) if isinstance(message, Observation) else QUIET
+            effects = more if effects is QUIET else [*effects, *more]
+        return effects
 
     def _expressions(self) -> list[str]:
         """What I listen to from the beginning."""
@@ -107,7 +112,7 @@ class Agent:
 
     @property
     def awaiting(self) -> int:
-        """How many gossips the open round waits for; without one they can wait for the observation (Node)."""
+        """How many gossips the open round waits for; while none is open they wait for the observation (Node)."""
         return len(self._awaited) if self._gossip else MANY
 
     def deadline(self) -> float | None:
@@ -156,49 +161,40 @@ class Agent:
         self.outcome = Outcome(start(known, self.name), self.self.facts.capability)
         return [*effects, *self._speak(observation, now)]
 
-    def _on_gossip(self, gossip: Gossip, now: float) -> list[Effect]:
-        if gossip.sender == self.name:
-            return self._fence(gossip.incarnation)
+    def _on_gossips(self, batch: Batch, now: float) -> list[Effect]:
+        """Take gossips that arrived together; the open round closes when nobody is awaited any more."""
+        if self.name in batch.senders:
+            for message in batch.messages:
+                if message.sender == self.name and message.incarnation > self.incarnation:
+                    return self._fence(message.incarnation)
         if not self.local:
-            self._presence.speak(gossip.sender, now)
+            self._presence.speak_all(batch.senders, now)
         if self.tick < 0:
             self._greetings.go_on()
-        reason = self.neighbours.hear(gossip)
-        if reason:
-            if reason != "unasked":
-                self.counters[f"rejected.{reason}"] += 1
-            return QUIET
-        self.counters["heard"] += 1
-        if self._lookout is not None and gossip.tick > self.tick + 1:
-            doubts = self._lookout.lag(self.tick, now)
-            self.counters["reopened"] += len(doubts)
-            return doubts or QUIET
-        if gossip.tick == self.tick and gossip.sender in self._awaited:
-            self._awaited.remove(gossip.sender)
-            if not self._awaited:
-                return self._close_if_complete(now)
-        return QUIET
+        reasons = self.neighbours.accept(batch)
+        accepted = [gossip for gossip, reason in zip(batch.messages, reasons) if reason == ACCEPTED]
+        if len(accepted) < len(reasons):
+            refused = [reason for reason in reasons if reason not in (ACCEPTED, OWN, UNASKED)]
+            self.counters.update([f"rejected.{reason}" for reason in refused])
+        self.counters["heard"] += len(accepted)
+        doubts = self._lag(accepted, now) if self._lookout is not None else []
+        self._awaited.difference_update([gossip.sender for gossip in accepted if gossip.tick == self.tick])
+        if self._gossip is not None and not self._awaited:
+            return [*doubts, *self._close(now)]
+        return doubts or QUIET
 
-    def take_all(self, messages: list[Message], now: float) -> list[Effect]:
-        """Gossips, beacons and greetings have come, in this order: as if `handle` had taken one after the other, only cheaper (Node)."""
-        effects: list[Effect] = QUIET
-        for kind, group in groupby(messages, type):
-            alike: list[Any] = list(group)
-            take = self._hear_each if kind is Gossip else self._see_each if kind is Beacon else self._greet_each
-            more = take(alike, now)  # type: ignore[operator]
-            effects = more if effects is QUIET else [*effects, *more]
-        return effects
+    def _lag(self, gossips: list[Gossip], now: float) -> list[Effect]:
+        """A new session, if others have long been more than a tick ahead."""
+        assert self._lookout is not None
+        for gossip in gossips:
+            if gossip.tick > self.tick + 1:
+                doubts = self._lookout.lag(self.tick, now)
+                self.counters["reopened"] += len(doubts)
+                if doubts:
+                    return doubts
+        return []
 
-    def _greet_each(self, hellos: list[Hello], now: float) -> list[Effect]:
-        effects: list[Effect] = QUIET
-        for hello in hellos:
-            known = hello.role == "agent" and self.neighbours.knows(hello)
-            if not known or not self._presence.greet_again(hello.sender, now):
-                more = self._on_hello(hello, now)
-                effects = more if effects is QUIET else [*effects, *more]
-        return effects
-
-    def _see_each(self, beacons: list[Beacon], now: float) -> list[Effect]:
+    def _on_beacons(self, beacons: list[Beacon], now: float) -> list[Effect]:
         if self._lookout is None:
             return QUIET
         others = [beacon for beacon in beacons if self._accord.differs(beacon)]
@@ -208,61 +204,11 @@ class Agent:
         self._answer_at = now + SOON if self._answer_at is None else self._answer_at
         return [*warnings]
 
-    def _hear_each(self, gossips: list[Gossip], now: float) -> list[Effect]:
-        effects, at = QUIET, 0
-        while at < len(gossips):
-            calm, taken = self.neighbours.hear_calmly(gossips, at, self.tick, self._awaited) if self._gossip else (0, 0)
-            if calm:
-                self.counters["heard"] += taken
-                if not self.local:  # then all who are taken are in the circle
-                    circle = self.neighbours.circle
-                    names = circle if taken == len(circle) else [gossip.sender for gossip in gossips[at : at + calm]]
-                    self._presence.speak_all(names, now)
-                more = QUIET if self._awaited else self._close_if_complete(now)
-            else:
-                more, calm = self._on_gossip(gossips[at], now), 1
-            at += calm
-            effects = more if effects is QUIET else [*effects, *more]
-        return effects
-
-    def hear_together(self, batch: Batch, now: float) -> list[Effect] | None:
-        """Messages have come in one instant, mine among them; None: take the others one by one, for it is as if none had come (Node)."""
-        together, circle = together_of(batch), self.neighbours.circle
-        if not isinstance(together, Unison):
-            if together is None or not self.neighbours.are_all(together):
-                return None
-            return QUIET if self._presence.greet_all_again(together.times(now), now) else None
-        if self._gossip is None or len(self._awaited) < len(circle) or not self.neighbours.hear_together(together, self.tick):
-            return None
-        self.counters["heard"] += len(circle)
-        self._presence.speak_at(together.times(now))
-        self._awaited.clear()
-        return self._close_if_complete(now)
-
-    def hear_all(self, keys: Sequence[str], payloads: Sequence[bytes], now: float) -> list[Effect] | None:
-        """Gossips have come, unchecked, in this order; None: take them one by one (Node). In a calm round it saves most of the work."""
-        reader = self.self.arithmetic.reader
-        if reader is None or self._listening or self.tick > self.neighbours.said.next:
-            return None
-        if self._lookout and not self._lookout.spare.isdisjoint(keys):
-            needed = [(key, payload) for key, payload in zip(keys, payloads) if key not in self._lookout.spare]
-            if not needed:
-                return QUIET
-            keys, payloads = zip(*needed)
-        names = self.neighbours.hear_all(reader, keys, payloads)
-        if names is None:
-            return None
-        if not self.local:
-            self._presence.speak_all(names, now)
-        self.counters["heard"] += len(names)
-        if self._awaited and self._gossip is not None:
-            self._awaited -= names
-            return self._close_if_complete(now)
-        return QUIET
-
     def _on_hello(self, hello: Hello, now: float) -> list[Effect]:
         if hello.sender == self.name:
             return self._fence(hello.incarnation)
+        if hello.role == "agent" and self.neighbours.knows(hello) and self._presence.greet_again(hello.sender, now):
+            return QUIET
         reason = self.neighbours.greet(hello) if hello.role == "agent" else None
         warnings = self._accord.refuse([hello]) if self._accord.differs(hello) else []  # heard all the same, which others shall know
         if reason and reason != "settings":
@@ -347,4 +293,4 @@ class Agent:
         """Another process speaks under my name: the older incarnation leaves."""
         if incarnation > self.incarnation:
             return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self.name} is alive")]
-        return []
+        return QUIET

@@ -8,7 +8,6 @@ import numpy as np
 
 from agents import cells, claims, phd
 from agents.births import background_births, near_part
-from agents.calm import Reader
 from agents.cells import Cell
 from agents.claims import Claim
 from agents.extraction import estimate_targets
@@ -79,7 +78,6 @@ class Arithmetic(NamedTuple):
     refresh: Callable[[Task], Refreshed]  # all the steps from `gather` on
     refresh_all: Callable[[Words, Particles, Parts, Step], list[Refreshed]]  # of all whose words these are
     wanted: Callable[..., Choice]
-    reader: Reader | None = None  # of many gossips at once; None: they are read one by one
 
 
 def births(step: Step) -> Particles:
@@ -181,8 +179,8 @@ def refresh(task: Task) -> Refreshed:
 def one_by_one(refresh: Callable[[Task], Refreshed], words: Words, births: Particles, parts: Parts, step: Step) -> list[Refreshed]:
     """What each of those who speak makes of its part of the PHD, when nothing counts but what they say."""
     return [
-        refresh(Task(gossip.sender, gossip.memo["sensor"], gossip.pose, words, words, births, cell.polygon, claim, step))
-        for gossip, cell, claim in zip(words.gossips, parts.cells, parts.claims)
+        refresh(Task(gossip.sender, announced.sensor, gossip.pose, words, words, births, cell.polygon, claim, step))
+        for gossip, announced, cell, claim in zip(words.gossips, words.sensors, parts.cells, parts.claims)
     ]
 
 

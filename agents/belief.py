@@ -35,13 +35,10 @@ class Share(NamedTuple):
 
 def share_of(gossip: Gossip) -> Share:
     """What a gossip says its sender owns."""
-    share: Share | None = gossip.memo.get("share")
-    if share is None:
-        names = gossip.claim_names
-        claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
-        particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids)
-        share = gossip.memo["share"] = Share(gossip.sender, claim, particles, gossip.view)
-    return share
+    names = gossip.claim_names
+    claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
+    particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids)
+    return Share(gossip.sender, claim, particles, gossip.view)
 
 
 class Round(NamedTuple):

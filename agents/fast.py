@@ -18,7 +18,6 @@ from agents import (
     claim_kernels,
     extraction_kernels,
     gather_kernels,
-    gossip_kernels,
     interest,
     interest_kernels,
     kernels,
@@ -31,7 +30,6 @@ from agents.arithmetic import Arithmetic, Parts, Refreshed, Task, in_steps, one_
 from agents.arithmetic import in_view as plain_in_view
 from agents.arithmetic import update as plain_update
 from agents.births import DIRECTIONS, inflow, sensor_row
-from agents.calm import Reader
 from agents.cells import NO_CELL, TOUCH, Cell
 from agents.claims import Claim, Claims
 from agents.config import AgentConfig, ExtractionSettings
@@ -224,17 +222,13 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     return prepared(config)
 
 
-def _box(states_bytes: bytes) -> bytes:
-    return round_kernels.box(np.frombuffer(states_bytes, dtype=np.float32).reshape(-1, 4)).tobytes()  # type: ignore[no-any-return]
-
-
 def said_near(words: Words, polygon: np.ndarray, task: Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States, ids and rows of gossips: of all who hear the same together, else only of those who say something of what is near."""
     config = task.step.config
     if config.timing.interest == "all" or words.stands_ready:
         return *words.stated, words.table
     (x, y), reach = task.pose[:2], task.sensor.reach + task.step.reach
-    near = round_kernels.touching(words.boxes(_box), polygon, config.filter.halo + task.step.reach, x, y, reach)
+    near = round_kernels.touching(words.boxes, polygon, config.filter.halo + task.step.reach, x, y, reach)
     return *words.stated_by(near.tolist()), words.table[near]
 
 
@@ -346,5 +340,4 @@ FAST = Arithmetic(
     refresh=refresh,
     refresh_all=refresh_all,
     wanted=wanted,
-    reader=Reader(gossip_kernels.read, gossip_kernels.lay_out),
 )

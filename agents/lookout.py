@@ -17,7 +17,7 @@ from agents.hearsay import Hearsay, LeftBehind
 from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
 from agents.neighbours import Neighbours
 from agents.peers import Peer
-from agents.places import EAST, RADIUS, spot
+from agents.places import EAST, RADIUS, spot_of
 from agents.round import HORIZON, Outcome, Self
 from agents.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
 from protocol.agreement import whole
@@ -65,14 +65,6 @@ class Lookout:
         self._lingering: dict[str, int] = {}  # whose gossip comes all the same, and in which tick it was needed last
         self._watched: set[str] = set()  # whose token I see
         self._forgotten = False  # somebody has been forgotten since I looked at the tokens
-        self._spare: frozenset[str] | None = None  # see `spare`, when it has been asked for
-
-    @property
-    def spare(self) -> frozenset[str]:
-        """Keys of the gossips that come and are not needed."""
-        if self._spare is None:
-            self._spare = frozenset([one_of(self._me.config.run.name, "gossip", name) for name in self._lingering])
-        return self._spare
 
     # ------------------------------------------------------------------ before the first word
 
@@ -127,7 +119,7 @@ class Lookout:
     def _table(self, mine: Beacon, tick: int) -> np.ndarray:
         """Where everybody is (`Places.table`), after those who are not there any more have been forgotten."""
         self._forgotten |= self._neighbours.forget(tick - math.ceil(FORGOTTEN * self._period))
-        return self._neighbours.places.table(spot(mine, self._me.config))
+        return self._neighbours.places.table(spot_of(mine, self._me.config.partition.kind))
 
     # ------------------------------------------------------------------ beacons
 
@@ -163,7 +155,7 @@ class Lookout:
         told = Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius)
         peer = self._neighbours.peers.get(beacon.sender)
         if peer is not None and peer.outfit is not None:
-            told = told.wider(bounds_of(*peer.outfit))
+            told = told.wider(bounds_of(*peer.outfit[:2]))
         known = self._ground.bounds
         wider = known.wider(told)
         if wider is not known:
@@ -219,7 +211,7 @@ class Lookout:
         """At the end of a round: a new session, if the others have long been naming somebody here of whom I hear nothing."""
         if tick % LOOK:
             return []
-        gossips = [gossip for gossip in self._neighbours.said.last.values() if gossip.tick == tick]
+        gossips = [gossip for gossip in self._neighbours.inbox.last.values() if gossip.tick == tick]
         unheard = self._hearsay.listen(gossips, self._neighbours.acquainted, self._overlooks, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._me.name} does not")] if unheard else []
 
@@ -265,11 +257,10 @@ class Lookout:
             for name in lingering.keys() & needed:
                 del lingering[name]
             lingering.update(dict.fromkeys(heard - needed, before))
-            self._heard, self._spare = circle, None
+            self._heard = circle
         dropped = [name for name, last in lingering.items() if last + self._linger <= tick]
         for name in dropped:
             del lingering[name]
-            self._spare = None
         unseen = self._watched - self._neighbours.peers.keys() if self._forgotten else set()
         self._forgotten = False
         if not (added or dropped or seen or unseen):

@@ -7,29 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.config import AgentConfig
-from protocol.messages import Beacon, Gossip
+from protocol.messages import Beacon
 
-Word = Beacon | Gossip  # of where somebody is
+Point = tuple[float, float]  # x, y, m
 SPOT = struct.Struct("<6d")
 SIZE = SPOT.size  # bytes
 EYE_X, EYE_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
 
 
-def position(word: Word) -> tuple[float, float]:
-    """Where the sensor of a beacon or of a gossip is, m."""
-    return word.position if isinstance(word, Beacon) else word.pose[:2]
+def spot(eye: Point, reach: float, cod: Point, radius: float, diagram: str) -> bytes:
+    """The row of a sensor with its reach and of what is its generator in a diagram, m."""
+    return SPOT.pack(*eye, reach, *(eye if diagram == "voronoi" else cod), radius if diagram == "power" else 0.0)
 
 
-def spot(word: Word, config: AgentConfig) -> bytes:
-    """The row of a word, remembered with it, since one message has many listeners."""
-    packed: bytes | None = word.memo.get("spot")
-    if packed is None:
-        kind, eye = config.partition.kind, position(word)
-        reach = word.reach if isinstance(word, Beacon) else word.memo["sensor"].reach
-        generator = eye if kind == "voronoi" else word.cod
-        packed = word.memo["spot"] = SPOT.pack(*eye, reach, *generator, word.power_radius if kind == "power" else 0.0)
-    return packed
+def spot_of(beacon: Beacon, diagram: str) -> bytes:
+    """The row of who says a beacon."""
+    return spot(beacon.position, beacon.reach, beacon.cod, beacon.power_radius, diagram)
 
 
 class Far(NamedTuple):

@@ -18,10 +18,10 @@ from agents.chorus import chorus_of
 from agents.claims import NO_CLAIM, Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation, control_law
-from agents.neighbours import LOCAL_VIEW, Heard, Neighbours
+from agents.neighbours import LOCAL_VIEW, Neighbours
 from agents.places import Far
 from agents.step import Step
-from agents.words import Words, side_by_side
+from agents.words import Words, announced, side_by_side
 from protocol.geometry import EMPTY, polygon_centroid, rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -69,12 +69,12 @@ class Outcome:
         return power_radius(self.unused)
 
 
-def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: Heard) -> Outcome:
+def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> Outcome:
     """The outcome of the round of `mine.tick`, given the gossips of that tick by name, in the order of names."""
     config, tick, arithmetic = me.config, mine.tick, me.arithmetic
     step = Step(config, tick)
-    words = _with_mine(heard, mine) if isinstance(heard, dict) else heard.words(mine)
-    speaking = _speaking(neighbours, mine, heard, words)
+    words = _with_mine(me, neighbours, heard, mine)
+    speaking = _speaking(me, neighbours, mine, heard, words)
     told = last.belief.awake(step, arithmetic).merge(words, tick, arithmetic, config)
     chorus = chorus_of(words, me.name, arithmetic, config, me.arena) if speaking is words is told else None
     if chorus is not None:
@@ -102,22 +102,29 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: H
     )
 
 
-def _with_mine(heard: dict[str, Gossip], mine: Gossip) -> Words:
+def _with_mine(me: Self, neighbours: Neighbours, heard: dict[str, Gossip], mine: Gossip) -> Words:
     """Gossips in the order of names, mine in its place."""
     gossips = list(heard.values())
     gossips.insert(bisect_left(list(heard), order(mine.sender), key=order), mine)
-    return side_by_side(gossips)
+    return _table(me, neighbours, gossips)
 
 
-def _speaking(neighbours: Neighbours, mine: Gossip, heard: Heard, words: Words) -> Words:
+def _table(me: Self, neighbours: Neighbours, gossips: list[Gossip]) -> Words:
+    """Gossips side by side, with the sensors that their senders announced."""
+    circle, own = neighbours.circle, announced(me.name, me.sensor, me.config.detection.clutter)
+    sensors = [own if gossip.sender == me.name else circle[gossip.sender].outfit for gossip in gossips]
+    return side_by_side(gossips, sensors, me.config)  # type: ignore[arg-type]  # who was accepted has announced a sensor
+
+
+def _speaking(me: Self, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip], words: Words) -> Words:
     """All generators of the tick, mine included unless I listen."""
     if len(heard) == len(neighbours.circle) and not words.listening:
         return words
-    speaking = neighbours.generators(mine.tick, heard if isinstance(heard, dict) else heard.gossips())
-    return side_by_side(list(speaking.values())) if mine.listening else _with_mine(speaking, mine)
+    speaking = neighbours.generators(mine.tick, heard)
+    return _table(me, neighbours, list(speaking.values())) if mine.listening else _with_mine(me, neighbours, speaking, mine)
 
 
-def _view(neighbours: Neighbours, heard: Heard, speaking: Words, claim: Claim) -> int:
+def _view(neighbours: Neighbours, heard: dict[str, Gossip], speaking: Words, claim: Claim) -> int:
     """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, that this part was whole.
 
     Two who heard their whole circles at the same tick cannot differ about a generator that both know. Who owns nothing needs no
@@ -186,6 +193,6 @@ def _situation(me: Self, mine: Gossip, cell: Cell, near: Refreshed, speaking: Wo
 
 def _fields(me: Self, cell: Cell, words: Words) -> tuple[tuple[SensorModel, Pose], ...]:
     """The sensors whose reach touches the region around my cell and that scanned in this tick, and their poses."""
-    scanned = [(gossip.memo["sensor"], gossip.pose) for gossip in words.gossips if gossip.scanned]
+    scanned = [(announced.sensor, gossip.pose) for announced, gossip in zip(words.sensors, words.gossips) if gossip.scanned]
     apart = me.arithmetic.distances(cell.polygon, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()
     return tuple(field for field, distance in zip(scanned, apart) if distance <= me.config.filter.halo + field[0].reach)

@@ -23,17 +23,6 @@ _S11 = np.uint64(11)
 
 
 @cached
-def box(states: np.ndarray) -> np.ndarray:
-    """West, south, east and north of some particles, (4,) m; inside out when there are none."""
-    limits = np.array([np.inf, np.inf, -np.inf, -np.inf])
-    for n in range(len(states)):
-        x, y = np.float64(states[n, 0]), np.float64(states[n, 1])
-        limits[0], limits[2] = min(limits[0], x), max(limits[2], x)
-        limits[1], limits[3] = min(limits[1], y), max(limits[3], y)
-    return limits
-
-
-@cached
 def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
     """Which of these boxes (N, 4) hold anything that `gather` could choose, by their indices in ascending order."""
     west, south, east, north = around(polygon, width)

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from agents.capacity import place
 from agents.particles import NONE
 from agents.round import Outcome, Self
-from agents.words import learn
 from protocol.agreement import Agreed
 from protocol.fields import pack
 from protocol.messages import Command, Estimate, Gossip, Hello, Observation
@@ -35,7 +34,7 @@ def gossip(me: Self, incarnation: int, outcome: Outcome, observation: Observatio
     share = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1
     particles = share.particles if current else NONE
-    mine = Gossip(
+    return Gossip(
         sender=me.name,
         incarnation=incarnation,
         tick=observation.tick,
@@ -53,8 +52,6 @@ def gossip(me: Self, incarnation: int, outcome: Outcome, observation: Observatio
         states_bytes=pack(particles.states, "<f4"),
         ids_bytes=pack(particles.ids, "<u8"),
     )
-    learn(mine, me.sensor, me.config)
-    return mine
 
 
 def command(me: Self, incarnation: int, outcome: Outcome, tick: int) -> Command:

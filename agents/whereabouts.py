@@ -1,9 +1,8 @@
 """Where peers are, as far as they have said so themselves: for an agent that hears its neighbours only and chooses whom to hear."""
 
-from agents.calm import CalmRound
 from agents.config import AgentConfig
 from agents.peers import Peer
-from agents.places import Places, Word, position, spot
+from agents.places import Places, spot, spot_of
 from agents.tiles import Rectangle
 from protocol.messages import Beacon, Gossip
 
@@ -13,15 +12,14 @@ class Whereabouts(Places):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
-        self._config, self._silent = config, config.timing.silent_rounds
+        self._diagram, self._silent = config.partition.kind, config.timing.silent_rounds
         self._said: dict[str, Gossip] = {}  # in rounds that are over, the newest of each, not noted yet
-        self._together: CalmRound | None = None  # the last of those that were read together, not noted yet
         self.needed: Rectangle | None = None  # outside of this nobody matters before the next choice
 
-    def see(self, peer: Peer, word: Word) -> None:
+    def see(self, peer: Peer, beacon: Beacon) -> None:
         """Note where a peer is, if it is anywhere."""
         if self._counts(peer):
-            self.put(peer.name, word.tick, self._spot(word))
+            self.put(peer.name, beacon.tick, spot_of(beacon, self._diagram))
 
     def see_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
         """Note where those are who are well known, and ask for nothing; the beacons of the others."""
@@ -41,37 +39,29 @@ class Whereabouts(Places):
                 others.append(beacon)
             else:
                 peer.beacon = beacon
-                seen.append((beacon.sender, beacon.tick, beacon.memo.get("spot") or spot(beacon, self._config)))
+                seen.append((beacon.sender, beacon.tick, spot_of(beacon, self._diagram)))
         self.put_all(seen)
         return others
 
     def matters(self, beacon: Beacon) -> bool:
         """Whether somebody who says this could make a difference before the next choice: it is made for where nobody is unknown."""
-        x, y = position(beacon)
+        x, y = beacon.position
         return self.needed is None or self.needed.holds(Rectangle(x, y, x, y))
 
-    def close(self, said: dict[str, Gossip] | CalmRound, peers: dict[str, Peer]) -> None:
+    def close(self, said: dict[str, Gossip]) -> None:
         """A round is over in which this was said; it is noted once somebody asks where all are, which is not so after every round."""
-        if not isinstance(said, CalmRound):
-            self._said.update(said)
-            return
-        if self._together is not None and self._together.roll is not said.roll:
-            self.catch_up(peers)
-        self._together = said
+        self._said.update(said)
 
     def catch_up(self, peers: dict[str, Peer], *, steady: bool = False) -> None:
         """Note what was said in the rounds that are over. `steady`: all count who said something."""
-        said, together, self._said, self._together = self._said, self._together, {}, None
-        if said:
-            self._put_those([(name, word.tick, word.memo.get("spot") or self._spot(word)) for name, word in said.items()], peers, steady)
-        if together is not None:
-            self._put_those([(name, together.tick, packed) for name, packed in together.spots().items()], peers, steady)
-
-    def _put_those(self, words: list[tuple[str, int, bytes]], peers: dict[str, Peer], steady: bool) -> None:
-        self.put_all(words if steady else [word for word in words if word[0] in peers and self._counts(peers[word[0]])])
-
-    def _spot(self, word: Word) -> bytes:
-        return word.memo.get("spot") or spot(word, self._config)
+        said, self._said = self._said, {}
+        found = []
+        for name, gossip in said.items():
+            peer = peers.get(name)
+            if peer is not None and peer.outfit is not None and (steady or self._counts(peer)):
+                reach = peer.outfit.sensor.reach
+                found.append((name, gossip.tick, spot(gossip.pose[:2], reach, gossip.cod, gossip.power_radius, self._diagram)))
+        self.put_all(found)
 
     def _counts(self, peer: Peer) -> bool:
         """Whether a peer is somewhere: it has not gone, and has not been silent for long."""

@@ -1,114 +1,89 @@
-"""What the gossips of a round say, side by side: one row of numbers each, and their detections and particles end to end.
+"""The gossips of a round side by side: one row of numbers each, and their detections and particles end to end.
 
-A row is packed once per gossip (`learn`), so that a round over many gossips is a few operations on whole arrays.
+Rows are in the order of names. A row holds what the gossip says and what its sender's sensor is, so that a round over many gossips is a
+few operations on whole arrays.
 """
 
 import hashlib
 import struct
 from collections import deque
-from collections.abc import Callable
-from math import cos, sin
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from agents.births import Scan
+from agents.capacity import SensorFacts, sensor_facts
 from agents.config import AgentConfig
 from agents.particles import Particles
-from protocol.messages import Gossip
+from protocol.messages import GOSSIP_NUMBERS, Gossip
 from protocol.once import once
-from protocol.sensing import Pose, SensorModel, WedgeSensor
+from protocol.sensing import SensorModel, WedgeSensor
 from protocol.streams import key
 
-ROW = struct.Struct("<15dQ")
-COLUMNS = ROW.size // 8
-_pack = ROW.pack
-X, Y, COS, SIN, REACH, COS_HALF, PROB, KAPPA, KIND, DETECTIONS, WEIGHT, EAST, NORTH, RADIUS, PARTICLES, SALT = range(16)  # columns
+COLUMNS = 16
+X, Y, COS, SIN, REACH, COS_HALF, PROB, KAPPA, KIND, DETECTIONS, WEIGHT, EAST, NORTH, RADIUS, PARTICLES, SALT = range(COLUMNS)
 SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
+_SENSOR = struct.Struct("<5dQ")
+_SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT]
+_MOST_ANNOUNCED = 20000
 
-class Eye(NamedTuple):
-    """What a row says of a sensor in any pose and at any tick."""
+
+class Announced(NamedTuple):
+    """The sensor that an agent announced."""
 
     sensor: SensorModel
-    clutter: float  # expected per scan
-    numbers: tuple[float, float, float, float]  # reach m, cos of half the angle, p_d, clutter density per m^2
-    kind: float  # of its scans
-    salt: int  # key of its name
+    facts: SensorFacts
+    columns: bytes  # its part of a row: reach m, cosine of half the angle, p_d, clutter density per m^2, kind of scan, key of the name
 
 
-def eye_of(name: str, sensor: SensorModel, clutter: float) -> Eye:
-    """The sensor of an agent as its rows say it."""
-    kappa = clutter / sensor.area
+def announced(name: str, sensor: SensorModel, clutter: float) -> Announced:
+    """The sensor of an agent, with `clutter` expected points a scan; the same object for all in a process who ask the same."""
+    return _announced(name, sensor, clutter)  # type: ignore[arg-type]  # a sensor model is hashable
+
+
+@lru_cache(maxsize=_MOST_ANNOUNCED)
+def _announced(name: str, sensor: SensorModel, clutter: float) -> Announced:
+    """A pure memo."""
+    half, probability, kind = 0.0, 0.0, OTHER
     if isinstance(sensor, WedgeSensor):
-        return Eye(sensor, clutter, (sensor.reach, sensor.cos_half_angle, sensor.prob_detection, kappa), WEDGE, key("sensor", name))
-    return Eye(sensor, clutter, (sensor.reach, 0.0, 0.0, kappa), OTHER, key("sensor", name))
+        half, probability, kind = sensor.cos_half_angle, sensor.prob_detection, WEDGE
+    packed = _SENSOR.pack(sensor.reach, half, probability, clutter / sensor.area, kind, key("sensor", name))
+    return Announced(sensor, _facts(sensor), packed)  # type: ignore[arg-type]
 
 
-def pack_row(
-    eye: Eye, pose: Pose, generator: tuple[float, float, float], detections: int, weight: float, particles: int, scanned: bool
-) -> bytes:
-    """A row: posed sensor, kind and size of its scan, weight of a particle, generator, number of particles, key of the name; in m."""
-    x, y, heading = pose
-    east, north, radius = generator
-    kind = eye.kind if scanned else SILENT
-    return _pack(x, y, cos(heading), sin(heading), *eye.numbers, kind, detections, weight, east, north, radius, particles, eye.salt)
-
-
-_EYES: dict[str, Eye] = {}  # the last that was used, by name
-_MOST_EYES = 20000
-
-
-def learn(gossip: Gossip, sensor: SensorModel, config: AgentConfig) -> None:
-    """Note with a gossip what its sender's sensor makes of it: its row, and the sensor.
-
-    The generator is COD and power radius, COD alone ("voronoi-cod"), or position alone ("voronoi").
-    """
-    name, clutter, diagram = gossip.sender, config.detection.clutter, config.partition.kind
-    eye = _EYES.get(name)
-    if eye is None or (eye.sensor is not sensor and eye.sensor != sensor) or eye.clutter != clutter:
-        if len(_EYES) >= _MOST_EYES:
-            _EYES.clear()
-        eye = _EYES[name] = eye_of(name, sensor, clutter)
-    pose, memo = gossip.pose, gossip.memo
-    x, y = pose[:2] if diagram == "voronoi" else gossip.cod
-    generator = (x, y, gossip.power_radius if diagram == "power" else 0.0)
-    detections, particles = len(gossip.detections_bytes) // 8, len(gossip.ids_bytes) // 8
-    memo["row"] = pack_row(eye, pose, generator, detections, gossip.weight, particles, gossip.scanned)
-    memo["sensor"] = sensor
-
-
-def _table(rows: bytearray) -> np.ndarray:
-    return np.frombuffer(rows, dtype=float).reshape(-1, COLUMNS)
+@lru_cache(maxsize=1024)
+def _facts(sensor: SensorModel) -> SensorFacts:
+    """`sensor_facts`, a pure memo: many agents carry sensors of one class."""
+    return sensor_facts(sensor)
 
 
 Stated = tuple[np.ndarray, np.ndarray]  # states (N, 4) float32 and ids (N,) uint64
 
 
 class Words:
-    """Gossips of one round that have been `learn`ed, in the order of names."""
+    """Gossips of one round in the order of names. It is never changed; what is derived from it is computed once."""
 
-    def __init__(self, names: tuple[str, ...], table: np.ndarray, told: Callable[[], list[Gossip]], known: dict[str, Any]) -> None:
-        """`table`: a row each (N, columns). `told`: asked when somebody wants them one by one. `known`: attributes known already."""
-        self.names, self.table = names, table
-        self._told = told
+    def __init__(self, gossips: Sequence[Gossip], sensors: Sequence[Announced], diagram: str) -> None:
+        """`sensors`: of the senders; `diagram`: "power", "voronoi-cod" or "voronoi", which says what the generators are."""
+        self.gossips, self.sensors, self.diagram = gossips, sensors, diagram
+        self.names = tuple([gossip.sender for gossip in gossips])
         self.chorus: Any = None  # who asked first for what all who hear this share, or what they share (`chorus`)
-        self.__dict__.update(known)
-
-    @classmethod
-    def of_gossips(cls, gossips: list[Gossip], rows: bytearray) -> "Words":
-        """The gossips themselves, and their rows end to end."""
-        return cls(tuple([gossip.sender for gossip in gossips]), _table(rows), lambda: gossips, {"gossips": gossips})
-
-    @classmethod
-    def of_scans(cls, rows: bytearray, detections: np.ndarray) -> "Words":
-        """Scans that nobody has put into a gossip: their rows, and all detections (D, 2)."""
-        return cls((), _table(rows), list, {"detections": detections})
 
     @once
-    def gossips(self) -> list[Gossip]:
-        """One by one."""
-        return self._told()
+    def table(self) -> np.ndarray:
+        """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
+        said = np.frombuffer(b"".join([gossip.numbers for gossip in self.gossips])).reshape(-1, GOSSIP_NUMBERS)
+        table = np.empty((len(said), COLUMNS))
+        table[:, : SIN + 1] = said[:, :4]
+        table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, 6)
+        table[:, KIND] *= said[:, 11]
+        table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = said[:, 9], said[:, 8], said[:, 10]
+        table[:, EAST : NORTH + 1] = said[:, :2] if self.diagram == "voronoi" else said[:, 4:6]
+        table[:, RADIUS] = said[:, 6] if self.diagram == "power" else 0.0
+        return table
 
     @once
     def salts(self) -> np.ndarray:
@@ -161,13 +136,8 @@ class Words:
     @once
     def claimed(self) -> tuple[int, int] | None:
         """The stamp and the view that all these claims share, if they do."""
-        if not self.gossips:
-            return None
-        tick, view = self.gossips[0].claim_tick, self.gossips[0].view
-        for gossip in self.gossips:
-            if gossip.view != view or gossip.claim_tick != tick:
-                return None
-        return tick, view
+        shared = {(gossip.claim_tick, gossip.view) for gossip in self.gossips}
+        return shared.pop() if len(shared) == 1 else None
 
     @property
     def stated(self) -> Stated:
@@ -175,9 +145,9 @@ class Words:
 
         It is most of what a round reads, and nobody else asks before the next one: so only the last that was asked keeps it.
         """
-        if self.stands_ready:
-            return _LATEST[0][1]
-        return self.remember(*self.stated_by([*range(len(self.gossips))]))
+        if not self.stands_ready:
+            _LATEST.append((self, self.stated_by([*range(len(self.gossips))])))
+        return _LATEST[0][1]
 
     @property
     def stands_ready(self) -> bool:
@@ -191,17 +161,10 @@ class Words:
         ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
         return states.reshape(-1, 4), ids
 
-    def boxes(self, box: Callable[[bytes], bytes]) -> np.ndarray:
-        """West, south, east and north of the particles of each (N, 4), m; `box` finds them in bytes of states, once for each gossip."""
-        found: list[bytes] = [gossip.memo.get("box", b"") for gossip in self.gossips]
-        for place, gossip in enumerate(self.gossips) if b"" in found else ():
-            found[place] = gossip.memo["box"] = found[place] or box(gossip.states_bytes)
-        return np.frombuffer(b"".join(found), dtype=float).reshape(-1, 4)
-
-    def remember(self, states: np.ndarray, ids: np.ndarray) -> Stated:
-        """Take these as what was `stated`, until somebody else is asked."""
-        _LATEST.append((self, (states, ids)))
-        return states, ids
+    @once
+    def boxes(self) -> np.ndarray:
+        """West, south, east and north of the particles of each (N, 4), m."""
+        return np.frombuffer(b"".join([gossip.box for gossip in self.gossips])).reshape(-1, 4)
 
     @once
     def particles(self) -> Particles:
@@ -211,13 +174,12 @@ class Words:
 
     def scans(self) -> list[Scan]:
         """The scans one by one, those of the silent left out."""
-        found = []
-        for gossip, numbers in zip(self.gossips, self.table):
+        found, ends = [], np.cumsum(self.table[:, DETECTIONS]).astype(np.int64)
+        for gossip, announced, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
             if numbers[KIND] != SILENT:
-                detections = gossip.detections.astype(float)
+                detections = self.detections[end - np.int64(numbers[DETECTIONS]) : end]
                 order = np.arange(len(detections), dtype=np.uint64)
-                sensor = gossip.memo["sensor"]
-                found.append(Scan(key("sensor", gossip.sender), sensor, gossip.pose, detections, order, float(numbers[KAPPA])))
+                found.append(Scan(key("sensor", gossip.sender), announced.sensor, gossip.pose, detections, order, float(numbers[KAPPA])))
         return found
 
 
@@ -227,21 +189,21 @@ def particles_of(told: Words | Particles) -> Particles:
 
 
 _LATEST: deque[tuple[Words, Stated]] = deque(maxlen=1)  # who was asked last
-_RECENT: deque[tuple[bytearray, Words]] = deque(maxlen=2)  # in a simulation all agents hear the same
+_RECENT: deque[Words] = deque(maxlen=2)  # a pure memo: in a simulation all agents hear the same
 
 
-def side_by_side(gossips: list[Gossip]) -> Words:
-    """The gossips side by side; the same object for the same gossips, if they were the last ones asked for."""
-    rows = bytearray().join([gossip.memo["row"] for gossip in gossips])
-    for known, words in _RECENT:
-        if known == rows and words.gossips == gossips:
-            return words
-    words = Words.of_gossips(gossips, rows)
-    _RECENT.append((rows, words))
+def side_by_side(gossips: list[Gossip], sensors: list[Announced], config: AgentConfig) -> Words:
+    """The gossips side by side, with the sensors of their senders; the same object for the same gossips as in the last two calls."""
+    diagram = config.partition.kind
+    for known in _RECENT:
+        if known.diagram == diagram and known.sensors == sensors and known.gossips == gossips:
+            return known
+    words = Words(gossips, sensors, diagram)
+    _RECENT.append(words)
     return words
 
 
 def forget() -> None:
-    """Share nothing of what was asked for so far, as if in another process."""
+    """Share nothing of what was asked for so far, so that figures are those of a process of its own."""
     _RECENT.clear()
     _LATEST.clear()

@@ -63,8 +63,8 @@ def pictures(recording: Recording) -> Iterator[Picture]:
     waiting: list[int] = []  # ticks that have begun
     for entry in recording.entries():
         event = event_of(entry)
-        if isinstance(event, Received) and isinstance(event.message, Truth):
-            waiting.append(event.message.tick)
+        if isinstance(event, Received) and event.batch.kind is Truth:
+            waiting.append(event.batch.messages[-1].tick)
             yield from _shown(picture, waiting, 2)
         picture.see(event, entry.time)
         if _is_over(picture, event):

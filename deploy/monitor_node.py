@@ -23,7 +23,7 @@ from protocol.agreement import disagreement
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
 from protocol.messages import Estimate, Gossip, Hello, Truth
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Subscribe
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe
 from world.score import errors
 
 LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
@@ -39,7 +39,7 @@ class _Tally:
     residual: float = 0.0
 
 
-class Scorer:
+class Scorer(Node):
     """The Node that scores a run; `finish` before the agents are dismissed, then `result`."""
 
     role = "monitor"
@@ -94,11 +94,12 @@ class Scorer:
         match event:
             case Started():
                 return [Subscribe(all_of(self.run, kind)) for kind in ("truth", "estimate", "gossip", "observation", "command", "hello")]
-            case Received(message=message):
-                self._tally.messages += 1
-                self._tally.bytes += event.size
-                self._hear(message, now)
-                if not isinstance(message, Truth | Estimate):
+            case Received(batch=batch):
+                self._tally.messages += len(batch)
+                self._tally.bytes += sum(map(len, batch.payloads))
+                for message in batch.messages:
+                    self._hear(message, now)
+                if batch.kind not in (Truth, Estimate):
                     return []  # nothing that could complete a tick
             case Alive(role="agent"):
                 if self._alive.get(event.name, event.incarnation) != event.incarnation:

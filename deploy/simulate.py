@@ -61,7 +61,6 @@ class Simulation:
         self,
         scenario: Scenario,
         *,
-        use_codec: bool = True,
         link: Link | None = None,
         arithmetic: Arithmetic | None = None,
         clock: Literal["lockstep", "realtime"] = "lockstep",
@@ -73,7 +72,7 @@ class Simulation:
         self.links = Links(scenario.run.seed, list(scenario.members))
         faulty = any(plain_verb(fault.verb) in LINK_VERBS for fault in scenario.faults)
         pace = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
-        self.bus = VirtualBus(use_codec=use_codec, link=link or (self.links if faulty else None), pace=pace)
+        self.bus = VirtualBus(link=link or (self.links if faulty else None), pace=pace)
         self.scorer = Scorer(self.scenario, scores=scores)
         self.injector = Injector(self.bus, self.links, self.scenario, arithmetic or compiled(), build)
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick, after the faults of the tick
@@ -122,9 +121,9 @@ class Simulation:
         self.on_truth(truth)
 
 
-def simulate(scenario: Scenario, *, use_codec: bool = True, progress: Callable[[int, int], None] | None = None) -> Result:
+def simulate(scenario: Scenario, *, progress: Callable[[int, int], None] | None = None) -> Result:
     """The result of a scenario, played in virtual time; `progress` is called with (ticks done, ticks in all)."""
-    simulation = Simulation(scenario, use_codec=use_codec)
+    simulation = Simulation(scenario)
     if progress is not None:
         tell = progress
         simulation.on_truth = lambda truth: tell(truth.tick + 1, scenario.run.ticks)

@@ -13,7 +13,7 @@ from deploy.scenario import Scenario
 from deploy.swarm.rundir import RunDirectory, find_running
 from protocol.keys import ROOT, message_key
 from protocol.messages import Message
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.settings import BadSetting, load
 
 SILENCE = 3.0  # s without a word after which it is looked where something is said
@@ -54,7 +54,7 @@ def lies_in(expression: str, key: str) -> bool:
     return re.fullmatch("".join(parts), f"/{key}") is not None
 
 
-class Listener:
+class Listener(Node):
     """The Node of `echo`, `hz` and `ls`: subscribes to one expression, hands on what it hears, stops after `seconds` or on demand."""
 
     role = "monitor"
@@ -93,8 +93,9 @@ class Listener:
                 return [Subscribe(self._wanted)]
             case Timer():
                 return [Stop(0, "time is up")] if self._end is not None and now >= self._end else self._look_around(now)
-            case Received(message=message):
-                return self._hear(Heard(message_key(self.run, message), event.payload, message, ""), now)
+            case Received(batch=batch):
+                heard = [Heard(message_key(self.run, one), payload, one, "") for one, payload in zip(batch.messages, batch.payloads)]
+                return [effect for one in heard for effect in self._hear(one, now)]
             case Rejected():
                 return self._hear(Heard(event.key, event.payload, None, event.reason), now)
             case Alive():

@@ -5,10 +5,7 @@ Pure bookkeeping without sockets; `live` owns one of each.
 
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
-
-from protocol.node import Effect, Node
 
 MOST_ENTRIES = 4096
 MOST_BYTES = 16 * 1024 * 1024
@@ -194,25 +191,3 @@ class Quarantine:
         for table in (self._offences, self._until):
             while len(table) > self.MOST_SOURCES:
                 del table[next(iter(table))]  # type: ignore[attr-defined]
-
-
-def awaited(node: Node) -> int:
-    """How many messages of the kind `patient` (part of their keys) a node waits for: it need not be woken for fewer of them."""
-    found: int = getattr(node, "awaiting", 1)
-    return found
-
-
-Together = Callable[[Sequence[str], Sequence[bytes], float], list[Effect] | None]
-
-
-def together(node: Node) -> Together:
-    """What a node makes of several messages of the kind `patient` at once, given their keys, payloads and `now` in s; None: one of them
-    is out of the ordinary, so it will take them one by one, and is as it was before. So it is with all nodes that have no `hear_all`."""
-    found: Together = getattr(node, "hear_all", lambda keys, payloads, now: None)
-    return found
-
-
-def patient_kind(node: Node) -> str:
-    """The part of a key by which the messages are known that may wait for one another; empty: none may."""
-    found: str = getattr(node, "patient", "")
-    return found

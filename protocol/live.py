@@ -24,7 +24,7 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
-from protocol.inbox import Arrival, Flow, Inbox, awaited, patient_kind, together
+from protocol.inbox import Arrival, Flow, Inbox
 from protocol.linger import Sockets
 from protocol.links import LinkFaults
 from protocol.messages import Message
@@ -32,7 +32,7 @@ from protocol.node import QUIET, Effect, Event, Node, Reopen, Started, Stop, Sub
 from protocol.reception import Reception
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.stdin import follow_stdin
-from protocol.tokens import ALONE_SECONDS, Tokens, sees_all_tokens
+from protocol.tokens import ALONE_SECONDS, Tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
@@ -67,12 +67,11 @@ class Driver:
     """Drives one node over one Zenoh session inside a running event loop."""
 
     def __init__(self, node: Node, settings: NetworkSettings, link: LinkFaults | None = None) -> None:
-        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, together, rejected, quarantined, flooded, failed_puts
+        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts
         self._node = node
         self._settings = settings
         self._link = link
-        self._inbox = Inbox(newest="/observation/" if node.role == "agent" else "", patient=patient_kind(node))
-        self._together = together(node)
+        self._inbox = Inbox(newest=node.newest_only, patient=node.patient)
         self._flow = Flow(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
@@ -123,7 +122,7 @@ class Driver:
     def _declare(self) -> None:
         """Announce the own token and watch everybody's, in this order so that a follower of the token finds us ready."""
         assert self._session is not None
-        liveliness, everybody = self._session.liveliness(), sees_all_tokens(self._node)
+        liveliness, everybody = self._session.liveliness(), self._node.sees_all_tokens
         self._declared = [
             *([liveliness.declare_subscriber(keys.all_tokens(self._node.run), self._on_token, history=True)] if everybody else []),
             liveliness.declare_token(keys.token_key(*self._own)),
@@ -171,42 +170,37 @@ class Driver:
             self._receive(arrivals)
         else:
             self._spoil(self._link, arrivals)
-        if self._inbox.rest(awaited(self._node)):
+        if self._inbox.rest(self._node.awaiting):
             self._loop.call_soon(self._drain)
 
     def _spoil(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
+        at_once: list[Arrival] = []
         for arrival in arrivals:
             spoilt = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload)
             for delay, payload in spoilt:
-                changed = [arrival._replace(payload=payload)]
-                self._loop.call_later(delay, self._receive, changed) if delay > 0.0 else self._receive(changed)
+                changed = arrival._replace(payload=payload)
+                if delay > 0.0:
+                    self._loop.call_later(delay, self._receive, [changed])
+                else:
+                    at_once.append(changed)
+        self._receive(at_once)
 
     def _receive(self, arrivals: list[Arrival]) -> None:
-        for part, whole in self._reception.parts(arrivals, self._inbox.waits, self._loop.time()):
-            if whole and self._told(self._together, *whole):
-                self.counts.update(received=len(part), together=len(part))
-                continue
-            for event in self._reception.events(part, self._loop.time()):
-                self._handle(event)
+        for event in self._reception.events(arrivals, self._loop.time()):
+            self._handle(event)
 
     def _handle(self, event: Event) -> None:
-        self._told(self._node.handle, event)
-
-    def _told(self, node: Callable[..., list[Effect] | None], *what: Any) -> bool:
-        """Let the node take something, if it will; an exception in the node ends the process, never only the event."""
+        """Let the node take an event; an exception in the node ends the process, never only the event."""
         if self._stopped.done():
-            return True
+            return
         try:
-            effects = node(*what, self._loop.time())
-            if effects is None:
-                return False
+            effects = self._node.handle(event, self._loop.time())
             if effects is not QUIET:
                 for effect in effects:
                     self._carry_out(effect)
                 self._arm()
         except Exception as error:
             self._stopped.set_exception(error)
-        return True
 
     def _carry_out(self, effect: Effect) -> None:
         if isinstance(effect, Message):
@@ -317,7 +311,7 @@ class Driver:
         for _ in range(1 + len(self._inbox) // SLICE):  # what has come before counts before
             self._drain()
         self._handle(Timer())
-        if self._inbox.rest(awaited(self._node)):
+        if self._inbox.rest(self._node.awaiting):
             self._loop.call_soon(self._drain)
 
 

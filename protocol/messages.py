@@ -5,8 +5,10 @@ built is well-formed in type and range; what only the context can tell (sender a
 checked where bytes enter, in `codec` and in the agent. All lengths in m, times in s, angles in rad.
 """
 
+import math
+import struct
 from itertools import accumulate
-from typing import Annotated, Any, Union
+from typing import Annotated, Union
 
 import msgspec
 import numpy as np
@@ -37,6 +39,7 @@ from protocol.fields import (
     check_number,
     check_rows,
     check_vector,
+    pack,
 )
 from protocol.once import once
 from protocol.sensing import WedgeSensor
@@ -63,11 +66,6 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, tag_field="t
     sender: Name  # unique in the run, the last part of the key
     incarnation: Count  # grows with every restart under the same name
     wire: int = WIRE_VERSION
-
-    @once
-    def memo(self) -> dict[str, Any]:
-        """A place for what readers derive from the message, so that in one process it is derived once; never on the wire."""
-        return {}
 
     def check(self) -> None:
         """Raise `Malformed` unless every array and number is in range."""
@@ -128,6 +126,11 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
         check_number("widest_radius", self.widest_radius, least=0.0)
 
 
+GOSSIP_NUMBERS = 12  # x, y, cosine and sine of the heading, COD x and y, power radius, U, weight, detections, particles, scanned
+_pack_numbers = struct.Struct(f"<{GOSSIP_NUMBERS}d").pack
+_NO_BOX = struct.pack("<4d", math.inf, math.inf, -math.inf, -math.inf)
+
+
 class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     """One agent's round: where I am and what I see at `tick`, and what I owned after round `claim_tick`."""
 
@@ -167,6 +170,22 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     def ids(self) -> np.ndarray:
         """(N,) uint64, ascending."""
         return IDS.read(self.ids_bytes)
+
+    @once
+    def numbers(self) -> bytes:
+        """What the message says in single numbers, `GOSSIP_NUMBERS` of float64, so that many gossips make a table by joining these."""
+        (x, y, heading), (east, north) = self.pose, self.cod
+        counts = len(self.detections_bytes) // 8, len(self.ids_bytes) // 8
+        ahead = math.cos(heading), math.sin(heading)
+        return _pack_numbers(x, y, *ahead, east, north, self.power_radius, self.unused, self.weight, *counts, self.scanned)
+
+    @once
+    def box(self) -> bytes:
+        """West, south, east and north of the particles as float64, m; inside out when there are none."""
+        if not self.states_bytes:
+            return _NO_BOX
+        places = self.states[:, :2]
+        return pack(np.concatenate([places.min(axis=0), places.max(axis=0)]), "<f8")
 
     def check(self) -> None:
         self._check_numbers()

@@ -5,12 +5,12 @@ effects in order, and calls again with `Timer` when `deadline()` has passed. A m
 under its key.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import msgspec
-
 from protocol.messages import Message
+from protocol.once import once
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,15 +18,42 @@ class Started:
     """The driver is ready; the node's own liveliness token is declared."""
 
 
-class Received(msgspec.Struct, frozen=True):
-    """A message of which key, sender and contents have been checked. `size` is its length on the wire in bytes, 0 if unknown.
+class Batch:
+    """Messages of one kind that arrived together, in the order of arrival. It is never changed; what is derived from it is computed once.
 
-    `payload` is what was on the wire, for recorders.
+    In virtual time all listeners of the same messages share one batch. A sender that listens to its own kind finds its message in it.
     """
 
-    message: Message
-    size: int = 0
-    payload: bytes = b""
+    def __init__(self, messages: Sequence[Message], payloads: Sequence[bytes] = ()) -> None:
+        """`payloads`: what was on the wire, for recorders; empty where nothing was."""
+        self.messages: tuple[Any, ...] = tuple(messages)  # all of `kind`
+        self.payloads = tuple(payloads) or (b"",) * len(self.messages)
+
+    def __len__(self) -> int:
+        return len(self.messages)
+
+    @property
+    def kind(self) -> type[Message]:
+        """The common type of the messages."""
+        kind: type[Message] = type(self.messages[0])
+        return kind
+
+    @once
+    def senders(self) -> tuple[str, ...]:
+        """The sender of each message."""
+        return tuple([message.sender for message in self.messages])
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Messages have arrived of which keys, senders and contents have been checked."""
+
+    batch: Batch
+
+
+def received(*messages: Message, payloads: Sequence[bytes] = ()) -> Received:
+    """The event that these messages of one kind have arrived together."""
+    return Received(Batch(messages, payloads))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,37 +136,21 @@ Effect = Message | Subscribe | Unsubscribe | Stop | Reopen | Warn
 QUIET: list[Effect] = []  # this very object as an answer: nothing is to be done, and the deadline is what it was; never to be changed
 
 
-@dataclass(eq=False, slots=True)
-class Batch:
-    """Messages that went to the same listeners, one right after the other in one instant, and who said each."""
-
-    senders: list[object]
-    events: list[Received]
-    memo: dict[str, Any] = field(default_factory=dict)  # a place for what listeners derive from it, so that it is derived once
-
-    def without(self, sender: object) -> list[Received]:
-        """What somebody else has said."""
-        return [event for other, event in zip(self.senders, self.events) if other is not sender]
-
-
 class Node(Protocol):
-    """What a driver drives."""
+    """What a driver drives. A node inherits from this class, and with it the defaults of what a driver may ask."""
+
+    run: str  # name of the run, the second part of every key
+    role: str  # agent, world, recorder or monitor
+    name: str  # unique in the run
+    incarnation: int  # grows with every restart under the same name
+    patient: str = ""  # part of the keys of messages that may wait until `awaiting` of them have come; empty: none may
+    newest_only: str = ""  # part of the keys of messages of which a driver hands over the newest alone when several wait
+    sees_all_tokens: bool = True  # False: the driver shows only the liveliness tokens to which the node subscribes
 
     @property
-    def run(self) -> str:
-        """Name of the run, the second part of every key."""
-
-    @property
-    def role(self) -> str:
-        """agent, world, recorder or monitor."""
-
-    @property
-    def name(self) -> str:
-        """Unique in the run."""
-
-    @property
-    def incarnation(self) -> int:
-        """Grows with every restart under the same name."""
+    def awaiting(self) -> int:
+        """How many patient messages shall wake the node."""
+        return 1
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event and return what to do, in order."""

@@ -41,10 +41,6 @@ class Presence:
         """Messages of several have come."""
         self._words.update(dict.fromkeys(names, now))
 
-    def speak_at(self, times: dict[str, float]) -> None:
-        """Messages of several have come, each then; what is said of this node itself counts for nothing."""
-        self._words.update(times)
-
     def greet(self, name: str, now: float) -> bool:
         """A Hello of somebody has come; whether it is the first."""
         self._words[name] = now
@@ -58,15 +54,6 @@ class Presence:
             return False
         self._words[name] = now
         self._voters.add(name)
-        return True
-
-    def greet_all_again(self, times: dict[str, float], now: float) -> bool:
-        """Hellos of several have come now, which is what `times` says, mine perhaps among them; whether none is news, as `greet_again`."""
-        others = times.keys() - {self._name}
-        if now > self._calm_until or self._lost or not others <= self._greeted:
-            return False
-        self._words.update(times)
-        self._voters |= others
         return True
 
     def appear(self, name: str, incarnation: int) -> None:

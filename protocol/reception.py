@@ -1,19 +1,52 @@
 """From what has arrived to the events of a node: tokens are noted, bytes decoded, senders of garbage shut out.
 
-Pure bookkeeping without sockets; `live` owns one.
+Pure bookkeeping without sockets. Both drivers use `in_batches`; `live` also owns a `Reception`.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from itertools import groupby
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from protocol.codec import decode_all
 from protocol.fields import Malformed
 from protocol.inbox import Arrival, Quarantine
-from protocol.node import Event, Received, Rejected
+from protocol.messages import Message
+from protocol.node import Batch, Event, Received, Rejected
 from protocol.tokens import Tokens
 
-Whole = tuple[tuple[str, ...], tuple[bytes, ...]]  # keys and payloads
+
+class Decoded(NamedTuple):
+    """A message that has been checked, and what was on the wire."""
+
+    message: Message
+    payload: bytes
+
+
+def read(key: str, payload: bytes, message: Message | Malformed) -> Decoded | Rejected:
+    """What the bytes under a key are, once they have been decoded."""
+    if isinstance(message, Malformed):
+        return Rejected(key.rpartition("/")[2], message.reason, key, payload)
+    return Decoded(message, payload)
+
+
+def in_batches(arrived: Iterable[Decoded | Event]) -> Iterator[Event]:
+    """The events in the order of arrival; consecutive messages of one kind are one `Received`."""
+    run: list[Decoded] = []
+    for item in arrived:
+        if run and not (isinstance(item, Decoded) and type(item.message) is type(run[0].message)):
+            yield _batch(run)
+            run = []
+        if isinstance(item, Decoded):
+            run.append(item)
+        else:
+            yield item
+    if run:
+        yield _batch(run)
+
+
+def _batch(run: list[Decoded]) -> Received:
+    messages, payloads = zip(*run)
+    return Received(Batch(messages, payloads))
 
 
 class Reception:
@@ -24,19 +57,14 @@ class Reception:
         self._counts = counts
         self._quarantine = Quarantine()
 
-    def parts(self, arrivals: list[Arrival], waits: Callable[[Arrival], bool], now: float) -> Iterator[tuple[list[Arrival], Whole | None]]:
-        """The arrivals in parts, in their order: what `waits` apart from the rest, and of that the keys and payloads if it may be read
-        together, because nobody's messages have to be thrown away. `now` is the driver's, s."""
-        for alike, group in groupby(arrivals, waits):
-            part = list(group)
-            keys, payloads, _, _ = zip(*part)
-            yield part, (keys, payloads) if alike and not self._quarantine.holds_any(now) else None
-
     def events(self, arrivals: list[Arrival], now: float) -> Iterator[Event]:
         """The events in the order of arrival; what comes from a source that is shut out is thrown away unread.
 
         A token is reported once when it appears and once when it vanishes, the own one never. `now` is the driver's, s.
         """
+        return in_batches(self._read(arrivals, now))
+
+    def _read(self, arrivals: list[Arrival], now: float) -> Iterator[Decoded | Event]:
         holds = self._quarantine.holds
         anybody = self._quarantine.holds_any(now)
         shut = [anybody and arrival.token is None and holds(arrival.source or arrival.key, now) for arrival in arrivals]
@@ -53,7 +81,7 @@ class Reception:
                 yield self._refuse(arrival, message, now)
             else:
                 self._counts["received"] += 1
-                yield Received(message, len(arrival.payload), arrival.payload)
+                yield Decoded(message, arrival.payload)
 
     def _refuse(self, arrival: Arrival, error: Malformed | None, now: float) -> Rejected:
         """Count what was no message, or was not read; who sends too much of it is shut out."""

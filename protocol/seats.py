@@ -1,13 +1,58 @@
-"""What the virtual driver knows of a node that it drives."""
+"""What the virtual driver knows of a node that it drives, and messages on their way to their listeners."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from protocol.keys import token_key
-from protocol.messages import Message, Observation
-from protocol.node import Batch, Effect, Event, Node, Received
-from protocol.tokens import sees_all_tokens
+from protocol.messages import Beacon, Gossip, Hello, Observation
+from protocol.node import Effect, Event, Node, Received
+from protocol.once import once
+from protocol.reception import Decoded, in_batches
+
+Item = Decoded | Event  # what one message is to a listener: the message, or the event that it could not be read
+TO_MANY = (Gossip, Beacon, Hello)  # kinds that wait in the boxes of their listeners until nothing else is left of the instant
+
+
+class Run:
+    """Messages to the very same listeners, published one right after the other: read once for all of them."""
+
+    def __init__(self, sender: "Seat", item: Item) -> None:
+        self.senders = [sender]
+        self.items = [item]
+
+    @once
+    def events(self) -> list[Event]:
+        """All of it, the listener's own messages included."""
+        return [*in_batches(self.items)]
+
+    def without(self, seat: "Seat") -> list[Item]:
+        """What the others have said."""
+        return [item for sender, item in zip(self.senders, self.items) if sender is not seat]
+
+
+@dataclass(slots=True)
+class Delivery:
+    """A message on its way to all its listeners."""
+
+    listeners: "list[Seat]"
+    sender: "Seat"
+    item: Item
+
+    @property
+    def kind(self) -> type | None:
+        """Of the message; None when it could not be read."""
+        return type(self.item.message) if isinstance(self.item, Decoded) else None
+
+    def with_followers(self, ready: deque[Any]) -> Run:
+        """This message and those next in the queue that are of its kind and go to the very same listeners; they leave the queue."""
+        run = Run(self.sender, self.item)
+        while ready and isinstance(ready[0], Delivery) and ready[0].listeners is self.listeners and ready[0].kind is self.kind:
+            following = ready.popleft()
+            run.senders.append(following.sender)
+            run.items.append(following.item)
+        return run
 
 
 @dataclass(eq=False, slots=True)
@@ -24,69 +69,35 @@ class Seat:
     work: float = 0.0  # how long it takes over an observation, s
     at_work: bool = False
     armed: float | None = None  # the deadline for which the timer is set
-    box: list[Received | Batch] = field(default_factory=list)  # what was said to many in this instant, taken together
-    has_batches: bool = False  # in the box
+    box: list[Run] = field(default_factory=list)  # what was said to many in this instant
     handle: Callable[[Event, float], list[Effect]] = field(init=False)  # those of the node, looked up once
     deadline: Callable[[], float | None] = field(init=False)
-    take_all: Callable[[list[Message], float], list[Effect]] | None = field(init=False)
-    hear_together: Callable[[Batch, float], list[Effect] | None] | None = field(init=False)
-    sees_all: bool = field(init=False)  # every token, not only those that it asks for
 
     def __post_init__(self) -> None:
         self.handle, self.deadline = self.node.handle, self.node.deadline
-        self.take_all, self.hear_together = getattr(self.node, "take_all", None), getattr(self.node, "hear_together", None)
-        self.sees_all = sees_all_tokens(self.node)
 
     @property
     def token(self) -> str:
         """Key of its liveliness token."""
         return token_key(self.node.run, self.node.role, self.node.name, self.node.incarnation)
 
-    def can_take(self) -> bool:
-        """Whether it takes what comes at once, and its clock shows the time."""
-        return not (self.paused or self.at_work or self.clock)
-
-    def take(self, part: list[Received] | Batch, now: float) -> list[Effect]:
-        """Let the node take at once what it has `take_all` for."""
-        if isinstance(part, Batch):
-            effects = self.hear_together(part, now) if self.hear_together is not None else None
-            if effects is not None:
-                return effects
-            part = part.without(self)
-        assert self.take_all is not None
-        return self.take_all([event.message for event in part], now)
-
-    def put(self, batch: Batch) -> None:
-        """Into the box."""
-        self.box.append(batch)
-        self.has_batches = True
-
-    def empty_box(self) -> list[list[Received] | Batch]:
-        """What lay in the box, in the order in which it came: batches, and between them single messages end to end."""
+    def empty_box(self) -> list[Event]:
+        """The events of what lay in the box, in the order in which it came."""
         box, self.box = self.box, []
-        if not self.has_batches:
-            return [box] if box else []  # type: ignore[list-item]
-        self.has_batches = False
-        parts: list[list[Received] | Batch] = []
-        for thing in box:
-            if isinstance(thing, Batch):
-                parts.append(thing)
-            elif parts and isinstance(parts[-1], list):
-                parts[-1].append(thing)
-            else:
-                parts.append([thing])
-        return parts
+        if len(box) == 1 and len(box[0].items) > 1:
+            return box[0].events
+        return [*in_batches(item for run in box for item in run.without(self))]
 
     def catch_up(self) -> list[Event]:
-        """What has waited for it; of observations the newest only, for nobody works off a queue of them."""
+        """What has waited for it; of observations the newest only: nobody works off a queue of them."""
         events, self.waiting = self.waiting, []
         newest = max((place for place, event in enumerate(events) if is_observation(event)), default=0)
         return [event for place, event in enumerate(events) if place >= newest or not is_observation(event)]
 
 
 def is_observation(event: Event) -> bool:
-    """Whether somebody is told where he is and what he sees."""
-    return isinstance(event, Received) and isinstance(event.message, Observation)
+    """Whether an event tells an agent where it is and what it sees."""
+    return isinstance(event, Received) and event.batch.kind is Observation
 
 
 def place_of(seat: Seat) -> int:

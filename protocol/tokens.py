@@ -4,7 +4,7 @@ import logging
 from collections.abc import Iterable
 
 from protocol.keys import Token, matches, parse_token, token_key
-from protocol.node import Alive, Gone, Node
+from protocol.node import Alive, Gone
 
 ALONE_SECONDS = 10.0  # after which a process that has met nobody says where to look
 
@@ -54,8 +54,3 @@ class Tokens:
             where = ", ".join(seeds)
             log.warning("nobody has appeared in %g s: does anybody listen at %s, in run %s?", ALONE_SECONDS, where, self._own.run)
             log.warning("with certificates: of the same authority, not run out, and of names that the others admit (network.admit)?")
-
-
-def sees_all_tokens(node: Node) -> bool:
-    """Whether a node is shown every liveliness token; one that says `local = True` sees only those to which it subscribes."""
-    return not getattr(node, "local", False)

@@ -1,8 +1,8 @@
 """The virtual driver: many nodes in one process and in virtual time, on a bus of events.
 
 Events of one instant are delivered first come, first served, but what is said to many after all others, that of a listener together;
-time moves on only when none is left. With `codec` the real bytes travel (each message is encoded and decoded once); a `Link` may drop,
-delay, copy or spoil them per receiver. Nodes can be stopped, slowed down, started twice under one name, and given clocks that jump.
+time moves on only when none is left. The real bytes travel: each message is encoded and decoded once. A `Link` may drop, delay, copy or
+spoil them per receiver. Nodes can be stopped, slowed down, started twice under one name, and given clocks that jump.
 """
 
 import heapq
@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import codec
-from protocol.fans import Fan
-from protocol.fields import Malformed
 from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.messages import Command, Message
-from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.reception import in_batches, read
 from protocol.routes import Routes
-from protocol.seats import Batch, Seat, is_observation, place_of
+from protocol.seats import TO_MANY, Delivery, Item, Run, Seat, is_observation, place_of
 
 
 class Link(Protocol):
@@ -39,22 +38,21 @@ class _Call:
     function: Callable[[], None]
 
 
-_Entry = tuple[Seat, Event | _Done] | Fan | _Call  # of the queue
+_Entry = tuple[Seat, Item | _Done] | Delivery | _Call  # of the queue
 
 
 class VirtualBus:
     """Drives nodes in virtual time; `now` is in s."""
 
-    def __init__(self, *, use_codec: bool = True, link: Link | None = None, pace: float = 0.0) -> None:
+    def __init__(self, *, link: Link | None = None, pace: float = 0.0) -> None:
         """`pace`: how long every Command is on its way, s, so that time passes in a world that waits for nothing else."""
         self.now = 0.0
         self.stopped: dict[str, Stop] = {}  # who left by itself, and why
         self.messages = 0  # published
         self.deliveries = 0
         self.bytes = 0  # published
-        self.tap: Callable[[Node, Sequence[Event]], None] | None = None  # called when a node has taken an event, or a batch of events
-        self.batches = True  # what comes in one instant is handed over together; False: one by one, for comparison
-        self._use_codec = use_codec
+        self.tap: Callable[[Node, Event], None] | None = None  # called when a node has taken an event
+        self.batches = True  # messages that come in one instant are handed over together; False: one by one, for comparison
         self._link = link
         self._pace = pace
         self._seats: dict[str, Seat] = {}
@@ -80,12 +78,12 @@ class VirtualBus:
         seat = self._seats[label] = Seat(node, self._sequence)
         self._ready.append((seat, Started()))
         self._holders.setdefault(_parent(seat.token), {})[seat] = None
-        if seat.sees_all:
+        if seat.node.sees_all_tokens:
             self._all_seeing[seat] = None
         watching = self._watching(seat.token)
-        for other in self._seats.values() if seat.sees_all else watching:
+        for other in self._seats.values() if seat.node.sees_all_tokens else watching:
             if other is not seat:
-                if seat.sees_all:
+                if seat.node.sees_all_tokens:
                     self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
                 if other in watching:
                     self._ready.append((other, Alive(node.role, node.name, node.incarnation)))
@@ -107,7 +105,7 @@ class VirtualBus:
         named = {self._seats[label] for label in to if label in self._seats} if to is not None else self._seats.values()
         for seat in sorted(named, key=place_of):
             subject = (seat.node.name, seat.node.incarnation) == (event.name, event.incarnation)
-            if not subject and (seat.sees_all or tokens_of(seat.node.run, event.role, event.name) in seat.expressions):
+            if not subject and (seat.node.sees_all_tokens or tokens_of(seat.node.run, event.role, event.name) in seat.expressions):
                 self._schedule(seat, event, delay)
 
     def pause(self, name: str) -> None:
@@ -150,35 +148,32 @@ class VirtualBus:
             elif not self._advance(until):
                 return False
         entry = self._ready.popleft()
-        if isinstance(entry, Fan):
-            self._hand_all(entry)
+        if isinstance(entry, Delivery):
+            self._deliver(entry)
         elif isinstance(entry, _Call):
             entry.function()
         elif isinstance(entry[1], _Done):
             entry[0].at_work = False
             self._wake(entry[0])
         else:
-            self._hand(entry[0], entry[1])
+            for event in in_batches([entry[1]]):
+                self._hand(entry[0], event)
         return True
 
-    def _hand_all(self, fan: Fan) -> None:
-        """Bring a message to all its listeners; what agents say to each other goes into their boxes."""
-        sender, event, boxed = fan.sender, fan.event, self._boxed
-        if not fan.is_boxed:
-            for seat in fan.listeners:
-                if seat is not sender:
-                    self._hand(seat, event)
+    def _deliver(self, delivery: Delivery) -> None:
+        """Bring a message to all its listeners; what is said to many goes into their boxes."""
+        if delivery.kind not in TO_MANY:
+            for event in in_batches([delivery.item]):
+                for seat in delivery.listeners:
+                    if seat is not delivery.sender:
+                        self._hand(seat, event)
             return
-        batch = fan.gather(self._ready) if self.batches else None
-        for seat in fan.listeners:
-            if batch is None and seat is sender:
-                continue
-            if not seat.box:
-                boxed.append(seat)
-            if batch is None:
-                seat.box.append(event)  # type: ignore[arg-type]
-            else:
-                seat.put(batch)
+        run = delivery.with_followers(self._ready) if self.batches else Run(delivery.sender, delivery.item)
+        for seat in delivery.listeners:
+            if len(run.items) > 1 or seat is not delivery.sender:
+                if not seat.box:
+                    self._boxed.append(seat)
+                seat.box.append(run)
 
     def _empty_boxes(self) -> None:
         """Nothing else is left of this instant: let everybody take what has come, one listener after the other.
@@ -190,14 +185,13 @@ class VirtualBus:
             self._empty(seat)
 
     def _empty(self, seat: Seat) -> None:
-        for part in seat.empty_box():
-            if seat.take_all is not None and seat.can_take() and self.batches:
-                effects = seat.take(part, self.now)
-                if effects is not QUIET or seat.armed is None or self.tap is not None:
-                    self._taken(seat, part.without(seat) if isinstance(part, Batch) else part, effects)
-                continue
-            for event in part.without(seat) if isinstance(part, Batch) else part:
-                self._hand(seat, event)
+        if self.batches:
+            events = seat.empty_box()
+        else:
+            events = [event for run in seat.box for event in in_batches(run.without(seat))]
+            seat.box = []
+        for event in events:
+            self._hand(seat, event)
 
     def _hand(self, seat: Seat, event: Event) -> None:
         """Let a node take an event, or keep it until the node can."""
@@ -207,17 +201,14 @@ class VirtualBus:
             if not isinstance(event, Timer):
                 seat.waiting.append(event)
             return
-        self._taken(seat, (event,), seat.handle(event, self._time_of(seat) if seat.clock else self.now))
-
-    def _taken(self, seat: Seat, events: Sequence[Event], effects: list[Effect]) -> None:
-        """A node has taken events together: what follows."""
+        effects = seat.handle(event, self._time_of(seat) if seat.clock else self.now)
         for effect in effects:
             self._carry_out(seat, effect)
         if self.tap is not None:
-            self.tap(seat.node, events)
+            self.tap(seat.node, event)
         if effects is QUIET and seat.armed is not None:
             return
-        if seat.work > 0.0 and any(map(is_observation, events)):
+        if seat.work > 0.0 and is_observation(event):
             seat.at_work = True
             self._schedule(seat, _Done(), seat.work)
         elif seat.deadline() != seat.armed:
@@ -244,7 +235,7 @@ class VirtualBus:
         """Call a function in `delay` s."""
         self._push(self.now + delay, _Call(function))
 
-    def _schedule(self, seat: Seat, event: Event | _Done, delay: float) -> None:
+    def _schedule(self, seat: Seat, event: Item | _Done, delay: float) -> None:
         if delay <= 0.0:
             self._ready.append((seat, event))
         else:
@@ -300,13 +291,13 @@ class VirtualBus:
     def _publish(self, seat: Seat, message: Message) -> None:
         key = message_key(seat.node.run, message)
         listeners = self._routes.listeners(key)
-        payload = codec.encode(message) if self._use_codec else b""
+        payload = codec.encode(message)
         self.messages += 1
         self.bytes += len(payload)
-        event = self._event(seat, key, message, payload)
+        item = _item(key, payload)
         pace = self._pace if isinstance(message, Command) else 0.0
         if self._link is None and pace == 0.0:
-            self._ready.append(Fan(listeners, seat, event))
+            self._ready.append(Delivery(listeners, seat, item))
             self.deliveries += len(listeners)
             return
         at_once: list[Seat] = []
@@ -317,22 +308,20 @@ class VirtualBus:
                     if arrived is payload and pace + delay <= 0.0:
                         at_once.append(listener)
                     else:
-                        self._schedule(listener, event if arrived is payload else self._event(seat, key, message, arrived), pace + delay)
+                        self._schedule(listener, item if arrived is payload else _item(key, arrived), pace + delay)
         if at_once:
-            self._ready.append(Fan(at_once, seat, event))
+            self._ready.append(Delivery(at_once, seat, item))
 
     def _carried(self, seat: Seat, listener: Seat, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
         if self._link is None:
             return [(0.0, payload)]
         return self._link.carry(seat.node.name, listener.node.name, key, payload, self.now)
 
-    def _event(self, seat: Seat, key: str, message: Message, payload: bytes) -> Event:
-        if not self._use_codec:
-            return Received(message)
-        try:
-            return Received(codec.decode(key, payload), len(payload), payload)
-        except Malformed as error:
-            return Rejected(seat.node.name, error.reason, key, payload)
+
+def _item(key: str, payload: bytes) -> Item:
+    """What the bytes under a key are to whoever they reach."""
+    [message] = codec.decode_all([(key, payload)])
+    return read(key, payload, message)
 
 
 def _parent(key: str) -> str:

@@ -13,7 +13,7 @@ from protocol import codec, process
 from protocol.fields import Malformed
 from protocol.keys import all_of
 from protocol.messages import Truth
-from protocol.node import Effect, Event
+from protocol.node import Effect, Event, Node
 from protocol.settings import BadSetting
 from world.config import WorldConfig
 from world.world import World
@@ -21,11 +21,11 @@ from world.world import World
 log = logging.getLogger(__name__)
 
 
-class KeptWorld:
+class KeptWorld(Node):
     """A world whose newest Truth is in a file before anybody hears of it; a full disk ends the keeping, not the world."""
 
     def __init__(self, world: World, path: Path) -> None:
-        self.run, self.role, self.name, self.incarnation = world.run, world.role, world.name, world.incarnation
+        self.run, self.role, self.name, self.incarnation, self.patient = world.run, world.role, world.name, world.incarnation, world.patient
         self._world = world
         self._path: Path | None = path
 
@@ -36,6 +36,11 @@ class KeptWorld:
             if isinstance(effect, Truth):
                 self._keep(effect)
         return effects
+
+    @property
+    def awaiting(self) -> int:
+        """As the world says."""
+        return self._world.awaiting
 
     def deadline(self) -> float | None:
         """As the world says."""

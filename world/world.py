@@ -12,8 +12,8 @@ import numpy as np
 from protocol.agreement import agreed, common_sections
 from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
-from protocol.messages import Command, Hello, Observation, Truth
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.messages import Command, Hello, Message, Observation, Truth
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.presence import Presence
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting, sensor_of
@@ -31,7 +31,7 @@ RESTORE_TIMEOUT = 1.0  # s, how long a restarted world waits for those who were 
 EXIT_INCOMPLETE = 4  # of a strict world whose agents do not all come
 
 
-class World:
+class World(Node):
     """The true state of a run, and its clock. `restored` is the last Truth of an earlier incarnation."""
 
     role = "world"
@@ -79,10 +79,8 @@ class World:
                 return self._begin(now)
             case Timer():
                 return self._on_time(now)
-            case Received(message=Command() as command):
-                return self._obey(command, now)
-            case Received(message=Hello(role="agent") as hello):
-                return self._hear(hello, now)
+            case Received(batch=batch):
+                return [effect for message in batch.messages for effect in self._take(message, now)]
             case Alive(role="agent"):
                 return self._greet(event.name, event.incarnation, now)
             case Gone(role="agent"):
@@ -92,6 +90,11 @@ class World:
             case Rejected():
                 self.rejected_messages += 1
         return []
+
+    def _take(self, message: Message, now: float) -> list[Effect]:
+        if isinstance(message, Command):
+            return self._obey(message, now)
+        return self._hear(message, now) if isinstance(message, Hello) and message.role == "agent" else []
 
     @property
     def awaiting(self) -> int:

@@ -10,7 +10,7 @@ from deploy.simulate import Simulation
 from protocol import codec
 from protocol.keys import all_of, message_key, order
 from protocol.messages import Gossip, Truth
-from protocol.node import Effect, Event, Received, Started, Subscribe
+from protocol.node import Effect, Event, Node, Received, Started, Subscribe
 
 
 class Captured(NamedTuple):
@@ -24,7 +24,7 @@ class Captured(NamedTuple):
 
 
 @dataclass
-class Ear:
+class Ear(Node):
     """A Node that keeps the gossip of one tick."""
 
     run: str
@@ -37,8 +37,9 @@ class Ear:
     def handle(self, event: Event, now: float) -> list[Effect]:
         if isinstance(event, Started):
             return [Subscribe(all_of(self.run, "gossip"))]
-        if isinstance(event, Received) and isinstance(event.message, Gossip) and event.message.tick == self.tick:
-            self.gossips[event.message.sender] = event.message
+        for message in event.batch.messages if isinstance(event, Received) else ():
+            if isinstance(message, Gossip) and message.tick == self.tick:
+                self.gossips[message.sender] = message
         return []
 
     def deadline(self) -> float | None:

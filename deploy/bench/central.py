@@ -8,16 +8,17 @@ import numpy as np
 
 from agents.arithmetic import Arithmetic
 from agents.births import background_births, prior
-from agents.capacity import SensorFacts, place, power_radius, sensor_facts, unused_capacity
+from agents.capacity import SensorFacts, place, power_radius, unused_capacity
 from agents.cells import Cell
 from agents.claims import Claim
 from agents.control import Lloyd, Situation
 from agents.particles import NONE, Particles, join
 from agents.step import Step
-from agents.words import Eye, Words, eye_of, pack_row
+from agents.words import Announced, Words, announced
 from deploy.scenario import Scenario, agent_config, world_config
+from protocol.fields import pack
 from protocol.geometry import rectangle
-from protocol.messages import Command
+from protocol.messages import Command, Gossip
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
 from world.bodies import Bodies, start_pose
@@ -32,7 +33,7 @@ class Member(NamedTuple):
     name: str
     sensor: SensorModel
     facts: SensorFacts
-    eye: Eye
+    announced: Announced
 
 
 class Central:
@@ -44,7 +45,8 @@ class Central:
         run, arena = scenario.run, scenario.arena
         sensors = {name: sensor_of(scenario, sensor_class) for name, sensor_class in scenario.members.items()}
         clutter = scenario.detection.clutter
-        self._team = [Member(name, sensor, sensor_facts(sensor), eye_of(name, sensor, clutter)) for name, sensor in sensors.items()]
+        carried = {name: announced(name, sensor, clutter) for name, sensor in sensors.items()}
+        self._team = [Member(name, sensor, carried[name].facts, carried[name]) for name, sensor in sensors.items()]
         self._targets = Targets(config.targets, arena, run.dt, run.seed)
         self._bodies, self._detector = Bodies(run.dt, scenario.limits), Detector(scenario.detection, run.seed)
         for member in self._team:
@@ -83,11 +85,20 @@ class Central:
         sensors, targets = [member.sensor for member in self._team], self._targets
         seen = sightings(sensors, poses, targets.positions)
         scans = self._detector.scans(sensors, poses, names, targets.positions, targets.ids, self._tick, seen)
-        rows = bytearray()
-        for member, pose, scan, unused in zip(self._team, poses, scans, self._unused):
-            point = place(member.facts.cod_offset, pose)
-            rows += pack_row(member.eye, pose, (*point, power_radius(unused)), len(scan), 0.0, 0, True)
-        return Words.of_scans(rows, np.concatenate(scans).astype(float))
+        said = [
+            Gossip(
+                sender=member.name,
+                incarnation=1,
+                tick=self._tick,
+                pose=pose,
+                cod=place(member.facts.cod_offset, pose),
+                power_radius=power_radius(unused),
+                unused=unused,
+                detections_bytes=pack(scan, "<f4"),
+            )
+            for member, pose, scan, unused in zip(self._team, poses, scans, self._unused)
+        ]
+        return Words(said, [member.announced for member in self._team], "power")
 
     def _capacity(self, member: Member, updated: Particles) -> float:
         load, detected = self._arithmetic.in_view(updated, member.sensor, self._bodies.poses[member.name])

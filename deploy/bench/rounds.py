@@ -6,20 +6,20 @@ from functools import partial
 from typing import Any
 
 from agents.arithmetic import Arithmetic, in_steps
-from agents.calm import CalmRound, Roll
+from agents.inbox import RoundInbox
+from agents.neighbours import Neighbours
 from agents.round import play
-from agents.words import forget, learn
+from agents.words import announced, forget, side_by_side
 from deploy.bench.capture import Captured, capture, cold
 from deploy.bench.timing import Row, cpu_seconds, median_seconds
 from deploy.scenario import Scenario, resolve
 from protocol import codec
 from protocol.keys import message_key
 from protocol.messages import Gossip
+from protocol.node import Batch
 
 Work = Callable[[Captured], None]
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
-Texts = tuple[str, ...]
-Payloads = tuple[bytes, ...]
 TEAMS = {"5": 50, "20E+4H": 30, "A12,C48,D36": 100}  # 48, 24 and 96 agents, and their targets
 BATCHES = 6  # how often each round is played
 SIDES = {"A12,C48,D36": 141.4}  # m: the density of team 5
@@ -47,14 +47,12 @@ def recorded(arithmetic: Arithmetic, calls: dict[str, list[Call]]) -> Arithmetic
 
 
 def read(captured: Captured) -> None:
-    """What an agent notes of every gossip when it arrives."""
+    """Put what was said side by side."""
     me, peers = captured.me, captured.neighbours.peers
     forget()
-    learn(captured.mine, me.sensor, me.config)
-    for name, gossip in captured.heard.items():
-        outfit = peers[name].outfit
-        assert outfit is not None
-        learn(gossip, outfit.sensor, me.config)
+    own = announced(me.name, me.sensor, me.config.detection.clutter)
+    sensors = [own, *(peers[name].outfit for name in captured.heard)]
+    _ = side_by_side([captured.mine, *captured.heard.values()], sensors, me.config).table  # type: ignore[arg-type]
 
 
 def per_round(rounds: list[Captured], work: Work, first: Work | None = None) -> float:
@@ -75,8 +73,8 @@ def per_round(rounds: list[Captured], work: Work, first: Work | None = None) -> 
 
 
 def whole(captured: Captured) -> None:
-    """One round, from the arrival of the decoded gossips to the outcome."""
-    read(captured)
+    """One round, from the accepted gossips to the outcome."""
+    forget()
     play(*captured)
 
 
@@ -118,34 +116,26 @@ def wire(rounds: list[Captured]) -> Row:
 
 
 def from_bytes(rounds: list[Captured]) -> Row:
-    """Milliseconds of CPU per round from the bytes of what was heard to the outcome: read one by one, and together as in calm rounds."""
-    by_themselves, together = [], []
+    """Milliseconds of CPU per round from the bytes of what was heard to the outcome, and how much of it goes by until all is accepted."""
+    whole_times, accepted = [], []
     for captured in cold(rounds):
-        reader, run = captured.me.arithmetic.reader, captured.me.config.run.name
-        if reader is None:
-            return {}
-        roll = captured.neighbours.call_roll(reader)
-        keys, payloads = zip(*[(message_key(run, gossip), codec.encode(gossip)) for gossip in captured.heard.values()])
-        learn(captured.mine, captured.me.sensor, captured.me.config)
+        run, neighbours = captured.me.config.run.name, captured.neighbours
+        arrivals = [(message_key(run, gossip), codec.encode(gossip)) for gossip in captured.heard.values()]
 
-        def one_by_one(captured: Captured = captured, keys: Texts = keys, payloads: Payloads = payloads) -> None:
-            found = codec.decode_all(list(zip(keys, payloads)))
-            heard = {gossip.sender: gossip for gossip in found if isinstance(gossip, Gossip)}
-            read(captured._replace(heard=heard))
-            play(*captured._replace(heard=heard))
+        def accept(arrivals: list[tuple[str, bytes]] = arrivals, neighbours: Neighbours = neighbours) -> None:
+            forget()
+            neighbours.inbox = RoundInbox()
+            reasons = neighbours.accept(Batch([one for one in codec.decode_all(arrivals) if isinstance(one, Gossip)]))
+            if any(reasons):
+                raise RuntimeError(f"a captured gossip was refused: {', '.join(sorted(set(reasons)))}")
 
-        def at_once(captured: Captured = captured, roll: Roll = roll, keys: Texts = keys, payloads: Payloads = payloads) -> None:
-            reading = CalmRound(roll, captured.mine.tick)
-            if reading.read(keys, payloads) is None:
-                raise RuntimeError("a captured round is not calm")
-            play(captured.me, captured.last, captured.neighbours, captured.mine, reading)
+        def round_of(captured: Captured = captured, accept: Callable[[], None] = accept) -> None:
+            accept()
+            play(*captured._replace(heard=captured.neighbours.fresh(captured.mine.tick)))
 
-        by_themselves.append(median_seconds(one_by_one))
-        together.append(median_seconds(at_once))
-    return {
-        "from bytes, one by one": 1000.0 * statistics.median(by_themselves),
-        "from bytes, together": 1000.0 * statistics.median(together),
-    }
+        accepted.append(median_seconds(accept))
+        whole_times.append(median_seconds(round_of))
+    return {"bytes to accepted": 1000.0 * statistics.median(accepted), "bytes to outcome": 1000.0 * statistics.median(whole_times)}
 
 
 def measure(teams: list[str] | None = None, tick: int = 60) -> list[Row]:

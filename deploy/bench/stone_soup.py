@@ -12,10 +12,12 @@ from agents.arithmetic import Arithmetic
 from agents.births import background_births
 from agents.particles import Particles
 from agents.step import Step
-from agents.words import Words, eye_of, pack_row
+from agents.words import Words, announced
 from deploy.bench.timing import Row, median_seconds
 from deploy.scenario import agent_config, resolve
+from protocol.fields import pack
 from protocol.geometry import rectangle
+from protocol.messages import Gossip
 from protocol.settings import sensor_of
 from world.score import ospa
 
@@ -33,8 +35,9 @@ def our_scan(arithmetic: Arithmetic) -> Any:
     scenario = resolve("convergence", {"team.composition": "L1", "sensors.L": WIDE})
     sensor, step, corners = sensor_of(scenario, "L"), Step(agent_config(scenario), 1), rectangle(SIDE, SIDE)
     pose = (SIDE / 2.0, SIDE / 2.0, 0.0)
-    row = pack_row(eye_of("s1", sensor, 0.1), pose, (*pose[:2], 1.0), DETECTIONS, 0.0, 0, True)
-    words = Words.of_scans(bytearray(row), _points(DETECTIONS, 2))
+    seen = pack(_points(DETECTIONS, 2), "<f4")
+    said = Gossip(sender="s1", incarnation=1, tick=1, pose=pose, cod=pose[:2], power_radius=1.0, unused=0.0, detections_bytes=seen)
+    words = Words([said], [announced("s1", sensor, 0.1)], "power")
     states = np.hstack([_points(PARTICLES, 1), np.ones((PARTICLES, 2))])
     particles = Particles(states, np.full(PARTICLES, DETECTIONS / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
 

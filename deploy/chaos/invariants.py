@@ -1,15 +1,16 @@
 """Invariants: what must hold after every event of a simulation, whatever is broken, and what must hold once all has healed."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
+from agents.said import MOST_TICKS
 
 from agents.agent import Agent
 from agents.belief import MOST_COPIES, share_of
+from agents.inbox import RoundInbox
 from agents.round import Outcome
-from agents.said import MOST_TICKS
 from deploy.chaos.oracle import Oracle, distance, united
 from deploy.simulate import Simulation
 from protocol.geometry import polygon_area
@@ -35,7 +36,7 @@ def need(condition: bool, what: str) -> None:
         raise Broken(what)
 
 
-class Ear:
+class Ear(Node):
     """A Node that hears all gossip, estimates and commands; only the newest ticks are kept."""
 
     role, name, incarnation = "recorder", "ear", 1
@@ -51,13 +52,13 @@ class Ear:
         if isinstance(event, Started):
             return [Subscribe(all_of(self.run, kind)) for kind in ("gossip", "estimate", "command")]
         if isinstance(event, Received):
-            message = event.message
-            if isinstance(message, Gossip):
-                self._keep(self.gossips, message.tick, message)
-            elif isinstance(message, Estimate):
-                self._keep(self.estimates, message.tick, message)
-            elif isinstance(message, Command):
-                self.commands.append(message)
+            for message in event.batch.messages:
+                if isinstance(message, Gossip):
+                    self._keep(self.gossips, message.tick, message)
+                elif isinstance(message, Estimate):
+                    self._keep(self.estimates, message.tick, message)
+                elif isinstance(message, Command):
+                    self.commands.append(message)
         return []
 
     def deadline(self) -> float | None:
@@ -106,10 +107,10 @@ class Watch:
 
     # ------------------------------------------------------------------ after every event
 
-    def _after(self, node: Node, events: Sequence[Event]) -> None:
+    def _after(self, node: Node, event: Event) -> None:
         if not isinstance(node, Agent):
             return
-        self._check_incarnations(node, events)
+        self._check_incarnations(node, event)
         label, outcome = f"{node.name}#{node.incarnation}", node.outcome
         before = self._outcomes.get(label, outcome)
         self._outcomes[label] = outcome
@@ -120,23 +121,23 @@ class Watch:
         while self._ear.commands:
             self._check_command(self._ear.commands.pop())
 
-    def _check_incarnations(self, agent: Agent, events: Sequence[Event]) -> None:
+    def _check_incarnations(self, agent: Agent, event: Event) -> None:
         """A message of an incarnation older than one whose token was seen changes nothing.
 
         In a batch the other messages may change the agent: then what it holds of the old one's sender must be what it was.
         """
         own = agent.name, agent.incarnation
-        for event in events:
-            if isinstance(event, Alive) and event.role == "agent":
-                who = (*own, event.name)
-                self._newest[who] = max(event.incarnation, self._newest.get(who, 0))
+        if isinstance(event, Alive) and event.role == "agent":
+            who = (*own, event.name)
+            self._newest[who] = max(event.incarnation, self._newest.get(who, 0))
         if max(self._newest.values(), default=0) <= 1:
             return
         before, after = self._prints.get(own), fingerprint(agent)
-        messages = [event.message for event in events if isinstance(event, Received) and isinstance(event.message, Gossip | Hello)]
+        batch = event.batch.messages if isinstance(event, Received) else ()
+        messages = [message for message in batch if isinstance(message, Gossip | Hello) and message.sender != agent.name]
         is_old = [(said.sender, said.incarnation < self._newest.get((*own, said.sender), 0)) for said in messages]
         others = {sender for sender, old in is_old if not old}
-        alone = not others and len(is_old) == len(events)
+        alone = not others and len(is_old) == len(batch)
         for sender in {sender for sender, old in is_old if old} - others:
             same = before is None or (after == before if alone else after.of(sender) == before.of(sender))
             need(same, f"{agent.name}: a message of an old incarnation of {sender} changed its state")
@@ -206,7 +207,7 @@ def check_round(agent: Agent, is_first: bool) -> None:
     arena = agent.config.arena
     need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
     need(not (is_first and outcome.belief.stamp > 0 and share.claim.names), f"{name}: a newcomer with a cell before it has listened")
-    need(len(agent.neighbours.said.rounds) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.neighbours.said.rounds)} ticks")
+    need(len(agent.neighbours.inbox.rounds) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.neighbours.inbox.rounds)} ticks")
     need(len(near.ids) <= 4 * MOST_COPIES, f"{name}: {len(near.ids)} copies")
 
 
@@ -215,7 +216,7 @@ def check_words(agent: Agent) -> None:
     every cell."""
     outfits = [peer.outfit for peer in agent.neighbours.peers.values() if peer.outfit is not None]
     most = SLACK * max([agent.self.facts.capability, *(outfit.facts.capability for outfit in outfits)])
-    for name, gossip in agent.neighbours.said.last.items():
+    for name, gossip in agent.neighbours.inbox.last.items():
         if gossip.tick == agent.outcome.belief.stamp:
             numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)
             need(all(map(math.isfinite, numbers)) and gossip.weight >= 0.0, f"{agent.name}: believes {numbers} of {name}")
@@ -227,7 +228,7 @@ def check_diagram(agent: Agent) -> None:
     """Whoever is alive and was heard in the last `SILENT_ROUNDS` rounds has a generator (rule 7)."""
     belief, neighbours = agent.outcome.belief, agent.neighbours
     for name, peer in neighbours.circle.items():
-        last = neighbours.said.last.get(name)
+        last = neighbours.inbox.last.get(name)
         if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.gone_at is not None:
             continue
         lately = belief.stamp - last.tick <= SILENT_ROUNDS
@@ -254,4 +255,15 @@ def fingerprint(agent: Agent) -> Print:
     """The print of an agent; taking it changes nothing about how the agent keeps its gossips."""
     neighbours = agent.neighbours
     peers = {name: (p.incarnation, p.token, p.gone_at, p.missed, p.outfit is None) for name, p in neighbours.peers.items()}
-    return Print(agent.tick, id(agent.outcome), peers, neighbours.said.held())
+    return Print(agent.tick, id(agent.outcome), peers, held(neighbours.inbox))
+
+
+def held(inbox: RoundInbox) -> dict[str, tuple[object, ...]]:
+    """What is kept of each peer's gossips, as values to compare."""
+    found: dict[str, list[object]] = {}
+    for tick, gossips in inbox.rounds.items():
+        for name, gossip in gossips.items():
+            found.setdefault(name, []).append((tick, id(gossip)))
+    for name, gossip in inbox.last.items():
+        found.setdefault(name, []).append((gossip.incarnation, gossip.tick))
+    return {name: tuple(values) for name, values in found.items()}

@@ -15,7 +15,7 @@ from agents.births import background_births
 from agents.claims import Claim
 from agents.particles import NONE, Particles, canonical, join, select
 from agents.step import Step
-from agents.words import learn, side_by_side
+from agents.words import announced, side_by_side
 from deploy.scenario import Scenario, agent_config
 from protocol.geometry import rectangle
 from protocol.keys import order
@@ -38,11 +38,11 @@ class Oracle:
         config, step = self.config, Step(self.config, self.stamp)
         born = background_births(config.filter.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
         said = [gossips[name] for name in sorted(gossips, key=order)]
-        for gossip in said:
-            learn(gossip, sensor_of(config, self._classes[gossip.sender]), config)
+        clutter = config.detection.clutter
+        sensors = [announced(gossip.sender, sensor_of(config, self._classes[gossip.sender]), clutter) for gossip in said]
         all_over = _widely(config.arena)
         everything, _ = self.arithmetic.gather(self.particles, born, all_over, (0.0, 0.0), 0.0, step)
-        self.updated = self.arithmetic.update(everything, side_by_side(said), all_over, step)
+        self.updated = self.arithmetic.update(everything, side_by_side(said, sensors, config), all_over, step)
         self.particles = canonical(join([self._drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))
 
     @property

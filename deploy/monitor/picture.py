@@ -127,10 +127,11 @@ class Picture:
         """Take one event."""
         self.version += 1
         match event:
-            case Received(message=message):
-                self.messages += 1
-                self.bytes += event.size
-                self._hear(message)
+            case Received(batch=batch):
+                self.messages += len(batch)
+                self.bytes += sum(map(len, batch.payloads))
+                for message in batch.messages:
+                    self._hear(message)
             case Alive(role="agent"):
                 self._appear(event.name, event.incarnation)
             case Gone(role="agent"):

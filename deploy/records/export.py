@@ -44,7 +44,7 @@ def messages(recording: Recording, also: Callable[[Any, float], object] = lambda
         event = event_of(entry)
         also(event, entry.published / 1e9)
         if isinstance(event, Received):
-            yield event.message
+            yield from event.batch.messages
 
 
 def tables(recording: Recording) -> dict[str, pyarrow.Table]:

@@ -29,7 +29,7 @@ from deploy.swarm.rundir import versions
 from deploy.toml_text import toml_text
 from protocol.keys import all_of, message_key, token_key
 from protocol.messages import KINDS, Truth
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Subscribe
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe
 
 FLUSH_SECONDS = 0.9
 CHUNK_SECONDS = 5.0  # of the world; larger chunks save nothing more
@@ -109,9 +109,10 @@ class Recorder:
     def see(self, event: Event, now: float) -> None:
         """Record an event if it is a message, valid or not, or a token. What quarantine throws away is not recorded."""
         if isinstance(event, Received):
-            if isinstance(event.message, Truth):
-                self._now = max(self._now, round(1e9 * event.message.time))
-            self._record(message_key(self._run, event.message), event.payload)
+            for message, payload in zip(event.batch.messages, event.batch.payloads):
+                if isinstance(message, Truth):
+                    self._now = max(self._now, round(1e9 * message.time))
+                self._record(message_key(self._run, message), payload)
         elif isinstance(event, Alive | Gone):
             key = token_key(self._run, event.role, event.name, event.incarnation)
             self._record(key, msgspec.msgpack.encode({"alive": isinstance(event, Alive)}))
@@ -193,7 +194,7 @@ class Recorder:
             log.warning("%s: %s; the recording ends here, the run goes on", self.path, self.stopped)
 
 
-class RecorderNode:
+class RecorderNode(Node):
     """The recorder as a participant of its own: a process that may come, go and die without anybody's notice."""
 
     role = "recorder"

@@ -26,7 +26,7 @@ from deploy.swarm.runs import find_run
 from protocol import codec
 from protocol.fields import Malformed
 from protocol.keys import parse_token
-from protocol.node import Alive, Event, Gone, Received, Rejected
+from protocol.node import Alive, Event, Gone, Rejected, received
 from protocol.settings import BadSetting, convert
 
 NAME = "recording.mcap"
@@ -164,7 +164,7 @@ def event_of(entry: Entry) -> Event:
         alive = bool(msgspec.msgpack.decode(entry.payload).get("alive"))
         return (Alive if alive else Gone)(token.role, token.name, token.incarnation)
     try:
-        return Received(codec.decode(entry.key, entry.payload), len(entry.payload), entry.payload)
+        return received(codec.decode(entry.key, entry.payload), payloads=[entry.payload])
     except Malformed as error:
         return Rejected(entry.key.rpartition("/")[2], error.reason, entry.key, entry.payload)
 

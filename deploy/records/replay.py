@@ -17,7 +17,7 @@ from deploy.records.recording import Entry, Recording, event_of
 from deploy.records.rescore import rescore_slowly
 from protocol.keys import parse_message_key
 from protocol.messages import Message
-from protocol.node import Effect, Event, Received, Started, Timer
+from protocol.node import Effect, Event, Node, Received, Started, Timer
 from protocol.settings import BadSetting
 
 FRAME_PERIOD = 1.0 / 15.0  # s; fast replays jump from frame to frame, so that ten a second would look rough
@@ -145,10 +145,10 @@ class ReplaySource:
                 if starts and self.picture.truth is not None:
                     self.picture.assume(self.picture.truth)
                 if self.outbox is not None and isinstance(event, Received):
-                    self.outbox.append(event.message)
+                    self.outbox.extend(event.batch.messages)
 
 
-class ReplayNode:
+class ReplayNode(Node):
     """Says what is played once more, under the same keys; nobody's token is among it."""
 
     role = "monitor"

@@ -105,7 +105,7 @@ def play(bout: Bout, progress: Callable[[float], None] = lambda share: None) -> 
     """The row of a bout: what it is, and OSPA in m after every tick; `progress` is told the share of the ticks that are done."""
     started = time.perf_counter()
     scenario = bout.resolve()
-    simulation = Simulation(scenario, use_codec=False, clock="realtime")
+    simulation = Simulation(scenario, clock="realtime")
     simulation.on_truth = lambda truth: progress((truth.tick + 1) / scenario.run.ticks)
     simulation.run()
     scores = simulation.scorer.scores

@@ -104,7 +104,7 @@ def run_trial(trial: Trial, progress: Callable[[float], None] = lambda share: No
     Messages travel as objects, not bytes: the transcript is the same to the last bit and a tenth of the time is saved.
     """
     scenario = trial.resolve()
-    simulation = Simulation(scenario, use_codec=False)
+    simulation = Simulation(scenario)
     simulation.on_truth = lambda truth: progress((truth.tick + 1) / scenario.run.ticks)
     return row_of(trial, scenario, simulation.run())
 

@@ -16,10 +16,8 @@ from agents.arithmetic import PLAIN, Arithmetic
 from agents.config import AgentConfig, TimingSettings
 from agents.numba_cache import compiled_before, loops_on_disk, tidy
 from deploy.modules import ROOT, command
-from protocol.codec import encode
-from protocol.keys import message_key
 from protocol.messages import Beacon, Gossip, Hello, Observation
-from protocol.node import Alive, Effect, Received, Started, Timer
+from protocol.node import Alive, Effect, Started, Timer, received
 from protocol.settings import ArenaSettings, convert
 
 NAMES = ("s1", "s2")
@@ -108,7 +106,7 @@ def _play(config: AgentConfig, arithmetic: Arithmetic) -> None:
         agent.handle(Alive("agent", other.name, 1), 0.0)
         _tell(other, agent.handle(Started(), 0.0))
     for tick in range(ROUNDS):
-        said = [(agent, agent.handle(Received(_seen(agent.name, tick)), LATE * tick)) for agent in pair if _sees(agent, tick)]
+        said = [(agent, agent.handle(received(_seen(agent.name, tick)), LATE * tick)) for agent in pair if _sees(agent, tick)]
         for agent, effects in said:
             if tick not in LOST:
                 _tell(pair[agent is pair[0]], effects)
@@ -130,10 +128,8 @@ def _sees(agent: Agent, tick: int) -> bool:
 
 def _tell(agent: Agent, effects: list[Effect]) -> None:
     for effect in effects:
-        if isinstance(effect, Gossip) and agent.hear_all([message_key(agent.run, effect)], [encode(effect)], 0.0) is not None:
-            continue
         if isinstance(effect, Hello | Beacon | Gossip):
-            agent.handle(Received(effect), 0.0)
+            agent.handle(received(effect), 0.0)
 
 
 def _seen(name: str, tick: int) -> Observation:

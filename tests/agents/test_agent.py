@@ -10,7 +10,7 @@ from agents.config import AgentConfig, ControlSettings, TimingSettings
 from agents.greetings import CROWD, EARLY, SOON
 from protocol.agreement import whole
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
-from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn
+from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, BadSetting, RunSettings
 
@@ -23,19 +23,19 @@ LOCKSTEP = AgentConfig(run=RunSettings(dt=0.5, clock="lockstep", patience=5.0), 
 
 
 def see(tick: int, incarnation: int = 1) -> Received:
-    return Received(
+    return received(
         Observation(sender="world", incarnation=incarnation, recipient="s1", tick=tick, time=0.5 * tick, pose=(10.0, 20.0, 0.0))
     )
 
 
 def word(tick: int, sender: str = "s2", incarnation: int = 1, **fields: object) -> Received:
     usual: dict[str, object] = {"pose": (30.0, 20.0, 0.0), "cod": (32.0, 20.0), "power_radius": 2.0, "unused": 20.0}
-    return Received(Gossip(sender=sender, incarnation=incarnation, tick=tick, **{**usual, **fields}))  # type: ignore[arg-type]
+    return received(Gossip(sender=sender, incarnation=incarnation, tick=tick, **{**usual, **fields}))  # type: ignore[arg-type]
 
 
 def hello(sender: str = "s2", incarnation: int = 1, **fields: object) -> Received:
     usual: dict[str, object] = {"sensor_class": "B", "sensor": SENSOR_CLASSES["B"]}
-    return Received(Hello(sender=sender, incarnation=incarnation, **{**usual, **fields}))  # type: ignore[arg-type]
+    return received(Hello(sender=sender, incarnation=incarnation, **{**usual, **fields}))  # type: ignore[arg-type]
 
 
 def kinds(effects: list[Effect]) -> list[type]:
@@ -228,7 +228,7 @@ def test_who_hears_its_neighbours_only_answers_the_world_at_once_however_large_t
     team = AgentConfig(members={f"s{number}": "A" for number in range(1, 97)}, timing=TimingSettings(interest="neighbours"))
     agent = Agent(team, "s1")
     agent.handle(Started(), 0.0)
-    agent.handle(Received(Hello(sender="world", incarnation=1, role="world")), 0.01)
+    agent.handle(received(Hello(sender="world", incarnation=1, role="world")), 0.01)
     assert agent.deadline() == pytest.approx(0.01 + SOON)
     agent.handle(Timer(), 0.01 + SOON)
     assert agent.deadline() == pytest.approx(0.01 + SOON + EARLY)
@@ -239,7 +239,7 @@ def test_rejected_bytes_are_counted_by_reason_and_foreign_kinds_are_ignored() ->
     agent.handle(Rejected("s2", "format"), 0.0)
     agent.handle(Rejected("s2", "format"), 0.0)
     beacon = Beacon(sender="s2", incarnation=1, tick=0, position=(0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, reach=1.0, column=0, row=0)
-    assert agent.handle(Received(beacon), 0.0) == []
+    assert agent.handle(received(beacon), 0.0) == []
     assert agent.counters == {"rejected.format": 2}
 
 
@@ -275,7 +275,7 @@ def test_a_world_of_another_arena_is_a_warning() -> None:
     agent = Agent(CONFIG, "s1")
     agent.handle(Started(), 0.0)
     world = Hello(sender="world", incarnation=1, role="world", settings={"arena": 1})
-    assert agent.handle(Received(world), 0.1) == [Warn("the settings of world differ from those of s1 in arena")]
+    assert agent.handle(received(world), 0.1) == [Warn("the settings of world differ from those of s1 in arena")]
     assert agent.handle(see(0), 0.2)
 
 
@@ -295,6 +295,6 @@ def test_a_beacon_of_other_settings_is_refused() -> None:
         sensor_class="B",
     )
     for settings, known in [(right ^ 2, set()), (0, {"s2"}), (right, {"s2", "s3"})]:
-        agent.handle(Received(msgspec.structs.replace(seen, sender="s3" if settings == right else "s2", settings=settings)), 0.1)
+        agent.handle(received(msgspec.structs.replace(seen, sender="s3" if settings == right else "s2", settings=settings)), 0.1)
         assert agent.neighbours.peers.keys() == known
     assert agent.counters["rejected.settings"] == 1

@@ -14,7 +14,7 @@ from protocol import codec
 from protocol.fields import Malformed, pack
 from protocol.keys import matches, message_key
 from protocol.messages import Beacon, Gossip, Hello, Message, Observation
-from protocol.node import Alive, Event, Gone, Received, Rejected, Started, Subscribe, Timer, Unsubscribe
+from protocol.node import Alive, Event, Gone, Rejected, Started, Subscribe, Timer, Unsubscribe, received
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings
 from tests.agents.test_calm import CONFIG, MEMBERS, Wire, wire
@@ -75,7 +75,7 @@ def subscribed(effects: list[Any], wanted: set[str]) -> None:
 def alone(agent: Agent, batch: list[Wire], now: float) -> list[Any]:
     effects = []
     for (key, payload), found in zip(batch, codec.decode_all(batch)):
-        event = Rejected(key, found.reason, key, payload) if isinstance(found, Malformed) else Received(found, len(payload), payload)
+        event = Rejected(key, found.reason, key, payload) if isinstance(found, Malformed) else received(found, len(payload), payload)
         effects += agent.handle(event, now)
     return effects
 
@@ -91,7 +91,7 @@ def crew(config: AgentConfig = CONFIG) -> dict[str, Twins]:
     for name, twins in found.items():
         for hello in hellos:
             if hello.sender != name and not hello.local:
-                twins.tell(Received(hello), 0.0)
+                twins.tell(received(hello), 0.0)
     return found
 
 
@@ -121,7 +121,7 @@ def disturb(dice: random.Random, name: str, twins: Twins, now: float) -> None:
     elif kind == 1:
         twins.tell(Alive("agent", other, 1), now)
     else:
-        twins.tell(Received(Hello(sender=other, incarnation=1, sensor=SENSOR_CLASSES[dice.choice("AEH")])), now)
+        twins.tell(received(Hello(sender=other, incarnation=1, sensor=SENSOR_CLASSES[dice.choice("AEH")])), now)
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.03, 0.2])
@@ -131,7 +131,7 @@ def test_an_agent_that_reads_together_says_and_remembers_what_one_does_that_read
     for tick in range(ticks):
         now = 10.0 * tick
         seen = [name for name in swarm if dice.random() >= 0.5 * rate]  # the others do not hear of this tick
-        said = {name: swarm[name].tell(Received(observation(dice, name, tick)), now) for name in seen}
+        said = {name: swarm[name].tell(received(observation(dice, name, tick)), now) for name in seen}
         spoken = [wire(message) for messages in said.values() for message in messages if isinstance(message, Gossip)]
         for name, twins in swarm.items():
             batch = [(key, payload) for key, payload in spoken if not key.endswith(f"/{name}")]
@@ -165,7 +165,7 @@ def test_so_it_is_with_agents_that_hear_their_neighbours_only(rate: float) -> No
             x, y, heading = places[name]
             places[name] = (min(149.0, max(1.0, x + dice.gauss(0.3, 1.0))), min(149.0, max(1.0, y + dice.gauss(0.0, 1.0))), heading + 0.1)
             seen = Observation(sender="world", incarnation=1, recipient=name, tick=tick, time=0.0, pose=places[name])
-            said[name] += twins.tell(Received(seen), now)
+            said[name] += twins.tell(received(seen), now)
         for part in range(12 if tick == 0 else 0):  # they ask who is there
             for name, twins in swarm.items():
                 said[name] += twins.tell(Timer(), now + 0.2 * part)
@@ -200,4 +200,4 @@ def spread(swarm: dict[str, Twins], sender: str, said: list[Message], now: float
         for name, twins in swarm.items():
             key = message_key(WIDE.run.name, beacon)
             if name != sender and any(matches(expression, key) for expression in twins.wanted if "/beacon/" in expression):
-                twins.tell(Received(beacon), now)
+                twins.tell(received(beacon), now)

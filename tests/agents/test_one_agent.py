@@ -13,7 +13,7 @@ from agents.arithmetic import PLAIN, Arithmetic
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, ControlSettings, FilterSettings, PartitionSettings, TimingSettings
 from deploy.simulate import compiled
 from protocol.messages import Command, Estimate, Gossip, Message, Observation
-from protocol.node import Received
+from protocol.node import received
 from protocol.settings import ArenaSettings, LimitSettings, RunSettings, SensorSettings
 
 WIDTH, HEIGHT, DT = 40.0, 30.0, 0.5
@@ -39,7 +39,7 @@ def play(arithmetic: Arithmetic = PLAIN, ticks: int = 1, **sections: Any) -> lis
     agent, said = Agent(config, "s1", arithmetic=arithmetic), []
     for tick in range(ticks):
         observation = Observation(sender="world", incarnation=1, recipient="s1", tick=tick, time=DT * tick, pose=POSE)
-        said += [effect for effect in agent.handle(Received(observation), DT * tick) if isinstance(effect, Message)]
+        said += [effect for effect in agent.handle(received(observation), DT * tick) if isinstance(effect, Message)]
     return said
 
 

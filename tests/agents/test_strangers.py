@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from agents.unison import Together
 
 from agents.arithmetic import PLAIN
 from agents.belief import Belief, Copies
@@ -16,7 +17,6 @@ from agents.particles import NONE
 from agents.peers import Outfit, mark_of, plausible
 from agents.places import Far
 from agents.round import Self, _claim, _fields, _own_cell
-from agents.unison import Together
 from agents.words import Words, learn, side_by_side
 from protocol.geometry import rectangle
 from protocol.messages import Gossip

@@ -7,7 +7,7 @@ import pytest
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
 from protocol.messages import Estimate, Gossip, Hello, Observation
-from protocol.node import Alive, Effect, Received, Started, Timer
+from protocol.node import Alive, Effect, Started, Timer, received
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, RunSettings
 
@@ -25,18 +25,18 @@ def met(others: int = 1, clock: Any = "lockstep", **timing: Any) -> Agent:
     agent.handle(Started(), 0.0)
     for name in names[1:]:
         agent.handle(Alive("agent", name, 1), 0.0)
-        agent.handle(Received(Hello(sender=name, incarnation=1, sensor_class="A", sensor=SENSOR_CLASSES["A"])), 0.0)
+        agent.handle(received(Hello(sender=name, incarnation=1, sensor_class="A", sensor=SENSOR_CLASSES["A"])), 0.0)
     return agent
 
 
 def see(agent: Agent, tick: int, now: float) -> list[Effect]:
     observation = Observation(sender="world", incarnation=1, recipient="s1", tick=tick, time=0.5 * tick, pose=(10.0, 20.0, 0.0))
-    return agent.handle(Received(observation), now)
+    return agent.handle(received(observation), now)
 
 
 def hear(agent: Agent, tick: int, now: float, **fields: Any) -> list[Effect]:
     usual: dict[str, Any] = {"pose": (30.0, 20.0, 0.0), "cod": (32.0, 20.0), "power_radius": 2.0, "unused": 20.0}
-    return agent.handle(Received(Gossip(sender="s2", incarnation=1, tick=tick, **(usual | fields))), now)
+    return agent.handle(received(Gossip(sender="s2", incarnation=1, tick=tick, **(usual | fields))), now)
 
 
 def of_kind(effects: list[Effect], kind: type) -> Any:

@@ -2,16 +2,16 @@
 
 import msgspec
 import pytest
+from agents.unison import Part, Together, Unison, together_of
 
 from agents.agent import Agent
 from agents.capacity import sensor_facts
 from agents.neighbours import Neighbours
 from agents.peers import Outfit, understood
-from agents.unison import Part, Together, Unison, together_of
 from agents.words import learn
 from deploy.simulate import Simulation
 from protocol.messages import Beacon, Gossip, Hello
-from protocol.node import Batch, Effect, Received
+from protocol.node import Batch, Effect, received
 from protocol.sensing import SENSOR_CLASSES
 from tests.agents.test_neighbours import CONFIG, gossip, hello, neighbours
 from tests.swarm.scene import tracking
@@ -34,7 +34,7 @@ def said() -> list[Gossip]:
 
 
 def batch(words: list[Gossip | Beacon | Hello]) -> Batch:
-    return Batch([word.sender for word in words], [Received(word) for word in words])
+    return Batch([word.sender for word in words], [received(word) for word in words])
 
 
 def changed(change: str, words: list[Gossip]) -> list[Gossip]:

@@ -3,7 +3,7 @@
 from agents.agent import Agent
 from agents.config import AgentConfig
 from protocol.messages import Gossip, Hello, Observation
-from protocol.node import Alive, Effect, Gone, Received, Reopen, Started, Timer
+from protocol.node import Alive, Effect, Gone, Received, Reopen, Started, Timer, received
 from protocol.presence import FIRST_REST, PATIENCE
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import RunSettings
@@ -12,15 +12,15 @@ CONFIG = AgentConfig(run=RunSettings(dt=0.5), members=dict.fromkeys(("s1", "s2",
 
 
 def hello(sender: str, *heard: str) -> Received:
-    return Received(Hello(sender=sender, incarnation=1, sensor_class="B", sensor=SENSOR_CLASSES["B"], heard=heard))
+    return received(Hello(sender=sender, incarnation=1, sensor_class="B", sensor=SENSOR_CLASSES["B"], heard=heard))
 
 
 def see(tick: int) -> Received:
-    return Received(Observation(sender="world", incarnation=1, recipient="s1", tick=tick, time=0.5 * tick, pose=(10.0, 20.0, 0.0)))
+    return received(Observation(sender="world", incarnation=1, recipient="s1", tick=tick, time=0.5 * tick, pose=(10.0, 20.0, 0.0)))
 
 
 def word(sender: str, tick: int) -> Received:
-    return Received(
+    return received(
         Gossip(sender=sender, incarnation=1, tick=tick, pose=(60.0, 20.0, 0.0), cod=(62.0, 20.0), power_radius=2.0, unused=20.0)
     )
 

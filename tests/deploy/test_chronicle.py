@@ -127,7 +127,7 @@ def test_the_result_of_a_run_tells_every_death_and_return_and_a_paused_agent_is_
         FaultSettings(at=20.0, verb="restart", who="s2"),
     )
     scenario = resolve("quick", {"run.seconds": 30.0, "targets.count": 6})
-    result = simulate(msgspec.structs.replace(scenario, faults=faults), use_codec=False)
+    result = simulate(msgspec.structs.replace(scenario, faults=faults))
     texts = [told.text for told in result.events]
     assert any(text.startswith("s2 died: ") and "took its cell within" in text for text in texts)
     assert any(text.startswith("s5 is paused: ") for text in texts)

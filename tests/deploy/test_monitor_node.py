@@ -12,7 +12,7 @@ from deploy.scenario import Scenario, agent_config, resolve
 from protocol.fields import pack
 from protocol.geometry import polygon_area
 from protocol.messages import Estimate, Gossip, Hello, Truth
-from protocol.node import Alive, Gone, Received, Started, Subscribe
+from protocol.node import Alive, Gone, Received, Started, Subscribe, received
 
 LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])
 RIGHT = np.add(LEFT, [5.0, 0.0])
@@ -31,7 +31,7 @@ def scenario(tmp_path: Path) -> Scenario:
 
 
 def truth(tick: int, alive: tuple[str, ...] = ("a", "b")) -> Received:
-    return Received(
+    return received(
         Truth(
             sender="world",
             incarnation=1,
@@ -50,7 +50,7 @@ def truth(tick: int, alive: tuple[str, ...] = ("a", "b")) -> Received:
 
 def estimate(name: str, tick: int, cell: np.ndarray, targets: np.ndarray | None = None, mass: float = 0.5) -> Received:
     targets = np.empty((0, 2)) if targets is None else targets
-    return Received(
+    return received(
         Estimate(
             sender=name,
             incarnation=1,
@@ -166,7 +166,7 @@ def test_the_mass_residual_compares_what_an_agent_says_with_the_particles_it_pub
         states_bytes=pack(np.zeros((3, 4)), "<f4"),
         ids_bytes=pack(np.arange(3), "<u8"),
     )
-    scorer.handle(Received(gossip, 10), 0.0)
+    scorer.handle(received(gossip, 10), 0.0)
     assert scorer.result(1.0).mass_residual == 0.25
 
 
@@ -212,8 +212,8 @@ def test_an_agent_of_other_settings_is_told_of_once_and_named_in_the_table_of_pr
     scorer.on_differing = lambda name, sections: told.append((name, sections))
     right = agent_config(scenario).agreed()
     for settings in ({**right, "filter": 1, "arena": 2}, {**right, "filter": 1, "arena": 2}, {}):
-        scorer.handle(Received(Hello(sender="b", incarnation=1, settings=settings)), 0.0)
-        scorer.handle(Received(Hello(sender="a", incarnation=1, settings=right)), 0.0)
+        scorer.handle(received(Hello(sender="b", incarnation=1, settings=settings)), 0.0)
+        scorer.handle(received(Hello(sender="a", incarnation=1, settings=right)), 0.0)
         if len(settings):
             assert [agent.differs for agent in scorer.status().agents] == [[], ["arena", "filter"]]
     assert told == [("b", ("arena", "filter"))]

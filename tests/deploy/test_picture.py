@@ -13,7 +13,7 @@ from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
 from protocol.fields import pack
 from protocol.messages import Gossip, Hello, Message, Truth
-from protocol.node import Alive, Gone, Received, Rejected
+from protocol.node import Alive, Gone, Rejected, received
 
 
 def scenario(**more: object) -> Scenario:
@@ -56,7 +56,7 @@ def gossip(tick: int, incarnation: int = 1, places: list[list[float]] | None = N
 def shown(*events: object) -> Picture:
     picture = Picture(scenario())
     for event in events:
-        picture.see(Received(event) if isinstance(event, Message) else event, 0.0)  # type: ignore[arg-type]
+        picture.see(received(event) if isinstance(event, Message) else event, 0.0)  # type: ignore[arg-type]
     return picture
 
 
@@ -81,10 +81,10 @@ def test_an_agent_is_silent_when_its_peers_would_give_it_up_and_heard_again_with
     assert patience == 4
     picture = shown(Alive("agent", "s1", 1), truth(10), gossip(10), *(truth(tick) for tick in range(11, 15)))
     assert picture.agents["s1"].state == "alive"
-    picture.see(Received(truth(15)), 0.0)
+    picture.see(received(truth(15)), 0.0)
     assert picture.agents["s1"].state == "silent"
-    picture.see(Received(gossip(15)), 0.0)
-    picture.see(Received(truth(16)), 0.0)
+    picture.see(received(gossip(15)), 0.0)
+    picture.see(received(truth(16)), 0.0)
     assert kinds(picture) == [("silent", "s1"), ("heard", "s1")]
 
 
@@ -108,7 +108,7 @@ def test_the_start_of_a_run_fills_no_time_line_but_a_late_guest_does() -> None:
 def test_a_guest_is_drawn_with_the_sensor_that_it_announces() -> None:
     picture = shown(Alive("agent", "guest", 1))
     before = picture.roster_version
-    picture.see(Received(Hello(sender="guest", incarnation=1, sensor_class="A")), 0.0)
+    picture.see(received(Hello(sender="guest", incarnation=1, sensor_class="A")), 0.0)
     assert picture.agents["guest"].sensor is not None
     assert picture.roster_version > before
 

@@ -23,7 +23,7 @@ from deploy.simulate import Simulation
 from protocol import codec
 from protocol.keys import message_key
 from protocol.messages import KINDS, Command, Truth
-from protocol.node import Alive, Gone, Received, Rejected
+from protocol.node import Alive, Gone, Received, Rejected, received
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +40,7 @@ def command(tick: int) -> Command:
 
 def received(message: Command) -> Received:
     payload = codec.encode(message)
-    return Received(message, len(payload), payload)
+    return received(message, len(payload), payload)
 
 
 def recorded_run(path: Path, of: Scenario) -> tuple[Simulation, Result]:

@@ -7,7 +7,7 @@ import pytest
 from deploy.monitor_node import Scorer
 from deploy.scenario import Scenario
 from protocol.messages import Gossip
-from protocol.node import Received
+from protocol.node import received
 from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, scenario, started, truth
 
 __all__ = ["scenario"]  # the fixture
@@ -50,7 +50,7 @@ def test_the_mass_that_is_reported_is_that_of_the_particles_that_are_said(scenar
     pose, claim = (1.0, 1.0, 0.0), np.array([[1.0, 1.0, 0.0]]).tobytes()
     common = {"sender": "a", "incarnation": 1, "pose": pose, "cod": pose[:2], "power_radius": 0.0, "unused": 0.0}
     gossip = Gossip(**common, tick=1, claim_tick=0, claim_names=("a",), claim_bytes=claim, weight=0.2, states_bytes=states, ids_bytes=ids)
-    scorer.handle(Received(gossip), 0.5)
+    scorer.handle(received(gossip), 0.5)
     assert scorer.result(1.0).mass_residual == pytest.approx(abs(0.5 - 4 * 0.2))
 
 

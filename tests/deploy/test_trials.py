@@ -22,7 +22,7 @@ def trial(method: str = "power", seed: int = 3, **options: object) -> Trial:
 
 def tracks(which: Trial) -> list[bytes]:
     """The truth of every tick, and where the bodies start."""
-    simulation = Simulation(which.resolve(), use_codec=False)
+    simulation = Simulation(which.resolve())
     found: list[bytes] = []
 
     def hear(truth: Truth) -> None:
@@ -41,7 +41,7 @@ def test_trials_of_one_seed_share_targets_and_starts_whatever_the_method() -> No
 
 def test_without_the_codec_the_transcript_is_the_same_to_the_last_bit() -> None:
     scenario = trial().resolve()
-    assert simulate(scenario, use_codec=True).transcript == simulate(scenario, use_codec=False).transcript
+    assert simulate(scenario, use_codec=True).transcript == simulate(scenario).transcript
 
 
 def test_a_trial_is_repeated_by_the_command_in_its_row() -> None:

@@ -10,7 +10,7 @@ from deploy.field import swarm_map
 from deploy.watching import LOOK, SILENCE, Heard, Listener, Rates, block, expression, fields, kinds, lies_in, plain_line
 from protocol import codec
 from protocol.messages import Command, Truth
-from protocol.node import Alive, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import Alive, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, received
 from protocol.settings import BadSetting
 
 COMMAND = Command(sender="s1", incarnation=1, tick=7, velocity=(1.0, 2.0), turn_rate=0.5)
@@ -18,7 +18,7 @@ COMMAND = Command(sender="s1", incarnation=1, tick=7, velocity=(1.0, 2.0), turn_
 
 def received(message: Command) -> Received:
     payload = codec.encode(message)
-    return Received(message, len(payload), payload)
+    return received(message, len(payload), payload)
 
 
 @pytest.mark.parametrize(

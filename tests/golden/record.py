@@ -32,11 +32,12 @@ def play(case: Case, *, arithmetic: Arithmetic | None = None, tapped: bool = Fal
     said: list[Said] = [{} for _ in range(TICKS)]
 
     def hear(event: Event, now: float) -> None:
-        found = values_of(event.message) if isinstance(event, Received) else {}
-        if found:
-            tick, name, incarnation = address_of(event.message)  # type: ignore[union-attr]
-            for field, values in found.items():
-                said[tick].setdefault(name, {}).setdefault(field, []).append([incarnation, *values])
+        for message in event.batch.messages if isinstance(event, Received) else ():
+            found = values_of(message)
+            if found:
+                tick, name, incarnation = address_of(message)
+                for field, values in found.items():
+                    said[tick].setdefault(name, {}).setdefault(field, []).append([incarnation, *values])
 
     simulation = Simulation(case.scenario(), clock=case.clock, arithmetic=arithmetic, scores=False)  # type: ignore[arg-type]
     simulation.scorer.on_event = hear

@@ -12,7 +12,7 @@ from tests.swarm.oracle import Beside
 def excess(team: str, seed: int, seconds: float) -> float:
     """Steady OSPA of the swarm over that of the central filter, less 1."""
     options = {"run.seed": seed, "run.seconds": seconds, "run.dt": 0.5, "team.composition": team, "targets.count": 30}
-    both = Beside(resolve("efficacy", options), compiled(), use_codec=False).run()
+    both = Beside(resolve("efficacy", options), compiled()).run()
     assert len(both.swarm) == len(both.central) == round(seconds / 0.5)
     steady = len(both.swarm) // 5
     return math.fsum(both.swarm[steady:]) / math.fsum(both.central[steady:]) - 1.0

@@ -5,7 +5,7 @@ import pytest
 
 from deploy.simulate import Simulation
 from protocol.messages import Gossip
-from protocol.node import Received, Stop
+from protocol.node import Stop, received
 from tests.swarm.scene import Watched, fault, ledger, tracking, watch
 
 CLOCKS = pytest.mark.parametrize("clock", ["lockstep", "realtime"])
@@ -121,7 +121,7 @@ def test_a_replayed_message_changes_nothing(restart: bool) -> None:
             kept.append(said)
         for seat in simulation.bus._seats.values() if tick > 30 else ():
             if seat.node.role == "agent" and seat.node.name != "s2":
-                simulation.bus._schedule(seat, Received(kept[tick % len(kept)]), 0.0)
+                simulation.bus._schedule(seat, received(kept[tick % len(kept)]), 0.0)
 
     left_alone, replayed = watch(scenario), watch(scenario, at_tick=replay)
     assert len(kept) > 10 and replayed.result.transcript == left_alone.result.transcript

@@ -44,7 +44,7 @@ def play(scenario: Scenario) -> tuple[Simulation, list[tuple[object, ...]]]:
     """A run, and of every agent in every tick its pose, capacity, load, mass and targets, bit for bit, and the area and the first moments
     of its cell to 1e-6: a generator that cuts off a corner which another cuts off anyway may change the last bit of a cell.
     """
-    simulation, listener = Simulation(scenario, use_codec=False), Listener(scenario.run.name)
+    simulation, listener = Simulation(scenario), Listener(scenario.run.name)
     simulation.bus.add(listener)
     simulation.run()
     return simulation, [
@@ -82,7 +82,7 @@ def test_it_does_so_for_many_seeds(seed: int) -> None:
 
 def test_who_owns_nothing_agrees_with_all_the_others() -> None:
     """Whom it does not know could only take from it; so nobody has to look for an overlap of its claim with his own."""
-    simulation = Simulation(crowd(200, "neighbours", 24), use_codec=False, scores=False)
+    simulation = Simulation(crowd(200, "neighbours", 24), scores=False)
     listener = Listener(simulation.scenario.run.name)
     simulation.bus.add(listener)
     simulation.run()
@@ -93,7 +93,7 @@ def test_who_owns_nothing_agrees_with_all_the_others() -> None:
 
 def test_the_dead_are_taken_over_and_a_restarted_agent_gets_a_cell() -> None:
     faults = (FaultSettings(at=5.0, verb="kill", who="s3,s7,s11"), FaultSettings(at=10.0, verb="restart", who="s3,s7,s11"))
-    simulation = Simulation(large(5, "20E+10G", "neighbours", *faults, seconds=25.0), use_codec=False)
+    simulation = Simulation(large(5, "20E+10G", "neighbours", *faults, seconds=25.0))
     result = simulation.run()
     assert [kill.closed_ticks is not None and kill.closed_ticks <= 2 for kill in result.kills] == [True] * 3
     assert all(score.hole < 1e-6 and score.overlap < 1e-6 for score in simulation.scorer.scores[-10:])
@@ -104,7 +104,7 @@ def test_the_dead_are_taken_over_and_a_restarted_agent_gets_a_cell() -> None:
 def test_a_sensor_wider_than_all_of_the_team_joins_without_an_overlap(seed: int) -> None:
     """Nobody was told of class D: it sees three times as far as those who are there, and its cell is the largest."""
     scenario = large(seed, "A6,C8", "neighbours", FaultSettings(at=10.0, verb="join", who="s99", options={"class": "D"}), seconds=40.0)
-    simulation = Simulation(scenario, use_codec=False)
+    simulation = Simulation(scenario)
     simulation.run()
     after = [score for score in simulation.scorer.scores if score.time > 10.0]
     assert [score.time for score in after if max(score.hole, score.overlap) > 1e-6] == []
@@ -115,7 +115,7 @@ def test_all_are_told_of_the_widest_sensor_though_most_never_hear_it() -> None:
     faults = (FaultSettings(at=5.0, verb="join", who="s99", options={"class": "D"}),)
     scenario = large(3, "A10,C14", "neighbours", *faults, seconds=20.0)
     arena = msgspec.structs.replace(scenario.arena, width=160.0, height=160.0)
-    simulation, told = Simulation(msgspec.structs.replace(scenario, arena=arena), use_codec=False), Beacons(scenario.run.name)
+    simulation, told = Simulation(msgspec.structs.replace(scenario, arena=arena)), Beacons(scenario.run.name)
     simulation.bus.add(told)
     simulation.run()
     last = {beacon.sender: beacon.widest_reach for beacon in told.beacons if beacon.tick > 30}
@@ -127,7 +127,7 @@ def test_all_are_told_of_the_widest_sensor_though_most_never_hear_it() -> None:
 def test_mass_is_kept_when_agents_die() -> None:
     """In a swarm that sees nothing the mass of 16 targets is only moved about."""
     faults = (FaultSettings(at=6.0, verb="kill", who="s2,s9,s17"),)
-    seen = watch(ledger(*faults, agents=24, side=120.0, run__seconds=15.0, timing__interest="neighbours"), use_codec=False)
+    seen = watch(ledger(*faults, agents=24, side=120.0, run__seconds=15.0, timing__interest="neighbours"))
     assert seen.masses[-1] == pytest.approx(seen.masses[5], rel=0.01)
 
 
@@ -139,5 +139,5 @@ def test_with_loss_the_mass_stays() -> None:
 
 
 def test_small_teams_hear_all_they_need() -> None:
-    alike = [watch(tracking(timing__interest=interest), use_codec=False).result for interest in ("all", "neighbours")]
+    alike = [watch(tracking(timing__interest=interest)).result for interest in ("all", "neighbours")]
     assert alike[0] is not None and alike[1] is not None and alike[0].transcript == alike[1].transcript

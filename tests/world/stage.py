@@ -5,7 +5,7 @@ from typing import TypeVar
 import msgspec
 
 from protocol.messages import Command, Hello
-from protocol.node import Alive, Effect, Event, Received, Started
+from protocol.node import Alive, Effect, Event, Received, Started, received
 from protocol.settings import ArenaSettings, DetectionSettings
 from world.config import BodySettings, TargetSettings, WorldConfig, WorldRun
 from world.world import World
@@ -27,11 +27,11 @@ def config(clock: str = "lockstep", **run: object) -> WorldConfig:
 
 
 def hello(name: str, incarnation: int = 1, heard: tuple[str, ...] = ("s1", "s2", "world")) -> Received:
-    return Received(Hello(sender=name, incarnation=incarnation, heard=heard))
+    return received(Hello(sender=name, incarnation=incarnation, heard=heard))
 
 
 def command(name: str, tick: int, velocity: tuple[float, float] = (1.0, 0.0), incarnation: int = 1, turn_rate: float = 0.0) -> Received:
-    return Received(Command(sender=name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate))
+    return received(Command(sender=name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate))
 
 
 def feed(world: World, *events: Event, now: float = 0.0) -> list[Effect]:

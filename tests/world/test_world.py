@@ -5,7 +5,7 @@ import pytest
 
 from protocol.agreement import agreed, common_sections
 from protocol.messages import Hello, Observation, Truth
-from protocol.node import Alive, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.node import Alive, Gone, Rejected, Reopen, Started, Stop, Subscribe, Timer, received
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import BadSetting
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started
@@ -163,7 +163,7 @@ def test_a_late_comer_is_greeted_when_it_appears_and_when_it_speaks() -> None:
 
 
 def test_a_guest_with_a_wedge_gets_a_body_at_its_keyed_start() -> None:
-    guest = Received(Hello(sender="guest", incarnation=1, sensor=SENSOR_CLASSES["D"]))
+    guest = received(Hello(sender="guest", incarnation=1, sensor=SENSOR_CLASSES["D"]))
     poses = []
     for events in ((Alive("agent", "guest", 1), guest), (guest, Alive("agent", "guest", 1))):
         world, _ = started(config())
@@ -183,7 +183,7 @@ def test_a_guest_without_a_sensor_gets_no_body() -> None:
 
 def test_other_roles_are_no_agents() -> None:
     world = World(config(start_timeout=0.1), incarnation=1)
-    watcher = Received(Hello(sender="monitor", incarnation=1, role="monitor", sensor=SENSOR_CLASSES["A"]))
+    watcher = received(Hello(sender="monitor", incarnation=1, role="monitor", sensor=SENSOR_CLASSES["A"]))
     assert feed(world, Started(), Alive("monitor", "monitor", 1), watcher, now=9.0)[3:] == []
     assert feed(world, Gone("monitor", "monitor", 1), Alive("world", "world", 1), now=9.0) == []
     assert list(world.bodies.poses) == ["s1", "s2"]
