@@ -171,17 +171,26 @@ class Agent(Node):
             self._presence.speak_all(batch.senders, now)
         if self.tick < 0:
             self._greetings.go_on()
-        reasons = self.neighbours.accept(batch)
-        accepted = [gossip for gossip, reason in zip(batch.messages, reasons) if reason == ACCEPTED]
+        effects: list[Effect] = QUIET
+        start = 0
+        while start < len(batch):  # a round closes with the gossip that completes it; the rest belongs to what follows
+            more, judged = self._accept(batch, start, now)
+            effects = more if effects is QUIET else [*effects, *more]
+            start += judged
+        return effects
+
+    def _accept(self, batch: Batch, start: int, now: float) -> tuple[list[Effect], int]:
+        """Take gossips from a row on, until the open round is complete or all are taken; what follows, and how many were taken."""
+        reasons = self.neighbours.accept(batch, start, self.tick, self._awaited if self._gossip is not None else None)
+        accepted = [gossip for gossip, reason in zip(batch.messages[start:], reasons) if reason == ACCEPTED]
         if len(accepted) < len(reasons):
             refused = [reason for reason in reasons if reason not in (ACCEPTED, OWN, UNASKED)]
             self.counters.update([f"rejected.{reason}" for reason in refused])
         self.counters["heard"] += len(accepted)
         doubts = self._lag(accepted, now) if self._lookout is not None else []
-        self._awaited.difference_update([gossip.sender for gossip in accepted if gossip.tick == self.tick])
         if self._gossip is not None and not self._awaited:
-            return [*doubts, *self._close(now)]
-        return doubts or QUIET
+            return [*doubts, *self._close(now)], len(reasons)
+        return doubts or QUIET, len(reasons)
 
     def _lag(self, gossips: list[Gossip], now: float) -> list[Effect]:
         """A new session, if others have long been more than a tick ahead."""

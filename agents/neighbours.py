@@ -93,8 +93,11 @@ class Neighbours:
         outfit = peer.outfit if peer is not None and peer.incarnation == hello.incarnation else None
         return outfit is not None and (hello.sensor is None or hello.sensor is outfit.sensor or hello.sensor == outfit.sensor)
 
-    def accept(self, batch: Batch) -> list[str]:
-        """Judge gossips that arrived together and keep those that are accepted: the reason for refusing each, empty if it is accepted.
+    def accept(self, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
+        """Judge gossips that arrived together, from the row `start` on, and keep those that are accepted.
+
+        Who of `awaited` speaks of `tick` is awaited no longer; the row with which nobody is awaited any more is the last that is judged,
+        because it completes the round. Returns for each judged row the reason for refusing it, empty if it is accepted.
 
         own: it is mine; unasked: of a peer that I do not listen to; incarnation: of an older one than is known; stranger: its sensor is
         unknown; settings: its settings differ from mine; stale: a later tick of the same peer is closed; dead: it was said before the
@@ -103,11 +106,17 @@ class Neighbours:
         circle, reasons = self.circle, []
         peers = [circle.get(name) for name in batch.senders]
         outfits = [peer.outfit if peer is not None else None for peer in peers]
-        for gossip, fits in zip(batch.messages, all_plausible(batch, outfits)):
+        fit = all_plausible(batch, outfits)
+        for gossip, fits in zip(batch.messages[start:], fit[start:]):
             reason = self._judge(gossip, fits)
-            if not reason:
-                self.inbox.put(gossip)
             reasons.append(reason)
+            if reason:
+                continue
+            self.inbox.put(gossip)
+            if awaited and gossip.tick == tick:
+                awaited.discard(gossip.sender)
+                if not awaited:
+                    break
         return reasons
 
     def _judge(self, gossip: Gossip, fits: bool) -> str:

@@ -56,6 +56,11 @@ def received(*messages: Message, payloads: Sequence[bytes] = ()) -> Received:
     return Received(Batch(messages, payloads))
 
 
+def messages_of(event: object) -> tuple[Any, ...]:
+    """The messages of a `Received`; none of any other event."""
+    return event.batch.messages if isinstance(event, Received) else ()
+
+
 @dataclass(frozen=True, slots=True)
 class Rejected:
     """Bytes that were no valid message; `sender` is the name in the key, `reason` one word for the counters.

@@ -10,7 +10,7 @@ from deploy.simulate import Simulation
 from protocol import codec
 from protocol.keys import all_of, message_key, order
 from protocol.messages import Gossip, Truth
-from protocol.node import Effect, Event, Node, Received, Started, Subscribe
+from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
 
 
 class Captured(NamedTuple):
@@ -37,7 +37,7 @@ class Ear(Node):
     def handle(self, event: Event, now: float) -> list[Effect]:
         if isinstance(event, Started):
             return [Subscribe(all_of(self.run, "gossip"))]
-        for message in event.batch.messages if isinstance(event, Received) else ():
+        for message in messages_of(event):
             if isinstance(message, Gossip) and message.tick == self.tick:
                 self.gossips[message.sender] = message
         return []

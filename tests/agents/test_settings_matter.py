@@ -19,8 +19,7 @@ from agents.config import (
 )
 from deploy.scenario import resolve
 from deploy.simulate import Simulation, compiled
-from protocol.messages import Message
-from protocol.node import Event, Received
+from protocol.node import Event, messages_of
 from tests.golden.fields import digest, values_of
 from tests.swarm.scene import fault
 
@@ -96,9 +95,9 @@ def said(setting: str = "", value: object = None, plain: bool = False) -> bytes:
     simulation, heard = Simulation(resolve("efficacy", options), arithmetic=PLAIN if plain else compiled(), scores=False), []
 
     def hear(event: Event, now: float) -> None:
-        message: Message | None = event.message if isinstance(event, Received) else None
-        if message is not None and (values := list(values_of(message).values())):
-            heard.append(digest(values).hex())
+        for message in messages_of(event):
+            if values := list(values_of(message).values()):
+                heard.append(digest(values).hex())
 
     simulation.scorer.on_event = hear
     simulation.run()

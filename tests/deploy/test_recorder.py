@@ -20,7 +20,6 @@ from deploy.records.rescore import difference, rescore, write_scores
 from deploy.result import Fault, Result
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
-from protocol import codec
 from protocol.keys import message_key
 from protocol.messages import KINDS, Command, Truth
 from protocol.node import Alive, Gone, Received, Rejected, received
@@ -38,11 +37,6 @@ def command(tick: int) -> Command:
     return Command(sender="s1", incarnation=1, tick=tick, velocity=(1.0, 0.0), turn_rate=0.0)
 
 
-def received(message: Command) -> Received:
-    payload = codec.encode(message)
-    return received(message, len(payload), payload)
-
-
 def recorded_run(path: Path, of: Scenario) -> tuple[Simulation, Result]:
     simulation = Simulation(of)
     Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
@@ -54,7 +48,7 @@ def heard_truths(of: Scenario) -> list[Received]:
     simulation, found = Simulation(of), []
     simulation.scorer.on_event = lambda event, now: found.append(event)
     simulation.run()
-    return [event for event in found if isinstance(event, Received) and isinstance(event.message, Truth)]
+    return [event for event in found if isinstance(event, Received) and event.batch.kind is Truth]
 
 
 def test_payloads_come_back_byte_for_byte_in_order_under_their_keys(tmp_path: Path) -> None:
@@ -233,7 +227,7 @@ def test_a_recorder_that_is_killed_leaves_all_that_it_had_flushed(tmp_path: Path
         assert process.stdout.readline() == b"ready\n"
         process.send_signal(signal.SIGKILL)
     recording = Recording(tmp_path / "a.mcap")
-    ticks = [event.message.tick for entry in recording.entries() if isinstance(event := event_of(entry), Received)]
+    ticks = [event.batch.messages[0].tick for entry in recording.entries() if isinstance(event := event_of(entry), Received)]
     assert not recording.is_whole
     assert ticks[:50] == list(range(50))
 

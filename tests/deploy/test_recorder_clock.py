@@ -16,7 +16,7 @@ def test_what_is_heard_is_stamped_with_the_worlds_time_and_with_the_walls(tmp_pa
     command = Command(sender="s1", incarnation=1, tick=9, velocity=(0.0, 0.0), turn_rate=0.0)
     said: list[Message] = [Truth(sender="world", incarnation=1, tick=tick, time=0.25 * tick) for tick in (8, 10)]
     for message in (said[0], command, said[1]):
-        recorder.see(received(message, 0, codec.encode(message)), 0.0)
+        recorder.see(received(message, payloads=[codec.encode(message)]), 0.0)
     recorder.close()
     found = [(entry.time, entry.published / 1e9) for entry in Recording(tmp_path / "a.mcap").entries()]
     assert found == [(2.0, 1000.0), (2.0, 1001.5), (2.5, 1002.25)]

@@ -10,15 +10,10 @@ from deploy.field import swarm_map
 from deploy.watching import LOOK, SILENCE, Heard, Listener, Rates, block, expression, fields, kinds, lies_in, plain_line
 from protocol import codec
 from protocol.messages import Command, Truth
-from protocol.node import Alive, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, received
+from protocol.node import Alive, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, received
 from protocol.settings import BadSetting
 
 COMMAND = Command(sender="s1", incarnation=1, tick=7, velocity=(1.0, 2.0), turn_rate=0.5)
-
-
-def received(message: Command) -> Received:
-    payload = codec.encode(message)
-    return received(message, len(payload), payload)
 
 
 @pytest.mark.parametrize(

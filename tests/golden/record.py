@@ -10,7 +10,7 @@ from typing import NamedTuple
 from agents.arithmetic import Arithmetic
 from deploy.simulate import Simulation, rare_collections
 from protocol.keys import order
-from protocol.node import Event, Received
+from protocol.node import Event, messages_of
 from tests.golden.cases import TICKS, Case
 from tests.golden.fields import FIELDS, Values, address_of, digest, values_of
 
@@ -32,7 +32,7 @@ def play(case: Case, *, arithmetic: Arithmetic | None = None, tapped: bool = Fal
     said: list[Said] = [{} for _ in range(TICKS)]
 
     def hear(event: Event, now: float) -> None:
-        for message in event.batch.messages if isinstance(event, Received) else ():
+        for message in messages_of(event):
             found = values_of(message)
             if found:
                 tick, name, incarnation = address_of(message)

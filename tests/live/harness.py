@@ -24,7 +24,7 @@ from deploy.records.rescore import rescore
 from deploy.swarm.control import ControlClient
 from deploy.swarm.rundir import find_running
 from protocol.messages import Message
-from protocol.node import Alive, Event, Gone, Received
+from protocol.node import Alive, Event, Gone, messages_of
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).parents[2]
@@ -185,7 +185,7 @@ class Journal:
 
     def said(self, kind: type[Said], start: float = 0.0, end: float = math.inf) -> list[tuple[float, Said]]:
         """The messages of one kind that were heard in a span of time."""
-        found = [(at, event.message) for at, event in self.heard if isinstance(event, Received) and start <= at <= end]
+        found = [(at, message) for at, event in self.heard if start <= at <= end for message in messages_of(event)]
         return [(at, message) for at, message in found if isinstance(message, kind)]
 
     def tokens(self, kind: type[Alive] | type[Gone], name: str) -> list[tuple[float, int]]:

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.records.recording import Recording, event_of
 from protocol.messages import Truth
-from protocol.node import Received
+from protocol.node import messages_of
 from tests.live.harness import BOUND, Covey
 
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.timeout(400)]
@@ -19,9 +19,7 @@ def truths(path: Path) -> list[tuple[int, float]]:
     """Tick of each truth in a recording, and the Unix time, s, at which it was heard."""
     found = []
     for entry in Recording(path).entries():
-        event = event_of(entry)
-        if isinstance(event, Received) and isinstance(event.message, Truth):
-            found.append((event.message.tick, entry.published / 1e9))
+        found += [(message.tick, entry.published / 1e9) for message in messages_of(event_of(entry)) if isinstance(message, Truth)]
     return found
 
 

@@ -17,7 +17,7 @@ from deploy.swarm.keys import make_keys
 from protocol import codec, keys, live
 from protocol.endpoints import free_port
 from protocol.messages import Command, Gossip, Hello, Message, Truth
-from protocol.node import Alive, Effect, Event, Received, Rejected, Started, Subscribe
+from protocol.node import Alive, Effect, Event, Node, Received, Rejected, Started, Subscribe, messages_of
 from protocol.settings import NetworkSettings
 from tests.live.harness import Covey
 
@@ -27,7 +27,7 @@ RUN = "covey"
 OWN = keys.one_of(RUN, "estimate", "s1")  # what the insider may write, though it is rubbish
 
 
-class Eavesdropper:
+class Eavesdropper(Node):
     """A watcher with a certificate that keeps whatever is forged, and the insider's rubbish."""
 
     run, role, name, incarnation = RUN, "monitor", "eavesdropper", 1
@@ -40,9 +40,11 @@ class Eavesdropper:
     def handle(self, event: Event, now: float) -> list[Effect]:
         if isinstance(event, Started):
             return [Subscribe(f"{keys.ROOT}/{RUN}/**")]
-        if isinstance(event, Received) and event.message.incarnation < YOUNG:
-            self.honest += 1
-        elif isinstance(event, Rejected) and event.key == OWN:
+        honest = [message for message in messages_of(event) if message.incarnation < YOUNG]
+        self.honest += len(honest)
+        if honest and len(honest) == len(messages_of(event)):
+            return []
+        if isinstance(event, Rejected) and event.key == OWN:
             self.own.append(event)
         elif isinstance(event, Received | Rejected) or (isinstance(event, Alive) and event.incarnation >= YOUNG):
             self.forged.append(event)

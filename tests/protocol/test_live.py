@@ -14,7 +14,7 @@ from agents.config import AgentConfig
 from protocol import keys, live
 from protocol.endpoints import free_port
 from protocol.messages import Command, Message
-from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import Alive, Effect, Event, Gone, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, messages_of
 from protocol.settings import BadSetting, NetworkSettings, RunSettings
 
 pytestmark = pytest.mark.live
@@ -42,7 +42,7 @@ class Scribe:
         return self.next
 
     def texts(self) -> list[Message]:
-        return [event.message for event in self.events if isinstance(event, Received)]
+        return [message for event in self.events for message in messages_of(event)]
 
 
 def command(sender: str, tick: int) -> Command:

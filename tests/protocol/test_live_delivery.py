@@ -6,7 +6,7 @@ import pytest
 
 from protocol import keys
 from protocol.messages import Command
-from protocol.node import Alive, Received, Subscribe
+from protocol.node import Alive, Subscribe, messages_of
 from tests.protocol.test_live import Pair, Scribe, command, until
 
 pytestmark = pytest.mark.live
@@ -34,7 +34,7 @@ def test_everything_that_is_said_is_heard_once_and_in_order(patient: str) -> Non
                 await asyncio.sleep(0.02)
             await until(lambda: any(message.tick == tick - 1 for message in left.texts()), 10.0)  # type: ignore[attr-defined]
             sent, received = pair.drivers[1].counts["sent"], pair.drivers[0].counts["received"]
-        ticks = [event.message.tick for event in left.events if isinstance(event, Received) and isinstance(event.message, Command)]
+        ticks = [message.tick for event in left.events for message in messages_of(event) if isinstance(message, Command)]
         assert received == len(ticks) <= sent
         assert ticks == list(range(ticks[0], tick))
         return ticks

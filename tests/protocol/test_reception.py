@@ -47,10 +47,9 @@ def test_messages_tokens_and_garbage_become_events_in_the_order_of_arrival() -> 
     assert kinds(events) == ["Received", "Alive", "rejected format", "Received", "Gone"]
     assert events[1] == Alive("agent", "s9", 4) and events[4] == Gone("agent", "s9", 4)
     first, second = events[0], events[3]
-    assert (
-        isinstance(first, Received) and isinstance(first.message, Command) and first.message.tick == 1 and first.payload == batch[0].payload
-    )
-    assert isinstance(second, Received) and second.size == len(batch[4].payload)
+    assert isinstance(first, Received) and first.batch.kind is Command
+    assert [message.tick for message in first.batch.messages] == [1] and first.batch.payloads == (batch[0].payload,)
+    assert isinstance(second, Received) and second.batch.payloads == (batch[4].payload,)
     assert counts == {"received": 2, "rejected": 1}
 
 

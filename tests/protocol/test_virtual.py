@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 import pytest
 
 from protocol.keys import all_of, one_of, tokens_of
-from protocol.messages import Command, Gossip, Message, Observation
-from protocol.node import QUIET, Alive, Batch, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.messages import Command, Gossip, Observation
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, messages_of
 from protocol.virtual import VirtualBus
 
 
 @dataclass
-class Scribe:
+class Scribe(Node):
     """A Node that writes down what happens to it, and says what it is told to say."""
 
     name: str
@@ -36,13 +36,13 @@ class Scribe:
 
     def heard(self) -> list[tuple[float, int]]:
         """(time, tick) of every message."""
-        return [(now, event.message.tick) for now, event in self.events if isinstance(event, Received)]
+        return [(now, message.tick) for now, event in self.events for message in messages_of(event)]
 
 
 class Local(Scribe):
     """Sees the tokens of `b` alone."""
 
-    local = True
+    sees_all_tokens = False
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         effects = super().handle(event, now)
@@ -188,49 +188,61 @@ def gossip(sender: str, tick: int) -> Gossip:
 
 
 class Choir(Scribe):
-    """Takes what comes in an instant at once, and a batch of gossips whole, unless it has a mind of its own; says `word` when told."""
+    """Listens to gossips, and says `word` when it is told where it is."""
 
-    whole: bool = True
     word: Gossip | None = None
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         effects = super().handle(event, now)
         if isinstance(event, Started):
             return [*effects, Subscribe(all_of(self.run, "gossip"))]
-        told = isinstance(event, Received) and isinstance(event.message, Observation)
+        told = any(isinstance(message, Observation) for message in messages_of(event))
         return [self.word] if told and self.word is not None else effects
 
-    def take_all(self, messages: list[Message], now: float) -> list[Effect]:
-        self.parts().append(("one by one", [message.sender for message in messages]))
-        return QUIET
-
-    def hear_together(self, batch: Batch, now: float) -> list[Effect] | None:
-        if not self.whole:
-            return None
-        self.parts().append(("whole", [event.message.sender for event in batch.events]))
-        return QUIET
-
-    def parts(self) -> list[tuple[str, list[str]]]:
-        """What came, and how."""
-        parts: list[tuple[str, list[str]]] = self.__dict__.setdefault("_parts", [])
-        return parts
+    def batches(self) -> list[list[str]]:
+        """The senders of the gossips, batch by batch."""
+        found = [[message.sender for message in messages_of(event) if isinstance(message, Gossip)] for _, event in self.events]
+        return [senders for senders in found if senders]
 
 
-def test_gossips_that_all_say_in_an_instant_come_as_one_batch_to_who_can_take_it() -> None:
-    nodes = [Choir(name) for name in ("a", "b", "c")]
-    nodes[1].whole = False
-    world = Scribe("world", role="world")
+def choir(paused: str = "") -> tuple[VirtualBus, list[Choir]]:
+    """Three nodes that speak in one instant."""
+    nodes, world = [Choir(name) for name in ("a", "b", "c")], Scribe("world", role="world")
     bus = bus_of(*nodes, world)
-    bus.pause("c")
     for node in nodes:
         node.word = gossip(node.name, 1)
+    if paused:
+        bus.pause(paused)
     told = [Observation(sender="world", incarnation=1, recipient=name, tick=1, time=1.0, pose=(0.0, 0.0, 0.0)) for name in "abc"]
     say(bus, world, *told)
-    assert nodes[0].parts() == [("whole", ["a", "b"])]
-    assert nodes[1].parts() == [("one by one", ["a"])]
-    assert nodes[2].parts() == [] and bus.messages == 5
+    return bus, nodes
+
+
+def test_gossips_that_all_say_in_an_instant_come_as_one_batch_that_all_share() -> None:
+    _, nodes = choir()
+    assert [node.batches() for node in nodes] == [[["a", "b", "c"]]] * 3
+    batches = [event.batch for node in nodes for _, event in node.events if isinstance(event, Received) and event.batch.kind is Gossip]
+    assert len(batches) == 3 and len(set(map(id, batches))) == 1
+
+
+def test_who_is_paused_finds_the_batch_later_and_what_it_says_then_comes_alone() -> None:
+    bus, nodes = choir(paused="c")
+    assert [node.batches() for node in nodes] == [[["a", "b"]], [["a", "b"]], []]
     bus.resume("c")
     bus.run(bus.now)
-    others = [event.message.sender for _, event in nodes[2].events if isinstance(event, Received) and isinstance(event.message, Gossip)]
-    assert others == ["a", "b"]
-    assert nodes[0].parts()[1:] == nodes[1].parts()[1:] == [("one by one", ["c"])]
+    assert [node.batches() for node in nodes] == [[["a", "b"], ["c"]], [["a", "b"], ["c"]], [["a", "b"]]]
+
+
+def test_a_bus_without_batches_hands_over_one_by_one_and_nobody_its_own_word() -> None:
+    bus, nodes = bus_of(), [Choir(name) for name in ("a", "b", "c")]
+    bus.batches = False
+    for node in nodes:
+        bus.add(node)
+    bus.run(0.0)
+    nodes[0].answers, nodes[1].answers = [gossip("a", 1)], [gossip("b", 1)]
+    bus.jump("a", 0.0)
+    world = Scribe("world", role="world", answers=[])
+    bus.add(world)
+    bus.run(1.0)
+    assert all(len(senders) == 1 and senders != [node.name] for node in nodes for senders in node.batches())
+    assert any(node.batches() for node in nodes)

@@ -11,13 +11,13 @@ from deploy.scenario import Scenario
 from deploy.simulate import Simulation
 from protocol.keys import all_of
 from protocol.messages import Gossip, Truth
-from protocol.node import Effect, Event, Received, Started, Subscribe
+from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
 from protocol.virtual import Link
 from world.score import ospa
 
 
 @dataclass
-class Eavesdropper:
+class Eavesdropper(Node):
     """A Node that keeps all gossip by tick and sender."""
 
     run: str
@@ -29,8 +29,9 @@ class Eavesdropper:
     def handle(self, event: Event, now: float) -> list[Effect]:
         if isinstance(event, Started):
             return [Subscribe(all_of(self.run, "gossip"))]
-        if isinstance(event, Received) and isinstance(event.message, Gossip):
-            self.gossips.setdefault(event.message.tick, {})[event.message.sender] = event.message
+        for message in messages_of(event):
+            if isinstance(message, Gossip):
+                self.gossips.setdefault(message.tick, {})[message.sender] = message
         return []
 
     def deadline(self) -> float | None:
@@ -49,7 +50,6 @@ class Beside:
 
     scenario: Scenario
     arithmetic: Arithmetic = PLAIN
-    use_codec: bool = True
     link: Link | None = None
     distances: list[Distance] = field(default_factory=list)  # of the agents' own particles from the filter's, after each tick
     swarm: list[float] = field(default_factory=list)  # OSPA of what the agents report, m, by tick
@@ -57,7 +57,7 @@ class Beside:
 
     def run(self) -> "Beside":
         """Play all ticks; returns itself."""
-        simulation = Simulation(self.scenario, use_codec=self.use_codec, link=self.link, arithmetic=self.arithmetic)
+        simulation = Simulation(self.scenario, link=self.link, arithmetic=self.arithmetic)
         ear = Eavesdropper(self.scenario.run.name)
         simulation.bus.add(ear)
         agents = simulation.agents
@@ -84,6 +84,6 @@ class Beside:
         return self
 
 
-def compare(scenario: Scenario, *, arithmetic: Arithmetic = PLAIN, use_codec: bool = True, link: Link | None = None) -> list[Distance]:
+def compare(scenario: Scenario, *, arithmetic: Arithmetic = PLAIN, link: Link | None = None) -> list[Distance]:
     """The distance of the swarm from the oracle after every tick of a run."""
-    return Beside(scenario, arithmetic, use_codec, link).run().distances
+    return Beside(scenario, arithmetic, link).run().distances

@@ -13,7 +13,7 @@ from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
 from protocol.keys import all_of
 from protocol.messages import Estimate
-from protocol.node import Effect, Event, Received, Started, Subscribe
+from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
 
 LATE = 8  # ticks; who wakes from a long sleep still says what it made of the last thing it was told
 BLIND = {"angle": 240.0, "radius": 8.0, "prob_detection": 1e-12}
@@ -38,7 +38,7 @@ def ledger(*faults: FaultSettings, agents: int = 8, side: float = 40.0, **settin
 
 
 @dataclass
-class Listener:
+class Listener(Node):
     """A Node that keeps all estimates by tick and sender, but for those that come when the others are long past that tick."""
 
     run: str
@@ -50,9 +50,9 @@ class Listener:
     def handle(self, event: Event, now: float) -> list[Effect]:
         if isinstance(event, Started):
             return [Subscribe(all_of(self.run, "estimate"))]
-        said = event.message if isinstance(event, Received) else None
-        if isinstance(said, Estimate) and said.tick >= max(self.estimates, default=0) - LATE:
-            self.estimates.setdefault(said.tick, {})[said.sender] = said
+        for said in messages_of(event):
+            if isinstance(said, Estimate) and said.tick >= max(self.estimates, default=0) - LATE:
+                self.estimates.setdefault(said.tick, {})[said.sender] = said
         return []
 
     def deadline(self) -> float | None:
@@ -83,13 +83,12 @@ class Watched:
 def watch(
     scenario: Scenario,
     *,
-    use_codec: bool = True,
     arithmetic: Arithmetic | None = None,
     clock: Literal["lockstep", "realtime"] = "lockstep",
     at_tick: Callable[[int, Simulation], None] = lambda tick, simulation: None,
 ) -> Watched:
     """Play a scenario; `at_tick` is called with every tick of the world that begins."""
-    simulation = Simulation(scenario, use_codec=use_codec, arithmetic=arithmetic, clock=clock)
+    simulation = Simulation(scenario, arithmetic=arithmetic, clock=clock)
     listener = Listener(scenario.run.name)
     simulation.bus.add(listener)
     simulation.on_truth = lambda truth: at_tick(truth.tick, simulation)

@@ -12,7 +12,7 @@ from deploy.simulate import Simulation
 from protocol.geometry import polygon_area, polygon_centroid
 from protocol.keys import all_of
 from protocol.messages import Beacon, Estimate
-from protocol.node import Effect, Event, Received, Started, Subscribe
+from protocol.node import Effect, Event, Started, Subscribe, messages_of
 from tests.swarm.scene import Listener, ledger, tracking, watch
 
 
@@ -27,8 +27,7 @@ class Beacons:
     beacons: list[Beacon] = field(default_factory=list)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
-        if isinstance(event, Received) and isinstance(event.message, Beacon):
-            self.beacons.append(event.message)
+        self.beacons += [message for message in messages_of(event) if isinstance(message, Beacon)]
         return [Subscribe(all_of(self.run, "beacon"))] if isinstance(event, Started) else []
 
     def deadline(self) -> float | None:

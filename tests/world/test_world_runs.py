@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from protocol.messages import Command, Hello, Message, Observation
-from protocol.node import Effect, Event, Received, Started, Stop, Subscribe
+from protocol.node import Effect, Event, Started, Stop, Subscribe, messages_of
 from protocol.sensing import SENSOR_CLASSES
 from protocol.virtual import VirtualBus
 from tests.world.stage import POSES, config
@@ -27,7 +27,9 @@ class Driver:
     def handle(self, event: Event, now: float) -> list[Effect]:
         if isinstance(event, Started):
             return [Subscribe("covey/covey/hello/*"), Subscribe(f"covey/covey/observation/{self.name}"), self._hello()]
-        message = event.message if isinstance(event, Received) else None
+        return [effect for message in messages_of(event) for effect in self._answer(message)]
+
+    def _answer(self, message: Message) -> list[Effect]:
         if isinstance(message, Hello) and message.sender not in self._heard:
             self._heard.add(message.sender)
             return [self._hello()]
@@ -35,8 +37,7 @@ class Driver:
             self.observations.append(message)
             turn, speed = 0.3, 1.5
             way = speed * math.cos(message.pose[2]), speed * math.sin(message.pose[2])
-            name = {"sender": self.name, "incarnation": self.incarnation}
-            return [Command(**name, tick=message.tick, velocity=way, turn_rate=turn)]
+            return [Command(sender=self.name, incarnation=self.incarnation, tick=message.tick, velocity=way, turn_rate=turn)]
         return []
 
     def deadline(self) -> float | None:
