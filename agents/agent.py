@@ -186,7 +186,8 @@ class Agent(Node):
         if len(accepted) < len(reasons):
             refused = [reason for reason in reasons if reason not in (ACCEPTED, OWN, UNASKED)]
             self.counters.update([f"rejected.{reason}" for reason in refused])
-        self.counters["heard"] += len(accepted)
+        if accepted:
+            self.counters["heard"] += len(accepted)
         doubts = self._lag(accepted, now) if self._lookout is not None else []
         if self._gossip is not None and not self._awaited:
             return [*doubts, *self._close(now)], len(reasons)

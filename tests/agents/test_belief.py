@@ -9,12 +9,12 @@ from agents.claims import NO_CLAIM, make_claim
 from agents.config import AgentConfig, TimingSettings
 from agents.particles import NONE, Particles, canonical, join
 from agents.step import Step
-from agents.words import Words, learn, particles_of, side_by_side
+from agents.words import Words, particles_of
 from protocol.fields import pack
 from protocol.keys import order
 from protocol.messages import Gossip
-from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings
+from tests.agents.side_by_side import table
 
 ARENA = ArenaSettings(width=100.0, height=100.0)
 CONFIG = AgentConfig(arena=ARENA, timing=TimingSettings(overlap=3.0))
@@ -55,9 +55,8 @@ def words(belief: Belief, shares: list[Share], tick: int = 5) -> Words:
             states_bytes=pack(held.particles.states, "<f4"),
             ids_bytes=pack(held.particles.ids, "<u8"),
         )
-        learn(gossip, SENSOR_CLASSES["A"], CONFIG)
         said.append(gossip)
-    return side_by_side(said)
+    return table(said, config=CONFIG)
 
 
 def merged(belief: Belief, shares: list[Share]) -> list[int]:

@@ -5,11 +5,11 @@ import gc
 from agents.arithmetic import PLAIN
 from agents.chorus import Chorus, chorus_of
 from agents.config import AgentConfig, TimingSettings
-from agents.words import Words, learn
+from agents.words import Words
 from deploy.simulate import Simulation
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
-from protocol.sensing import SENSOR_CLASSES
+from tests.agents.side_by_side import table
 from tests.swarm.scene import tracking
 
 ARENA = rectangle(40.0, 40.0)
@@ -30,9 +30,7 @@ def words(*names: str, listening: bool = False) -> Words:
         )
         for place, name in enumerate(names)
     ]
-    for gossip in said:
-        learn(gossip, SENSOR_CLASSES["A"], AgentConfig())
-    return Words.of_gossips(said, bytearray().join([gossip.memo["row"] for gossip in said]))
+    return table(said)
 
 
 def test_the_first_works_for_itself_and_the_others_share() -> None:

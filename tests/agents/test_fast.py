@@ -18,13 +18,14 @@ from agents.interest import Ground
 from agents.particles import NONE, Particles, join, select
 from agents.step import Step
 from agents.tiles import Bounds
-from agents.words import Words, learn
+from agents.words import Words
 from protocol.fields import pack
 from protocol.geometry import EMPTY, rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 from protocol.streams import scramble
+from tests.agents.side_by_side import table
 
 fast = pytest.importorskip("agents.fast")
 FAST, said = fast.FAST, fast.said_near
@@ -78,7 +79,7 @@ def diagram(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarra
 def words(rng: np.random.Generator, particles: Particles, width: float = math.inf) -> Words:
     """Up to five scans of the paper's sensors, detections near particles and elsewhere; each says some of the particles, those in a strip
     of some width, m."""
-    said = []
+    said, sensors = [], []
     for number in range(int(rng.integers(0, 6))):
         sensor = SENSOR_CLASSES["ABCDEFGH"[int(rng.integers(8))]]
         count = int(rng.integers(0, 6))
@@ -102,9 +103,9 @@ def words(rng: np.random.Generator, particles: Particles, width: float = math.in
             states_bytes=pack(held.states, "<f4"),
             ids_bytes=pack(held.ids, "<u8"),
         )
-        learn(gossip, sensor, AgentConfig())
         said.append(gossip)
-    return Words.of_gossips(said, bytearray().join([gossip.memo["row"] for gossip in said]))
+        sensors.append(sensor)
+    return table(said, sensors=sensors)
 
 
 def step(seed: int = 3, tick: int = 7, **filters: Any) -> Step:
@@ -290,7 +291,8 @@ def task(seed: int, size: int, count: int, kind: str, in_words: bool, interest: 
     told = said if in_words else cloud(rng, size, 0.3)
     born, now = cloud(rng, 12), step(3, seed % 1000)
     now = now._replace(config=msgspec.structs.replace(now.config, timing=TimingSettings(interest=interest)))
-    return Task(mine.sender, mine.memo["sensor"], mine.pose, told, said, born, cell.polygon, claim, now)
+    sensor = said.sensors[said.gossips.index(mine)].sensor
+    return Task(mine.sender, sensor, mine.pose, told, said, born, cell.polygon, claim, now)
 
 
 @given(
@@ -323,10 +325,8 @@ def test_refresh_all(seed: int, size: int, wedges: bool) -> None:
         for cell in cells
     ]
     if not wedges and said.gossips:
-        said.gossips[0] = msgspec.structs.replace(said.gossips[0], scanned=True)
-        for gossip, sensor in zip(said.gossips, [_Disc(), *[gossip.memo["sensor"] for gossip in said.gossips[1:]]]):
-            learn(gossip, sensor, AgentConfig())
-        said = Words.of_gossips(said.gossips, bytearray().join([gossip.memo["row"] for gossip in said.gossips]))
+        gossips = [msgspec.structs.replace(said.gossips[0], scanned=True), *said.gossips[1:]]
+        said = table(gossips, sensors=[_Disc(), *[each.sensor for each in said.sensors[1:]]])
     now = step(3, seed % 1000)
     now = now._replace(config=msgspec.structs.replace(now.config, timing=TimingSettings(interest="all")))
     assert_same("refresh_all", said, cloud(rng, 12), Parts(cells, claims), now)
@@ -353,8 +353,8 @@ def test_who_hears_a_part_reads_no_gossip_of_what_is_far() -> None:
 def test_nothing_at_all() -> None:
     assert_same("predict", NONE, step())
     assert_same("gather", NONE, NONE, BOX, (0.0, 0.0), 5.0, step())
-    assert_same("update", NONE, Words.of_gossips([], bytearray()), BOX, step())
-    assert_same("update", NONE, Words.of_gossips([], bytearray()), EMPTY, step())
+    assert_same("update", NONE, table([]), BOX, step())
+    assert_same("update", NONE, table([]), EMPTY, step())
     assert_same("take", NONE, make_claim((), np.empty((0, 3)), ()), ARENA)
     assert_same("resample", NONE, "s1", step())
     assert_same("estimate_targets", NONE)

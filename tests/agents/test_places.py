@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from agents.config import AgentConfig, PartitionSettings
-from agents.places import SPOT, Places, spot
+from agents.places import SPOT, Places, spot_of
 from protocol.messages import Beacon
 
 
@@ -64,5 +63,4 @@ def test_a_row_says_the_generator_of_the_diagram_in_use() -> None:
         beacon = Beacon(
             sender="s1", incarnation=1, tick=0, position=(1.0, 2.0), cod=(3.0, 4.0), power_radius=5.0, reach=6.0, column=0, row=0
         )
-        config = AgentConfig(members={"s1": "A"}, partition=PartitionSettings(kind=kind))  # type: ignore[arg-type]
-        assert SPOT.unpack(spot(beacon, config)) == (1.0, 2.0, 6.0, *generator)
+        assert SPOT.unpack(spot_of(beacon, kind)) == (1.0, 2.0, 6.0, *generator)

@@ -15,7 +15,7 @@ from agents.phd import sample_offset
 from agents.places import NOBODY
 from agents.round import _claim
 from agents.step import Step
-from agents.words import KAPPA, Words, eye_of, learn, side_by_side
+from agents.words import KAPPA, Words
 from deploy.simulate import compiled
 from protocol.fields import pack
 from protocol.geometry import rectangle
@@ -24,6 +24,7 @@ from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings
 from protocol.streams import key
+from tests.agents.side_by_side import table
 
 BOTH = pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
 SENSOR = WedgeSensor(math.pi, 20.0, 0.9)
@@ -44,7 +45,7 @@ def particles(*rows: tuple[float, float, float]) -> Particles:
 
 
 def said(name: str, pose: tuple[float, float, float], *detections: tuple[float, float], cod: tuple[float, float] | None = None) -> Gossip:
-    gossip = Gossip(
+    return Gossip(
         sender=name,
         incarnation=1,
         tick=5,
@@ -54,8 +55,10 @@ def said(name: str, pose: tuple[float, float, float], *detections: tuple[float, 
         unused=0.0,
         detections_bytes=pack(np.array(detections, dtype=float).reshape(-1, 2), "<f4"),
     )
-    learn(gossip, SENSOR, CONFIG)
-    return gossip
+
+
+def table_of(gossips: list[Gossip]) -> Words:
+    return table(gossips, SENSOR, CONFIG)
 
 
 def task(told: Particles, words: Words, polygon: np.ndarray) -> Task:
@@ -68,7 +71,7 @@ def test_the_load_counts_what_lies_in_the_footprint_far_from_the_cell_too(arithm
     """The cell ends at x = 12 m and its halo at 18 m; of what lies beyond nobody else's scan is applied here."""
     cell = rectangle(12.0, 60.0)
     told = particles((11.0, 30.0, 0.2), (25.0, 30.0, 0.4), (25.0, 55.0, 0.8), (5.0, 30.0, 1.6))  # in the cell, far, out of reach, behind
-    found = arithmetic.refresh(task(told, side_by_side([said("s1", POSE)]), cell))
+    found = arithmetic.refresh(task(told, table_of([said("s1", POSE)]), cell))
     assert found.load == pytest.approx(0.2 * (1.0 - 0.9) + 0.4)
     assert found.detected == pytest.approx(0.9 * found.load)
     assert sorted(found.updated.ids.tolist()) == [1, 4]
@@ -78,7 +81,7 @@ def test_the_load_counts_what_lies_in_the_footprint_far_from_the_cell_too(arithm
 def test_a_detection_shares_its_unit_of_mass_between_a_particle_and_clutter(arithmetic: Arithmetic) -> None:
     """w (1 - p) + w p g / (kappa + w p g), g = exp(-d^2 / (2 s^2)) / (2 pi s^2), kappa = clutter / area."""
     weight, apart, noise, probability = 0.3, 0.6, 0.5, 0.9
-    words = side_by_side([said("s1", POSE, (20.0 + apart, 30.0))])
+    words = table_of([said("s1", POSE, (20.0 + apart, 30.0))])
     found = arithmetic.refresh(task(particles((20.0, 30.0, weight)), words, rectangle(60.0, 60.0)))
     kappa = 2.0 / (math.pi * 20.0**2 / 2.0)
     likelihood = math.exp(-(apart**2) / (2.0 * noise**2)) / (2.0 * math.pi * noise**2)
@@ -90,7 +93,7 @@ def test_a_detection_shares_its_unit_of_mass_between_a_particle_and_clutter(arit
 def test_beyond_the_gate_a_detection_says_nothing_of_a_particle(arithmetic: Arithmetic) -> None:
     """6 standard deviations of 0.5 m."""
     for apart, is_near in ((2.99, True), (3.01, False)):
-        words = side_by_side([said("s1", POSE, (20.0 + apart, 30.0))])
+        words = table_of([said("s1", POSE, (20.0 + apart, 30.0))])
         found = arithmetic.refresh(task(particles((20.0, 30.0, 0.3)), words, rectangle(60.0, 60.0)))
         assert (found.updated.weights[0] > 0.3 * (1.0 - 0.9) + 1e-12) == is_near
 
@@ -98,8 +101,8 @@ def test_beyond_the_gate_a_detection_says_nothing_of_a_particle(arithmetic: Arit
 def test_clutter_density_is_the_expected_clutter_over_the_area() -> None:
     sensor = SENSOR_CLASSES["A"]
     right = 0.1 / (math.radians(240.0) / 2.0 * 8.0**2)
-    assert eye_of("s1", sensor, 0.1).numbers[3] == pytest.approx(right, rel=1e-12)
-    words = side_by_side([said("s1", POSE, (12.0, 30.0))])
+    assert table([said("s1", POSE)], sensor).table[0, KAPPA] == pytest.approx(right, rel=1e-12)
+    words = table_of([said("s1", POSE, (12.0, 30.0))])
     right = 2.0 / (math.pi / 2.0 * 20.0**2)
     assert words.table[0, KAPPA] == pytest.approx(right, rel=1e-12) and words.scans()[0].clutter_density == pytest.approx(right, rel=1e-12)
 
@@ -117,7 +120,7 @@ def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told(arithmetic: A
 @pytest.mark.parametrize("name", ["s1", "s2", "s10"])
 def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(name: str) -> None:
     """s1 before s2 before s10; receivers go by the names."""
-    words = side_by_side([said("s1", (10.0, 10.0, 0.0)), said("s2", (30.0, 10.0, 0.0)), said("s10", (20.0, 40.0, 0.0))])
+    words = table_of([said("s1", (10.0, 10.0, 0.0)), said("s2", (30.0, 10.0, 0.0)), said("s10", (20.0, 40.0, 0.0))])
     cell = cut(words.names.index(name), words.points, words.radii, rectangle(60.0, 60.0))
     claim = _claim(words, cell, NOBODY)
     received = make_claim(claim.names, claim.generators, tuple(order(other) for other in claim.names))
@@ -140,8 +143,7 @@ def test_a_point_on_a_border_belongs_to_the_first_name_alone(arithmetic: Arithme
 def test_the_generator_is_the_cod_and_the_power_radius_or_what_the_partition_makes_of_them(kind: str, generator: tuple[float, ...]) -> None:
     config = AgentConfig(partition=PartitionSettings(kind=kind))  # type: ignore[arg-type]
     gossip = Gossip(sender="s1", incarnation=1, tick=5, pose=(1.0, 2.0, 0.5), cod=(7.0, 8.0), power_radius=3.0, unused=30.0)
-    learn(gossip, SENSOR, config)
-    assert side_by_side([gossip]).generators.tolist() == [list(generator)]
+    assert table([gossip], SENSOR, config).generators.tolist() == [list(generator)]
 
 
 def test_every_owner_draws_with_a_die_of_its_own_in_every_tick() -> None:

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from agents.unison import Together
 
 from agents.arithmetic import PLAIN
 from agents.belief import Belief, Copies
@@ -14,13 +13,14 @@ from agents.cells import cut
 from agents.config import AgentConfig
 from agents.control import Lloyd
 from agents.particles import NONE
-from agents.peers import Outfit, mark_of, plausible
+from agents.peers import plausible
 from agents.places import Far
 from agents.round import Self, _claim, _fields, _own_cell
-from agents.words import Words, learn, side_by_side
+from agents.words import Words, announced
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
+from tests.agents.side_by_side import table
 from tests.agents.test_belief import merged, particles, share
 
 CONFIG = AgentConfig()
@@ -30,13 +30,11 @@ ME = Self("s1", SENSOR, sensor_facts(SENSOR), Lloyd(), PLAIN, CONFIG, ARENA)
 
 
 def said(name: str, x: float, y: float) -> Gossip:
-    gossip = Gossip(sender=name, incarnation=1, tick=5, pose=(x, y, 0.0), cod=(x, y), power_radius=0.0, unused=0.0)
-    learn(gossip, SENSOR, CONFIG)
-    return gossip
+    return Gossip(sender=name, incarnation=1, tick=5, pose=(x, y, 0.0), cod=(x, y), power_radius=0.0, unused=0.0)
 
 
 def speaking() -> Words:
-    return side_by_side([said("s1", 20.0, 50.0), said("s2", 60.0, 50.0), said("s4", 20.0, 90.0)])
+    return table([said("s1", 20.0, 50.0), said("s2", 60.0, 50.0), said("s4", 20.0, 90.0)])
 
 
 def test_generators_that_are_known_but_not_heard_bound_the_cell_and_stand_in_the_claim() -> None:
@@ -53,7 +51,7 @@ def test_generators_that_are_known_but_not_heard_bound_the_cell_and_stand_in_the
 def test_only_sensors_that_reach_the_region_around_the_cell_are_fields() -> None:
     """The cell ends at 40 m, its halo at 46 m; s2 sees 8 m far. Beyond 54 m it is none."""
     for x, number in ((53.9, 2), (54.1, 1)):
-        words = side_by_side([said("s1", 20.0, 50.0), said("s2", x, 50.0)])
+        words = table([said("s1", 20.0, 50.0), said("s2", x, 50.0)])
         cell = cut(0, np.array([[20.0, 50.0], [60.0, 50.0]]), np.zeros(2), ARENA)
         assert len(_fields(ME, cell, words)) == number
 
@@ -67,17 +65,9 @@ def test_the_claim_of_a_stranger_never_agrees_with_mine_whatever_view_it_states(
     assert merged(replace(belief, acquainted=frozenset({"s2", "s3"})), [theirs]) == [1, 2, 4]
 
 
-def test_what_comes_together_is_from_just_those_who_are_expected() -> None:
-    expected = [mark_of(name, 1, SENSOR) for name in ("s1", "s3")]
-    words = [said(name, 20.0, 50.0) for name in ("s1", "s2", "s3")]
-    for stranger in (None, 0, 2):
-        marks = [mark_of(word.sender, 2 if place == stranger else 1, SENSOR) for place, word in enumerate(words)]
-        assert Together(words, marks).is_from(expected, 1) == (stranger is None)
-
-
 def test_each_bound_of_what_a_sensor_can_do_is_kept_by_itself() -> None:
     """Class A: D = 132.7 m^2, g(D) = 6.499 m, and the COD lies within 8 m."""
-    outfit = Outfit(SENSOR, sensor_facts(SENSOR))
+    outfit = announced("s2", SENSOR, 0.1)
     most, radius = outfit.facts.capability, math.sqrt(outfit.facts.capability / math.pi)
     usual = {"unused": most, "power_radius": radius, "cod": (8.0, 0.0)}
     odd = {"unused": 1.001 * most, "power_radius": 1.001 * radius, "cod": (8.01, 0.0)}

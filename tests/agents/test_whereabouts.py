@@ -5,10 +5,10 @@ import numpy as np
 from agents.config import AgentConfig, TimingSettings
 from agents.interest import Choice
 from agents.neighbours import Neighbours
-from agents.places import EYE_X, spot
+from agents.places import EYE_X, spot_of
 from agents.tiles import Rectangle
 from protocol.messages import Beacon, Gossip
-from tests.agents.test_neighbours import gossip
+from tests.agents.test_neighbours import gossip, hear
 
 CONFIG = AgentConfig(members={"s1": "A", "s2": "B", "s3": "C"}, timing=TimingSettings(interest="neighbours"))
 
@@ -40,7 +40,7 @@ def peers() -> Neighbours:
 def choose(found: Neighbours) -> None:
     """Listen to everybody who is known."""
     found.forget(-1)
-    table = found.places.table(spot(beacon("s1", 0, 0.0), CONFIG))
+    table = found.places.table(spot_of(beacon("s1", 0, 0.0), "power"))
     everybody = [True] * len(found.places)
     found.choose(table, Choice(np.array(everybody), Rectangle(-50.0, -50.0, 50.0, 50.0)))
 
@@ -48,7 +48,7 @@ def choose(found: Neighbours) -> None:
 def eyes(found: Neighbours) -> dict[str, float]:
     """Where everybody's sensor is, m east."""
     found.forget(-1)
-    table = found.places.table(spot(beacon("s1", 0, 0.0), CONFIG))
+    table = found.places.table(spot_of(beacon("s1", 0, 0.0), "power"))
     return dict(zip(found.places.names, table[:, EYE_X].tolist()))
 
 
@@ -56,14 +56,14 @@ def test_a_closed_round_says_where_peers_are_once_somebody_asks() -> None:
     found = peers()
     for tick in (0, 1):
         words: list[Gossip] = [gossip("s2", tick), gossip("s3", tick)]
-        assert [found.hear(word) for word in words] == [None, None]
+        assert [hear(found, word) for word in words] == [None, None]
         found.close(tick)
     assert eyes(found) == {"s2": 10.0, "s3": 10.0}  # all gossips of these tests are said there
 
 
 def test_who_has_gone_since_it_spoke_is_nowhere() -> None:
     found = peers()
-    assert [found.hear(gossip(name, 0)) for name in ("s2", "s3")] == [None, None]
+    assert [hear(found, gossip(name, 0)) for name in ("s2", "s3")] == [None, None]
     found.close(0)
     found.gone("s2", 1, 0)
     assert eyes(found) == {"s3": 10.0}

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from agents.config import AgentConfig, PartitionSettings
-from agents.words import Words, learn, side_by_side
+from agents.words import Words
 from protocol.fields import pack
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
 from protocol.streams import key
+from tests.agents.side_by_side import table
 
 DOTS = np.array([[1.5, 2.5], [3.5, 4.5]])
 
@@ -21,9 +22,7 @@ def gossip(name: str, cod: float = 3.0, radius: float = 2.0, **fields: object) -
 
 def words(*gossips: Gossip, kind: str = "power") -> Words:
     config = AgentConfig(partition=PartitionSettings(kind=kind))  # type: ignore[arg-type]
-    for said in gossips:
-        learn(said, SENSOR_CLASSES["B"], config)
-    return side_by_side(list(gossips))
+    return table(gossips, SENSOR_CLASSES["B"], config)
 
 
 @pytest.mark.parametrize(

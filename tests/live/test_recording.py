@@ -8,7 +8,7 @@ import pytest
 
 from deploy.records.recording import Recording, event_of
 from protocol.messages import Truth
-from protocol.node import messages_of
+from protocol.node import Received, messages_of
 from tests.live.harness import BOUND, Covey
 
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.timeout(400)]

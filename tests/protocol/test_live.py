@@ -14,14 +14,14 @@ from agents.config import AgentConfig
 from protocol import keys, live
 from protocol.endpoints import free_port
 from protocol.messages import Command, Message
-from protocol.node import Alive, Effect, Event, Gone, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, messages_of
+from protocol.node import Alive, Effect, Event, Gone, Node, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, messages_of
 from protocol.settings import BadSetting, NetworkSettings, RunSettings
 
 pytestmark = pytest.mark.live
 ROOT = Path(__file__).parents[2]
 
 
-class Scribe:
+class Scribe(Node):
     """A node that writes down every event and does what it is told at the start."""
 
     role = "agent"
@@ -305,9 +305,9 @@ def test_a_port_in_use_is_one_clear_error() -> None:
 CHILD = """
 import sys
 from protocol import live
-from protocol.node import Started
+from protocol.node import Node, Started
 from protocol.settings import NetworkSettings
-class Idle:
+class Idle(Node):
     run, role, name, incarnation = "t", "agent", "a", 1
     def handle(self, event, now):
         print("started", flush=True)

@@ -17,7 +17,7 @@ BURSTS = (1, 2, 3, 40, 1, 150, 600)  # more than a slice of the inbox
 def test_everything_that_is_said_is_heard_once_and_in_order(patient: str) -> None:
     async def scene() -> list[int]:
         left = Scribe("a")
-        left.patient, left.awaiting = patient, 1  # type: ignore[attr-defined]
+        left.patient = patient
         left.first = [Subscribe(keys.all_of(left.run, "command"))]
         right = Scribe("b")
         async with Pair(left, right, most_per_second=5000) as pair:

@@ -88,18 +88,3 @@ def test_a_clock_that_jumps_raises_no_alarm() -> None:
     assert alarms(presence, everybody, 20.0) == []
     assert alarms(presence, everybody, 20.0, start=308.0) == []
     assert alarms(presence, everybody, 20.0, start=40.0) == []
-
-
-def test_many_who_greet_again_are_noted_at_once_or_not_at_all() -> None:
-    presence, names = Presence("s1", ["s1", "s2", "s3", "world"]), ("s2", "s3", "world")
-    for name in names:
-        presence.greet(name, 0.0)
-    everybody = dict.fromkeys(("s1", "s2", "s3"), 2.0)
-    assert not presence.greet_all_again(everybody, 2.0)  # nobody has looked yet whether all are within hearing
-    assert presence.split(Hello(sender="s2", incarnation=1), 0.0) == ""
-    assert presence.greet_all_again(everybody, 2.0)
-    assert presence.heard(4.0) == ("s2", "s3")  # the world has not been heard since
-    assert not presence.greet_all_again(dict.fromkeys(("s1", "s2", "s4"), 2.0), 2.0)
-    assert not presence.greet_all_again(dict.fromkeys(("s1", "s2", "s3"), 9.0), 9.0)
-    presence.leave("s3", 1)
-    assert not presence.greet_all_again(everybody, 2.0) and presence.heard(4.0) == ("s2",)

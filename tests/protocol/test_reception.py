@@ -6,7 +6,7 @@ from protocol import codec
 from protocol.inbox import Arrival
 from protocol.keys import Token, message_key, token_key
 from protocol.messages import Command
-from protocol.node import Alive, Event, Gone, Received, Rejected
+from protocol.node import Alive, Event, Gone, Received, Rejected, messages_of
 from protocol.reception import Reception
 from protocol.tokens import Tokens
 
@@ -71,19 +71,11 @@ def test_who_does_not_say_its_session_is_known_by_its_key() -> None:
     assert kinds(list(reader.events([arrival(1, ""), arrival(1, "", sender="s2")], 1.0))) == ["rejected quarantine", "Received"]
 
 
-def test_what_waits_comes_apart_in_its_order_and_together_unless_somebody_is_shut_out() -> None:
+def test_consecutive_messages_of_one_kind_are_one_batch() -> None:
     reader, _ = reception()
     token = Arrival(token_key("t", "agent", "s9", 4), token=True)
-    batch = [arrival(1), arrival(2), token, arrival(3), arrival(4)]
-
-    def waits(found: Arrival) -> bool:
-        return found in batch[1:4] and found is not token
-
-    parts = list(reader.parts(batch, waits, 0.0))
-    assert [part for part, _ in parts] == [batch[:1], batch[1:2], [token], batch[3:4], batch[4:]]
-    whole = [None, ((batch[1].key,), (batch[1].payload,)), None, ((batch[3].key,), (batch[3].payload,)), None]
-    assert [found for _, found in parts] == whole
-    list(reader.events([garbage("bad")] * 20, 0.0))
-    assert [found for _, found in reader.parts(batch, waits, 9.0)] == [None] * 5
-    assert [found for _, found in reader.parts(batch, waits, 10.1)] == whole, "ten seconds later it is over"
-    assert list(reader.parts([], waits, 0.0)) == []
+    arrivals = [arrival(1), arrival(2), token, arrival(3), garbage(), arrival(4), arrival(5)]
+    events = list(reader.events(arrivals, 0.0))
+    assert kinds(events) == ["Received", "Alive", "Received", "rejected format", "Received"]
+    assert [[message.tick for message in messages_of(event)] for event in events] == [[1, 2], [], [3], [], [4, 5]]
+    assert list(reader.events([], 0.0)) == []

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from protocol.messages import Command, Hello, Message, Observation
-from protocol.node import Effect, Event, Started, Stop, Subscribe, messages_of
+from protocol.node import Effect, Event, Node, Started, Stop, Subscribe, messages_of
 from protocol.sensing import SENSOR_CLASSES
 from protocol.virtual import VirtualBus
 from tests.world.stage import POSES, config
@@ -14,7 +14,7 @@ from world.config import BodySettings, WorldConfig
 from world.world import World
 
 
-class Driver:
+class Driver(Node):
     """The smallest agent: says hello and answers every observation by driving in a circle."""
 
     run, role = "covey", "agent"
