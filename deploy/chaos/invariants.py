@@ -5,11 +5,10 @@ from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import numpy as np
-from agents.said import MOST_TICKS
 
 from agents.agent import Agent
 from agents.belief import MOST_COPIES, share_of
-from agents.inbox import RoundInbox
+from agents.inbox import MOST_TICKS, RoundInbox
 from agents.round import Outcome
 from deploy.chaos.oracle import Oracle, distance, united
 from deploy.simulate import Simulation
@@ -83,6 +82,7 @@ class Watch:
         self._outcomes: dict[str, Outcome] = {}
         self._newest: dict[tuple[str, int, str], int] = {}  # (name, incarnation, other's name) -> the youngest incarnation it has seen
         self._prints: dict[tuple[str, int], Print] = {}
+        self._last: dict[tuple[str, int], dict[str, tuple[int, int]]] = {}  # incarnation and tick of the newest gossip of each peer
         self._first_mass: float | None = None
         self._oracle: Oracle | None = None
         self._ear = Ear(simulation.scenario.run.name)
@@ -118,8 +118,18 @@ class Watch:
             check_round(node, is_first=before.belief.stamp < 0)
             check_words(node)
             check_diagram(node)
+            self._check_order(node)
         while self._ear.commands:
             self._check_command(self._ear.commands.pop())
+
+    def _check_order(self, agent: Agent) -> None:
+        """The newest gossip of a peer in closed rounds is never replaced by an older one of the same incarnation."""
+        own, last = (agent.name, agent.incarnation), agent.neighbours.inbox.last
+        for name, (incarnation, tick) in self._last.get(own, {}).items():
+            gossip = last.get(name)
+            goes_back = gossip is not None and gossip.incarnation == incarnation and gossip.tick < tick
+            need(not goes_back, f"{agent.name}: after tick {tick} of {name} an older one counts as its newest")
+        self._last[own] = {name: (gossip.incarnation, gossip.tick) for name, gossip in last.items()}
 
     def _check_incarnations(self, agent: Agent, event: Event) -> None:
         """A message of an incarnation older than one whose token was seen changes nothing.

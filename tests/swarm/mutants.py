@@ -5,21 +5,26 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
+from agents import round as rounds
 from agents import speech
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic, in_steps
 from agents.config import AgentConfig
+from agents.inbox import RoundInbox
 from agents.neighbours import Neighbours, Peer
 from agents.particles import Particles, select
 from agents.round import Outcome, Self
+from agents.words import WEIGHT, Words
 from deploy.chaos import fuzz
 from deploy.chaos.fuzz import Case
 from protocol.messages import Gossip, Observation
+from protocol.node import Batch
 from protocol.streams import key, scramble
 
 Mutant = Callable[[Case, pytest.MonkeyPatch], str | None]  # plays a case with the rule left out
@@ -118,7 +123,78 @@ def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     return fuzz.play(case)
 
 
+def row_of_another_sender(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    """A gossip is kept under the name of somebody else who has spoken of the tick."""
+
+    def put(self: RoundInbox, gossip: Gossip) -> None:
+        gossips = self.rounds.setdefault(gossip.tick, {})
+        gossips[next(iter(gossips), gossip.sender) if gossip.tick % 7 == 3 else gossip.sender] = gossip
+
+    patch.setattr(RoundInbox, "put", put)
+    return fuzz.play(case)
+
+
+def stale_tick_accepted(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    right = Neighbours._judge
+
+    def judge(self: Neighbours, gossip: Gossip, fits: bool) -> str:
+        reason = right(self, gossip, fits)
+        return "" if reason == "stale" else reason
+
+    patch.setattr(Neighbours, "_judge", judge)
+    return fuzz.play(case)
+
+
+def incarnation_not_compared(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    right = Neighbours._judge
+
+    def judge(self: Neighbours, gossip: Gossip, fits: bool) -> str:
+        peer = self.circle.get(gossip.sender)
+        changed = gossip if peer is None else msgspec.structs.replace(gossip, incarnation=peer.incarnation)
+        return right(self, changed, fits)
+
+    patch.setattr(Neighbours, "_judge", judge)
+    return fuzz.play(case)
+
+
+def mask_off_by_one(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    """The last row of every batch of three or more is dropped, though it counts as heard."""
+    right = RoundInbox.put
+    rows = [0]
+
+    def accept(self: Neighbours, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
+        rows[0] = len(batch) - start if len(batch) >= 3 else 0
+        return accept_all(self, batch, start, tick, awaited)
+
+    def put(self: RoundInbox, gossip: Gossip) -> None:
+        rows[0] -= 1
+        if rows[0] != 0:
+            right(self, gossip)
+
+    accept_all = Neighbours.accept
+    patch.setattr(Neighbours, "accept", accept)
+    patch.setattr(RoundInbox, "put", put)
+    return fuzz.play(case)
+
+
+def listener_changes_the_shared_table(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    right = rounds.side_by_side
+
+    def side_by_side(*arguments: Any) -> Words:
+        words = right(*arguments)
+        words.table[:, WEIGHT] *= 0.99
+        return words
+
+    patch.setattr(rounds, "side_by_side", side_by_side)
+    return fuzz.play(case)
+
+
 MUTANTS: dict[Mutant, tuple[int, ...]] = {
+    row_of_another_sender: (1, 2),
+    stale_tick_accepted: (8, 9),
+    incarnation_not_compared: (1, 9),
+    mask_off_by_one: (1, 2),
+    listener_changes_the_shared_table: (1, 2),
     no_dedupe_by_id: (10, 13, 15),
     no_keyed_noise: (3, 1),
     births_by_the_owner_only: (1, 5),
