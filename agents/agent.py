@@ -12,7 +12,8 @@ from typing import Any
 
 from agents import speech
 from agents.accord import Accord
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.backend import PLAIN
+from agents.backend import Backend as Arithmetic
 from agents.belief import start
 from agents.births import prior, prior_around, prior_size
 from agents.config import AgentConfig
@@ -20,7 +21,9 @@ from agents.greetings import SOON, Greetings
 from agents.lookout import Lookout
 from agents.neighbours import Neighbours
 from agents.particles import NONE
-from agents.round import Outcome, oneself, play
+from agents.round import RoundResult as Outcome
+from agents.round import context_of as oneself
+from agents.round import run_round as play
 from agents.unison import Unison, together_of
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Message, Observation

@@ -18,7 +18,9 @@ from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
 from agents.neighbours import Neighbours
 from agents.peers import Peer
 from agents.places import EAST, RADIUS, spot
-from agents.round import HORIZON, Outcome, Self
+from agents.round import HORIZON
+from agents.round import AgentContext as Self
+from agents.round import RoundResult as Outcome
 from agents.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
 from protocol.agreement import whole
 from protocol.keys import beacons_in, one_of, order, tokens_of

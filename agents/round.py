@@ -1,28 +1,33 @@
 """One closed round: from what was heard of a tick to the belief, the cell and the command that follow.
 
-`play` is a pure function of the outcome of the last round and of the gossips of this one, the agent's own included.
+`run_round` is a pure function of the result of the last round and of the gossips of this one, the agent's own included. How targets are
+tracked is the tracker's.
 """
 
 import math
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from agents.arithmetic import Arithmetic, Refreshed, Task
-from agents.belief import Belief, Copies, Round, Share
+from agents.backend import Backend
+from agents.belief import ParticlePhd
+from agents.calm import Reader
 from agents.capacity import SensorFacts, power_radius, sensor_facts, unused_capacity
 from agents.cells import NO_CELL, Cell
-from agents.chorus import chorus_of
 from agents.claims import NO_CLAIM, Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation, control_law
+from agents.interest import Choice
 from agents.neighbours import LOCAL_VIEW, Heard, Neighbours
 from agents.places import Far
+from agents.shared_round import claims_of, shared_round
 from agents.step import Step
+from agents.tracker import AnyTracker, Belief, Diagram, RegionInput, Update
 from agents.words import Words, side_by_side
-from protocol.geometry import EMPTY, polygon_centroid, rectangle
+from protocol.geometry import EMPTY, distances, polygon_centroid, rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
@@ -32,27 +37,59 @@ HORIZON = 40.0  # m around the own cell: who hears but a part keeps no older cop
 NO_TARGETS = np.empty((0, 2))
 
 
-class Self(NamedTuple):
+class AgentContext(NamedTuple):
     """What does not change about an agent."""
 
     name: str
     sensor: SensorModel
     facts: SensorFacts
     law: ControlLaw
-    arithmetic: Arithmetic
+    backend: Backend
+    tracker: AnyTracker
     config: AgentConfig
     arena: np.ndarray  # its corners
     sensor_class: str = ""
 
+    @property
+    def arithmetic(self) -> "Reception":
+        """What the reception asks of the backend, by the names that it still uses."""
+        return Reception(self.backend)
 
-def oneself(config: AgentConfig, name: str, sensor_class: str, arithmetic: Arithmetic) -> Self:
+
+class Reception(NamedTuple):
+    """The backend by the names that `lookout` and `agent` still use; goes with the second form of reception."""
+
+    backend: Backend
+
+    @property
+    def reader(self) -> Reader | None:
+        """See `Backend`."""
+        return self.backend.reader
+
+    @property
+    def wanted(self) -> Callable[..., Choice]:
+        """See `Backend.select_peers`."""
+        return self.backend.select_peers
+
+    @property
+    def distances(self) -> Callable[..., np.ndarray]:
+        """See `geometry.distances`."""
+        return distances
+
+    def cut(self, index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> Cell:
+        """See `Backend.cut_cells`, of one generator."""
+        return self.backend.cut_cells([index], points, radii, arena)[0]
+
+
+def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
     """The agent of that name with a sensor of that class."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
-    return Self(name, sensor, sensor_facts(sensor), control_law(config), arithmetic, config, corners, sensor_class)
+    law, tracker = control_law(config), ParticlePhd(backend)
+    return AgentContext(name, sensor, sensor_facts(sensor), law, backend, tracker, config, corners, sensor_class)
 
 
 @dataclass
-class Outcome:
+class RoundResult:
     """What a round leaves behind."""
 
     belief: Belief
@@ -69,36 +106,34 @@ class Outcome:
         return power_radius(self.unused)
 
 
-def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: Heard) -> Outcome:
-    """The outcome of the round of `mine.tick`, given the gossips of that tick by name, in the order of names."""
-    config, tick, arithmetic = me.config, mine.tick, me.arithmetic
-    step = Step(config, tick)
-    words = _with_mine(heard, mine) if isinstance(heard, dict) else heard.words(mine)
-    speaking = _speaking(neighbours, mine, heard, words)
-    told = last.belief.awake(step, arithmetic).merge(words, tick, arithmetic, config)
-    chorus = chorus_of(words, me.name, arithmetic, config, me.arena) if speaking is words is told else None
-    if chorus is not None:
-        place = words.names.index(me.name)
-        cell, claim, near = chorus.parts.cells[place], chorus.parts.claims[place], chorus.refreshed(words, step)[place]
+def run_round(me: AgentContext, last: RoundResult, neighbours: Neighbours, mine: Gossip, heard: Heard) -> RoundResult:
+    """The result of the round of `mine.tick`, given the gossips of that tick by name, in the order of names."""
+    config, step = me.config, Step(me.config, mine.tick)
+    table = _with_mine(heard, mine) if isinstance(heard, dict) else heard.words(mine)
+    speaking = _speaking(neighbours, mine, heard, table)
+    received = me.tracker.merge(me.tracker.predict(last.belief, step), table, step)
+    shared = shared_round(table, me.backend, me.tracker, step, me.arena) if speaking is table is received else None
+    if shared is not None:
+        place = table.names.index(me.name)
+        region, near = shared.regions[place], shared.updates[place]
     else:
         cell = _own_cell(me, speaking, neighbours.far)
-        claim = _claim(speaking, cell, neighbours.far)
-        near = arithmetic.refresh(Task(me.name, me.sensor, mine.pose, told, words, arithmetic.births(step), cell.polygon, claim, step))
-    updated, kept = near.updated, near.kept
-    return Outcome(
-        belief=Belief(
-            stamp=tick,
-            mine=Share(me.name, claim, kept, _view(neighbours, heard, speaking, claim)),
-            copies=Copies(updated, Round(step, arithmetic, told, cell.polygon, claim, HORIZON if neighbours.local else math.inf)),
-            everyone=speaking.everyone,
-            acquainted=neighbours.acquainted if neighbours.local else None,
-        ),
+        region = RegionInput(me.name, me.sensor, mine.pose, cell.polygon, _claim(speaking, cell, neighbours.far))
+        near = me.tracker.update(received, table, [region], step)[0]
+    diagram = Diagram(
+        view=_view(neighbours, heard, speaking, region.claim),
+        everyone=speaking.everyone,
+        acquainted=neighbours.acquainted if neighbours.local else None,
+        horizon=HORIZON if neighbours.local else math.inf,
+    )
+    return RoundResult(
+        belief=me.tracker.share(received, region, near, diagram, step),
         unused=unused_capacity(me.facts.capability, near.detected, near.load, config.capacity),
         load=near.load,
         mass=near.mass,
-        cell=cell.polygon,
+        cell=region.polygon,
         targets=near.targets,
-        command=me.law.command(_situation(me, mine, cell, near, speaking, words)),
+        command=me.law.command(_situation(me, mine, region.polygon, near, speaking, table)),
     )
 
 
@@ -109,10 +144,10 @@ def _with_mine(heard: dict[str, Gossip], mine: Gossip) -> Words:
     return side_by_side(gossips)
 
 
-def _speaking(neighbours: Neighbours, mine: Gossip, heard: Heard, words: Words) -> Words:
+def _speaking(neighbours: Neighbours, mine: Gossip, heard: Heard, table: Words) -> Words:
     """All generators of the tick, mine included unless I listen."""
-    if len(heard) == len(neighbours.circle) and not words.listening:
-        return words
+    if len(heard) == len(neighbours.circle) and not table.listening:
+        return table
     speaking = neighbours.generators(mine.tick, heard if isinstance(heard, dict) else heard.gossips())
     return side_by_side(list(speaking.values())) if mine.listening else _with_mine(speaking, mine)
 
@@ -128,41 +163,39 @@ def _view(neighbours: Neighbours, heard: Heard, speaking: Words, claim: Claim) -
     return speaking.view
 
 
-def _own_cell(me: Self, speaking: Words, far: Far) -> Cell:
+def _own_cell(me: AgentContext, speaking: Words, far: Far) -> Cell:
     if me.name not in speaking.names:
         return NO_CELL
     points, radii = speaking.points, speaking.radii
     if len(far.generators):
         generators = np.concatenate([speaking.generators, far.generators])
         points, radii = generators[:, :2].copy(), generators[:, 2].copy()
-    return me.arithmetic.cut(speaking.names.index(me.name), points, radii, me.arena)
+    return me.backend.cut_cells([speaking.names.index(me.name)], points, radii, me.arena)[0]
 
 
 def _claim(speaking: Words, cell: Cell, far: Far) -> Claim:
-    """The cell as generators, the own one first; the names that speak are in order, so whose index is smaller comes first."""
+    """The cell as generators, the own one first. The names that speak are in order; those far away come behind them in any order."""
     if not cell.bounds:
         return NO_CLAIM
-    bounds = np.array(cell.bounds)
     if max(cell.bounds) < len(speaking.names):
-        names = tuple([speaking.names[index] for index in cell.bounds])
-        return Claim(names, speaking.generators[bounds], bounds < cell.bounds[0])
+        return claims_of([cell], speaking.names, speaking.generators)[0]
     everybody = (*speaking.names, *far.names())
     names = tuple([everybody[index] for index in cell.bounds])
-    generators = np.concatenate([speaking.generators, far.generators])[bounds]
+    generators = np.concatenate([speaking.generators, far.generators])[np.array(cell.bounds)]
     return make_claim(names, generators, tuple([order(name) for name in names]))
 
 
-def _centroid(near: Refreshed, cell: Cell) -> tuple[float, float] | None:
+def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
     """Centroid in m of the PHD in the cell (17); of the cell's area when there is no mass; None without a cell."""
     if near.mass > 0.0:
         return near.east / near.mass, near.north / near.mass
-    if not len(cell.polygon):
+    if not len(cell):
         return None
-    x, y = polygon_centroid(cell.polygon)
+    x, y = polygon_centroid(cell)
     return float(x), float(y)
 
 
-def _situation(me: Self, mine: Gossip, cell: Cell, near: Refreshed, speaking: Words, words: Words) -> Situation:
+def _situation(me: AgentContext, mine: Gossip, cell: np.ndarray, near: Update, speaking: Words, table: Words) -> Situation:
     config = me.config
     return Situation(
         name=me.name,
@@ -171,21 +204,21 @@ def _situation(me: Self, mine: Gossip, cell: Cell, near: Refreshed, speaking: Wo
         dt=config.run.dt,
         pose=mine.pose,
         driven=mine.pose[:2] if config.partition.kind == "voronoi" else mine.cod,
-        cell=cell.polygon,
+        cell=cell,
         centroid=_centroid(near, cell),
         particles=near.own,
         sensor=me.sensor,
         limits=config.limits,
         heading=config.control.heading,
         arena=(config.arena.width, config.arena.height),
-        fields=_fields(me, cell, words) if getattr(me.law, "uses_fields", False) else (),
+        fields=_fields(me, cell, table) if getattr(me.law, "uses_fields", False) else (),
         generators=speaking.points,
         own_generator=speaking.names.index(me.name) if me.name in speaking.names else -1,
     )
 
 
-def _fields(me: Self, cell: Cell, words: Words) -> tuple[tuple[SensorModel, Pose], ...]:
+def _fields(me: AgentContext, cell: np.ndarray, table: Words) -> tuple[tuple[SensorModel, Pose], ...]:
     """The sensors whose reach touches the region around my cell and that scanned in this tick, and their poses."""
-    scanned = [(gossip.memo["sensor"], gossip.pose) for gossip in words.gossips if gossip.scanned]
-    apart = me.arithmetic.distances(cell.polygon, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()
+    scanned = [(gossip.memo["sensor"], gossip.pose) for gossip in table.gossips if gossip.scanned]
+    apart = distances(cell, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()
     return tuple(field for field, distance in zip(scanned, apart) if distance <= me.config.filter.halo + field[0].reach)

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 from agents.capacity import place
 from agents.particles import NONE
-from agents.round import Outcome, Self
+from agents.round import AgentContext as Self
+from agents.round import RoundResult as Outcome
 from agents.words import learn
 from protocol.agreement import Agreed
 from protocol.fields import pack

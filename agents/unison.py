@@ -8,8 +8,8 @@ import math
 from collections.abc import KeysView, Sequence
 from itertools import pairwise
 
-from agents.chorus import SOMEBODY
 from agents.peers import Mark, mark_of
+from agents.shared_round import ASKED as SOMEBODY
 from agents.words import Words, side_by_side
 from protocol.keys import order
 from protocol.messages import Gossip, Hello, Message

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from agents.regions import in_view, moments
 
-from agents.arithmetic import in_view, moments
 from agents.births import Scan, prior
 from agents.capacity import centroid_of_detection, detecting_capability, power_radius, unused_capacity
 from agents.cells import power_cell

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from agents.backend import PLAIN
 
-from agents.arithmetic import PLAIN
 from agents.belief import MOST_COPIES, Belief, Copies, Round, Share, share_of, start, worth_keeping
 from agents.claims import NO_CLAIM, make_claim
 from agents.config import AgentConfig, TimingSettings

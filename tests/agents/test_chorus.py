@@ -2,8 +2,9 @@
 
 import gc
 
-from agents.arithmetic import PLAIN
+from agents.backend import PLAIN
 from agents.chorus import Chorus, chorus_of
+
 from agents.config import AgentConfig, TimingSettings
 from agents.words import Words, learn
 from deploy.simulate import Simulation

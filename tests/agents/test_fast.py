@@ -7,10 +7,10 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 import pytest
+from agents.arithmetic import PLAIN, Arithmetic, Parts, Task
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agents.arithmetic import PLAIN, Arithmetic, Parts, Task
 from agents.cells import NO_CELL
 from agents.claims import end_to_end, make_claim
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-
 from agents.arithmetic import PLAIN, Arithmetic, Task
+
 from agents.births import Scan, measurement_births
 from agents.cells import cut
 from agents.claims import make_claim

@@ -5,8 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from agents.backend import PLAIN
 
-from agents.arithmetic import PLAIN
 from agents.belief import Belief, Copies
 from agents.capacity import sensor_facts
 from agents.cells import cut

@@ -9,14 +9,14 @@ from functools import partial
 import msgspec
 import numpy as np
 import pytest
+from agents.arithmetic import PLAIN, Backend, in_steps
 
 from agents import speech
 from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic, in_steps
 from agents.config import AgentConfig
 from agents.neighbours import Neighbours, Peer
 from agents.particles import Particles, select
-from agents.round import Outcome, Self
+from agents.round import AgentContext, RoundResult
 from deploy.chaos import fuzz
 from deploy.chaos.fuzz import Case
 from protocol.messages import Gossip, Observation
@@ -25,7 +25,7 @@ from protocol.streams import key, scramble
 Mutant = Callable[[Case, pytest.MonkeyPatch], str | None]  # plays a case with the rule left out
 
 
-def in_its_steps(changed: Arithmetic) -> Arithmetic:
+def in_its_steps(changed: Backend) -> Backend:
     """An arithmetic whose rounds take its own steps."""
     return changed._replace(refresh=partial(in_steps, changed))
 
@@ -53,7 +53,7 @@ def no_keyed_noise(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    def build(config: AgentConfig, name: str, incarnation: int, arithmetic: Arithmetic, sensor_class: str) -> Agent:
+    def build(config: AgentConfig, name: str, incarnation: int, arithmetic: Backend, sensor_class: str) -> Agent:
         def update(particles, words, polygon, step):  # type: ignore[no-untyped-def]
             updated = PLAIN.update(particles, words, polygon, step)
             salt = key(config.filter.seed, "birth", step.tick, key("sensor", name))

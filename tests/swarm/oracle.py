@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field
 
+from agents.backend import PLAIN, Backend
+
 from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic
 from agents.claims import Claim
 from agents.particles import Particles
 from deploy.chaos.oracle import Distance, Oracle, distance, united
@@ -48,7 +49,7 @@ class Beside:
     """A virtual run with the central filter beside it; `run` plays it."""
 
     scenario: Scenario
-    arithmetic: Arithmetic = PLAIN
+    arithmetic: Backend = PLAIN
     use_codec: bool = True
     link: Link | None = None
     distances: list[Distance] = field(default_factory=list)  # of the agents' own particles from the filter's, after each tick
@@ -84,6 +85,6 @@ class Beside:
         return self
 
 
-def compare(scenario: Scenario, *, arithmetic: Arithmetic = PLAIN, use_codec: bool = True, link: Link | None = None) -> list[Distance]:
+def compare(scenario: Scenario, *, arithmetic: Backend = PLAIN, use_codec: bool = True, link: Link | None = None) -> list[Distance]:
     """The distance of the swarm from the oracle after every tick of a run."""
     return Beside(scenario, arithmetic, use_codec, link).run().distances

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import msgspec
+from agents.backend import Backend
 
 from agents.agent import Agent
-from agents.arithmetic import Arithmetic
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
@@ -84,7 +84,7 @@ def watch(
     scenario: Scenario,
     *,
     use_codec: bool = True,
-    arithmetic: Arithmetic | None = None,
+    arithmetic: Backend | None = None,
     clock: Literal["lockstep", "realtime"] = "lockstep",
     at_tick: Callable[[int, Simulation], None] = lambda tick, simulation: None,
 ) -> Watched:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from agents.arithmetic import PLAIN, Backend, Refreshed
 
-from agents.arithmetic import PLAIN, Arithmetic, Refreshed
 from deploy.simulate import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 
@@ -51,7 +51,7 @@ def test_taking_what_comes_in_an_instant_together_changes_nothing(interest: str)
 
 
 @pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
-def test_what_all_work_out_together_changes_nothing(arithmetic: Arithmetic, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_all_work_out_together_changes_nothing(arithmetic: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
     """A round of all who hear the same in one call, and everybody by himself."""
     calls = []
 
@@ -72,9 +72,7 @@ def test_compiled_loops_change_nothing() -> None:
 
 
 def test_the_order_of_hashes_changes_nothing() -> None:
-    program = (
-        "from tests.swarm.test_determinism import transcript; from agents.arithmetic import PLAIN; print(transcript(arithmetic=PLAIN))"
-    )
+    program = "from tests.swarm.test_determinism import transcript; from agents.backend import PLAIN; print(transcript(arithmetic=PLAIN))"
     seen = set()
     for hash_seed in ("0", "1", "4711"):
         environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}
