@@ -52,8 +52,8 @@ def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, are
 
 def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
     """See `claims.resolve_conflicts`."""
-    chosen = claim_kernels.resolve_conflicts(points, np.array(sizes), claims.generators, claims.ends, np.array(views), overlap)
-    return chosen  # type: ignore[no-any-return]
+    ends, stated = claims.ends, np.array(views)
+    return claim_kernels.resolve_conflicts(points, np.array(sizes), claims.generators, ends, stated, overlap)  # type: ignore[no-any-return]
 
 
 def orphaned(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.ndarray:

@@ -6,9 +6,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from agents.backend import PLAIN
 
 from agents.agent import Agent
+from agents.backend import PLAIN
 from agents.calm import CalmRound, Expected, Roll
 from agents.config import AgentConfig, PartitionSettings
 from agents.fast import FAST

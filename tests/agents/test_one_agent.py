@@ -7,9 +7,9 @@ import math
 from typing import Any
 
 import pytest
-from agents.backend import PLAIN, Backend
 
 from agents.agent import Agent
+from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, ControlSettings, FilterSettings, PartitionSettings, TimingSettings
 from deploy.simulate import compiled
 from protocol.messages import Command, Estimate, Gossip, Message, Observation

@@ -5,8 +5,8 @@ from typing import Any
 
 import msgspec
 import pytest
-from agents.backend import PLAIN
 
+from agents.backend import PLAIN
 from agents.config import (
     AgentConfig,
     BirthSettings,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agents.round import play
+from agents.round import run_round
 from agents.words import learn
 from deploy.bench import central
 from deploy.bench.capture import capture, cold
@@ -30,7 +30,7 @@ def test_a_captured_round_replays_to_the_command_that_was_given() -> None:
     for captured, again in zip(rounds, cold(rounds)):
         for gossip in (again.mine, *again.heard.values()):
             learn(gossip, captured.heard.get(gossip.sender, captured.mine).memo["sensor"], captured.me.config)
-        assert play(*captured).command == play(*again).command
+        assert run_round(*captured).command == run_round(*again).command
 
 
 def test_a_table_has_the_columns_of_all_rows() -> None:

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field
 
-from agents.backend import PLAIN, Backend
-
 from agents.agent import Agent
+from agents.backend import PLAIN, Backend
 from agents.claims import Claim
+from agents.extraction import estimate_targets
 from agents.particles import Particles
 from deploy.chaos.oracle import Distance, Oracle, distance, united
 from deploy.scenario import Scenario
@@ -64,13 +64,13 @@ class Beside:
         agents = simulation.agents
         heard: list[Truth] = []
         prior = next(iter(agents.values())).outcome.belief.copies.all()
-        oracle = Oracle(simulation.scenario, prior, arithmetic=self.arithmetic)
+        oracle = Oracle(simulation.scenario, prior, backend=self.arithmetic)
 
         def after(truth: Truth) -> None:
             particles, claims = owned_by_all(agents, truth.tick)
             oracle.play(ear.gossips.pop(truth.tick), claims)
             self.distances.append(distance(united(particles), oracle.particles))
-            estimates = self.arithmetic.estimate_targets(oracle.updated, self.scenario.extraction)
+            estimates = estimate_targets(oracle.updated, self.scenario.extraction)
             self.central.append(ospa(truth.targets, estimates))
 
         def on_truth(truth: Truth) -> None:

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import msgspec
-from agents.backend import Backend
 
 from agents.agent import Agent
+from agents.backend import Backend
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation

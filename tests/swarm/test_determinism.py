@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from agents.arithmetic import PLAIN, Backend, Refreshed
 
+from agents.backend import PLAIN, Backend
+from agents.regions import RegionUpdate
 from deploy.simulate import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 
@@ -55,15 +56,17 @@ def test_what_all_work_out_together_changes_nothing(arithmetic: Backend, monkeyp
     """A round of all who hear the same in one call, and everybody by himself."""
     calls = []
 
-    def refresh_all(*task: Any) -> list[Refreshed]:
-        calls.append(len(task[0].names))
-        return arithmetic.refresh_all(*task)
+    def update_regions(*task: Any) -> list[RegionUpdate]:
+        calls.append(len(task[3]))
+        return arithmetic.update_regions(*task)
 
-    counted = arithmetic._replace(refresh_all=refresh_all)
+    counted = arithmetic._replace(update_regions=update_regions)
     together = transcript(arithmetic=counted)
-    assert len(calls) > 10 and max(calls) > 5
-    monkeypatch.setattr("agents.round.chorus_of", lambda *asked: None)
+    assert sum(count > 5 for count in calls) > 10
+    calls.clear()
+    monkeypatch.setattr("agents.round.shared_round", lambda *asked: None)
     assert transcript(arithmetic=counted) == together
+    assert set(calls) == {1}
 
 
 def test_compiled_loops_change_nothing() -> None:

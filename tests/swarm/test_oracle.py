@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from agents.backend import PLAIN
 
+from agents.backend import PLAIN
 from agents.particles import Particles
 from deploy.chaos.oracle import distance
 from deploy.scenario import Scenario, resolve
