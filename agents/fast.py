@@ -7,7 +7,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import accumulate, pairwise
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from agents import (
     regions,
 )
 from agents.backend import Backend
-from agents.births import DIRECTIONS, inflow, sensor_row
+from agents.births import DIRECTIONS, inflow
 from agents.calm import Reader
 from agents.cells import NO_CELL, TOUCH, Cell
 from agents.claims import Claim, Claims
@@ -152,9 +152,9 @@ def update_regions(
     table: Words, received: Words | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
     """See `regions.update_regions`."""
-    if not table.all_wedges or not all(isinstance(region.sensor, WedgeSensor) for region in regions_):
-        return _update_mixed(table, received, births, regions_, step)
-    return _update_wedges(table, received, births, regions_, step)
+    if table.all_wedges and len(table.table) and all(type(region.sensor) is WedgeSensor for region in regions_):
+        return _update_wedges(table, received, births, regions_, step)
+    return _update_mixed(table, received, births, regions_, step)
 
 
 def _update_mixed(
@@ -164,8 +164,9 @@ def _update_mixed(
     others, halo = table.table[table.table[:, KIND] == OTHER], step.config.filter.halo
     found = []
     for region in regions_:
-        seen = (geometry.distances(region.polygon, others) <= halo + others[:, REACH]).any() or not isinstance(region.sensor, WedgeSensor)
-        found += (regions.update_regions if seen else _update_wedges)(table, received, births, [region], step)
+        reached = bool((geometry.distances(region.polygon, others) <= halo + others[:, REACH]).any())
+        is_plain = reached or type(region.sensor) is not WedgeSensor or not len(table.table)
+        found += (regions.update_regions if is_plain else _update_wedges)(table, received, births, [region], step)
     return found
 
 
@@ -183,9 +184,7 @@ def _update_wedges(
         said = *received.stated, received.table
     else:
         said = said_near(received, regions_[0], step)
-    corners, cells = _end_to_end([region.polygon for region in regions_])
-    generators, claims = _end_to_end([region.claim.generators for region in regions_])
-    first, _ = _end_to_end([region.claim.first for region in regions_])
+    corners = _end_to_end([region.polygon for region in regions_])
     updated, own, kept, targets, ends, sums = region_kernels.update_regions(
         settings,
         keys,
@@ -196,15 +195,16 @@ def _update_wedges(
         said,
         tuple(others),
         tuple(births),
-        np.array([sensor_row(region.sensor, region.pose) for region in regions_]),  # type: ignore[arg-type]
+        np.array([(region.row, len(region.polygon), len(region.claim.first)) for region in regions_]),
         corners if len(corners) else _NO_CORNERS,
-        cells,
-        generators,
-        first,
-        claims,
+        _end_to_end([region.claim.generators for region in regions_]),
+        _end_to_end([region.claim.first for region in regions_]),
         _draws(config.filter.seed, tuple([region.owner for region in regions_])),
         DIRECTIONS,
     )
+    if len(regions_) == 1:
+        mass, east, north, load, detected = sums[0].tolist()
+        return [RegionUpdate(Particles(*updated), Particles(*own), Particles(*kept), mass, east, north, load, detected, targets)]
     found = []
     for (before, after), (mass, east, north, load, detected) in zip(pairwise(ends.tolist()), sums.tolist()):
         near, mine, drawn = [_rows(*part) for part in zip((updated, own, kept), before, after)]
@@ -223,9 +223,9 @@ def _rows(whole: tuple[np.ndarray, np.ndarray, np.ndarray], start: int, end: int
     return Particles(states[start:end], weights[start:end], ids[start:end])
 
 
-def _end_to_end(arrays: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Some arrays, at least one, end to end, and where each of them begins and the last one ends, (N + 1,)."""
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays), np.array([0, *accumulate(map(len, arrays))])
+def _end_to_end(arrays: list[np.ndarray]) -> np.ndarray:
+    """Some arrays, at least one, end to end."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 _MARGINS = interest.MARGIN, interest.APPEARING, interest.SPACING, interest.THRESHOLD, interest.BEHIND

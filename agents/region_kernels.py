@@ -53,12 +53,15 @@ def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: 
 
 
 @njit
-def _surroundings(corners: np.ndarray, eyes: np.ndarray, width: float, step: float) -> tuple[Box, tuple[float, float, float]]:
+def _surroundings(
+    corners: np.ndarray, table: np.ndarray, spans: np.ndarray, width: float, step: float
+) -> tuple[Box, tuple[float, float, float]]:
     """A box around all cells and a disc (x, y, radius) around all footprints, m; of a single owner just its own."""
-    x, y, radius = eyes[0, 0], eyes[0, 1], 0.0
-    for k in range(len(eyes)):
-        dx, dy = eyes[k, 0] - x, eyes[k, 1] - y
-        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (eyes[k, 4] + step))
+    x, y, radius = table[spans[0, 0], 0], table[spans[0, 0], 1], 0.0
+    for k in range(len(spans)):
+        eye = table[spans[k, 0]]
+        dx, dy = eye[0] - x, eye[1] - y
+        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (eye[4] + step))
     return around(corners, width), (x, y, radius)
 
 
@@ -98,82 +101,56 @@ def _candidates(said: tuple, others: tuple, box: Box, disc: tuple) -> tuple[np.n
 
 
 @njit
-def _predict(said: tuple, others: tuple, box: Box, disc: tuple, motion: tuple) -> tuple:
-    """The candidates in ascending order of id: where they were (x, y), and one step on (states, weights, ids)."""
+def _predict(said: tuple, others: tuple, births: tuple, box: Box, disc: tuple, motion: tuple) -> tuple:
+    """The candidates in ascending order of id and one step on, each id once, and the births behind them: x, y, states, weights, ids, and
+    the number of those that are no births."""
     places, names, masses = _candidates(said, others, box, disc)
-    order, number, count = sort_by_id(names, np.arange(len(names))), len(said[1]), len(names)
-    x, y = np.empty(count), np.empty(count)
-    states, weights, ids = blank(count)
-    for rank in range(count):
+    order, number, born, known = sort_by_id(names, np.arange(len(names))), len(said[1]), len(births[2]), 0
+    states, weights, ids = blank(len(names) + born)
+    for rank in range(len(names)):
         k = order[rank]
+        if rank > 0 and names[k] == names[order[rank - 1]]:
+            continue
         n = places[k]
         if n < number:
-            x[rank], y[rank] = np.float64(said[0][n, 0]), np.float64(said[0][n, 1])
-            vx, vy = np.float64(said[0][n, 2]), np.float64(said[0][n, 3])
+            x, y, vx, vy = said[0][n, 0], said[0][n, 1], said[0][n, 2], said[0][n, 3]
+            moved = move_one(np.float64(x), np.float64(y), np.float64(vx), np.float64(vy), names[k], motion)
         else:
-            x[rank], y[rank] = others[0][n - number, 0], others[0][n - number, 1]
-            vx, vy = others[0][n - number, 2], others[0][n - number, 3]
-        moved = move_one(x[rank], y[rank], vx, vy, names[k], motion)
-        states[rank, 0], states[rank, 1], states[rank, 2], states[rank, 3], inside = moved
-        weights[rank], ids[rank] = masses[k] * motion[7] if inside else 0.0, names[k]
-    return x, y, states, weights, ids
-
-
-@njit
-def _gate(predicted: tuple, births: tuple, polygon: np.ndarray, halo: float, eye: np.ndarray, step: float, room: tuple) -> tuple:
-    """Twin of `regions.gate` for one owner: states, weights and ids of the particles near its cell, and of those only in its reach."""
-    x, y, moved, kept, names = predicted
-    born_states, born_weights, born_ids = births
-    within, chosen, states, weights, ids = room
-    box, disc, count, known = around(polygon, halo + step), (eye[0], eye[1], eye[4] + step), 0, 0
-    for k in range(len(x)):  # without branches, for several at once
-        within[k] = _within(x[k], y[k], box, disc)
-    for k in range(len(x)):
-        chosen[count] = k
-        count += within[k]
-    for j in range(count):
-        k = chosen[j]
-        if j > 0 and names[k] == names[chosen[j - 1]]:
-            continue
-        for axis in range(4):
-            states[known, axis] = moved[k, axis]
-        weights[known], ids[known] = kept[k], names[k]
+            n -= number
+            moved = move_one(others[0][n, 0], others[0][n, 1], others[0][n, 2], others[0][n, 3], names[k], motion)
+        states[known, 0], states[known, 1], states[known, 2], states[known, 3], inside = moved
+        weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, names[k]
         known += 1
-    number = known + len(born_ids)
-    states[known:number], weights[known:number], ids[known:number] = born_states, born_weights, born_ids
-    return _divide(states, weights, ids, known, number, polygon, halo, around(polygon, halo), (eye[0], eye[1]), eye[4])
+    end = known + born
+    states[known:end], weights[known:end], ids[known:end] = births
+    return states[:end, 0].copy(), states[:end, 1].copy(), states, weights, ids, known
 
 
 @njit
-def _divide(
-    states: np.ndarray,
-    weights: np.ndarray,
-    ids: np.ndarray,
-    known: int,
-    number: int,
-    polygon: np.ndarray,
-    halo: float,
-    box: Box,
-    eye: tuple[float, float],
-    reach: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of the first `number` particles those within the halo of a polygon, whose `box` that is, and of the others among the `known` ones,
-    which come first, those within reach of a point."""
-    west, south, east, north = box
-    rows, x, y, count = np.empty(number, np.int64), np.empty(number), np.empty(number), 0
-    for n in range(number):
-        rows[count], x[count], y[count] = n, states[n, 0], states[n, 1]
-        count += (west <= states[n, 0]) & (states[n, 0] <= east) & (south <= states[n, 1]) & (states[n, 1] <= north)
-    close, inside = near(polygon, x[:count], y[:count], halo), np.zeros(number, np.bool_)
+def _gate(predicted: tuple, polygon: np.ndarray, halo: float, eye: np.ndarray, room: tuple) -> tuple:
+    """Twin of `regions.gate` for one owner: states, weights and ids of the particles near its cell, and of those only in its reach."""
+    x, y, states, weights, ids, known = predicted
+    boxed, seen, rows, some = room
+    west, south, east, north = around(polygon, halo)
+    far2, count, near_count, far_count = eye[4] * eye[4], 0, 0, 0
+    for n in range(len(x)):  # without branches, for several at once
+        dx, dy = x[n] - eye[0], y[n] - eye[1]
+        boxed[n] = (west <= x[n]) & (x[n] <= east) & (south <= y[n]) & (y[n] <= north)
+        seen[n] = dx * dx + dy * dy <= far2
+    for n in range(len(x)):
+        rows[count] = n
+        count += boxed[n]
+    close = near(polygon, x[rows[:count]], y[rows[:count]], halo)
     for k in range(count):
-        inside[rows[k]] = close[k]
-    near_rows, far_rows, near_count, far_count = rows, np.empty(number, np.int64), 0, 0
-    for n in range(number):
-        dx, dy = states[n, 0] - eye[0], states[n, 1] - eye[1]
-        near_rows[near_count], far_rows[far_count] = n, n
-        near_count += inside[n]
-        far_count += (not inside[n]) & (n < known) & (dx * dx + dy * dy <= reach * reach)
-    return *_rows(near_rows[:near_count], states, weights, ids), *_rows(far_rows[:far_count], states, weights, ids)
+        some[near_count] = rows[k]
+        near_count += close[k]
+    near_rows = some[:near_count]
+    for k in range(near_count):
+        seen[near_rows[k]] = False
+    for n in range(known):
+        rows[far_count] = n
+        far_count += seen[n]
+    return *_rows(near_rows, states, weights, ids), *_rows(rows[:far_count], states, weights, ids)
 
 
 @njit
@@ -283,36 +260,33 @@ def update_regions(
     said: tuple,
     others: tuple,
     births: tuple,
-    eyes: np.ndarray,
+    spans: np.ndarray,
     corners: np.ndarray,
-    cells: np.ndarray,
     generators: np.ndarray,
     first: np.ndarray,
-    claims: np.ndarray,
     draws: np.ndarray,
     directions: np.ndarray,
 ) -> tuple:
     """What K owners make of their parts: updated, own and drawn particles and targets (T, 2), each owner after owner, where those of each
     end (K, SIZES), and sums (K, SUMS).
 
-    `eyes` (K, 7) are the owners' sensors, `cells` and `claims` (K + 1,) say where the corners and the generators of each begin, `draws`
-    (K,) are the keys of their draws.
+    `spans` (K, 3) are each owner's row of the table, and how many corners and generators are its; `draws` (K,) are the keys of their draws.
     """
-    now, number, halo, step = np.uint64(tick), len(eyes), settings[HALO], settings[STEP]
-    box, disc = _surroundings(corners, eyes, halo + step, step)
-    predicted = _predict(said, others, box, disc, _motion(settings, keys, now))
-    count = len(predicted[0])
-    size = count + len(births[2])
-    room = np.empty(count, np.bool_), np.empty(count + 1, np.int64), *blank(size)
+    now, number, halo, step = np.uint64(tick), len(spans), settings[HALO], settings[STEP]
+    box, disc = _surroundings(corners, table, spans, halo + step, step)
+    predicted = _predict(said, others, births, box, disc, _motion(settings, keys, now))
+    size = len(predicted[0])
+    room = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
     updated, own, kept, targets = blank(0), blank(0), blank(0), np.empty((0, 2))
     ends, sums = np.zeros((number + 1, SIZES), np.int64), np.zeros((number, SUMS))
+    corner = bound = 0
     for k in range(number):
-        polygon, claimed = corners[cells[k] : cells[k + 1]], slice(claims[k], claims[k + 1])
-        gated = _gate(predicted, births, polygon, halo, eyes[k], step, room)
+        eye, polygon = table[spans[k, 0]], corners[corner : corner + spans[k, 1]]
+        claimed = slice(bound, bound + spans[k, 2])
+        corner, bound = corner + spans[k, 1], bound + spans[k, 2]
+        gated = _gate(predicted, polygon, halo, eye, room)
         claim = generators[claimed], first[claimed]
-        found = _update_region(
-            settings, keys, now, eyes[k], table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions
-        )
+        found = _update_region(settings, keys, now, eye, table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions)
         start = ends[k]
         updated, own = _append(updated, start[0], found[0], 2 * size), _append(own, start[1], found[1], 2 * size)
         kept = _append(kept, start[2], found[2], 2 * size)

@@ -17,13 +17,13 @@ from agents.belief import ParticlePhd
 from agents.calm import Reader
 from agents.capacity import SensorFacts, power_radius, sensor_facts, unused_capacity
 from agents.cells import NO_CELL, Cell
-from agents.claims import NO_CLAIM, Claim, make_claim
+from agents.claims import Claim, make_claim
 from agents.config import AgentConfig
 from agents.control import STAND, Command, ControlLaw, Situation, control_law
 from agents.interest import Choice
 from agents.neighbours import LOCAL_VIEW, Heard, Neighbours
 from agents.places import Far
-from agents.shared_round import claims_of, shared_round
+from agents.shared_round import claim_of, shared_round
 from agents.step import Step
 from agents.tracker import AnyTracker, Belief, Diagram, RegionInput, Update
 from agents.words import Words, side_by_side
@@ -113,12 +113,12 @@ def run_round(me: AgentContext, last: RoundResult, neighbours: Neighbours, mine:
     speaking = _speaking(neighbours, mine, heard, table)
     received = me.tracker.merge(me.tracker.predict(last.belief, step), table, step)
     shared = shared_round(table, me.backend, me.tracker, step, me.arena) if speaking is table is received else None
+    row = table.names.index(me.name)
     if shared is not None:
-        place = table.names.index(me.name)
-        region, near = shared.regions[place], shared.updates[place]
+        region, near = shared.regions[row], shared.updates[row]
     else:
         cell = _own_cell(me, speaking, neighbours.far)
-        region = RegionInput(me.name, me.sensor, mine.pose, cell.polygon, _claim(speaking, cell, neighbours.far))
+        region = RegionInput(me.name, row, me.sensor, mine.pose, cell.polygon, _claim(speaking, cell, neighbours.far))
         near = me.tracker.update(received, table, [region], step)[0]
     diagram = Diagram(
         view=_view(neighbours, heard, speaking, region.claim),
@@ -175,10 +175,8 @@ def _own_cell(me: AgentContext, speaking: Words, far: Far) -> Cell:
 
 def _claim(speaking: Words, cell: Cell, far: Far) -> Claim:
     """The cell as generators, the own one first. The names that speak are in order; those far away come behind them in any order."""
-    if not cell.bounds:
-        return NO_CLAIM
-    if max(cell.bounds) < len(speaking.names):
-        return claims_of([cell], speaking.names, speaking.generators)[0]
+    if not cell.bounds or max(cell.bounds) < len(speaking.names):
+        return claim_of(cell, speaking.names, speaking.generators)
     everybody = (*speaking.names, *far.names())
     names = tuple([everybody[index] for index in cell.bounds])
     generators = np.concatenate([speaking.generators, far.generators])[np.array(cell.bounds)]

@@ -5,7 +5,6 @@ its own it is the only one; the second request for the same table object shows t
 with all regions in one call. The bits are the same either way.
 """
 
-from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -45,19 +44,15 @@ def shared_round(table: Words, backend: Backend, tracker: AnyTracker, step: Step
 def _computed(table: Words, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound:
     cells = backend.cut_cells(range(len(table.names)), table.points, table.radii, arena)
     regions = [
-        RegionInput(gossip.sender, gossip.memo["sensor"], gossip.pose, cell.polygon, claim)
-        for gossip, cell, claim in zip(table.gossips, cells, claims_of(cells, table.names, table.generators))
+        RegionInput(gossip.sender, row, gossip.memo["sensor"], gossip.pose, cell.polygon, claim_of(cell, table.names, table.generators))
+        for row, (gossip, cell) in enumerate(zip(table.gossips, cells))
     ]
     return SharedRound(step, tracker, cells, regions, [*tracker.update(table, table, regions, step)])
 
 
-def claims_of(cells: list[Cell], names: tuple[str, ...], generators: np.ndarray) -> list[Claim]:
-    """Each cell as generators, the own one first; the names are in order, so the generator of the smaller index comes first."""
-    ends = list(accumulate([len(cell.bounds) for cell in cells], initial=0))
-    bounds = np.array([index for cell in cells for index in cell.bounds], dtype=np.int64)
-    own = [cell.bounds[0] if cell.bounds else 0 for cell in cells]
-    chosen, first = generators[bounds], bounds < np.repeat(own, np.diff(ends))
-    return [
-        Claim(tuple([names[index] for index in cell.bounds]), chosen[start:end], first[start:end]) if cell.bounds else NO_CLAIM
-        for cell, (start, end) in zip(cells, pairwise(ends))
-    ]
+def claim_of(cell: Cell, names: tuple[str, ...], generators: np.ndarray) -> Claim:
+    """A cell as generators, the own one first; the names are in order, so the generator of the smaller index comes first."""
+    if not cell.bounds:
+        return NO_CLAIM
+    bounds = np.array(cell.bounds)
+    return Claim(tuple([names[index] for index in cell.bounds]), generators[bounds], bounds < cell.bounds[0])

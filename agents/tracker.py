@@ -21,6 +21,7 @@ class RegionInput(NamedTuple):
     """An owner with its cell: the region around the cell is what it updates."""
 
     owner: str
+    row: int  # of its gossip in the table of the round
     sensor: SensorModel
     pose: Pose
     polygon: np.ndarray  # the cell (V, 2), m

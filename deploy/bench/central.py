@@ -62,7 +62,7 @@ class Central:
         scenario, backend, step = self._scenario, self._backend, Step(self._config, self._tick)
         words = self._scans()
         first = self._team[0]
-        everywhere = RegionInput("", first.sensor, self._bodies.poses[first.name], self._corners, NO_CLAIM)
+        everywhere = RegionInput("", 0, first.sensor, self._bodies.poses[first.name], self._corners, NO_CLAIM)
         updated = backend.update_regions(words, self._particles, backend.background_births(step), [everywhere], step)[0].updated
         points, radii = words.points, words.radii
         owned, commands = [], {}

@@ -40,7 +40,7 @@ def our_scan(backend: Backend) -> Any:
     states = np.hstack([_points(PARTICLES, 1), np.ones((PARTICLES, 2))])
     particles = Particles(states, np.full(PARTICLES, DETECTIONS / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
 
-    region = RegionInput("s1", sensor, pose, corners, NO_CLAIM)
+    region = RegionInput("s1", 0, sensor, pose, corners, NO_CLAIM)
 
     def scan() -> Particles:
         [found] = backend.update_regions(words, particles, backend.background_births(step), [region], step)

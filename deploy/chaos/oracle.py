@@ -43,8 +43,8 @@ class Oracle:
         said = [gossips[name] for name in sorted(gossips, key=order)]
         for gossip in said:
             learn(gossip, sensor_of(config, self._classes[gossip.sender]), config)
-        somebody, nobody = sensor_of(config, next(iter(config.sensors))), (0.0, 0.0, 0.0)
-        everywhere = RegionInput("", somebody, nobody, _widely(config.arena), NO_CLAIM)
+        any_sensor = sensor_of(config, next(iter(self._classes.values())))  # its view of the whole is not asked for
+        everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
         [found] = self._backend.update_regions(side_by_side(said), self.particles, born, [everywhere], step)
         self.updated = found.updated
         self.particles = canonical(join([_drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))

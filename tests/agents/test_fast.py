@@ -252,21 +252,23 @@ def regions_of(rng: np.random.Generator, table: Words, owners: int) -> list[Regi
         cell = cut(place % len(radii), points, radii, BOX) if rng.random() < 0.9 else NO_CELL
         claim = make_claim(tuple(map(str, cell.bounds)), generators[list(cell.bounds)], tuple((number, "") for number in cell.bounds))
         gossip = table.gossips[place]
-        found.append(RegionInput(gossip.sender, gossip.memo["sensor"], gossip.pose, cell.polygon, claim))
+        found.append(RegionInput(gossip.sender, place, gossip.memo["sensor"], gossip.pose, cell.polygon, claim))
     return found
 
 
 def case(seed: int, size: int, owners: int, in_table: bool, interest: str, others: int = 0) -> Case:
     """A round of some owners with particles from gossips or from elsewhere; so many sensors are no wedges."""
     rng = np.random.default_rng(seed)
-    whole = cloud(rng, size)
+    whole, now = cloud(rng, size), settings_of(rng, seed % 1000, interest)
+    if now.config.filter.border == "reflect":  # nothing is ever outside, from where it could be mirrored far inwards
+        np.clip(whole.states[:, :2], 0.0, SIDE, out=whole.states[:, :2])
     table = words(rng, whole, 12.0 if interest == "all" else 6.0)
     for gossip in table.gossips[:others]:
         learn(gossip, _Disc(), AgentConfig())
     table = Words.of_gossips(table.gossips, bytearray().join([gossip.memo["row"] for gossip in table.gossips]))
     shared = join([select(whole, rng.random(size) < 0.6) for _ in range(int(rng.integers(1, 4)))])  # ids twice, as after a merge
     born, regions = cloud(rng, 12), regions_of(rng, table, owners)
-    return Case(table, table if in_table else shared, born, regions, settings_of(rng, seed % 1000, interest))
+    return Case(table, table if in_table else shared, born, regions, now)
 
 
 @given(seeds, st.integers(0, 150), st.integers(0, 5), st.booleans(), st.sampled_from(["all", "neighbours"]), st.integers(0, 2))
@@ -311,7 +313,7 @@ def test_regions_that_only_wedges_look_at_are_computed_by_the_compiled_loops_in_
     for place, cell in enumerate(cells_of(generators)):
         bounds = list(cell.bounds)
         claim = make_claim(tuple(map(str, bounds)), generators[bounds], tuple((number, "") for number in bounds))
-        regions.append(RegionInput(f"s{place}", said[place].memo["sensor"], said[place].pose, cell.polygon, claim))
+        regions.append(RegionInput(f"s{place}", place, said[place].memo["sensor"], said[place].pose, cell.polygon, claim))
     assert_same("update_regions", table, cloud(np.random.default_rng(1), 100), NONE, regions, step())
     assert len(calls) == 1
 
@@ -329,7 +331,7 @@ def cells_of(generators: np.ndarray) -> list[Cell]:
 def test_nothing_at_all() -> None:
     nobody = Words.of_gossips([], bytearray())
     for polygon in (BOX, EMPTY):
-        region = RegionInput("s1", SENSOR_CLASSES["A"], (0.0, 0.0, 0.0), polygon, make_claim((), np.empty((0, 3)), ()))
+        region = RegionInput("s1", 0, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0), polygon, make_claim((), np.empty((0, 3)), ()))
         assert_same("update_regions", nobody, NONE, NONE, [region], step())
     assert_same("update_regions", nobody, NONE, NONE, [], step())
     assert_same("merge", NONE, np.empty(0, dtype=bool), NONE, np.empty(0, dtype=bool))

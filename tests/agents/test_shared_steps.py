@@ -63,7 +63,7 @@ def said(name: str, pose: tuple[float, float, float], *detections: tuple[float, 
 def updated(backend: Backend, received: Particles, table: Words, polygon: np.ndarray) -> RegionUpdate:
     """What s1 with this cell makes of some particles."""
     claim = make_claim(("s1",), np.array([[10.0, 30.0, 0.0]]), (order("s1"),))
-    return backend.update_regions(table, received, NONE, [RegionInput("s1", SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
+    return backend.update_regions(table, received, NONE, [RegionInput("s1", 0, SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
 
 
 @BOTH

@@ -62,7 +62,7 @@ def test_what_all_work_out_together_changes_nothing(arithmetic: Backend, monkeyp
 
     counted = arithmetic._replace(update_regions=update_regions)
     together = transcript(arithmetic=counted)
-    assert sum(count > 5 for count in calls) > 10
+    assert sum(count > 1 for count in calls) > 10 and max(calls) > 5
     calls.clear()
     monkeypatch.setattr("agents.round.shared_round", lambda *asked: None)
     assert transcript(arithmetic=counted) == together
