@@ -152,7 +152,8 @@ def update_regions(
     table: Words, received: Words | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
     """See `regions.update_regions`."""
-    if table.all_wedges and len(table.table) and all(type(region.sensor) is WedgeSensor for region in regions_):
+    wedges = [type(region.sensor) is WedgeSensor for region in regions_]
+    if table.all_wedges and len(table.table) and False not in wedges:
         return _update_wedges(table, received, births, regions_, step)
     return _update_mixed(table, received, births, regions_, step)
 
@@ -185,7 +186,7 @@ def _update_wedges(
     else:
         said = said_near(received, regions_[0], step)
     corners = _end_to_end([region.polygon for region in regions_])
-    updated, own, kept, targets, ends, sums = region_kernels.update_regions(
+    updated, own, kept, targets, results = region_kernels.update_regions(
         settings,
         keys,
         step.tick,
@@ -203,11 +204,12 @@ def _update_wedges(
         DIRECTIONS,
     )
     if len(regions_) == 1:
-        mass, east, north, load, detected = sums[0].tolist()
+        _, _, _, _, mass, east, north, load, detected = results[0].tolist()
         return [RegionUpdate(Particles(*updated), Particles(*own), Particles(*kept), mass, east, north, load, detected, targets)]
-    found = []
-    for (before, after), (mass, east, north, load, detected) in zip(pairwise(ends.tolist()), sums.tolist()):
+    ends, found = np.cumsum(results[:, : region_kernels.SIZES], axis=0, dtype=np.int64).tolist(), []
+    for before, after, result in zip([[0] * region_kernels.SIZES, *ends], ends, results.tolist()):
         near, mine, drawn = [_rows(*part) for part in zip((updated, own, kept), before, after)]
+        mass, east, north, load, detected = result[region_kernels.SIZES :]
         found.append(RegionUpdate(near, mine, drawn, mass, east, north, load, detected, targets[before[3] : after[3]]))
     return found
 

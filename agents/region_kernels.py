@@ -16,8 +16,8 @@ from agents.update_kernels import update
 from agents.words import PARTICLES, WEIGHT
 
 Box = tuple[float, float, float, float]  # west, south, east and north, m
-SIZES = 4  # columns: how many particles were updated, are owned and were drawn, and how many targets are reported
-SUMS = 5  # columns: mass, its sums of x and y, load and detected
+SIZES = 4  # first columns of a result: how many particles were updated, are owned and were drawn, and how many targets are reported
+SUMS = 5  # and the next: mass, its sums of x and y, load and detected
 
 # Columns of the settings, and of the keys to which the tick is still to be added.
 DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, GATE2 = range(12)
@@ -267,8 +267,8 @@ def update_regions(
     draws: np.ndarray,
     directions: np.ndarray,
 ) -> tuple:
-    """What K owners make of their parts: updated, own and drawn particles and targets (T, 2), each owner after owner, where those of each
-    end (K, SIZES), and sums (K, SUMS).
+    """What K owners make of their parts: updated, own and drawn particles and targets (T, 2), each owner after owner, and their numbers
+    and sums (K, SIZES + SUMS).
 
     `spans` (K, 3) are each owner's row of the table, and how many corners and generators are its; `draws` (K,) are the keys of their draws.
     """
@@ -278,7 +278,7 @@ def update_regions(
     size = len(predicted[0])
     room = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
     updated, own, kept, targets = blank(0), blank(0), blank(0), np.empty((0, 2))
-    ends, sums = np.zeros((number + 1, SIZES), np.int64), np.zeros((number, SUMS))
+    results, start = np.empty((number, SIZES + SUMS)), np.zeros(SIZES, np.int64)
     corner = bound = 0
     for k in range(number):
         eye, polygon = table[spans[k, 0]], corners[corner : corner + spans[k, 1]]
@@ -287,10 +287,13 @@ def update_regions(
         gated = _gate(predicted, polygon, halo, eye, room)
         claim = generators[claimed], first[claimed]
         found = _update_region(settings, keys, now, eye, table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions)
-        start = ends[k]
         updated, own = _append(updated, start[0], found[0], 2 * size), _append(own, start[1], found[1], 2 * size)
         kept = _append(kept, start[2], found[2], 2 * size)
         targets = np.concatenate((targets, found[8])) if k > 0 else found[8]
-        ends[k + 1] = start + np.array([len(found[0][2]), len(found[1][2]), len(found[2][2]), len(found[8])])
-        sums[k] = np.array([found[3], found[4], found[5], found[6], found[7]])
-    return updated, own, kept, targets, ends, sums
+        sizes = len(found[0][2]), len(found[1][2]), len(found[2][2]), len(found[8])
+        for column in range(SIZES):
+            start[column] += sizes[column]
+            results[k, column] = sizes[column]
+        for column, value in enumerate(found[3:8]):
+            results[k, SIZES + column] = value
+    return updated, own, kept, targets, results
