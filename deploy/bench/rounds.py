@@ -9,12 +9,12 @@ from agents.backend import Backend
 from agents.belief import ParticlePhd
 from agents.calm import CalmRound, Roll
 from agents.round import run_round
-from agents.words import forget, learn
+from agents.words import forget, learn, side_by_side
 from deploy.bench.capture import Captured, capture, cold
 from deploy.bench.timing import Row, cpu_seconds, median_seconds
 from deploy.scenario import Scenario, resolve
 from protocol import codec
-from protocol.keys import message_key
+from protocol.keys import message_key, order
 from protocol.messages import Gossip
 
 Work = Callable[[Captured], None]
@@ -81,6 +81,13 @@ def whole(captured: Captured) -> None:
     run_round(*captured)
 
 
+def lay(captured: Captured) -> None:
+    """Play a round, so that all gossips lie side by side, and forget that anybody has asked for what they share."""
+    whole(captured)
+    together = {**captured.heard, captured.mine.sender: captured.mine}
+    side_by_side([together[name] for name in sorted(together, key=order)]).chorus = None
+
+
 def again(captured: Captured) -> None:
     """The round of one for whom another has laid the gossips side by side, as in a simulation."""
     run_round(*captured)
@@ -89,7 +96,7 @@ def again(captured: Captured) -> None:
 def phases(rounds: list[Captured]) -> Row:
     """Milliseconds of CPU per round of one agent, in the median over rounds: the whole, its phases, and what lies between them."""
     play_it = per_round(rounds, whole)
-    shared = per_round(rounds, again, first=whole)
+    shared = per_round(rounds, again, first=lay)
     parts = {"read": per_round(rounds, read)}
     calls: dict[str, list[Call]] = {}
     for captured in cold(rounds):
