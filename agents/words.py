@@ -70,7 +70,7 @@ class Words:
         """`sensors`: of the senders; `diagram`: "power", "voronoi-cod" or "voronoi", which says what the generators are."""
         self.gossips, self.sensors, self.diagram = gossips, sensors, diagram
         self.names = tuple([gossip.sender for gossip in gossips])
-        self.chorus: Any = None  # who asked first for what all who hear this share, or what they share (`chorus`)
+        self.shared: Any = None  # what all agents of a process that hold this table compute alike (`shared_round`)
 
     @once
     def table(self) -> np.ndarray:
@@ -201,6 +201,11 @@ def side_by_side(gossips: list[Gossip], sensors: list[Announced], config: AgentC
     words = Words(gossips, sensors, diagram)
     _RECENT.append(words)
     return words
+
+
+def newest_table() -> Words:
+    """The last that was put side by side, for measurements."""
+    return _RECENT[-1]
 
 
 def forget() -> None:

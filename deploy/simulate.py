@@ -13,7 +13,7 @@ from typing import Literal
 import msgspec
 
 from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.backend import PLAIN, Backend
 from deploy.chaos.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
 from deploy.chaos.injector import Build, Injector
 from deploy.chaos.links import Links, describe
@@ -42,8 +42,8 @@ def rare_collections() -> Iterator[None]:
         gc.unfreeze()
 
 
-def compiled() -> Arithmetic:
-    """The compiled arithmetic, or the plain one where numba cannot be imported; the bits are the same."""
+def compiled() -> Backend:
+    """The compiled backend, or the plain one where numba cannot be imported; the bits are the same."""
     try:
         from agents.fast import FAST
     except ImportError:
@@ -62,7 +62,7 @@ class Simulation:
         scenario: Scenario,
         *,
         link: Link | None = None,
-        arithmetic: Arithmetic | None = None,
+        arithmetic: Backend | None = None,
         clock: Literal["lockstep", "realtime"] = "lockstep",
         build: Build = Agent,
         scores: bool = True,

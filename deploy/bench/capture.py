@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from agents.neighbours import Neighbours
-from agents.round import Outcome, Self
+from agents.round import AgentContext, RoundResult
 from deploy.scenario import Scenario
 from deploy.simulate import Simulation
 from protocol import codec
@@ -14,10 +14,10 @@ from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
 
 
 class Captured(NamedTuple):
-    """One round of one agent: all that `agents.round.play` takes."""
+    """One round of one agent: all that `agents.round.run_round` takes."""
 
-    me: Self
-    last: Outcome
+    me: AgentContext
+    last: RoundResult
     neighbours: Neighbours
     mine: Gossip
     heard: dict[str, Gossip]
@@ -48,7 +48,7 @@ class Ear(Node):
 
 def capture(scenario: Scenario, tick: int) -> list[Captured]:
     """The rounds of `tick` of all agents of a run without faults."""
-    simulation, lasts = Simulation(scenario), dict[str, Outcome]()
+    simulation, lasts = Simulation(scenario), dict[str, RoundResult]()
     ear = Ear(scenario.run.name, tick)
     simulation.bus.add(ear)
 

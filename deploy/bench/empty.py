@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from agents import agent
-from agents.belief import Belief, Copies, Share
+from agents.belief import Belief, Copies
 from agents.claims import make_claim
 from agents.neighbours import Neighbours
 from agents.particles import NONE, Particles
-from agents.round import Outcome, Self
+from agents.round import AgentContext, RoundResult
+from agents.tracker import OwnedState
 from protocol.geometry import rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -31,7 +32,7 @@ def install() -> None:
     module.play = play
 
 
-def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> Outcome:
+def play(me: AgentContext, last: RoundResult, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
     """The outcome of a round in which nothing was computed."""
     config = me.config
     names = (me.name, *list(heard)[:BOUNDS])
@@ -40,10 +41,10 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
     count = round(PARTICLES / everybody)
     states = np.tile(np.array([*mine.cod, 1.0, 1.0]), (count, 1))
     owned = Particles(states, np.full(count, 1.0 / count), np.arange(1, count + 1, dtype=np.uint64))
-    share = Share(me.name, make_claim(names, bounds, tuple(order(name) for name in names)), owned, VIEW)
+    share = OwnedState(me.name, make_claim(names, bounds, tuple(order(name) for name in names)), owned, VIEW)
     side = math.sqrt(config.arena.width * config.arena.height / everybody)
     angle = TURN_RATE * mine.tick * config.run.dt
-    return Outcome(
+    return RoundResult(
         belief=Belief(mine.tick, share, Copies(NONE), frozenset((*heard, me.name))),
         unused=last.unused,
         mass=1.0,

@@ -5,11 +5,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from agents.arithmetic import Arithmetic, in_steps
+from agents.backend import Backend
+from agents.belief import ParticlePhd
 from agents.inbox import RoundInbox
 from agents.neighbours import Neighbours
-from agents.round import play
-from agents.words import announced, forget, side_by_side
+from agents.round import run_round
+from agents.words import announced, forget, newest_table, side_by_side
 from deploy.bench.capture import Captured, capture, cold
 from deploy.bench.timing import Row, cpu_seconds, median_seconds
 from deploy.scenario import Scenario, resolve
@@ -32,8 +33,8 @@ def scenario_of(team: str, seconds: float = 60.0) -> Scenario:
     return resolve("efficacy", {**options, "arena.width": side, "arena.height": side})
 
 
-def recorded(arithmetic: Arithmetic, calls: dict[str, list[Call]]) -> Arithmetic:
-    """The arithmetic, noting every call and its arguments."""
+def recorded(backend: Backend, calls: dict[str, list[Call]]) -> Backend:
+    """The backend, noting every call and its arguments."""
 
     def noting(name: str, function: Any) -> Callable[..., Any]:
         def noted(*arguments: Any) -> Any:
@@ -42,8 +43,8 @@ def recorded(arithmetic: Arithmetic, calls: dict[str, list[Call]]) -> Arithmetic
 
         return noted
 
-    functions: dict[str, Any] = {name: noting(name, function) for name, function in arithmetic._asdict().items() if callable(function)}
-    return arithmetic._replace(**functions)
+    functions: dict[str, Any] = {name: noting(name, function) for name, function in backend._asdict().items() if callable(function)}
+    return backend._replace(**functions)
 
 
 def read(captured: Captured) -> None:
@@ -75,32 +76,33 @@ def per_round(rounds: list[Captured], work: Work, first: Work | None = None) -> 
 def whole(captured: Captured) -> None:
     """One round, from the accepted gossips to the outcome."""
     forget()
-    play(*captured)
+    run_round(*captured)
+
+
+def lay(captured: Captured) -> None:
+    """Play a round, so that all gossips lie side by side, and forget that anybody has asked for what they share."""
+    whole(captured)
+    newest_table().shared = None
 
 
 def again(captured: Captured) -> None:
     """The round of one for whom another has laid the gossips side by side, as in a simulation."""
-    play(*captured)
+    run_round(*captured)
 
 
 def phases(rounds: list[Captured]) -> Row:
-    """Milliseconds of CPU per round of one agent, in the median over rounds: the whole, its phases, and what lies between them; then
-    the steps of the phase `refresh` one by one, in the mean."""
+    """Milliseconds of CPU per round of one agent, in the median over rounds: the whole, its phases, and what lies between them."""
     play_it = per_round(rounds, whole)
-    shared = per_round(rounds, again, first=whole)
+    shared = per_round(rounds, again, first=lay)
     parts = {"read": per_round(rounds, read)}
     calls: dict[str, list[Call]] = {}
-    steps: dict[str, list[Call]] = {}
     for captured in cold(rounds):
         read(captured)
-        arithmetic, noted = captured.me.arithmetic, recorded(captured.me.arithmetic, steps)
-        play(*captured._replace(me=captured.me._replace(arithmetic=recorded(arithmetic, calls))))
-        play(*captured._replace(me=captured.me._replace(arithmetic=noted._replace(refresh=partial(in_steps, noted)))))
-    for name in ("cut", "refresh"):
+        noted = recorded(captured.me.backend, calls)
+        run_round(*captured._replace(me=captured.me._replace(backend=noted, tracker=ParticlePhd(noted))))
+    for name in ("cut_cells", "update_regions"):
         parts[name] = statistics.median(median_seconds(partial(function, *arguments)) for function, arguments in calls[name])
-    each = {name: median_seconds(lambda called=called: [f(*a) for f, a in called]) / len(rounds) for name, called in steps.items()}  # type: ignore[misc]
     row = {"play": play_it, "play, shared": shared, **parts, "between": play_it - sum(parts.values())}
-    row |= {f"step {name}": seconds for name, seconds in each.items() if name != "cut"}
     return {name: 1000.0 * seconds for name, seconds in row.items()}
 
 
@@ -131,7 +133,7 @@ def from_bytes(rounds: list[Captured]) -> Row:
 
         def round_of(captured: Captured = captured, accept: Callable[[], None] = accept) -> None:
             accept()
-            play(*captured._replace(heard=captured.neighbours.fresh(captured.mine.tick)))
+            run_round(*captured._replace(heard=captured.neighbours.fresh(captured.mine.tick)))
 
         accepted.append(median_seconds(accept))
         whole_times.append(median_seconds(round_of))

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from agents.agent import Agent
-from agents.arithmetic import Arithmetic
+from agents.backend import Backend
 from deploy.chaos.injector import Build
 from deploy.chaos.invariants import Broken, Watch
 from deploy.scenario import FaultSettings, Scenario, resolve
@@ -126,7 +126,7 @@ def healing() -> tuple[FaultSettings, ...]:
     return tuple(FaultSettings(at=HEAL_AT, verb=verb, who="100%", value=value) for verb, value in everyone)
 
 
-def play(case: Case, build: Build = Agent, arithmetic: Arithmetic | None = None) -> str | None:
+def play(case: Case, build: Build = Agent, arithmetic: Backend | None = None) -> str | None:
     """What a case broke, None when all is well."""
     try:
         simulation = Simulation(case.scenario, clock="realtime", build=build, arithmetic=arithmetic)

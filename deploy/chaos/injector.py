@@ -10,7 +10,7 @@ from functools import partial
 import msgspec
 
 from agents.agent import Agent
-from agents.arithmetic import Arithmetic
+from agents.backend import Backend
 from agents.config import AgentConfig
 from deploy.chaos.faults import LINK_VERBS, Action
 from deploy.chaos.links import Links
@@ -20,13 +20,13 @@ from protocol.virtual import VirtualBus
 
 RECONNECT = 0.5  # s from the end of a cut to the new session
 Pair = tuple[str, str]
-Build = Callable[[AgentConfig, str, int, Arithmetic, str], Agent]  # from what agents know, a name, an incarnation and a sensor class
+Build = Callable[[AgentConfig, str, int, Backend, str], Agent]  # from what agents know, a name, an incarnation and a sensor class
 
 
 class Injector:
     """Starts, kills and disturbs agents on a virtual bus."""
 
-    def __init__(self, bus: VirtualBus, links: Links, scenario: Scenario, arithmetic: Arithmetic, build: Build = Agent) -> None:
+    def __init__(self, bus: VirtualBus, links: Links, scenario: Scenario, arithmetic: Backend, build: Build = Agent) -> None:
         self.agents: dict[str, Agent] = {}  # by label: the name, or s3#2 for the second of a name
         self._bus, self._links = bus, links
         self._arithmetic, self._build = arithmetic, build

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.agent import Agent
-from agents.belief import MOST_COPIES, share_of
+from agents.belief import MOST_COPIES, Belief, share_of
 from agents.inbox import MOST_TICKS, RoundInbox
-from agents.round import Outcome
+from agents.round import RoundResult
 from deploy.chaos.oracle import Oracle, distance, united
 from deploy.simulate import Simulation
 from protocol.geometry import polygon_area
@@ -79,7 +79,7 @@ class Watch:
         self._is_spoilt = "spoilt" in kinds  # wrong numbers may have got in, and stay
         self._is_ledger, self._is_gentle = is_ledger and not self._is_spoilt, set(kinds) <= GENTLE
         self._mass_kept = (MASS_KEPT_REDRAWN if simulation.scenario.filter.least_particles > 100 else MASS_KEPT)[len(kinds) <= 1]
-        self._outcomes: dict[str, Outcome] = {}
+        self._outcomes: dict[str, RoundResult] = {}
         self._newest: dict[tuple[str, int, str], int] = {}  # (name, incarnation, other's name) -> the youngest incarnation it has seen
         self._prints: dict[tuple[str, int], Print] = {}
         self._last: dict[tuple[str, int], dict[str, tuple[int, int]]] = {}  # incarnation and tick of the newest gossip of each peer
@@ -204,7 +204,9 @@ class Watch:
 def check_round(agent: Agent, is_first: bool) -> None:
     """What must hold of an agent whenever it has played a round."""
     outcome, name = agent.outcome, agent.name
-    share, near = outcome.belief.mine, outcome.belief.copies.near
+    belief = outcome.belief
+    assert isinstance(belief, Belief)
+    share, near = belief.mine, belief.copies.near
     particles = share.particles
     need(bool(np.all(np.isfinite(particles.states))), f"{name}: a particle that is nowhere")
     need(bool(np.all(np.isfinite(particles.weights)) and np.all(particles.weights >= 0.0)), f"{name}: a weight that is no mass")

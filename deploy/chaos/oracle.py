@@ -10,11 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.arithmetic import PLAIN, Arithmetic
+from agents import phd
+from agents.backend import PLAIN, Backend
 from agents.births import background_births
-from agents.claims import Claim
+from agents.claims import NO_CLAIM, Claim
 from agents.particles import NONE, Particles, canonical, join, select
+from agents.regions import take
 from agents.step import Step
+from agents.tracker import RegionInput
 from agents.words import announced, side_by_side
 from deploy.scenario import Scenario, agent_config
 from protocol.geometry import rectangle
@@ -26,8 +29,8 @@ from protocol.settings import ArenaSettings, sensor_of
 class Oracle:
     """A PHD over the whole arena; `particles` holds after the tick `stamp`, `updated` is what the new ones were drawn from."""
 
-    def __init__(self, scenario: Scenario, particles: Particles, stamp: int = -1, arithmetic: Arithmetic = PLAIN) -> None:
-        self.config, self.arithmetic = agent_config(scenario), arithmetic
+    def __init__(self, scenario: Scenario, particles: Particles, stamp: int = -1, backend: Backend = PLAIN) -> None:
+        self.config, self._backend = agent_config(scenario), backend
         self._classes = scenario.members
         self.particles, self.stamp = particles, stamp
         self.updated = particles
@@ -40,18 +43,21 @@ class Oracle:
         said = [gossips[name] for name in sorted(gossips, key=order)]
         clutter = config.detection.clutter
         sensors = [announced(gossip.sender, sensor_of(config, self._classes[gossip.sender]), clutter) for gossip in said]
-        all_over = _widely(config.arena)
-        everything, _ = self.arithmetic.gather(self.particles, born, all_over, (0.0, 0.0), 0.0, step)
-        self.updated = self.arithmetic.update(everything, side_by_side(said, sensors, config), all_over, step)
-        self.particles = canonical(join([self._drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))
+        any_sensor = sensor_of(config, next(iter(self._classes.values())))  # its view of the whole is not asked for
+        everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
+        [found] = self._backend.update_regions(side_by_side(said, sensors, config), self.particles, born, [everywhere], step)
+        self.updated = found.updated
+        self.particles = canonical(join([_drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))
 
     @property
     def mass(self) -> float:
         """Expected number of targets."""
         return float(self.particles.weights.sum())
 
-    def _drawn(self, updated: Particles, owner: str, claim: Claim, step: Step) -> Particles:
-        return self.arithmetic.resample(self.arithmetic.take(updated, claim, self.config.arena), owner, step)
+
+def _drawn(updated: Particles, owner: str, claim: Claim, step: Step) -> Particles:
+    """What an owner draws of the particles in its claim."""
+    return phd.resample(take(updated, claim, step), owner, step.tick, step.config.filter.seed, step.config.filter)
 
 
 def _widely(arena: ArenaSettings) -> np.ndarray:

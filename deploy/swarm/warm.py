@@ -9,10 +9,8 @@ import time
 from collections.abc import Iterator
 from typing import Literal
 
-import numpy as np
-
 from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, TimingSettings
 from agents.numba_cache import compiled_before, loops_on_disk, tidy
 from deploy.modules import ROOT, command
@@ -21,7 +19,7 @@ from protocol.node import Alive, Effect, Started, Timer, received
 from protocol.settings import ArenaSettings, convert
 
 NAMES = ("s1", "s2")
-HALF = ("refresh", "refresh_all")  # functions of the arithmetic that take as long to compile as all others together
+HALF = ("update_regions",)  # functions of the backend that take as long to compile as all others together
 ROUNDS = 24
 LOST = (4, 5)  # ticks in which nobody hears the other
 SKIPPED = (8, 9)  # ticks that s2 does not see
@@ -51,7 +49,7 @@ def warm() -> None:
     convert({"members": {"s1": "A"}}, AgentConfig, "")  # what is looked up about its types once is looked up for all who are forked
 
 
-def _compile_on_two_cores(fast: Arithmetic) -> None:
+def _compile_on_two_cores(fast: Backend) -> None:
     """Leave the loops on disk: one half is compiled here, the other by a second process, which ends with this one."""
     other = subprocess.Popen(command("deploy.swarm.warm"), cwd=ROOT, stdin=subprocess.PIPE)
     try:
@@ -92,16 +90,15 @@ def _one_by_one() -> Iterator[None]:
         os.close(descriptor)
 
 
-def _play_all(arithmetic: Arithmetic) -> None:
+def _play_all(backend: Backend) -> None:
     interests: tuple[Literal["all", "neighbours"], ...] = ("all", "neighbours")
     for interest in interests:
         arena, timing = ArenaSettings(width=15.0, height=15.0), TimingSettings(interest=interest)  # in some round both hear the same
-        _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing), arithmetic)
-    _measure(arithmetic)
+        _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing), backend)
 
 
-def _play(config: AgentConfig, arithmetic: Arithmetic) -> None:
-    pair = [Agent(config, name, 1, arithmetic) for name in NAMES]
+def _play(config: AgentConfig, backend: Backend) -> None:
+    pair = [Agent(config, name, 1, backend) for name in NAMES]
     for agent, other in (pair, pair[::-1]):
         agent.handle(Alive("agent", other.name, 1), 0.0)
         _tell(other, agent.handle(Started(), 0.0))
@@ -112,14 +109,6 @@ def _play(config: AgentConfig, arithmetic: Arithmetic) -> None:
                 _tell(pair[agent is pair[0]], effects)
         for agent in pair:
             agent.handle(Timer(), LATE * (tick + 0.5))
-
-
-def _measure(arithmetic: Arithmetic) -> None:
-    """Distances from read-only polygons and to parts of arrays, as only a crowd asks for them."""
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    arithmetic.distances(square, np.zeros((3, 3))[:, :2])
-    square.flags.writeable = False
-    arithmetic.distances(square, np.zeros((3, 2)))
 
 
 def _sees(agent: Agent, tick: int) -> bool:

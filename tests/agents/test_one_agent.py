@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, ControlSettings, FilterSettings, PartitionSettings, TimingSettings
 from deploy.simulate import compiled
 from protocol.messages import Command, Estimate, Gossip, Message, Observation
@@ -27,7 +27,7 @@ EMPTY = {"filter": FilterSettings(prior_density=0.0), "birth": BirthSettings(mea
 ARITHMETICS = pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
 
 
-def play(arithmetic: Arithmetic = PLAIN, ticks: int = 1, **sections: Any) -> list[Message]:
+def play(arithmetic: Backend = PLAIN, ticks: int = 1, **sections: Any) -> list[Message]:
     """What one agent says in some ticks in which it sees nothing and its body stands still."""
     config = AgentConfig(
         run=RunSettings(dt=DT, clock="lockstep"),
@@ -61,7 +61,7 @@ def test_it_says_its_cod_and_the_power_radius_of_all_its_capability() -> None:
 
 @ARITHMETICS
 @pytest.mark.parametrize("mode", ["literal", "expected", "static", "saturating"])
-def test_the_unused_capacity_is_that_of_the_mode_and_is_said_in_the_next_gossip(arithmetic: Arithmetic, mode: Any) -> None:
+def test_the_unused_capacity_is_that_of_the_mode_and_is_said_in_the_next_gossip(arithmetic: Backend, mode: Any) -> None:
     """p_d is constant, so that the integral of p_d v is p_d times the load (11)."""
     said = play(arithmetic, 2, capacity=CapacitySettings(mode=mode, limit=3.0), filter=FilterSettings(prior_density=0.01))
     first, gossip = next(message for message in said if isinstance(message, Estimate)), last(said, Gossip)

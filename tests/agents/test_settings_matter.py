@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from agents.arithmetic import PLAIN
+from agents.backend import PLAIN
 from agents.config import (
     AgentConfig,
     BirthSettings,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agents.round import play
+from agents.round import run_round
 from deploy.bench import central
 from deploy.bench.capture import capture, cold
 from deploy.bench.simulations import scale
@@ -27,7 +27,7 @@ def test_a_captured_round_replays_to_the_command_that_was_given() -> None:
     rounds = capture(small(), 20)
     assert len(rounds) == 7
     for captured, again in zip(rounds, cold(rounds)):
-        assert play(*captured).command == play(*again).command
+        assert run_round(*captured).command == run_round(*again).command
 
 
 def test_a_table_has_the_columns_of_all_rows() -> None:

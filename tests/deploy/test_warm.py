@@ -51,7 +51,7 @@ def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 5.0  # s of the second process
     program = "from agents.fast import FAST; from deploy.swarm import warm; warm.warm(); print(warm.compiled_before())"
-    program += "; from agents.round_kernels import refresh; print(sum(refresh.stats.cache_misses.values()))"
+    program += "; from agents.region_kernels import update_regions; print(sum(update_regions.stats.cache_misses.values()))"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=110, check=False)
     assert done.stdout.split() == ["True", "0"], done.stderr
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from agents.arithmetic import PLAIN
+from agents.backend import PLAIN
 from tests.golden.cases import CASES, INTERESTS, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of
 from tests.golden.fields import FIELDS
 from tests.golden.kept import FOLDER, read, read_ospa

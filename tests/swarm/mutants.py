@@ -3,23 +3,23 @@
 `MUTANTS` names with each seeds that notice it quickly, found by trying 1 to 100.
 """
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
+from agents import regions, speech
 from agents import round as rounds
-from agents import speech
-from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic, in_steps
-from agents.config import AgentConfig
+from agents.backend import PLAIN
 from agents.inbox import RoundInbox
 from agents.neighbours import Neighbours, Peer
 from agents.particles import Particles, select
-from agents.round import Outcome, Self
+from agents.regions import RegionUpdate
+from agents.round import AgentContext, RoundResult
+from agents.step import Step
+from agents.tracker import RegionInput
 from agents.words import WEIGHT, Words
 from deploy.chaos import fuzz
 from deploy.chaos.fuzz import Case
@@ -30,44 +30,46 @@ from protocol.streams import key, scramble
 Mutant = Callable[[Case, pytest.MonkeyPatch], str | None]  # plays a case with the rule left out
 
 
-def in_its_steps(changed: Arithmetic) -> Arithmetic:
-    """An arithmetic whose rounds take its own steps."""
-    return changed._replace(refresh=partial(in_steps, changed))
-
-
 def sorted_only(particles: Particles) -> Particles:
     return select(particles, np.argsort(particles.ids, kind="stable"))
 
 
 def no_dedupe_by_id(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     """Acts in cases with `timing.overlap` alone: else one of two claims counts where they meet, and no id is told twice."""
-    for module in ("agents.belief", "agents.arithmetic", "agents.phd"):
+    for module in ("agents.belief", "agents.merge", "agents.regions", "agents.phd"):
         patch.setattr(f"{module}.canonical", sorted_only)
     return fuzz.play(case, arithmetic=PLAIN)
 
 
 def no_keyed_noise(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    calls = iter(range(10**9))
+    calls, right = iter(range(10**9)), regions.predict
 
-    def gather(particles, births, polygon, eye, reach, step):  # type: ignore[no-untyped-def]
+    def predict(particles: Particles, step: Step) -> Particles:
         filters = msgspec.structs.replace(step.config.filter, seed=next(calls))
-        config = msgspec.structs.replace(step.config, filter=filters)
-        return PLAIN.gather(particles, births, polygon, eye, reach, step._replace(config=config))
+        return right(particles, step._replace(config=msgspec.structs.replace(step.config, filter=filters)))
 
-    return fuzz.play(case, arithmetic=in_its_steps(PLAIN._replace(gather=gather)))
+    patch.setattr(regions, "predict", predict)
+    return fuzz.play(case, arithmetic=PLAIN)
 
 
 def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    def build(config: AgentConfig, name: str, incarnation: int, arithmetic: Arithmetic, sensor_class: str) -> Agent:
-        def update(particles, words, polygon, step):  # type: ignore[no-untyped-def]
-            updated = PLAIN.update(particles, words, polygon, step)
-            salt = key(config.filter.seed, "birth", step.tick, key("sensor", name))
-            mine = scramble(np.arange(10000, dtype=np.uint64), salt)
-            return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
+    right, owners = regions.correct, [""]
 
-        return Agent(config, name, incarnation, in_its_steps(PLAIN._replace(update=update)), sensor_class)
+    def correct(particles: Particles, table: Words, polygon: np.ndarray, step: Step) -> Particles:
+        updated = right(particles, table, polygon, step)
+        salt = key(step.config.filter.seed, "birth", step.tick, key("sensor", owners[-1]))
+        mine = scramble(np.arange(10000, dtype=np.uint64), salt)
+        return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
 
-    return fuzz.play(case, build=build)
+    def update_regions(table: Words, received: Any, births: Particles, each: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
+        found = []
+        for region in each:
+            owners.append(region.owner)
+            found += PLAIN.update_regions(table, received, births, [region], step)
+        return found
+
+    patch.setattr(regions, "correct", correct)
+    return fuzz.play(case, arithmetic=PLAIN._replace(update_regions=update_regions))
 
 
 def timing(case: Case, **changes: int) -> Case:
@@ -106,16 +108,16 @@ def old_incarnation_kept(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    def undisputed(points, *claims):  # type: ignore[no-untyped-def]
+    def resolve_conflicts(points: np.ndarray, *others: Any) -> np.ndarray:
         return np.ones(len(points), dtype=bool)
 
-    return fuzz.play(case, arithmetic=in_its_steps(PLAIN._replace(undisputed=undisputed)))
+    return fuzz.play(case, arithmetic=PLAIN._replace(resolve_conflicts=resolve_conflicts))
 
 
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = speech.gossip
 
-    def gossip(me: Self, incarnation: int, outcome: Outcome, observation: Observation, *, listening: bool) -> Gossip:
+    def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
         outcome.belief.stamp = observation.tick - 1
         return right(me, incarnation, outcome, observation, listening=listening)
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import msgspec
 
 from agents.agent import Agent
-from agents.arithmetic import Arithmetic
+from agents.backend import Backend
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulate import Simulation
@@ -83,7 +83,8 @@ class Watched:
 def watch(
     scenario: Scenario,
     *,
-    arithmetic: Arithmetic | None = None,
+    use_codec: bool = True,
+    arithmetic: Backend | None = None,
     clock: Literal["lockstep", "realtime"] = "lockstep",
     at_tick: Callable[[int, Simulation], None] = lambda tick, simulation: None,
 ) -> Watched:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.arithmetic import PLAIN
+from agents.backend import PLAIN
 from agents.particles import Particles
 from deploy.chaos.oracle import distance
 from deploy.scenario import Scenario, resolve
