@@ -52,8 +52,9 @@ def test_the_first_that_asks_computes_its_region_alone_and_the_others_share_all(
 
 
 def test_the_same_gossips_in_another_table_are_asked_for_anew() -> None:
-    config = AgentConfig()
-    assert [asked(words("s1", "s2"), config) for _ in range(3)] == [None] * 3
+    table, config = words("s1", "s2"), AgentConfig()
+    others = [Words(table.gossips, table.sensors, table.diagram) for _ in range(3)]
+    assert [asked(other, config) for other in others] == [None] * 3
 
 
 def test_another_configuration_or_tick_shares_nothing_with_it() -> None:
