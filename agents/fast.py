@@ -30,7 +30,7 @@ from agents import (
 from agents.arithmetic import Arithmetic, Parts, Refreshed, Task, in_steps, one_by_one
 from agents.arithmetic import in_view as plain_in_view
 from agents.arithmetic import update as plain_update
-from agents.births import DIRECTIONS, inflow, sensor_row
+from agents.births import DIRECTIONS, inflow, sensor_row, starting_on_border
 from agents.calm import Reader
 from agents.cells import NO_CELL, TOUCH, Cell
 from agents.claims import Claim, Claims
@@ -114,7 +114,9 @@ def births(step: Step) -> Particles:
     count, salt = birth.background_particles, np.uint64(key(config.filter.seed, "background", tick))
     if not birth.background or mass <= 0.0:
         return NONE
-    states, ids = birth_kernels.background(count, birth.on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
+    states, ids = birth_kernels.background(
+        count, starting_on_border(config.filter, birth), salt, arena.width, arena.height, config.filter.speed, DIRECTIONS
+    )
     _BORN.append((config, tick, Particles(states, np.full(count, mass / count), ids)))
     return births(step)
 
@@ -151,7 +153,8 @@ def update(particles: Particles, words: Words, polygon: np.ndarray, step: Step) 
         return plain_update(particles, words, polygon, step)
     config, birth, noise = step.config, step.config.birth, step.config.detection.noise
     births_key = np.uint64(key(config.filter.seed, "birth", step.tick))
-    shape = (birth.measurement, birth.copies, birth.radius, birth.least_share, birth.most_density)
+    shape = (birth.measurement, birth.copies, birth.radius, birth.least_density, birth.least_share, birth.most_density)
+    filters, width = config.filter, phd.likelihood_noise(noise, config.filter)
     return Particles(
         *update_kernels.update(
             *particles,
@@ -159,10 +162,10 @@ def update(particles: Particles, words: Words, polygon: np.ndarray, step: Step) 
             words.salts,
             words.detections,
             polygon,
-            config.filter.halo,
-            noise,
-            (config.filter.gate * noise) ** 2,
-            (*shape, config.filter.speed, births_key, DIRECTIONS),
+            filters.halo,
+            (noise, width, (filters.gate * width) ** 2),
+            (filters.certainty, filters.vicinity / phd.BINS),
+            (*shape, filters.speed, births_key, DIRECTIONS),
         )
     )
 
@@ -214,9 +217,10 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
         if known is config:
             return settings, keys
     filters, birth, noise = config.filter, config.birth, config.detection.noise
-    step = Step(config, 0)
-    numbers = [*motion(step)[3:], filters.halo, step.reach, noise, (filters.gate * noise) ** 2]
-    numbers += [birth.measurement, birth.copies, birth.radius, birth.least_share, birth.most_density]
+    step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
+    numbers = [*motion(step)[3:], filters.halo, step.reach, noise, width, (filters.gate * width) ** 2]
+    numbers += [filters.certainty, filters.vicinity / phd.BINS]
+    numbers += [birth.measurement, birth.copies, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold]
     words = [key(config.filter.seed, word) for word in ("turn", "east", "north", "birth", "split")]
