@@ -68,7 +68,7 @@ def likelihood_noise(noise: float, settings: FilterSettings) -> float:
     """Standard deviation of a detection about a particle, m: of the sensor, and of the place that a particle stands for.
 
     `particles_per_target` particles of a cloud that is spread by `position_noise` in every step each stand for a Gaussian of that
-    spread times N^(-1/6), Silverman's rule in the plane; without it an accurate sensor leaves but a few of them.
+    spread times N^(-1/6), Silverman's rule in the plane, times `roughening`; without it an accurate sensor leaves but a few of them.
     """
     width = settings.roughening * settings.position_noise * settings.particles_per_target ** (-1.0 / 6.0)
     return math.sqrt(noise * noise + width * width)

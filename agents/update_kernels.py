@@ -12,9 +12,9 @@ from agents.cell_kernels import around, distance
 from agents.extraction_kernels import block
 from agents.kernels import normal, scramble, wedge
 from agents.numba_cache import cached
-from protocol.streams import NORMAL_BOUND
 
 _S52 = np.uint64(52)
+_FARTHEST = 3.47  # deviations: more than any keyed normal number (`streams.NORMAL_BOUND`)
 _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
 
 
@@ -252,7 +252,7 @@ def update(
     if on:
         densities = _nearby(x[:count], y[:count], weights, detections, radius)
     found, gained = _room(2 * count + 256), np.empty(room)
-    raster = _raster(x[:count], y[:count], detections, 1.001 * NORMAL_BOUND * noise, miss[1])
+    raster = _raster(x[:count], y[:count], detections, _FARTHEST * noise, miss[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         _mark_view(x[:count], y[:count], sensor, seen)

@@ -149,9 +149,9 @@ def test_an_empty_scan_is_information() -> None:
     assert after.weights[4] == 0.7  # out of view
 
 
-def test_the_width_of_a_particle_is_half_of_silvermans_rule_for_a_step_of_noise() -> None:
-    """h = N^(-1/6) s / 2 in the plane, N = 75 particles a target, s = .1 m in each step: .0243 m beside a noise of .05 m."""
-    assert likelihood_noise(0.05, FILTER) == pytest.approx(math.hypot(0.05, 0.5 * 0.1 * 75.0 ** (-1.0 / 6.0)), rel=1e-12)
+def test_the_width_of_a_particle_follows_silvermans_rule_for_a_step_of_noise() -> None:
+    """h = .4 N^(-1/6) s in the plane, N = 75 particles a target, s = .1 m in each step: .0195 m beside a noise of .05 m."""
+    assert likelihood_noise(0.05, FILTER) == pytest.approx(math.hypot(0.05, 0.4 * 0.1 * 75.0 ** (-1.0 / 6.0)), rel=1e-12)
     assert likelihood_noise(0.05, POINTS) == 0.05
 
 
