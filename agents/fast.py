@@ -23,7 +23,7 @@ from agents import (
     regions,
 )
 from agents.backend import Backend
-from agents.births import DIRECTIONS, inflow
+from agents.births import DIRECTIONS, inflow, starting_on_border
 from agents.cells import NO_CELL, TOUCH, Cell
 from agents.claims import Claim, Claims
 from agents.config import AgentConfig
@@ -95,7 +95,8 @@ def background_births(step: Step) -> Particles:
     count, salt = birth.background_particles, np.uint64(key(config.filter.seed, "background", tick))
     if not birth.background or mass <= 0.0:
         return NONE
-    states, ids = birth_kernels.background(count, birth.on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
+    on_border = starting_on_border(config.filter, birth)
+    states, ids = birth_kernels.background(count, on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
     found = Particles(states, np.full(count, mass / count), ids)
     _BORN.append((config, tick, found))
     return found
@@ -124,9 +125,10 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
         if known is config:
             return settings, keys
     filters, birth, noise = config.filter, config.birth, config.detection.noise
-    step = Step(config, 0)
-    numbers = [*motion(step)[3:], filters.halo, step.reach, noise, (filters.gate * noise) ** 2]
-    numbers += [birth.measurement, birth.copies, birth.radius, birth.least_share, birth.most_density]
+    step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
+    numbers = [*motion(step)[3:], filters.halo, step.reach, noise, width, (filters.gate * width) ** 2]
+    numbers += [filters.certainty, filters.vicinity / phd.BINS]
+    numbers += [birth.measurement, birth.copies, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold]
     salts = [key(config.filter.seed, word) for word in ("turn", "east", "north", "birth", "split")]

@@ -20,8 +20,9 @@ SIZES = 4  # first columns of a result: how many particles were updated, are own
 SUMS = 5  # and the next: mass, its sums of x and y, load and detected
 
 # Columns of the settings, and of the keys to which the tick is still to be added.
-DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, GATE2 = range(12)
-BIRTHS, COPIES, BIRTH_RADIUS, LEAST_SHARE, MOST_DENSITY, PER_TARGET, LEAST, MOST, BIN, THRESHOLD = range(12, 22)
+DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, LIKELIHOOD_NOISE, GATE2 = range(13)
+CERTAINTY, MISS_BIN, BIRTHS, COPIES, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
+PER_TARGET, LEAST, MOST, BIN, THRESHOLD = range(21, 26)
 TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
 
 _S11 = np.uint64(11)
@@ -195,15 +196,15 @@ def _update_region(
         settings[BIRTHS] != 0.0,
         np.int64(settings[COPIES]),
         settings[BIRTH_RADIUS],
+        settings[LEAST_DENSITY],
         settings[LEAST_SHARE],
         settings[MOST_DENSITY],
         settings[SPEED],
         scramble(now, keys[BIRTH]),
         directions,
     )
-    states, weights, ids = update(
-        near_states, near_weights, near_ids, table, salts, detections, polygon, halo, settings[NOISE], settings[GATE2], birth
-    )
+    noise, miss = (settings[NOISE], settings[LIKELIHOOD_NOISE], settings[GATE2]), (settings[CERTAINTY], settings[MISS_BIN])
+    states, weights, ids = update(near_states, near_weights, near_ids, table, salts, detections, polygon, halo, noise, miss, birth)
     own_states, own_weights, own_ids = take(states, weights, ids, generators, first, settings[WIDTH], settings[HEIGHT])
     mass, east, north = first_moments(own_states, own_weights)
     near_load, near_detected = in_view(states, weights, eye)

@@ -77,9 +77,10 @@ def test_the_unused_capacity_is_that_of_the_mode_and_is_said_in_the_next_gossip(
 
 
 def test_the_first_load_is_what_an_empty_scan_leaves_of_the_prior() -> None:
-    """v (1 - p_d) over the wedge; the particles are a random sample, of which 2000 lie in view."""
-    said = play(filter=FilterSettings(prior_density=0.1, particles_per_target=500, position_noise=0.0, speed=1e-6))
-    assert last(said, Estimate).load == pytest.approx(0.1 * HALF * RADIUS**2 * (1.0 - PROBABILITY), rel=0.05)
+    """v (1 - p_d) / (1 - p_d r) over the wedge, r = 0.0025 targets in 25 m^2; the particles are a random sample of 2000 in view."""
+    said = play(filter=FilterSettings(prior_density=1e-4, particles_per_target=500000, position_noise=0.0, speed=1e-6))
+    left = (1.0 - PROBABILITY) / (1.0 - PROBABILITY * 25e-4)
+    assert last(said, Estimate).load == pytest.approx(1e-4 * HALF * RADIUS**2 * left, rel=0.05)
 
 
 @pytest.mark.parametrize(("kind", "driven"), [("power", COD), ("voronoi-cod", COD), ("voronoi", POSE[:2])])

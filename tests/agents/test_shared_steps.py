@@ -75,21 +75,64 @@ def test_the_load_counts_what_lies_in_the_footprint_far_from_the_cell_too(backen
     cell = rectangle(12.0, 60.0)
     told = particles((11.0, 30.0, 0.2), (25.0, 30.0, 0.4), (25.0, 55.0, 0.8), (5.0, 30.0, 1.6))  # in the cell, far, out of reach, behind
     found = updated(backend, told, table_of([said("s1", POSE)]), cell)
-    assert found.load == pytest.approx(0.2 * (1.0 - 0.9) + 0.4)
+    assert found.load == pytest.approx(0.2 * (1.0 - 0.9) / (1.0 - 0.9 * 0.2) + 0.4)
     assert found.detected == pytest.approx(0.9 * found.load)
     assert sorted(found.updated.ids.tolist()) == [1, 4]
 
 
 @BOTH
 def test_a_detection_shares_its_unit_of_mass_between_a_particle_and_clutter(backend: Backend) -> None:
-    """w (1 - p) + w p g / (kappa + w p g), g = exp(-d^2 / (2 s^2)) / (2 pi s^2), kappa = clutter / area."""
-    weight, apart, noise, probability = 0.3, 0.6, 0.5, 0.9
+    """r (1 - p) / (1 - r p) + f, f = w p g / (kappa + w p g), r = w - f, g = exp(-d^2 / (2 s^2)) / (2 pi s^2), kappa = clutter / area."""
+    weight, apart, noise, probability = 0.3, 1.65, 0.5, 0.9
     words = table_of([said("s1", POSE, (20.0 + apart, 30.0))])
     found = updated(backend, particles((20.0, 30.0, weight)), words, rectangle(60.0, 60.0))
     kappa = 2.0 / (math.pi * 20.0**2 / 2.0)
     likelihood = math.exp(-(apart**2) / (2.0 * noise**2)) / (2.0 * math.pi * noise**2)
     seen = weight * probability * likelihood
-    assert found.updated.weights.tolist() == pytest.approx([weight * (1.0 - probability) + seen / (kappa + seen)], rel=1e-5)
+    share = seen / (kappa + seen)
+    rest = weight - share
+    assert 0.05 < share < 0.25
+    after = rest * (1.0 - probability) / (1.0 - probability * rest) + share
+    assert found.updated.weights.tolist() == pytest.approx([after], rel=1e-5)
+
+
+@BOTH
+def test_a_miss_is_weighed_against_what_may_be_one_target(backend: Backend) -> None:
+    """Two particles within reach of each other's squares are one target of .6 or of .2 + .9, which is no more than certain; a third far
+    off is another; what is out of view is not missed."""
+    words = table_of([said("s1", POSE)])
+    places = (20.5, 30.5, 0.2), (22.5, 30.5, 0.4), (20.5, 40.5, 0.2), (20.5, 38.5, 0.9), (25.5, 20.5, 0.3), (5.0, 30.0, 0.5)
+    found = updated(backend, particles(*places), words, rectangle(60.0, 60.0))
+    factors = [0.1 / (1.0 - 0.9 * rest) for rest in (0.6, 0.6, CONFIG.filter.certainty, CONFIG.filter.certainty, 0.3)]
+    expected = [weight * factor for (_, _, weight), factor in zip(places, [*factors, 1.0])]
+    assert found.updated.weights.tolist() == pytest.approx(expected, rel=1e-12)
+
+
+@BOTH
+def test_what_a_detection_accounts_for_is_not_missed_too(backend: Backend) -> None:
+    """A sure target that is detected has its unit of mass and no more, where the PHD filter leaves it 2 - p_d."""
+    words = table_of([said("s1", POSE, (20.0, 30.0))])
+    found = updated(backend, particles((20.0, 30.0, 1.0)), words, rectangle(60.0, 60.0))
+    kappa = 2.0 / (math.pi * 20.0**2 / 2.0)
+    share = 0.9 / (2.0 * math.pi * 0.25) / (kappa + 0.9 / (2.0 * math.pi * 0.25))
+    assert found.mass == pytest.approx(share + (1.0 - share) * 0.1 / (1.0 - 0.9 * (1.0 - share)), rel=1e-12)
+    assert 0.99 < found.mass < 1.0
+
+
+@BOTH
+def test_the_eye_that_sees_least_is_heard_first_whatever_its_name(backend: Backend) -> None:
+    told = particles((20.0, 30.0, 0.8), (20.7, 30.0, 0.3))
+    scans = (("bad", 0.5, (20.1, 30.0)), ("good", 0.95, (20.5, 30.0)))
+    after = []
+    for names in (("s1", "s2"), ("s2", "s1")):
+        gossips = []
+        for name, (_, probability, place) in zip(names, scans):
+            gossips.append((said(name, POSE, place), WedgeSensor(math.pi, 20.0, probability)))
+        gossips.sort(key=lambda one: one[0].sender)
+        words = table([gossip for gossip, _ in gossips], config=CONFIG, sensors=[sensor for _, sensor in gossips])
+        assert [scan.sensor.probability(np.array([[20.0, 30.0]]), POSE)[0] for scan in words.scans()] == [0.5, 0.95]
+        after.append(updated(backend, told, words, rectangle(60.0, 60.0)).updated.weights.tolist())
+    assert after[0] == after[1]
 
 
 @BOTH
@@ -98,7 +141,8 @@ def test_beyond_the_gate_a_detection_says_nothing_of_a_particle(backend: Backend
     for apart, is_near in ((2.99, True), (3.01, False)):
         words = table_of([said("s1", POSE, (20.0 + apart, 30.0))])
         found = updated(backend, particles((20.0, 30.0, 0.3)), words, rectangle(60.0, 60.0))
-        assert (found.updated.weights[0] > 0.3 * (1.0 - 0.9) + 1e-12) == is_near
+        unseen = 0.3 * (1.0 - 0.9) / (1.0 - 0.9 * 0.3)
+        assert (found.updated.weights[0] != pytest.approx(unseen, rel=1e-12)) == is_near
 
 
 def test_clutter_density_is_the_expected_clutter_over_the_area() -> None:
