@@ -233,7 +233,13 @@ app.command(study, group=STUDY, help_epilogue="Example: covey study efficacy --q
 
 
 @app.command(group=STUDY, help_epilogue="Example: covey bench round")
-def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False, seconds: float | None = None) -> int:
+def bench(
+    what: Annotated[str, Parameter(completer=completing.benches)] = "all",
+    /,
+    *,
+    json: Annotated[bool, FLAG] = False,
+    seconds: float | None = None,
+) -> int:
     """Measure this machine.
 
     What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them.

@@ -146,8 +146,42 @@ def test_a_world_that_dies_is_said_with_the_command_that_helps(covey: Covey) -> 
     assert covey.run("restart", "world", "--run", "hunt")[0] == 0
     assert covey.run("down")[0] == 0
     output, _ = supervisor.communicate(timeout=BOUND)
-    assert "world died: killed by SIGKILL; the swarm stands still until `covey restart world --run hunt`" in output
+    assert "world died: killed by SIGKILL; the swarm stands still until `covey restart world --run hunt`, after 60 s" in output
     assert supervisor.returncode == 0
+
+
+HURRY = """
+import sys
+if "up" in sys.orig_argv:
+    from deploy.swarm import supervisor
+    supervisor.WORLD_SECONDS = 2.0
+"""
+
+
+def test_without_a_terminal_a_run_whose_world_nobody_restarts_ends_with_1(covey: Covey) -> None:
+    (covey.folder / "sitecustomize.py").write_text(HURRY)
+    supervisor = covey.start("up", *FEW, "--run", "hunt", variables={"PYTHONPATH": f"{covey.folder}:{ROOT}"})
+    os.kill(rows(covey.running())["world"]["pid"], signal.SIGKILL)
+    output, complaints = supervisor.communicate(timeout=BOUND)
+    assert (supervisor.returncode, complaints) == (1, "")
+    assert "until `covey restart world --run hunt`, after 2 s without it the run ends" in output
+    assert "the world has been dead for 2 s and nobody has restarted it: the run ends" in output
+    assert "OSPA, mean / steady / final" in output
+    covey.wait_until_gone()
+
+
+def test_an_agent_that_is_stopped_from_outside_is_paused_and_goes_on_when_it_is_let(covey: Covey) -> None:
+    supervisor = covey.start("up", *FEW)
+    pid = rows(covey.running())["s1"]["pid"]
+    os.kill(pid, signal.SIGSTOP)
+    data = covey.wait(lambda data: not rows(data)["s1"]["alive"])  # its token is lost after the lease
+    assert (rows(data)["s1"]["state"], rows(data)["s1"]["paused"]) == ("paused", True)
+    os.kill(pid, signal.SIGCONT)
+    covey.wait(lambda data: rows(data)["s1"]["state"] == "running" and rows(data)["s1"]["alive"])
+    assert covey.run("down")[0] == 0
+    output, _ = supervisor.communicate(timeout=BOUND)
+    assert "s1 has been stopped from outside; `covey resume s1` lets it go on" in output
+    assert "s1 goes on, told from outside" in output and "died" not in output
 
 
 LAW = "import os\nclass Bad:\n    def command(self, situation):\n        if situation.tick == 9 and situation.name == 's2':\n"
