@@ -16,7 +16,9 @@ def scenarios(context: CompletionContext) -> list[str]:
 
 def studies(context: CompletionContext) -> list[str]:
     """The names of the studies."""
-    return ["convergence", "efficacy", "heterogeneity", "robustness"]
+    from deploy.studies.study import STUDIES
+
+    return [*STUDIES, "robustness"]
 
 
 def benches(context: CompletionContext) -> list[str]:
