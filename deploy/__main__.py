@@ -5,6 +5,7 @@ import signal
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))  # Ctrl-C while this file imports; nothing runs yet
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # the launcher has blocked it while Python started
 
 import sys
 from dataclasses import replace
@@ -233,7 +234,13 @@ app.command(study, group=STUDY, help_epilogue="Example: covey study efficacy --q
 
 
 @app.command(group=STUDY, help_epilogue="Example: covey bench round")
-def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False, seconds: float | None = None) -> int:
+def bench(
+    what: Annotated[str, Parameter(completer=completing.benches)] = "all",
+    /,
+    *,
+    json: Annotated[bool, FLAG] = False,
+    seconds: float | None = None,
+) -> int:
     """Measure this machine.
 
     What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them.

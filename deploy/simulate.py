@@ -68,6 +68,8 @@ class Simulation:
         scores: bool = True,
     ) -> None:
         check_faults(scenario.faults, list(scenario.members))
+        if any("world" in [name.strip() for name in fault.who.split(",")] for fault in scenario.faults):
+            raise BadSetting("faults: a simulation has no process to strike whose name is world; `covey up` has")
         self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock, pace=0.0))
         self.links = Links(scenario.run.seed, list(scenario.members))
         faulty = any(plain_verb(fault.verb) in LINK_VERBS for fault in scenario.faults)

@@ -30,7 +30,7 @@ def attend(scenario: Scenario, directory: RunDirectory, lock: int, zygote: Zygot
     logging.raiseExceptions = False  # a log that finds no room ends nothing, and is not told in a traceback
     with Display(to_stderr=showing.json) as display:
         try:
-            supervisor = Supervisor(scenario, directory, display.event, display.status, zygote)
+            supervisor = Supervisor(scenario, directory, display.event, display.status, zygote, is_at_terminal())
         except BadSetting:
             if zygote is not None:
                 zygote.close()

@@ -14,6 +14,20 @@ def scenarios(context: CompletionContext) -> list[str]:
     return sorted(file.stem for file in SCENARIOS.glob("*.toml")) + _files(context.incomplete, ".toml")
 
 
+def studies(context: CompletionContext) -> list[str]:
+    """The names of the studies."""
+    from deploy.studies.study import STUDIES
+
+    return [*STUDIES, "robustness"]
+
+
+def benches(context: CompletionContext) -> list[str]:
+    """What can be measured."""
+    from deploy.commands.benching import BENCHES
+
+    return [*BENCHES, "all"]
+
+
 def runs(context: CompletionContext) -> list[str]:
     """The names of the runs that are kept here."""
     folder = _runs_folder()

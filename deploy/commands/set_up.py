@@ -9,6 +9,9 @@ from deploy.commands import completing
 from deploy.commands.app import SET_UP, Named, Options, app, version_line
 from deploy.commands.options import FLAG, WHOLE, RunOptions
 
+# Cyclopts only defines the function that completes: it is called where zsh loads the file, and made known where the file is sourced.
+ZSH_END = 'if [[ "${funcstack[1]}" == _covey ]]; then _cyclopts_covey "$@"; else compdef _cyclopts_covey covey; fi'
+
 
 @app.command(group=SET_UP, help_epilogue="Example: covey init mine.toml")
 def init(file: Path = Path("scenario.toml"), /) -> int:
@@ -62,9 +65,9 @@ def keys(
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     """What completes words with TAB in a shell.
 
-    bash: source it; fish: keep it where fish looks; zsh: keep it as _covey in a folder of $fpath.
+    bash: source it; fish: keep it where fish looks; zsh: source it after compinit, or keep it as _covey in a folder of $fpath.
     """
-    print(app.generate_completion(prog_name="covey", shell=shell))
+    print(app.generate_completion(prog_name="covey", shell=shell) + (ZSH_END if shell == "zsh" else ""))
     return 0
 
 

@@ -5,11 +5,12 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from deploy.commands import completing
 from deploy.commands.options import FLAG, WHOLE
 
 
 def study(
-    name: str,
+    name: Annotated[str, Parameter(completer=completing.studies)],
     /,
     *,
     quick: Annotated[bool, FLAG] = False,

@@ -299,8 +299,9 @@ class Picture:
 
     def _settle(self, quietly: bool = False) -> None:
         """Find out the state of every agent, and put what has changed on the time line."""
+        reached = self._reached()
         for known in self.agents.values():
-            old, new = known.state, self._state(known)
+            old, new = known.state, self._state(known, reached)
             if old == new:
                 continue
             known.state = new
@@ -321,13 +322,19 @@ class Picture:
         elif old == "waiting" and self.truth is not None and self.truth.tick > 1:
             self.note("joined", name, f"{name} has joined")
 
-    def _state(self, known: Known) -> str:
+    def _reached(self) -> int:
+        """The tick by which silence is judged: the newest heard, where two or more speak. A late watcher has not lost everybody."""
+        ticks = [known.gossip.tick for known in self.agents.values() if known.alive and known.gossip is not None]
+        newest = self.truth.tick if self.truth is not None else 0
+        return min(newest, max(ticks)) if len(ticks) > 1 else newest
+
+    def _state(self, known: Known, reached: int) -> str:
         if known.name in self.paused and known.seen:
             return "paused"  # after a while its token goes, too
         if not known.alive:
             return "dead" if known.seen else "waiting"
         if known.gossip is None or self.truth is None:
             return "alive"
-        if self.truth.tick - known.gossip.tick > self._silent_after:
+        if reached - known.gossip.tick > self._silent_after:
             return "silent"
         return "listening" if known.gossip.listening else "alive"

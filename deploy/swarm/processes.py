@@ -12,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from deploy.modules import ROOT, command, environment
@@ -38,6 +39,7 @@ class Child:
     paused: bool = False
     returncode: int | None = None  # of the newest incarnation; negative: the signal that ended it
     ended_at: float | None = None  # Unix time, for people only
+    seen_stopped: bool = False  # since the last signal that was sent from here
     process: subprocess.Popen[bytes] | Forked | None = field(default=None, repr=False)
     zygote: Zygote | None = field(default=None, repr=False)  # forks it; None: it is executed
 
@@ -55,7 +57,7 @@ class Child:
         """Start the next incarnation."""
         assert self.process is None
         self.incarnation += 1
-        self.paused, self.returncode, self.ended_at = False, None, None
+        self.paused, self.seen_stopped, self.returncode, self.ended_at = False, False, None, None
         config = self.directory.agents if self.room == "agents" else self.directory.config
         words = ["--name", self.name, "--config", str(config), "--supervised"]
         words += ["--incarnation", str(self.incarnation), *self.arguments, *extra]
@@ -81,14 +83,29 @@ class Child:
         if self.process.stdin is not None:
             self.process.stdin.close()
         self.returncode, self.ended_at = self.process.returncode, time.time()
-        self.process, self.paused = None, False
+        self.process, self.paused, self.seen_stopped = None, False, False
         return True
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal if it runs."""
         if self.process is not None:
             self.process.send_signal(number)
+            self.seen_stopped = False
             self.paused = number == signal.SIGSTOP or (self.paused and number != signal.SIGCONT)
+
+    def look(self) -> Literal["pause", "resume", ""]:
+        """Notice a SIGSTOP or SIGCONT that was not sent from here, on Linux.
+
+        A SIGSTOP sent from here counts as obeyed from the start: on a busy machine the kernel shows it later.
+        """
+        stopped = self.pid is not None and is_stopped(self.pid)
+        if stopped == self.seen_stopped:
+            return ""
+        self.seen_stopped = stopped
+        if stopped == self.paused:
+            return ""
+        self.paused = stopped
+        return "pause" if stopped else "resume"
 
     def tell(self, line: str) -> None:
         """Write a line to its standard input; dropped when it has ended, or has been stopped for so long that the pipe is full."""
@@ -119,6 +136,14 @@ class Child:
             return ""
         plain = [line for line in lines if line.strip() and not line.startswith("{")]
         return plain[-1] if plain else _message(lines[-1]) if lines else ""
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether the kernel says that a process is stopped (state T); False where there is no /proc."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[0] == "T"
+    except OSError:
+        return False
 
 
 def _message(line: str) -> str:

@@ -35,6 +35,7 @@ from protocol.messages import Truth
 from protocol.settings import BadSetting, NetworkSettings
 
 GRACE = 2.5  # s for children to end by themselves
+WORLD_SECONDS = 60.0  # that a run which nobody attends stands still without a world before it ends
 EXIT_CRASHED = 1  # of a run in which a process ended by an exception
 EXIT_BAD_INPUT = 2
 
@@ -51,8 +52,9 @@ class Supervisor:
         on_event: Callable[[str], None] = lambda text: None,
         on_status: Callable[[Status], None] = lambda status: None,
         zygote: Zygote | None = None,
+        attended: bool = True,
     ) -> None:
-        """`zygote`: from now on the supervisor's, which ends it; None: agents are started from nothing."""
+        """`zygote`: from now on the supervisor's, which ends it; None: agents are started from nothing. `attended`: at a terminal."""
         check_faults(scenario.faults, list(scenario.members), live=True, link_faults=scenario.network.link_faults)
         check_endpoints(scenario.network)
         check_names(scenario)
@@ -76,6 +78,8 @@ class Supervisor:
         self.scorer.on_told = lambda told: on_event(f"[{told.time:.1f} s] {told.text}")
         self.crashed: list[str] = []  # processes that have ended by an exception or a crash of their own
         self._advised = False
+        self._attended = attended
+        self._still_since: float | None = None  # when the world died
         self.children = {name: Child(name, room, directory, self._words(name, seeds)) for name, room in rooms(scenario).items()}
         self._zygote = zygote
         for name in scenario.members:
@@ -129,6 +133,8 @@ class Supervisor:
         while not self._over.done():
             await asyncio.wait([self._over], timeout=0.5)
             self._reap()  # in case a signal was merged with another
+            self._notice_pauses()
+            self._end_without_world()
             status = self._status()
             self._on_status(status)
             if status.pace.advice and not self._advised:
@@ -145,6 +151,22 @@ class Supervisor:
             code = EXIT_CRASHED if self.crashed else 0
         self._make_result(code)
         return code
+
+    def _notice_pauses(self) -> None:
+        """A process that was stopped by a signal from outside is paused as well."""
+        for child in self.children.values():
+            if verb := child.look():
+                self._note_pauses(verb, [child.name])
+                helps = f"has been stopped from outside; `covey resume {child.name}` lets it go on"
+                self._tell(f"{child.name} {helps if verb == 'pause' else 'goes on, told from outside'}")
+
+    def _end_without_world(self) -> None:
+        """End a run whose world is dead, that nobody attends and that nobody has repaired."""
+        if self._attended or self._still_since is None or time.monotonic() < self._still_since + WORLD_SECONDS:
+            return
+        if self._over is not None and not self._over.done():
+            self._tell(f"the world has been dead for {WORLD_SECONDS:.0f} s and nobody has restarted it: the run ends")
+        self._end(EXIT_CRASHED)
 
     def _status(self) -> Status:
         """What is known of the swarm, and what its start waits for."""
@@ -226,7 +248,9 @@ class Supervisor:
             self.crashed.append(child.name)
             words += f": {child.last_words()}"
         if child.name == "world":
-            words += f"; the swarm stands still until `covey restart world --run {self.directory.name}`, Ctrl-C ends the run"
+            self._still_since = time.monotonic()
+            otherwise = "Ctrl-C ends the run" if self._attended else f"after {WORLD_SECONDS:.0f} s without it the run ends"
+            words += f"; the swarm stands still until `covey restart world --run {self.directory.name}`, {otherwise}"
         self._tell(words)
 
     def _fail(self, error: Exception) -> None:
@@ -332,6 +356,8 @@ class Supervisor:
             child.process.kill()
             child.process.wait()
             child.poll()
+        if child.name == "world":
+            self._still_since = None
         if child.name == "world" and self.scorer.truth is not None:
             self.directory.truth.write_bytes(encode(self.scorer.truth))
             child.start("--restore", str(self.directory.truth))

@@ -1,11 +1,14 @@
 """`import covey`: what it gives is what the command gives, and what is wrong is said in one line."""
 
+import inspect
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ import pytest
 import covey
 from covey import plugged
 from deploy.chaos.faults import check_faults
+from deploy.commands.options import RunOptions
 from deploy.scenario import resolve
 from deploy.simulate import simulate
 from deploy.studies.study import plan
@@ -39,6 +43,25 @@ class Ring:
     def footprint(self, pose: covey.Pose) -> np.ndarray:
         turns = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
         return np.column_stack([pose[0] + self.reach * np.cos(turns), pose[1] + self.reach * np.sin(turns)])
+
+
+PROCESSES_ONLY = {
+    "run",
+    "lockstep",
+    "spawn",
+    "strict",
+    "insecure",
+    "keys",
+    "json",
+}  # options of runs with processes, and of the printed result
+
+
+def test_the_options_of_the_interface_are_those_of_the_command_line() -> None:
+    scenario, simulate_ = (inspect.signature(function).parameters for function in (covey.scenario, covey.simulate))
+    assert {**simulate_} == {**scenario, "progress": simulate_["progress"]}
+    assert scenario.keys() - {"name", "sensors"} == {option.name for option in fields(RunOptions)} - PROCESSES_ONLY
+    hints = get_type_hints(RunOptions)
+    assert hints["partition"] == scenario["partition"].annotation and hints["capacity"] == scenario["capacity"].annotation
 
 
 @pytest.fixture(scope="module")
