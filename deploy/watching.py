@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from deploy.scenario import Scenario
-from deploy.swarm.rundir import RunDirectory, find_running
+from deploy.storage.run_directory import RunDirectory, find_running
 from protocol.keys import ROOT, message_key
 from protocol.messages import Message
 from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe

@@ -15,7 +15,7 @@ from deploy.monitor.source import LiveSource
 from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.pace import too_small
 from deploy.scenario import Scenario
-from deploy.swarm.rundir import RunDirectory
+from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.supervisor import EXIT_CRASHED, Supervisor
 from deploy.swarm.zygote import Zygote
 from protocol.process import JsonLines, leave

@@ -6,7 +6,7 @@ import sys
 
 from deploy.pace import too_small
 from deploy.scenario import Scenario
-from deploy.swarm.rundir import ROOM, runs_folder, versions
+from deploy.storage.run_directory import ROOM, runs_folder, versions
 from protocol.endpoints import check_loopback
 from protocol.live import open_session
 from protocol.settings import BadSetting, NetworkSettings

@@ -19,7 +19,7 @@ from deploy.monitor.server import PageServer, address_of
 from deploy.records.recording import DRAWING, Recording, find_recording
 from deploy.records.replay import ReplayNode, ReplaySource
 from deploy.records.rescore import difference, rescore, write_scores
-from deploy.swarm.runs import take
+from deploy.storage.kept_runs import take
 from protocol.endpoints import free_port
 from protocol.live import Driver
 from protocol.settings import BadSetting, NetworkSettings

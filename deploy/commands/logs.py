@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.swarm.rundir import RunDirectory, running_runs, runs_folder
+from deploy.storage.run_directory import RunDirectory, running_runs, runs_folder
 from protocol.keys import order
 from protocol.settings import BadSetting
 

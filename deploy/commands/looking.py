@@ -21,8 +21,8 @@ from deploy.monitor_node import Scorer
 from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.recorder import RecorderNode
 from deploy.result import Fault
+from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.control import ask
-from deploy.swarm.rundir import RunDirectory
 from deploy.watching import Heard, Listener, Rates, block, expression, kinds, plain_line, swarm_to_watch
 from protocol import live
 from protocol.keys import order

@@ -12,9 +12,9 @@ from deploy.commands.options import Showing
 from deploy.modules import command, environment
 from deploy.pace import too_small
 from deploy.scenario import FaultSettings, Scenario, named
+from deploy.storage.kept_runs import take
+from deploy.storage.run_directory import runs_folder
 from deploy.swarm.processes import Spawn, child_environment
-from deploy.swarm.rundir import runs_folder
-from deploy.swarm.runs import take
 from deploy.swarm.zygote import Zygote
 from protocol.endpoints import check_loopback
 from protocol.settings import BadSetting

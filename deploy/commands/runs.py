@@ -9,8 +9,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from deploy.swarm.rundir import RunDirectory, runs_folder
-from deploy.swarm.runs import Kept, age_of, kept_runs, removable, remove
+from deploy.storage.kept_runs import Kept, age_of, kept_runs, removable, remove
+from deploy.storage.run_directory import RunDirectory, runs_folder
 from protocol.settings import BadSetting
 
 PLAIN_WIDTH = 160  # columns where there is no terminal

@@ -73,7 +73,7 @@ def version() -> int:
     """Versions of Covey, of its wire format and of what it stands on."""
     import json
 
-    from deploy.swarm.rundir import versions
+    from deploy.storage.run_directory import versions
 
     print(version_line())
     print(json.dumps(versions(), indent=2))

@@ -17,11 +17,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from deploy.scenario import parse_set
+from deploy.storage.run_directory import runs_folder
 from deploy.studies.engines import Job, Numbered, Play, Rows, Shares, TrialFailed, on_a_cluster, on_this_machine, shared_shares
 from deploy.studies.paired import compare, groups_of, summarise
 from deploy.studies.study import Design, Folder, design, methods_of, plan
 from deploy.studies.trials import Row, cost, run_trial
-from deploy.swarm.rundir import runs_folder
 from protocol.settings import BadSetting
 
 PLAIN_WIDTH = 180  # columns where there is no terminal

@@ -9,8 +9,8 @@ from deploy.chaos.faults import LINK_VERBS
 from deploy.monitor.picture import Picture
 from deploy.monitor_node import Score, Scorer
 from deploy.result import Fault
+from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.control import ask
-from deploy.swarm.rundir import RunDirectory
 from protocol.settings import BadSetting
 
 FRAME_PERIOD = 0.1  # s

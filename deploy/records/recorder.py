@@ -25,7 +25,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from deploy.records.growing import GrowingFile
 from deploy.result import Fault
 from deploy.scenario import Scenario
-from deploy.swarm.rundir import versions
+from deploy.storage.run_directory import versions
 from deploy.toml_text import toml_text
 from protocol.keys import all_of, message_key, token_key
 from protocol.messages import KINDS, Truth

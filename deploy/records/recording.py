@@ -21,8 +21,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from deploy.records.recorder import ABOUT, FAULT
 from deploy.result import Fault
 from deploy.scenario import Scenario
-from deploy.swarm.rundir import runs_folder
-from deploy.swarm.runs import find_run
+from deploy.storage.kept_runs import find_run
+from deploy.storage.run_directory import runs_folder
 from protocol import codec
 from protocol.fields import Malformed
 from protocol.keys import parse_token

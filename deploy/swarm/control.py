@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
-from deploy.swarm.rundir import RunDirectory
+from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
 Answer = dict[str, Any]

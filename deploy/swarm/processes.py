@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from deploy.modules import ROOT, command, environment
 from deploy.scenario import Scenario
-from deploy.swarm.rundir import RunDirectory
+from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.zygote import Forked, Zygote
 from protocol.settings import BadSetting
 

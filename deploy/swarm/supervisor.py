@@ -20,10 +20,10 @@ from deploy.chaos.links import Links, describe
 from deploy.monitor_node import Scorer, Status
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario
+from deploy.storage.kept_runs import link_latest
+from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.control import Answer, ControlServer
 from deploy.swarm.processes import Child, check_names, endpoints, process_rows, rooms
-from deploy.swarm.rundir import RunDirectory
-from deploy.swarm.runs import link_latest
 from deploy.swarm.seeds import seed_listeners
 from deploy.swarm.startline import StartLine
 from deploy.swarm.zygote import Zygote

@@ -7,7 +7,7 @@ import pytest
 
 from deploy.commands.ended import ps_all
 from deploy.commands.logs import Tails, logs
-from deploy.swarm.rundir import RunDirectory
+from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
 

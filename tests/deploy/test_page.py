@@ -19,7 +19,7 @@ from deploy.monitor_node import Score, Scorer
 from deploy.onlookers import Onlookers
 from deploy.scenario import resolve
 from deploy.simulate import Simulation
-from deploy.swarm.rundir import RunDirectory
+from deploy.storage.run_directory import RunDirectory
 from protocol.endpoints import free_port
 from protocol.node import Gone
 from protocol.settings import BadSetting

@@ -21,8 +21,8 @@ from typing import Any, TypeVar
 from deploy.monitor_node import Score
 from deploy.records.recording import Recording, event_of
 from deploy.records.rescore import rescore
+from deploy.storage.run_directory import find_running
 from deploy.swarm.control import ControlClient
-from deploy.swarm.rundir import find_running
 from protocol.messages import Message
 from protocol.node import Alive, Event, Gone, Received
 from protocol.settings import BadSetting

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.swarm.rundir import LATEST, RunDirectory, is_running_already, runs_folder
+from deploy.storage.run_directory import LATEST, RunDirectory, is_running_already, runs_folder
 from protocol.settings import BadSetting
 
 LONGEST = 64  # characters of a name, which is a part of every key

@@ -10,7 +10,7 @@
                 control.json   where the supervisor's control socket is
                 page           the address of the page, if there is one
 
-`runs` lies in the current directory unless COVEY_RUNS names another place. How runs are named and kept: `deploy.swarm.runs`.
+`runs` lies in the current directory unless COVEY_RUNS names another place. How runs are named and kept: `deploy.storage.kept_runs`.
 """
 
 import contextlib
