@@ -11,7 +11,7 @@ from agents.births import LEAST_PRIOR, prior_size
 from agents.capacity import sensor_facts
 from agents.control import CheckedLaw, Situation, control_law
 from agents.particles import Particles
-from deploy.chaos.faults import check_fault
+from deploy.faults.faults import check_fault
 from deploy.scenario import FaultSettings, Scenario, spelled_out
 from deploy.swarm.processes import check_names
 from protocol.endpoints import check_endpoints

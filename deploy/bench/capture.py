@@ -6,7 +6,7 @@ from typing import NamedTuple
 from agents.neighbours import Neighbours
 from agents.round import Outcome, Self
 from deploy.scenario import Scenario
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol import codec
 from protocol.keys import all_of, message_key, order
 from protocol.messages import Gossip, Truth

@@ -7,7 +7,7 @@ import shapely
 
 from agents.arithmetic import PLAIN
 from deploy.bench.timing import Row, median_seconds
-from deploy.simulate import compiled
+from deploy.simulation import compiled
 from protocol.geometry import rectangle
 
 

@@ -14,7 +14,7 @@ from agents.agent import Agent
 from deploy.bench import central
 from deploy.bench.timing import Row, in_turns
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation, compiled
+from deploy.simulation import Simulation, compiled
 from protocol.messages import Message, Truth
 from protocol.node import Batch, Effect, Event
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.arithmetic import Arithmetic
-from deploy.chaos.injector import Build
 from deploy.chaos.invariants import Broken, Watch
+from deploy.faults.injector import Build
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.streams import stream
 
 CALM_START, CHAOS, SETTLE, CALM_END = 2.0, 20.0, 5.0, 2.0  # s

@@ -11,7 +11,7 @@ from agents.belief import MOST_COPIES, share_of
 from agents.round import Outcome
 from agents.said import MOST_TICKS
 from deploy.chaos.oracle import Oracle, distance, united
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.geometry import polygon_area
 from protocol.keys import all_of
 from protocol.messages import Command, Estimate, Gossip, Hello, Truth

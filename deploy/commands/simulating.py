@@ -14,7 +14,7 @@ from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.trace import Trace, check_trace
 from deploy.result import Result
 from deploy.scenario import Scenario, named
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from deploy.storage.kept_runs import link_latest, take
 from deploy.swarm.warm import announce
 from protocol.messages import Truth

@@ -5,7 +5,7 @@ import contextlib
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from deploy.chaos.faults import LINK_VERBS
+from deploy.faults.faults import LINK_VERBS
 from deploy.monitor.picture import Picture
 from deploy.monitor_node import Score, Scorer
 from deploy.result import Fault

@@ -14,7 +14,7 @@ import numpy as np
 
 from deploy.extras import need
 from deploy.result import Result
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.messages import Truth
 from protocol.settings import BadSetting
 

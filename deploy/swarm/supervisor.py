@@ -15,8 +15,8 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from deploy.chaos.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
-from deploy.chaos.links import Links, describe
+from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
+from deploy.faults.links import Links, describe
 from deploy.monitor_node import Scorer, Status
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario

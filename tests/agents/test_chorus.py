@@ -6,7 +6,7 @@ from agents.arithmetic import PLAIN
 from agents.chorus import Chorus, chorus_of
 from agents.config import AgentConfig, TimingSettings
 from agents.words import Words, learn
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES

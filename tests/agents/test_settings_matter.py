@@ -18,7 +18,7 @@ from agents.config import (
     TimingSettings,
 )
 from deploy.scenario import resolve
-from deploy.simulate import Simulation, compiled
+from deploy.simulation import Simulation, compiled
 from protocol.messages import Message
 from protocol.node import Event, Received
 from tests.golden.fields import digest, values_of

@@ -16,7 +16,7 @@ from agents.places import NOBODY
 from agents.round import _claim
 from agents.step import Step
 from agents.words import KAPPA, Words, eye_of, learn, side_by_side
-from deploy.simulate import compiled
+from deploy.simulation import compiled
 from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.keys import order

@@ -9,7 +9,7 @@ from agents.neighbours import Neighbours
 from agents.peers import Outfit, understood
 from agents.unison import Part, Together, Unison, together_of
 from agents.words import learn
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch, Effect, Received
 from protocol.sensing import SENSOR_CLASSES

@@ -10,7 +10,7 @@ from deploy.bench.simulations import scale
 from deploy.bench.timing import in_turns, median_seconds, table
 from deploy.commands.benching import bench
 from deploy.scenario import Scenario, resolve
-from deploy.simulate import compiled, simulate
+from deploy.simulation import compiled, simulate
 from protocol.settings import BadSetting
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from deploy.chronicle import Chronicle, View, names_of, shares
 from deploy.result import Told
 from deploy.scenario import FaultSettings, resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 
 
 def box(west: float, south: float, east: float, north: float) -> np.ndarray:

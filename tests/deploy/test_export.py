@@ -22,7 +22,7 @@ from deploy.records.recorder import Recorder
 from deploy.records.recording import Recording, find_recording
 from deploy.records.to_rerun import write_rerun
 from deploy.scenario import FaultSettings, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.messages import Truth
 from protocol.settings import BadSetting
 

@@ -12,9 +12,9 @@ import pytest
 
 import covey
 from covey import plugged
-from deploy.chaos.faults import check_faults
+from deploy.faults.faults import check_faults
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from deploy.studies.study import plan
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,7 +65,7 @@ def test_a_run_is_that_of_the_simulation_and_its_arrays_are_the_series_behind_th
 
 
 def test_bodies_stand_where_the_arrays_say(run: covey.Run) -> None:
-    from deploy.simulate import Simulation
+    from deploy.simulation import Simulation
 
     simulation = Simulation(run.scenario)
     seen = {}

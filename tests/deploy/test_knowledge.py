@@ -9,7 +9,7 @@ import pytest
 from agents.agent import Agent
 from agents.config import AgentConfig
 from deploy.scenario import Scenario, agent_config, filter_seed, resolve, world_config
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.processes import Child
 from protocol.settings import BadSetting, load

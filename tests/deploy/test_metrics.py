@@ -7,7 +7,7 @@ from pathlib import Path
 from deploy.metrics import PageFigures, prometheus_text
 from deploy.monitor.picture import Picture
 from deploy.scenario import resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.node import Rejected
 
 ROOT = Path(__file__).resolve().parents[2]

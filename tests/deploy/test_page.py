@@ -18,7 +18,7 @@ from deploy.monitor.source import LiveSource
 from deploy.monitor_node import Score, Scorer
 from deploy.onlookers import Onlookers
 from deploy.scenario import resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from deploy.storage.run_directory import RunDirectory
 from protocol.endpoints import free_port
 from protocol.node import Gone

@@ -10,7 +10,7 @@ import pytest
 from deploy.monitor.frames import belief, density_grid, frame, greeting, moment
 from deploy.monitor.picture import Picture, silent_after
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.fields import pack
 from protocol.messages import Gossip, Hello, Message, Truth
 from protocol.node import Alive, Gone, Received, Rejected

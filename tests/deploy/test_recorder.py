@@ -19,7 +19,7 @@ from deploy.records.recording import Recording, event_of, find_recording
 from deploy.records.rescore import difference, rescore, write_scores
 from deploy.result import Fault, Result
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol import codec
 from protocol.keys import message_key
 from protocol.messages import KINDS, Command, Truth

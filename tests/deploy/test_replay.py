@@ -12,7 +12,7 @@ from deploy.onlookers import Onlookers, open_recorder
 from deploy.records.recording import Recording
 from deploy.records.replay import ReplayNode, ReplaySource
 from deploy.scenario import FaultSettings, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.messages import Command, Message
 from protocol.node import Started, Timer
 from protocol.settings import BadSetting

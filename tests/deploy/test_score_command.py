@@ -9,7 +9,7 @@ import pytest
 from deploy.commands.keeping import score
 from deploy.onlookers import Onlookers, open_recorder
 from deploy.scenario import resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 
 
 def test_the_score_of_a_recording_is_worked_out_anew_and_not_read_from_the_result_beside_it(

@@ -12,7 +12,7 @@ import pytest
 from deploy.records.trace import Trace, check_trace
 from deploy.result import Result
 from deploy.scenario import FaultSettings, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.settings import BadSetting
 
 

@@ -22,7 +22,7 @@ def compiled():
 
 warm()
 before = compiled()
-from deploy.simulate import compiled as fast
+from deploy.simulation import compiled as fast
 from tests.swarm.scene import fault, ledger, tracking, watch
 struck = (fault(1.0, "drop", "100%", 0.3, seconds=2.0), fault(3.0, "slow", "s2", 0.6, seconds=2.0), fault(5.0, "kill", "s3", seconds=2.0))
 struck += (fault(7.0, "pause", "s4", seconds=2.0), fault(9.0, "partition", "50%", seconds=3.0))

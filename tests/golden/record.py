@@ -8,7 +8,7 @@ import string
 from typing import NamedTuple
 
 from agents.arithmetic import Arithmetic
-from deploy.simulate import Simulation, rare_collections
+from deploy.simulation import Simulation, rare_collections
 from protocol.keys import order
 from protocol.node import Event, Received
 from tests.golden.cases import TICKS, Case

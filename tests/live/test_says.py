@@ -15,7 +15,7 @@ import urllib.request
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from tests.live.harness import BOUND, PATIENT, ROOT, Covey, rows
 
 pytestmark = pytest.mark.live

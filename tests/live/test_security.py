@@ -12,7 +12,7 @@ import pytest
 import zenoh
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from deploy.swarm.keys import make_keys
 from protocol import codec, keys, live
 from protocol.endpoints import free_port

@@ -11,7 +11,7 @@ from deploy.onlookers import Onlookers, open_recorder
 from deploy.records.recording import Recording
 from deploy.scenario import resolve
 from deploy.scores import Score
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from tests.oracle.said import Tick, ticks_of
 
 

@@ -8,7 +8,7 @@ from agents.claims import Claim
 from agents.particles import Particles
 from deploy.chaos.oracle import Distance, Oracle, distance, united
 from deploy.scenario import Scenario
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.keys import all_of
 from protocol.messages import Gossip, Truth
 from protocol.node import Effect, Event, Received, Started, Subscribe

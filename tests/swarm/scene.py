@@ -10,7 +10,7 @@ from agents.agent import Agent
 from agents.arithmetic import Arithmetic
 from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.keys import all_of
 from protocol.messages import Estimate
 from protocol.node import Effect, Event, Received, Started, Subscribe

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from agents.arithmetic import PLAIN, Arithmetic, Refreshed
-from deploy.simulate import Simulation, compiled
+from deploy.simulation import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ from agents.arithmetic import PLAIN
 from agents.particles import Particles
 from deploy.chaos.oracle import distance
 from deploy.scenario import Scenario, resolve
-from deploy.simulate import compiled
+from deploy.simulation import compiled
 from tests.swarm.oracle import compare
 
 

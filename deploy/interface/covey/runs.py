@@ -218,7 +218,7 @@ def simulate(
 
     `progress` is called with the share of the ticks that are done. Raises BadSetting naming what is wrong.
     """
-    from deploy.simulate import Simulation
+    from deploy.simulation import Simulation
     from deploy.swarm.warm import announce
 
     found = scenario(

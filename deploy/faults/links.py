@@ -1,4 +1,4 @@
-"""The links of a whole swarm: what the link verbs of `deploy.chaos.faults` do to every direction between two nodes.
+"""The links of a whole swarm: what the link verbs of `deploy.faults.faults` do to every direction between two nodes.
 
 In a simulation `Links` lies between the nodes of the virtual bus; live, the supervisor tells every agent its own `reception`. Faults
 without names in them touch the links between agents only: the world and the monitor are reached through them by name.
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from deploy.chaos.faults import SHARES, Action
+from deploy.faults.faults import SHARES, Action
 from protocol.links import CLEAR, Condition, Ears, Reception
 
 Direction = tuple[str, str]  # sender, receiver

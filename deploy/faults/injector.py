@@ -12,8 +12,8 @@ import msgspec
 from agents.agent import Agent
 from agents.arithmetic import Arithmetic
 from agents.config import AgentConfig
-from deploy.chaos.faults import LINK_VERBS, Action
-from deploy.chaos.links import Links
+from deploy.faults.faults import LINK_VERBS, Action
+from deploy.faults.links import Links
 from deploy.scenario import Scenario, agent_config
 from protocol.node import Alive, Gone
 from protocol.virtual import VirtualBus

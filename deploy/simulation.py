@@ -14,9 +14,9 @@ import msgspec
 
 from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
-from deploy.chaos.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
-from deploy.chaos.injector import Build, Injector
-from deploy.chaos.links import Links, describe
+from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
+from deploy.faults.injector import Build, Injector
+from deploy.faults.links import Links, describe
 from deploy.monitor_node import Scorer
 from deploy.result import Result
 from deploy.scenario import Scenario, world_config
