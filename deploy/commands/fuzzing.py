@@ -5,7 +5,7 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from deploy.chaos.fuzz import run
+from deploy.verify.fuzz import run
 from protocol.settings import BadSetting
 
 

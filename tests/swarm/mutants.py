@@ -17,8 +17,8 @@ from agents.config import AgentConfig
 from agents.neighbours import Neighbours, Peer
 from agents.particles import Particles, select
 from agents.round import Outcome, Self
-from deploy.chaos import fuzz
-from deploy.chaos.fuzz import Case
+from deploy.verify import fuzz
+from deploy.verify.fuzz import Case
 from protocol.messages import Gossip, Observation
 from protocol.streams import key, scramble
 

@@ -6,9 +6,9 @@ from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.claims import Claim
 from agents.particles import Particles
-from deploy.chaos.oracle import Distance, Oracle, distance, united
 from deploy.scenario import Scenario
 from deploy.simulation import Simulation
+from deploy.verify.central_filter import Distance, Oracle, distance, united
 from protocol.keys import all_of
 from protocol.messages import Gossip, Truth
 from protocol.node import Effect, Event, Received, Started, Subscribe

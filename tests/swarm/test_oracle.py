@@ -5,9 +5,9 @@ import pytest
 
 from agents.arithmetic import PLAIN
 from agents.particles import Particles
-from deploy.chaos.oracle import distance
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import compiled
+from deploy.verify.central_filter import distance
 from tests.swarm.oracle import compare
 
 

@@ -1,7 +1,7 @@
 """`covey fuzz`: deterministic simulation of small swarms under faults that one seed draws.
 
 A case has three phases: chaos, in which the faults of its profile strike; healing, in which links, clocks and agents are put right;
-and a calm end, in which the swarm must be one again. Safety is checked after every event (`deploy.chaos.invariants`), liveness at the end:
+and a calm end, in which the swarm must be one again. Safety is checked after every event (`deploy.verify.invariants`), liveness at the end:
 all live agents agree, their cells tile the arena, and from then on they are the central filter particle by particle. A failing seed is
 shrunk to the fewest faults that still fail, and one command replays it.
 """
@@ -17,10 +17,10 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.arithmetic import Arithmetic
-from deploy.chaos.invariants import Broken, Watch
 from deploy.faults.injector import Build
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
+from deploy.verify.invariants import Broken, Watch
 from protocol.streams import stream
 
 CALM_START, CHAOS, SETTLE, CALM_END = 2.0, 20.0, 5.0, 2.0  # s

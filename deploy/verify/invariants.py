@@ -10,8 +10,8 @@ from agents.agent import Agent
 from agents.belief import MOST_COPIES, share_of
 from agents.round import Outcome
 from agents.said import MOST_TICKS
-from deploy.chaos.oracle import Oracle, distance, united
 from deploy.simulation import Simulation
+from deploy.verify.central_filter import Oracle, distance, united
 from protocol.geometry import polygon_area
 from protocol.keys import all_of
 from protocol.messages import Command, Estimate, Gossip, Hello, Truth
