@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from deploy.monitor.picture import Picture
-from deploy.monitor_node import Score
+from deploy.scoring.scorer import Score
 
 STATES = ("waiting", "alive", "listening", "silent", "paused", "dead")
 Sample = tuple[dict[str, str], float]

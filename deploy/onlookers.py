@@ -10,11 +10,11 @@ from types import TracebackType
 
 from deploy.monitor.picture import PAUSES
 from deploy.monitor.server import PageServer
-from deploy.monitor_node import Scorer
 from deploy.records.recorder import FLUSH_SECONDS, Recorder
 from deploy.records.recording import NAME
-from deploy.result import Fault, Told
 from deploy.scenario import Scenario
+from deploy.scoring.result import Fault, Told
+from deploy.scoring.scorer import Scorer
 from protocol.node import Event, Gone
 from protocol.settings import BadSetting
 

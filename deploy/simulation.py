@@ -17,9 +17,9 @@ from agents.arithmetic import PLAIN, Arithmetic
 from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
 from deploy.faults.injector import Build, Injector
 from deploy.faults.links import Links, describe
-from deploy.monitor_node import Scorer
-from deploy.result import Result
 from deploy.scenario import Scenario, world_config
+from deploy.scoring.result import Result
+from deploy.scoring.scorer import Scorer
 from protocol.messages import Truth
 from protocol.settings import BadSetting
 from protocol.virtual import Link, VirtualBus

@@ -26,9 +26,9 @@ from deploy.bench.timing import Row, cpu_seconds, median_seconds
 from deploy.modules import ROOT, command, environment
 from deploy.monitor.frames import frame
 from deploy.monitor.picture import Picture
-from deploy.monitor_node import Scorer
 from deploy.records.recorder import Recorder
 from deploy.records.recording import Entry, Recording, event_of
+from deploy.scoring.scorer import Scorer
 from protocol.endpoints import free_port
 from protocol.node import Event
 from protocol.settings import BadSetting

@@ -13,8 +13,8 @@ from deploy.monitor.picture import Picture
 from deploy.monitor.server import PageServer, address_of
 from deploy.monitor.source import LiveSource
 from deploy.onlookers import Onlookers, open_recorder, recording_path
-from deploy.pace import too_small
 from deploy.scenario import Scenario
+from deploy.scoring.pace import too_small
 from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.supervisor import EXIT_CRASHED, Supervisor
 from deploy.swarm.zygote import Zygote

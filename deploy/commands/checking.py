@@ -4,8 +4,8 @@ import os
 import shutil
 import sys
 
-from deploy.pace import too_small
 from deploy.scenario import Scenario
+from deploy.scoring.pace import too_small
 from deploy.storage.run_directory import ROOM, runs_folder, versions
 from protocol.endpoints import check_loopback
 from protocol.live import open_session

@@ -13,8 +13,8 @@ from rich.live import Live
 from rich.table import Table
 
 if TYPE_CHECKING:  # they bring scipy and shapely, which `ps` has no use for
-    from deploy.monitor_node import Status
-    from deploy.result import Result
+    from deploy.scoring.result import Result
+    from deploy.scoring.scorer import Status
 
 PLAIN_PERIOD = 5.0  # s between two plain lines
 LIVE_PERIOD = 0.25  # s between two pictures of the panel

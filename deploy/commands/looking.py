@@ -17,10 +17,10 @@ from rich.table import Table
 from deploy.monitor.picture import Picture
 from deploy.monitor.server import PageServer, address_of
 from deploy.monitor.source import LiveSource
-from deploy.monitor_node import Scorer
 from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.recorder import RecorderNode
-from deploy.result import Fault
+from deploy.scoring.result import Fault
+from deploy.scoring.scorer import Scorer
 from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.control import ask
 from deploy.watching import Heard, Listener, Rates, block, expression, kinds, plain_line, swarm_to_watch

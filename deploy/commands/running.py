@@ -10,8 +10,8 @@ import msgspec
 
 from deploy.commands.options import Showing
 from deploy.modules import command, environment
-from deploy.pace import too_small
 from deploy.scenario import FaultSettings, Scenario, named
+from deploy.scoring.pace import too_small
 from deploy.storage.kept_runs import take
 from deploy.storage.run_directory import runs_folder
 from deploy.swarm.processes import Spawn, child_environment

@@ -12,8 +12,8 @@ from rich.console import Console
 from deploy.commands.display import show_result
 from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.trace import Trace, check_trace
-from deploy.result import Result
 from deploy.scenario import Scenario, named
+from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from deploy.storage.kept_runs import link_latest, take
 from deploy.swarm.warm import announce

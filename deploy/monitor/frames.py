@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from deploy.monitor.picture import Happening, Known, Picture
-from deploy.monitor_node import Score
+from deploy.scoring.scorer import Score
 from protocol.keys import order
 
 LONGEST_SIDE = 128  # squares of the density grid

@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from deploy.result import Fault
 from deploy.scenario import Scenario
+from deploy.scoring.result import Fault
 from protocol.keys import order
 from protocol.messages import Estimate, Gossip, Hello, Observation, Truth
 from protocol.node import Alive, Event, Gone, Received, Rejected

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 from deploy.faults.faults import LINK_VERBS
 from deploy.monitor.picture import Picture
-from deploy.monitor_node import Score, Scorer
-from deploy.result import Fault
+from deploy.scoring.result import Fault
+from deploy.scoring.scorer import Score, Scorer
 from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.control import ask
 from protocol.settings import BadSetting

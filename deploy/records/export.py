@@ -11,9 +11,9 @@ from typing import Any
 import pyarrow
 from pyarrow import csv, parquet
 
-from deploy.monitor_node import Scorer
 from deploy.records.recording import Recording, event_of
 from deploy.records.rescore import COLUMNS
+from deploy.scoring.scorer import Scorer
 from protocol.geometry import polygon_area
 from protocol.messages import Estimate, Gossip, Message, Truth
 from protocol.node import Received

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from deploy.monitor.picture import Picture
-from deploy.monitor_node import Score, Scorer
 from deploy.records.export import messages
 from deploy.records.recording import Recording
+from deploy.scoring.scorer import Score, Scorer
 from protocol.messages import Truth
 from protocol.node import Event
 

@@ -23,8 +23,8 @@ import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
 from deploy.records.growing import GrowingFile
-from deploy.result import Fault
 from deploy.scenario import Scenario
+from deploy.scoring.result import Fault
 from deploy.storage.run_directory import versions
 from deploy.toml_text import toml_text
 from protocol.keys import all_of, message_key, token_key

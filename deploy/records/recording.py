@@ -19,8 +19,8 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from deploy.records.recorder import ABOUT, FAULT
-from deploy.result import Fault
 from deploy.scenario import Scenario
+from deploy.scoring.result import Fault
 from deploy.storage.kept_runs import find_run
 from deploy.storage.run_directory import runs_folder
 from protocol import codec

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from deploy.monitor.picture import TRAIL, Picture, paused_after
-from deploy.monitor_node import Score, Scorer
 from deploy.records.recording import Entry, Recording, event_of
 from deploy.records.rescore import rescore_slowly
+from deploy.scoring.scorer import Score, Scorer
 from protocol.keys import parse_message_key
 from protocol.messages import Message
 from protocol.node import Effect, Event, Received, Started, Timer

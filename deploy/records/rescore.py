@@ -8,9 +8,9 @@ from pathlib import Path
 
 import msgspec
 
-from deploy.monitor_node import Score, Scorer
 from deploy.records.recording import Recording, event_of
-from deploy.result import Result
+from deploy.scoring.result import Result
+from deploy.scoring.scorer import Score, Scorer
 
 FIGURES = (
     *("mean_ospa", "steady_ospa", "final_ospa", "mean_gospa", "steady_gospa", "final_gospa"),

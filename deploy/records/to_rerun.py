@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deploy.monitor.picture import Picture
-from deploy.monitor_node import Score
 from deploy.records.moments import colour_of, moments
 from deploy.records.recording import Recording
 from deploy.records.rescore import COLUMNS
+from deploy.scoring.scorer import Score
 from protocol.settings import BadSetting
 
 if TYPE_CHECKING:

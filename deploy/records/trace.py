@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from deploy.extras import need
-from deploy.result import Result
+from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from protocol.messages import Truth
 from protocol.settings import BadSetting

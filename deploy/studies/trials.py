@@ -14,14 +14,14 @@ from typing import Any
 
 import msgspec
 
-from deploy.result import Result
 from deploy.scenario import Scenario, resolve
+from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from protocol.settings import BadSetting
 
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
-CORE = ("protocol", "agents", "world", "deploy/simulation.py", "deploy/scenario.py", "deploy/monitor_node.py", "deploy/scores.py")
+CORE = ("protocol", "agents", "world", "deploy/simulation.py", "deploy/scenario.py", "deploy/scoring/scorer.py", "deploy/scoring/scores.py")
 LEFT_OUT = ("wall_s", "bytes", "kills", "missing", "events", "pace", "exit_code")  # of a result: what another machine changes, and lists
 FLAGS = {  # options of `covey simulate`
     "run.seed": "--seed",

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agents.numba_cache import loops_on_disk, number_of_loops
-from deploy.monitor_node import Scorer
+from deploy.scoring.scorer import Scorer
 from deploy.swarm.processes import Child
 from deploy.swarm.zygote import Zygote
 from protocol.messages import Truth

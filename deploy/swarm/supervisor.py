@@ -17,9 +17,9 @@ import numpy as np
 
 from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
 from deploy.faults.links import Links, describe
-from deploy.monitor_node import Scorer, Status
-from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario
+from deploy.scoring.result import Result
+from deploy.scoring.scorer import Scorer, Status
 from deploy.storage.kept_runs import link_latest
 from deploy.storage.run_directory import RunDirectory
 from deploy.swarm.control import Answer, ControlServer

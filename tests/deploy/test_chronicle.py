@@ -3,9 +3,9 @@
 import msgspec
 import numpy as np
 
-from deploy.chronicle import Chronicle, View, names_of, shares
-from deploy.result import Told
 from deploy.scenario import FaultSettings, resolve
+from deploy.scoring.chronicle import Chronicle, View, names_of, shares
+from deploy.scoring.result import Told
 from deploy.simulation import simulate
 
 

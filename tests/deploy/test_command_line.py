@@ -12,7 +12,7 @@ from cyclopts import App
 from deploy.__main__ import app
 from deploy.commands.acting import meant
 from deploy.commands.app import SET_UP
-from deploy.result import VERSION
+from deploy.scoring.result import VERSION
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).parents[2]

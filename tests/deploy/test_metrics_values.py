@@ -2,7 +2,7 @@
 
 from deploy.metrics import PageFigures, prometheus_text
 from deploy.monitor.picture import Picture
-from deploy.scores import Score
+from deploy.scoring.scores import Score
 from protocol.node import Alive, Gone
 from tests.deploy.test_metrics import played, samples
 

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from deploy.commands.display import pace_words
-from deploy.pace import Pace, PaceStatus, asked_per_s, too_small
 from deploy.scenario import Scenario, resolve
+from deploy.scoring.pace import Pace, PaceStatus, asked_per_s, too_small
 
 
 def scenario(**run: Any) -> Scenario:

@@ -15,9 +15,9 @@ from deploy.__main__ import app
 from deploy.monitor.picture import Picture
 from deploy.monitor.server import Address, Client, PageServer, address_of
 from deploy.monitor.source import LiveSource
-from deploy.monitor_node import Score, Scorer
 from deploy.onlookers import Onlookers
 from deploy.scenario import resolve
+from deploy.scoring.scorer import Score, Scorer
 from deploy.simulation import Simulation
 from deploy.storage.run_directory import RunDirectory
 from protocol.endpoints import free_port

@@ -17,8 +17,8 @@ from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.records.recorder import CHUNK_SECONDS, Recorder, message_schema
 from deploy.records.recording import Recording, event_of, find_recording
 from deploy.records.rescore import difference, rescore, write_scores
-from deploy.result import Fault, Result
 from deploy.scenario import FaultSettings, Scenario, resolve
+from deploy.scoring.result import Fault, Result
 from deploy.simulation import Simulation
 from protocol import codec
 from protocol.keys import message_key

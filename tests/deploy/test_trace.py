@@ -10,8 +10,8 @@ import pyarrow.parquet
 import pytest
 
 from deploy.records.trace import Trace, check_trace
-from deploy.result import Result
 from deploy.scenario import FaultSettings, resolve
+from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from protocol.settings import BadSetting
 

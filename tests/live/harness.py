@@ -18,9 +18,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from deploy.monitor_node import Score
 from deploy.records.recording import Recording, event_of
 from deploy.records.rescore import rescore
+from deploy.scoring.scorer import Score
 from deploy.storage.run_directory import find_running
 from deploy.swarm.control import ControlClient
 from protocol.messages import Message

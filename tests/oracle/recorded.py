@@ -10,7 +10,7 @@ import msgspec
 from deploy.onlookers import Onlookers, open_recorder
 from deploy.records.recording import Recording
 from deploy.scenario import resolve
-from deploy.scores import Score
+from deploy.scoring.scores import Score
 from deploy.simulation import Simulation
 from tests.oracle.said import Tick, ticks_of
 

@@ -8,8 +8,8 @@ import msgspec
 
 from agents.agent import Agent
 from agents.arithmetic import Arithmetic
-from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario, resolve
+from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from protocol.keys import all_of
 from protocol.messages import Estimate

@@ -12,9 +12,9 @@ import numpy as np
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
 from covey.plugged import name_of
 from deploy.commands.options import RunOptions
-from deploy.result import Result
 from deploy.scenario import Scenario
-from deploy.scores import Score
+from deploy.scoring.result import Result
+from deploy.scoring.scores import Score
 from deploy.toml_text import toml_text
 from protocol.messages import Truth
 from protocol.settings import BadSetting
@@ -253,9 +253,9 @@ def simulate(
 
 def load(name: str | Path) -> Run:
     """A recorded run: the name of a run, its directory, or a recording (.mcap); scored again from what was heard."""
-    from deploy.monitor_node import Scorer
     from deploy.records.recording import Recording, find_recording
     from deploy.records.rescore import rescore_slowly
+    from deploy.scoring.scorer import Scorer
 
     recording = Recording(find_recording(str(name)))
     scorer = Scorer(recording.scenario)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from deploy.pace import PaceStatus
+from deploy.scoring.pace import PaceStatus
 
 VERSION = "0.1.0"
 

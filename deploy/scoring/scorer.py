@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from deploy.chronicle import Chronicle, View
-from deploy.losses import Losses
-from deploy.pace import Pace
-from deploy.result import Fault, Result, Told
 from deploy.scenario import Scenario, agent_config
-from deploy.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
-from deploy.status import AgentStatus, Status
+from deploy.scoring.chronicle import Chronicle, View
+from deploy.scoring.losses import Losses
+from deploy.scoring.pace import Pace
+from deploy.scoring.result import Fault, Result, Told
+from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
+from deploy.scoring.status import AgentStatus, Status
 from protocol.agreement import disagreement
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from deploy.result import Told
+from deploy.scoring.result import Told
 
 CLOSED = 1e-6  # of the arena: cells leave no hole, and do not overlap
 NEAR = 3.0  # m

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from deploy.pace import PaceStatus
+from deploy.scoring.pace import PaceStatus
 
 
 class AgentStatus(msgspec.Struct, kw_only=True):

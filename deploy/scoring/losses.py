@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from deploy.chronicle import CLOSED
-from deploy.result import Kill
+from deploy.scoring.chronicle import CLOSED
+from deploy.scoring.result import Kill
 
 
 @dataclass(slots=True)
