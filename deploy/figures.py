@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 
-from deploy.monitor.frames import density_grid
-from deploy.monitor.picture import Picture
+from deploy.page.frames import density_grid
+from deploy.page.picture import Picture
 from deploy.records.recording import Recording, event_of
 from protocol.messages import Truth
 from protocol.node import Received

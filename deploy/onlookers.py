@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from deploy.monitor.picture import PAUSES
-from deploy.monitor.server import PageServer
+from deploy.page.picture import PAUSES
+from deploy.page.server import PageServer
 from deploy.records.recorder import FLUSH_SECONDS, Recorder
 from deploy.records.recording import NAME
 from deploy.scenario import Scenario

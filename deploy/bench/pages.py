@@ -24,8 +24,8 @@ from deploy.bench.browser import Browser, browser, parent
 from deploy.bench.processes import TEAMS, Mark, Swarm, cpu_of, swarm
 from deploy.bench.timing import Row, cpu_seconds, median_seconds
 from deploy.modules import ROOT, command, environment
-from deploy.monitor.frames import frame
-from deploy.monitor.picture import Picture
+from deploy.page.frames import frame
+from deploy.page.picture import Picture
 from deploy.records.recorder import Recorder
 from deploy.records.recording import Entry, Recording, event_of
 from deploy.scoring.scorer import Scorer

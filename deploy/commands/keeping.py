@@ -15,7 +15,7 @@ from rich.console import Console
 
 from deploy.commands.display import result_table
 from deploy.extras import need
-from deploy.monitor.server import PageServer, address_of
+from deploy.page.server import PageServer, address_of
 from deploy.records.recording import DRAWING, Recording, find_recording
 from deploy.records.replay import ReplayNode, ReplaySource
 from deploy.records.rescore import difference, rescore, write_scores

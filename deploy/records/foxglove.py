@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import Writer
 
-from deploy.monitor.picture import Picture
+from deploy.page.picture import Picture
 from deploy.records.moments import colour_of, moments
 from deploy.records.recording import Recording
 from deploy.records.rescore import COLUMNS

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from deploy.monitor.picture import Picture
+from deploy.page.picture import Picture
 from deploy.records.export import messages
 from deploy.records.recording import Recording
 from deploy.scoring.scorer import Score, Scorer

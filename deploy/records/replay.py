@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from deploy.monitor.picture import TRAIL, Picture, paused_after
+from deploy.page.picture import TRAIL, Picture, paused_after
 from deploy.records.recording import Entry, Recording, event_of
 from deploy.records.rescore import rescore_slowly
 from deploy.scoring.scorer import Score, Scorer

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deploy.monitor.picture import Picture
+from deploy.page.picture import Picture
 from deploy.records.moments import colour_of, moments
 from deploy.records.recording import Recording
 from deploy.records.rescore import COLUMNS

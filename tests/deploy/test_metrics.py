@@ -4,8 +4,8 @@ import json
 import re
 from pathlib import Path
 
-from deploy.metrics import PageFigures, prometheus_text
-from deploy.monitor.picture import Picture
+from deploy.page.metrics import PageFigures, prometheus_text
+from deploy.page.picture import Picture
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
 from protocol.node import Rejected
@@ -73,7 +73,7 @@ def test_names_from_outside_cannot_break_a_line() -> None:
 
 
 def test_the_dashboard_asks_for_nothing_that_is_not_exported() -> None:
-    board = json.loads((ROOT / "deploy" / "grafana.json").read_text(encoding="utf-8"))
+    board = json.loads((ROOT / "deploy" / "page" / "grafana.json").read_text(encoding="utf-8"))
     asked = {name for panel in board["panels"] for target in panel["targets"] for name in re.findall(r"covey_[a-z_]+", target["expr"])}
     simulation, picture = played(10)
     picture.see(Rejected("s1", "format"), 0.0)
@@ -84,7 +84,7 @@ def test_the_dashboard_asks_for_nothing_that_is_not_exported() -> None:
 
 
 def test_the_dashboard_is_one_that_grafana_lays_out_as_it_stands() -> None:
-    board = json.loads((ROOT / "deploy" / "grafana.json").read_text(encoding="utf-8"))
+    board = json.loads((ROOT / "deploy" / "page" / "grafana.json").read_text(encoding="utf-8"))
     assert board["schemaVersion"] >= 36  # data sources by uid
     assert {"title", "uid", "time", "templating", "annotations", "panels"} <= set(board)
     names = {variable["name"] for variable in board["templating"]["list"]}

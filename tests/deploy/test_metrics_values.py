@@ -1,7 +1,7 @@
 """Every figure of a score stands under its own name in the metrics, and an agent that has gone is down."""
 
-from deploy.metrics import PageFigures, prometheus_text
-from deploy.monitor.picture import Picture
+from deploy.page.metrics import PageFigures, prometheus_text
+from deploy.page.picture import Picture
 from deploy.scoring.scores import Score
 from protocol.node import Alive, Gone
 from tests.deploy.test_metrics import played, samples

@@ -12,10 +12,10 @@ import msgspec
 import pytest
 
 from deploy.__main__ import app
-from deploy.monitor.picture import Picture
-from deploy.monitor.server import Address, Client, PageServer, address_of
-from deploy.monitor.source import LiveSource
 from deploy.onlookers import Onlookers
+from deploy.page.picture import Picture
+from deploy.page.server import Address, Client, PageServer, address_of
+from deploy.page.source import LiveSource
 from deploy.scenario import resolve
 from deploy.scoring.scorer import Score, Scorer
 from deploy.simulation import Simulation
@@ -157,7 +157,7 @@ def test_the_page_its_parts_the_moment_one_agent_and_the_metrics_can_be_fetched(
 
 
 def test_the_page_loads_nothing_from_elsewhere() -> None:
-    from deploy.monitor.server import STATIC
+    from deploy.page.server import STATIC
 
     texts = {file.name: file.read_text(encoding="utf-8") for file in STATIC.iterdir() if file.suffix in (".html", ".css", ".js")}
     assert {"index.html", "page.css", "main.js"} <= set(texts)

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from deploy.monitor.frames import belief, density_grid, frame, greeting, moment
-from deploy.monitor.picture import Picture, silent_after
+from deploy.page.frames import belief, density_grid, frame, greeting, moment
+from deploy.page.picture import Picture, silent_after
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
 from protocol.fields import pack

@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from deploy.monitor.frames import moment
 from deploy.onlookers import Onlookers, open_recorder
+from deploy.page.frames import moment
 from deploy.records.recording import Recording
 from deploy.records.replay import ReplayNode, ReplaySource
 from deploy.scenario import FaultSettings, resolve

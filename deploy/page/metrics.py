@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from deploy.monitor.picture import Picture
+from deploy.page.picture import Picture
 from deploy.scoring.scorer import Score
 
 STATES = ("waiting", "alive", "listening", "silent", "paused", "dead")

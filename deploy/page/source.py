@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from deploy.faults.faults import LINK_VERBS
-from deploy.monitor.picture import Picture
+from deploy.page.picture import Picture
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Score, Scorer
 from deploy.storage.run_directory import RunDirectory

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deploy.monitor.picture import Happening, Known, Picture
+from deploy.page.picture import Happening, Known, Picture
 from deploy.scoring.scorer import Score
 from protocol.keys import order
 

@@ -16,9 +16,9 @@ import msgspec
 from aiohttp import WSMsgType, web
 from aiohttp.typedefs import Handler
 
-from deploy.metrics import PageFigures, prometheus_text
-from deploy.monitor.frames import belief, frame, greeting, moment
-from deploy.monitor.source import Source
+from deploy.page.frames import belief, frame, greeting, moment
+from deploy.page.metrics import PageFigures, prometheus_text
+from deploy.page.source import Source
 from protocol.endpoints import free_port
 from protocol.settings import BadSetting
 
