@@ -19,7 +19,7 @@ from matplotlib.markers import MarkerStyle
 
 from deploy.page.frames import density_grid
 from deploy.page.picture import Picture
-from deploy.records.recording import Recording, event_of
+from deploy.recording.recording import Recording, event_of
 from protocol.messages import Truth
 from protocol.node import Received
 from protocol.settings import BadSetting

@@ -26,8 +26,8 @@ from deploy.bench.timing import Row, cpu_seconds, median_seconds
 from deploy.modules import ROOT, command, environment
 from deploy.page.frames import frame
 from deploy.page.picture import Picture
-from deploy.records.recorder import Recorder
-from deploy.records.recording import Entry, Recording, event_of
+from deploy.recording.recorder import Recorder
+from deploy.recording.recording import Entry, Recording, event_of
 from deploy.scoring.scorer import Scorer
 from protocol.endpoints import free_port
 from protocol.node import Event

@@ -9,10 +9,10 @@ from typing import NoReturn
 from deploy.commands.display import Display, show_result
 from deploy.commands.options import Showing
 from deploy.commands.staying import is_at_terminal, open_browser, until_key
-from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of
 from deploy.page.source import LiveSource
+from deploy.recording.observers import Onlookers, open_recorder, recording_path
 from deploy.scenario import Scenario
 from deploy.scoring.pace import too_small
 from deploy.storage.run_directory import RunDirectory

@@ -16,9 +16,9 @@ from rich.console import Console
 from deploy.commands.display import result_table
 from deploy.extras import need
 from deploy.page.server import PageServer, address_of
-from deploy.records.recording import DRAWING, Recording, find_recording
-from deploy.records.replay import ReplayNode, ReplaySource
-from deploy.records.rescore import difference, rescore, write_scores
+from deploy.recording.recording import DRAWING, Recording, find_recording
+from deploy.recording.replay import ReplayNode, ReplaySource
+from deploy.recording.rescore import difference, rescore, write_scores
 from deploy.storage.kept_runs import take
 from protocol.endpoints import free_port
 from protocol.live import Driver
@@ -57,12 +57,12 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
 def export(name: str, form: str, out: Path | None) -> int:
     """Write a recording in the form of other tools."""
     need("export")
-    from deploy.records.export import write_tables  # these load slowly
-    from deploy.records.foxglove import write_foxglove
+    from deploy.recording.foxglove import write_foxglove
+    from deploy.recording.tables import write_tables  # these load slowly
 
     recording = Recording(find_recording(name))
     if form == "rerun":
-        from deploy.records.to_rerun import write_rerun
+        from deploy.recording.rerun_file import write_rerun
 
         file = out or recording.path.with_suffix(".rrd")
         with writing("--out", file):

@@ -14,11 +14,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from deploy.onlookers import Onlookers, open_recorder, recording_path
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of
 from deploy.page.source import LiveSource
-from deploy.records.recorder import RecorderNode
+from deploy.recording.observers import Onlookers, open_recorder, recording_path
+from deploy.recording.recorder import RecorderNode
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Scorer
 from deploy.storage.run_directory import RunDirectory

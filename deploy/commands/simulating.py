@@ -10,8 +10,8 @@ from typing import Literal
 from rich.console import Console
 
 from deploy.commands.display import show_result
-from deploy.onlookers import Onlookers, open_recorder, recording_path
-from deploy.records.trace import Trace, check_trace
+from deploy.recording.observers import Onlookers, open_recorder, recording_path
+from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation

@@ -15,12 +15,12 @@ from pyarrow import csv, parquet
 
 from deploy.commands import keeping
 from deploy.figures import Ways, pictures, write_animation, write_figure
-from deploy.onlookers import Onlookers, open_recorder
-from deploy.records.export import messages, tables, write_tables
-from deploy.records.foxglove import SCENE_SCHEMA, write_foxglove
-from deploy.records.recorder import Recorder
-from deploy.records.recording import Recording, find_recording
-from deploy.records.to_rerun import write_rerun
+from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
+from deploy.recording.observers import Onlookers, open_recorder
+from deploy.recording.recorder import Recorder
+from deploy.recording.recording import Recording, find_recording
+from deploy.recording.rerun_file import write_rerun
+from deploy.recording.tables import messages, tables, write_tables
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
 from protocol.messages import Truth

@@ -12,10 +12,10 @@ import msgspec
 import pytest
 
 from deploy.__main__ import app
-from deploy.onlookers import Onlookers
 from deploy.page.picture import Picture
 from deploy.page.server import Address, Client, PageServer, address_of
 from deploy.page.source import LiveSource
+from deploy.recording.observers import Onlookers
 from deploy.scenario import resolve
 from deploy.scoring.scorer import Score, Scorer
 from deploy.simulation import Simulation

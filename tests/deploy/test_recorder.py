@@ -13,10 +13,10 @@ from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
-from deploy.onlookers import Onlookers, open_recorder, recording_path
-from deploy.records.recorder import CHUNK_SECONDS, Recorder, message_schema
-from deploy.records.recording import Recording, event_of, find_recording
-from deploy.records.rescore import difference, rescore, write_scores
+from deploy.recording.observers import Onlookers, open_recorder, recording_path
+from deploy.recording.recorder import CHUNK_SECONDS, Recorder, message_schema
+from deploy.recording.recording import Recording, event_of, find_recording
+from deploy.recording.rescore import difference, rescore, write_scores
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.scoring.result import Fault, Result
 from deploy.simulation import Simulation

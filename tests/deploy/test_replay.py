@@ -7,10 +7,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from deploy.onlookers import Onlookers, open_recorder
 from deploy.page.frames import moment
-from deploy.records.recording import Recording
-from deploy.records.replay import ReplayNode, ReplaySource
+from deploy.recording.observers import Onlookers, open_recorder
+from deploy.recording.recording import Recording
+from deploy.recording.replay import ReplayNode, ReplaySource
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
 from protocol.messages import Command, Message

@@ -10,7 +10,7 @@ import pytest
 from deploy.__main__ import app
 from deploy.commands.runs import rm, runs
 from deploy.commands.simulating import simulate_here
-from deploy.records.recording import find_recording
+from deploy.recording.recording import find_recording
 from deploy.scenario import resolve
 from deploy.storage.kept_runs import age_of, find_run, kept_runs, link_latest, take
 from deploy.storage.run_directory import LATEST, RunDirectory, find_running, running_runs, runs_folder

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from deploy.commands.keeping import score
-from deploy.onlookers import Onlookers, open_recorder
+from deploy.recording.observers import Onlookers, open_recorder
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from deploy.records.trace import Trace, check_trace
+from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import FaultSettings, resolve
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation

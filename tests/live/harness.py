@@ -18,8 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from deploy.records.recording import Recording, event_of
-from deploy.records.rescore import rescore
+from deploy.recording.recording import Recording, event_of
+from deploy.recording.rescore import rescore
 from deploy.scoring.scorer import Score
 from deploy.storage.run_directory import find_running
 from deploy.swarm.control import ControlClient

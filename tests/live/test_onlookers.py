@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.records.recording import Recording
+from deploy.recording.recording import Recording
 from deploy.scenario import resolve
 from deploy.simulation import simulate
 from tests.live.harness import PATIENT, Covey

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from deploy.records.recording import Recording, event_of
+from deploy.recording.recording import Recording, event_of
 from protocol.messages import Estimate, Truth
 from protocol.node import Received
 from tests.live.harness import ROOT, Covey, rows

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from deploy.onlookers import Onlookers, open_recorder
-from deploy.records.recording import Recording
+from deploy.recording.observers import Onlookers, open_recorder
+from deploy.recording.recording import Recording
 from deploy.scenario import resolve
 from deploy.scoring.scores import Score
 from deploy.simulation import Simulation

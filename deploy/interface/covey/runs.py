@@ -253,8 +253,8 @@ def simulate(
 
 def load(name: str | Path) -> Run:
     """A recorded run: the name of a run, its directory, or a recording (.mcap); scored again from what was heard."""
-    from deploy.records.recording import Recording, find_recording
-    from deploy.records.rescore import rescore_slowly
+    from deploy.recording.recording import Recording, find_recording
+    from deploy.recording.rescore import rescore_slowly
     from deploy.scoring.scorer import Scorer
 
     recording = Recording(find_recording(str(name)))

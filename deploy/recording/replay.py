@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from deploy.page.picture import TRAIL, Picture, paused_after
-from deploy.records.recording import Entry, Recording, event_of
-from deploy.records.rescore import rescore_slowly
+from deploy.recording.recording import Entry, Recording, event_of
+from deploy.recording.rescore import rescore_slowly
 from deploy.scoring.scorer import Score, Scorer
 from protocol.keys import parse_message_key
 from protocol.messages import Message

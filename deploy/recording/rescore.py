@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from deploy.records.recording import Recording, event_of
+from deploy.recording.recording import Recording, event_of
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Score, Scorer
 

@@ -22,7 +22,7 @@ import msgspec
 import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
-from deploy.records.growing import GrowingFile
+from deploy.recording.crash_safe_file import GrowingFile
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
 from deploy.storage.run_directory import versions

@@ -10,8 +10,8 @@ from types import TracebackType
 
 from deploy.page.picture import PAUSES
 from deploy.page.server import PageServer
-from deploy.records.recorder import FLUSH_SECONDS, Recorder
-from deploy.records.recording import NAME
+from deploy.recording.recorder import FLUSH_SECONDS, Recorder
+from deploy.recording.recording import NAME
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault, Told
 from deploy.scoring.scorer import Scorer

@@ -1,7 +1,7 @@
 """A recording in the forms of other tools: tables as CSV or Parquet.
 
 Five tables: `scores` (a row per tick), `agents` (per agent and tick), `targets` (true), `estimates`, `detections`. Lengths in m,
-times in s, angles in rad. The drawing for Foxglove is in `deploy.records.foxglove`.
+times in s, angles in rad. The drawing for Foxglove is in `deploy.recording.foxglove`.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,8 +11,8 @@ from typing import Any
 import pyarrow
 from pyarrow import csv, parquet
 
-from deploy.records.recording import Recording, event_of
-from deploy.records.rescore import COLUMNS
+from deploy.recording.recording import Recording, event_of
+from deploy.recording.rescore import COLUMNS
 from deploy.scoring.scorer import Scorer
 from protocol.geometry import polygon_area
 from protocol.messages import Estimate, Gossip, Message, Truth

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deploy.page.picture import Picture
-from deploy.records.moments import colour_of, moments
-from deploy.records.recording import Recording
-from deploy.records.rescore import COLUMNS
+from deploy.recording.moments import colour_of, moments
+from deploy.recording.recording import Recording
+from deploy.recording.rescore import COLUMNS
 from deploy.scoring.scorer import Score
 from protocol.settings import BadSetting
 

@@ -13,9 +13,9 @@ import numpy as np
 from mcap.writer import Writer
 
 from deploy.page.picture import Picture
-from deploy.records.moments import colour_of, moments
-from deploy.records.recording import Recording
-from deploy.records.rescore import COLUMNS
+from deploy.recording.moments import colour_of, moments
+from deploy.recording.recording import Recording
+from deploy.recording.rescore import COLUMNS
 
 Json = dict[str, Any]
 SCENE_SCHEMA = Path(__file__).with_name("foxglove_scene.json")  # of the message that Foxglove knows by this name

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from deploy.page.picture import Picture
-from deploy.records.export import messages
-from deploy.records.recording import Recording
+from deploy.recording.recording import Recording
+from deploy.recording.tables import messages
 from deploy.scoring.scorer import Score, Scorer
 from protocol.messages import Truth
 from protocol.node import Event

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from deploy.records.recorder import ABOUT, FAULT
+from deploy.recording.recorder import ABOUT, FAULT
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
 from deploy.storage.kept_runs import find_run
