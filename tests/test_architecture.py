@@ -240,7 +240,7 @@ OFFENDERS: list[tuple[Rule, str, str]] = [
     (global_randomness_in_core, "agents/x.py", "from numpy.random import rand\n"),
     (star_and_relative_imports, "deploy/x.py", "from math import *\n"),
     (star_and_relative_imports, "world/x.py", "from .targets import Targets\n"),
-    (modules_named_in_strings, "deploy/x.py", "run([python, '-m', 'deploy.swarm.zygote'])\n"),
+    (modules_named_in_strings, "deploy/x.py", "run([python, '-m', 'deploy.live.zygote'])\n"),
     (modules_named_in_strings, "agents/x.py", "LAW = 'agents.pursuit:Pursuit'\n"),
     (too_long, "deploy/x.py", "x = 1\n" * (MOST_LINES + 1)),
     (no_module_docstring, "world/x.py", "x = 1\n"),

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 from deploy import modules
 from deploy.bench.timing import Row
+from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory
-from deploy.swarm.control import ControlClient
 from protocol.settings import BadSetting
 
 PAGE_TOTAL = "Pss:"

@@ -9,8 +9,8 @@ from rich.console import Console
 
 from deploy.commands import board, ended
 from deploy.commands.display import process_table, swarm_line
+from deploy.live.control import ControlClient
 from deploy.storage.run_directory import find_running
-from deploy.swarm.control import ControlClient
 from protocol.settings import BadSetting
 
 WATCH_PERIOD = 0.5  # s

@@ -9,6 +9,8 @@ from typing import NoReturn
 from deploy.commands.display import Display, show_result
 from deploy.commands.options import Showing
 from deploy.commands.staying import is_at_terminal, open_browser, until_key
+from deploy.live.supervisor import EXIT_CRASHED, Supervisor
+from deploy.live.zygote import Zygote
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of
 from deploy.page.source import LiveSource
@@ -16,8 +18,6 @@ from deploy.recording.observers import Onlookers, open_recorder, recording_path
 from deploy.scenario import Scenario
 from deploy.scoring.pace import too_small
 from deploy.storage.run_directory import RunDirectory
-from deploy.swarm.supervisor import EXIT_CRASHED, Supervisor
-from deploy.swarm.zygote import Zygote
 from protocol.process import JsonLines, leave
 from protocol.settings import BadSetting
 

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from deploy.commands.display import process_table
 from deploy.commands.logs import Tails, kept_runs
+from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory, running_runs
-from deploy.swarm.control import ControlClient
 from protocol.settings import BadSetting, read_toml
 
 PLAIN_WIDTH = 160  # columns where there is no terminal

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from deploy.live.certificates import AUTHORITY, make_keys
 from deploy.scenario import resolve
-from deploy.swarm.keys import AUTHORITY, make_keys
 from protocol.access import WATCHER, WORLD
 from protocol.settings import BadSetting
 

@@ -9,13 +9,13 @@ from typing import NoReturn
 import msgspec
 
 from deploy.commands.options import Showing
+from deploy.live.processes import Spawn, child_environment
+from deploy.live.zygote import Zygote
 from deploy.modules import command, environment
 from deploy.scenario import FaultSettings, Scenario, named
 from deploy.scoring.pace import too_small
 from deploy.storage.kept_runs import take
 from deploy.storage.run_directory import runs_folder
-from deploy.swarm.processes import Spawn, child_environment
-from deploy.swarm.zygote import Zygote
 from protocol.endpoints import check_loopback
 from protocol.settings import BadSetting
 

@@ -10,13 +10,13 @@ from typing import Literal
 from rich.console import Console
 
 from deploy.commands.display import show_result
+from deploy.live.warmup import announce
 from deploy.recording.observers import Onlookers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from deploy.storage.kept_runs import link_latest, take
-from deploy.swarm.warm import announce
 from protocol.messages import Truth
 
 

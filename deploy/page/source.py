@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from deploy.faults.faults import LINK_VERBS
+from deploy.live.control import ask
 from deploy.page.picture import Picture
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Score, Scorer
 from deploy.storage.run_directory import RunDirectory
-from deploy.swarm.control import ask
 from protocol.settings import BadSetting
 
 FRAME_PERIOD = 0.1  # s

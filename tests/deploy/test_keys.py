@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from deploy.commands.keys import keys
-from deploy.swarm.keys import make_keys
+from deploy.live.certificates import make_keys
 from protocol.settings import BadSetting
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from deploy.live.processes import Child, endpoints, process_rows
 from deploy.storage.run_directory import RunDirectory
-from deploy.swarm.processes import Child, endpoints, process_rows
 
 
 @pytest.fixture

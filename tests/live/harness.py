@@ -18,11 +18,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from deploy.live.control import ControlClient
 from deploy.recording.recording import Recording, event_of
 from deploy.recording.rescore import rescore
 from deploy.scoring.scorer import Score
 from deploy.storage.run_directory import find_running
-from deploy.swarm.control import ControlClient
 from protocol.messages import Message
 from protocol.node import Alive, Event, Gone, Received
 from protocol.settings import BadSetting

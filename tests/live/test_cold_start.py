@@ -18,7 +18,7 @@ GONE = 3.0  # s after Ctrl-C, in which all must be gone
 BUSY = 5.0  # times that: other tests run beside this one
 SLOW = """
 import sys, time
-if "deploy.swarm.zygote" in sys.orig_argv:
+if "deploy.live.zygote" in sys.orig_argv:
     time.sleep(12.0)
 """
 DYING = """

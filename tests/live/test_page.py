@@ -33,7 +33,7 @@ BUSY = 5.0  # times the limits that the page promises: other tests run beside th
 
 SLOW = """
 import sys, time
-if "deploy.swarm.zygote" in sys.orig_argv:
+if "deploy.live.zygote" in sys.orig_argv:
     time.sleep(20.0)
 """
 

@@ -218,8 +218,8 @@ def simulate(
 
     `progress` is called with the share of the ticks that are done. Raises BadSetting naming what is wrong.
     """
+    from deploy.live.warmup import announce
     from deploy.simulation import Simulation
-    from deploy.swarm.warm import announce
 
     found = scenario(
         name,

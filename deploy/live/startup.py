@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agents.numba_cache import loops_on_disk, number_of_loops
+from deploy.live.processes import Child
+from deploy.live.zygote import Zygote
 from deploy.scoring.scorer import Scorer
-from deploy.swarm.processes import Child
-from deploy.swarm.zygote import Zygote
 from protocol.messages import Truth
 
 HOLD = 20.0  # s that the last agent is held back at most, while the monitor hears of no further process

@@ -55,7 +55,7 @@ def warm() -> None:
 
 def _compile_on_two_cores(fast: Arithmetic) -> None:
     """Leave the loops on disk: one half is compiled here, the other by a second process, which ends with this one."""
-    other = subprocess.Popen(command("deploy.swarm.warm"), cwd=ROOT, stdin=subprocess.PIPE)
+    other = subprocess.Popen(command("deploy.live.warmup"), cwd=ROOT, stdin=subprocess.PIPE)
     try:
         _play_all(PLAIN._replace(**{name: getattr(fast, name) for name in HALF}))
         other.wait()

@@ -84,7 +84,7 @@ class Zygote:
         self.is_gone = False
         with log.open("ab") as output:
             self._process = subprocess.Popen(
-                [*command("deploy.swarm.zygote"), str(theirs.fileno())],
+                [*command("deploy.live.zygote"), str(theirs.fileno())],
                 cwd=ROOT,
                 env=environment,
                 stdin=subprocess.PIPE,  # its end tells of a supervisor that died before the zygote could ask for a signal
@@ -224,7 +224,7 @@ def main() -> None:
 
     channel = socket.socket(fileno=int(sys.argv[1]))
     die_with_parent()
-    from deploy.swarm.warm import warm
+    from deploy.live.warmup import warm
 
     warm()
     if os.environ.get("COVEY_ROUNDS") == "empty":  # the reference of `covey bench live`

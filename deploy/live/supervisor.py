@@ -17,16 +17,16 @@ import numpy as np
 
 from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
 from deploy.faults.links import Links, describe
+from deploy.live.control import Answer, ControlServer
+from deploy.live.processes import Child, check_names, endpoints, process_rows, rooms
+from deploy.live.seeds import seed_listeners
+from deploy.live.startup import StartLine
+from deploy.live.zygote import Zygote
 from deploy.scenario import FaultSettings, Scenario
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer, Status
 from deploy.storage.kept_runs import link_latest
 from deploy.storage.run_directory import RunDirectory
-from deploy.swarm.control import Answer, ControlServer
-from deploy.swarm.processes import Child, check_names, endpoints, process_rows, rooms
-from deploy.swarm.seeds import seed_listeners
-from deploy.swarm.startline import StartLine
-from deploy.swarm.zygote import Zygote
 from protocol.codec import encode
 from protocol.endpoints import check_endpoints, check_files
 from protocol.links import as_line

@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from deploy.live.zygote import Forked, Zygote
 from deploy.modules import ROOT, command, environment
 from deploy.scenario import Scenario
 from deploy.storage.run_directory import RunDirectory
-from deploy.swarm.zygote import Forked, Zygote
 from protocol.settings import BadSetting
 
 Spawn = Literal["zygote", "exec"]  # how agents are started
