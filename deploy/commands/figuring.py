@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from deploy.plots.study_figures import draw
 from deploy.studies.study import read_results
-from deploy.studies.study_figures import draw
 from protocol.settings import BadSetting
 
 

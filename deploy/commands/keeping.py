@@ -84,7 +84,7 @@ def export(name: str, form: str, out: Path | None) -> int:
 
 def figures(name: str, out: Path | None, animate: bool) -> int:
     """Draw the figures of one run."""
-    from deploy.figures import write_animation, write_figure  # loads matplotlib
+    from deploy.plots.run_figures import write_animation, write_figure  # loads matplotlib
 
     recording = Recording(find_recording(name))
     folder = out or recording.path.parent / "figures"

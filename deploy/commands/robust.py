@@ -48,7 +48,7 @@ def study(
     as_json: bool,
 ) -> int:
     """Play all bouts and write curves, tables and figure."""
-    from deploy.studies.robustness_figure import write
+    from deploy.plots.robustness_figure import write
 
     size = QUICK if quick else FULL
     options = {"run.dt": DT, **options}

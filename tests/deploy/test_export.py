@@ -14,7 +14,7 @@ from PIL import Image
 from pyarrow import csv, parquet
 
 from deploy.commands import keeping
-from deploy.figures import Ways, pictures, write_animation, write_figure
+from deploy.plots.run_figures import Ways, pictures, write_animation, write_figure
 from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
 from deploy.recording.observers import Onlookers, open_recorder
 from deploy.recording.recorder import Recorder

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from deploy.commands import robust
+from deploy.plots.robustness_figure import mosaic
 from deploy.scenario import resolve
 from deploy.studies import robustness
 from deploy.studies.robustness import FRESH, LEVELS, NONE, Bout, Curve, line, plan, play, recovery, summary, table
-from deploy.studies.robustness_figure import mosaic
 from protocol.settings import BadSetting
 
 SMALL = {"team.composition": "A2,B4", "arena.width": 25.0, "arena.height": 25.0, "targets.count": 3, "run.dt": 0.5}

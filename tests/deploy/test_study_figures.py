@@ -6,8 +6,8 @@ import matplotlib.pyplot as plt
 import pytest
 
 from deploy.commands.figuring import figures_of_study, is_study
+from deploy.plots.study_figures import boxes, differences, draw, level_of
 from deploy.studies.study import Folder
-from deploy.studies.study_figures import boxes, differences, draw, level_of
 from deploy.studies.trials import Row
 from protocol.settings import BadSetting
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from deploy.plots.study_figures import STYLE, _write, plt
 from deploy.studies.robustness import NONE, Row, curve, summary, table
-from deploy.studies.study_figures import STYLE, _write, plt
 
 SHOWN: dict[str, tuple[float, ...]] = {  # as curves
     "kill": (0.1, 0.3, 0.5),
