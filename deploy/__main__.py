@@ -1,4 +1,4 @@
-"""The `covey` command: names, options and help; the work is in `deploy.commands`, imported when it is wanted."""
+"""The `covey` command: names, options and help; the work is in `deploy.cli`, imported when it is wanted."""
 
 import os
 import signal
@@ -15,10 +15,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported b
 
 from cyclopts import Parameter
 
-from deploy.commands import acts, completing, set_up  # noqa: F401 -- they add their commands
-from deploy.commands.app import KEEP, LOOK, RUN, STUDY, Kept, Named, Open, Options, Page, Record, Run, Trace, app
-from deploy.commands.options import FLAG, WHOLE, RunOptions, Showing
-from deploy.commands.study_options import study
+from deploy.cli import completion as completing
+from deploy.cli.app import KEEP, LOOK, RUN, STUDY, Kept, Named, Open, Options, Page, Record, Run, Trace, app
+from deploy.cli.commands import setup as set_up  # noqa: F401 -- they add their commands
+from deploy.cli.commands.study import study
+from deploy.cli.options import FLAG, WHOLE, RunOptions, Showing
 
 DEMO_PACE = 2.5  # world seconds per second: the 200 s of the demo take 80 s
 
@@ -36,7 +37,7 @@ def demo(
 
     At a pace that the eye can follow (80 s), or --fast. In a terminal the page stays until Enter or Ctrl-C.
     """
-    from deploy.commands import running
+    from deploy.cli import start as running
 
     paced = not fast and not options.lockstep and options.rate is None
     settings = [f"run.pace={DEMO_PACE}", *options.settings] if paced else options.settings
@@ -57,7 +58,7 @@ def up(
     options: Options = RunOptions(),
 ) -> int:
     """Run a scenario with real processes."""
-    from deploy.commands import running
+    from deploy.cli import start as running
 
     resolved = options.scenario(scenario)
     running.up(resolved, options.wish(resolved), detach, Showing(options.json, record, page or open, open), options.spawn)
@@ -69,7 +70,7 @@ def simulate(scenario: Named = "convergence", /, *, record: Record = False, trac
 
     With --rate the world waits for nobody, as on a clock. The result is printed, and kept as a run only with --run NAME or --record.
     """
-    from deploy.commands import simulating
+    from deploy.cli import simulate as simulating
 
     clock: Literal["lockstep", "realtime"] = "lockstep" if options.rate is None or options.lockstep else "realtime"
     resolved = options.scenario(scenario)
@@ -84,7 +85,7 @@ def ps(
 
     -a: of all running swarms of this folder, and a line for each run that has ended.
     """
-    from deploy.commands import acting
+    from deploy.cli import control as acting
 
     return acting.ps(run, json, all)
 
@@ -95,7 +96,8 @@ def watch(*, page: Page = False, run: Run = None) -> int:
 
     Keys: the arrows choose a process, k kills it, p pauses it or lets it go on, r restarts it, q quits.
     """
-    from deploy.commands import acting, looking
+    from deploy.cli import control as acting
+    from deploy.cli import listen as looking
 
     return looking.watch_page(page, run) if page else acting.watch(run)
 
@@ -112,7 +114,7 @@ def logs(
 
     Also of a run that has ended. -f: go on until the run ends.
     """
-    from deploy.commands import logs as reading
+    from deploy.cli import logs as reading
 
     return reading.logs(names, run, follow, lines, json)
 
@@ -123,7 +125,7 @@ def echo(key: str = "**", /, *, count: Annotated[int | None, WHOLE] = None, run:
 
     Key: truth, estimate/s3, 'gossip/*', or any key expression.
     """
-    from deploy.commands import looking
+    from deploy.cli import listen as looking
 
     return looking.echo(key, count, run)
 
@@ -131,7 +133,7 @@ def echo(key: str = "**", /, *, count: Annotated[int | None, WHOLE] = None, run:
 @app.command(group=LOOK, help_epilogue="Example: covey hz 'gossip/*' --seconds 5")
 def hz(key: str = "**", /, *, seconds: float | None = None, run: Run = None) -> int:
     """How often and how much is said under a key."""
-    from deploy.commands import looking
+    from deploy.cli import listen as looking
 
     return looking.hz(key, seconds, run)
 
@@ -139,7 +141,7 @@ def hz(key: str = "**", /, *, seconds: float | None = None, run: Run = None) -> 
 @app.command(group=LOOK, help_epilogue="Example: covey ls")
 def ls(*, seconds: float = 2.0, run: Run = None) -> int:
     """Who is there, and every key under which something is said."""
-    from deploy.commands import looking
+    from deploy.cli import listen as looking
 
     return looking.ls(seconds, run)
 
@@ -150,7 +152,7 @@ def runs(*, json: Annotated[bool, FLAG] = False) -> int:
 
     Scenario, seed, when, state, steady OSPA and size of the recording.
     """
-    from deploy.commands import runs as listing
+    from deploy.cli import runs as listing
 
     return listing.runs(json)
 
@@ -167,7 +169,7 @@ def rm(
     Running ones are refused. --older-than takes 30m, 12h, 7d or 2w. --all and --older-than ask first; where there is no terminal they
     need -y.
     """
-    from deploy.commands import runs as listing
+    from deploy.cli import runs as listing
 
     return listing.rm(names, all, older_than, yes)
 
@@ -178,7 +180,7 @@ def record(file: Path | None = None, /, *, run: Run = None) -> int:
 
     Until Ctrl-C or its end; without a file into its run directory.
     """
-    from deploy.commands import looking
+    from deploy.cli import listen as looking
 
     return looking.record(file, run)
 
@@ -189,7 +191,7 @@ def replay(recording: Kept, /, *, page: Page = True, speed: float = 1.0, publish
 
     --publish: also under the same keys.
     """
-    from deploy.commands import keeping
+    from deploy.cli import recordings as keeping
 
     return keeping.replay(recording, page, speed, publish)
 
@@ -197,7 +199,7 @@ def replay(recording: Kept, /, *, page: Page = True, speed: float = 1.0, publish
 @app.command(group=KEEP, help_epilogue="Example: covey score hunt --csv ticks.csv")
 def score(recording: Kept, /, *, csv: Path | None = None, json: Annotated[bool, FLAG] = False) -> int:
     """OSPA, GOSPA and the rest from a recording alone."""
-    from deploy.commands import keeping
+    from deploy.cli import recordings as keeping
 
     return keeping.score(recording, csv, json)
 
@@ -208,7 +210,7 @@ def export(recording: Kept, /, *, to: Literal["csv", "parquet", "foxglove", "rer
 
     foxglove: an MCAP file that it draws; rerun needs the package rerun-sdk.
     """
-    from deploy.commands import keeping
+    from deploy.cli import recordings as keeping
 
     return keeping.export(recording, to, out)
 
@@ -222,7 +224,8 @@ def figures(what: Kept, /, *, into: Path | None = None, animate: Annotated[bool,
     from deploy.extras import need
 
     need("figures")
-    from deploy.commands import figuring, keeping
+    from deploy.cli import figuring
+    from deploy.cli import recordings as keeping
 
     if figuring.is_study(Path(what)):
         return figuring.figures_of_study(Path(what), into)
@@ -239,7 +242,7 @@ def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False, seconds:
     What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them.
     --seconds: how long realtime runs each of its swarms; a minute if it is not given.
     """
-    from deploy.commands import benching
+    from deploy.bench import __main__ as benching
 
     return benching.bench(what, json, seconds)
 
@@ -250,14 +253,14 @@ def fuzz(*, seeds: Annotated[int, WHOLE] = 300, first: Annotated[int, WHOLE] = 1
 
     Exit code 1 when a seed fails.
     """
-    from deploy.commands import fuzzing
+    from deploy.cli import fuzz as fuzzing
 
     return fuzzing.fuzz(seeds, first, jobs)
 
 
 def main() -> None:
     """Run the command line; exit codes 0 done, 1 failed, 2 bad input, 130 / 143 on signals."""
-    from deploy.commands import last_net
+    from deploy.cli import errors as last_net
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
     last_net.open_standard_files()

@@ -16,9 +16,9 @@ import pytest
 from cyclopts import CycloptsError, MissingArgumentError
 
 from deploy.__main__ import app
-from deploy.commands import studying
-from deploy.commands.benching import BENCHES
-from deploy.commands.options import RunOptions
+from deploy.bench.__main__ import BENCHES
+from deploy.cli import study as studying
+from deploy.cli.options import RunOptions
 from deploy.scenario import FOLDER
 from deploy.studies.trials import check_method
 from protocol.settings import BadSetting

@@ -5,10 +5,10 @@ import pytest
 from agents.round import play
 from agents.words import learn
 from deploy.bench import central
+from deploy.bench.__main__ import bench
 from deploy.bench.capture import capture, cold
 from deploy.bench.simulations import scale
 from deploy.bench.timing import in_turns, median_seconds, table
-from deploy.commands.benching import bench
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import compiled, simulate
 from protocol.settings import BadSetting

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from deploy.commands.board import Board
-from deploy.commands.keyboard import KEY, NAMES
+from deploy.cli.terminal import KEY, NAMES
+from deploy.cli.watch import Board
 from protocol.settings import BadSetting
 
 SWARM = {

@@ -10,8 +10,8 @@ import pytest
 from cyclopts import App
 
 from deploy.__main__ import app
-from deploy.commands.acting import meant
-from deploy.commands.app import SET_UP
+from deploy.cli.app import SET_UP
+from deploy.cli.control import meant
 from deploy.scoring.result import VERSION
 from protocol.settings import BadSetting
 

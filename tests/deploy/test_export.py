@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from PIL import Image
 from pyarrow import csv, parquet
 
-from deploy.commands import keeping
+from deploy.cli import recordings as keeping
 from deploy.plots.run_figures import Ways, pictures, write_animation, write_figure
 from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
 from deploy.recording.observers import Onlookers, open_recorder

@@ -166,7 +166,7 @@ def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None
 
 def plan_of(options: dict[str, object]) -> list[object]:
     """The trials that the command plans for these options."""
-    from deploy.commands import studying
+    from deploy.cli import study as studying
 
     given = studying.given(1, None, None, None, "power,static")
     return list(plan(studying.chosen("convergence", False, given, {"run.seconds": 2.0})))

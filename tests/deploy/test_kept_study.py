@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.commands.figuring import figures
+from deploy.cli.figuring import figures
 from deploy.studies.paired import compare, groups_of
 from deploy.studies.study import read_results
 from deploy.studies.trials import Row

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.commands.ended import ps_all
-from deploy.commands.logs import Tails, logs
+from deploy.cli.logs import Tails, logs
+from deploy.cli.process_list import ps_all
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 

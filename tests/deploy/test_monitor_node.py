@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.commands.display import process_cells
+from deploy.cli.display import process_cells
 from deploy.scenario import Scenario, agent_config, resolve
 from deploy.scoring.scorer import Scorer, hole_and_overlap
 from protocol.fields import pack

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from deploy.commands.display import pace_words
+from deploy.cli.display import pace_words
 from deploy.scenario import Scenario, resolve
 from deploy.scoring.pace import Pace, PaceStatus, asked_per_s, too_small
 

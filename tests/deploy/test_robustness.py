@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.commands import robust
+from deploy.cli import robustness as robust
 from deploy.plots.robustness_figure import mosaic
 from deploy.scenario import resolve
 from deploy.studies import robustness

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from deploy.__main__ import app
-from deploy.commands.runs import rm, runs
-from deploy.commands.simulating import simulate_here
+from deploy.cli.runs import rm, runs
+from deploy.cli.simulate import simulate_here
 from deploy.recording.recording import find_recording
 from deploy.scenario import resolve
 from deploy.storage.kept_runs import age_of, find_run, kept_runs, link_latest, take

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from deploy.commands.keeping import score
+from deploy.cli.recordings import score
 from deploy.recording.observers import Onlookers, open_recorder
 from deploy.scenario import resolve
 from deploy.simulation import Simulation

@@ -5,7 +5,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pytest
 
-from deploy.commands.figuring import figures_of_study, is_study
+from deploy.cli.figuring import figures_of_study, is_study
 from deploy.plots.study_figures import boxes, differences, draw, level_of
 from deploy.studies.study import Folder
 from deploy.studies.trials import Row

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from deploy.commands import studying
+from deploy.cli import study as studying
 from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_shares
 from deploy.studies.study import Design, Folder
 from deploy.studies.trials import Trial, run_trial

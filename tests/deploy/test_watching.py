@@ -6,8 +6,8 @@ from collections.abc import Callable
 import pytest
 import zenoh
 
-from deploy.field import swarm_map
-from deploy.watching import LOOK, SILENCE, Heard, Listener, Rates, block, expression, fields, kinds, lies_in, plain_line
+from deploy.cli.listener import LOOK, SILENCE, Heard, Listener, Rates, block, expression, fields, kinds, lies_in, plain_line
+from deploy.cli.terminal_map import swarm_map
 from protocol import codec
 from protocol.messages import Command, Truth
 from protocol.node import Alive, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe

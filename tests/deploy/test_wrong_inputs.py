@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from deploy.__main__ import app
-from deploy.commands.last_net import caught
-from deploy.commands.options import RunOptions
+from deploy.cli.errors import caught
+from deploy.cli.options import RunOptions
 from protocol.sensing import Pose
 
 ROOT = Path(__file__).parents[2]

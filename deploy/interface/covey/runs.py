@@ -11,7 +11,7 @@ import numpy as np
 
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
 from covey.plugged import name_of
-from deploy.commands.options import RunOptions
+from deploy.cli.options import RunOptions
 from deploy.scenario import Scenario
 from deploy.scoring.result import Result
 from deploy.scoring.scores import Score

@@ -86,7 +86,7 @@ def study(
     workers
         Processes; default: one for each core.
     """
-    from deploy.commands import studying
+    from deploy.cli import study as studying
     from deploy.extras import need
     from deploy.studies.trials import run_trial
 

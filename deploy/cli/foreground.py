@@ -6,9 +6,9 @@ import os
 import sys
 from typing import NoReturn
 
-from deploy.commands.display import Display, show_result
-from deploy.commands.options import Showing
-from deploy.commands.staying import is_at_terminal, open_browser, until_key
+from deploy.cli.display import Display, show_result
+from deploy.cli.options import Showing
+from deploy.cli.staying import is_at_terminal, open_browser, until_key
 from deploy.live.supervisor import EXIT_CRASHED, Supervisor
 from deploy.live.zygote import Zygote
 from deploy.page.picture import Picture

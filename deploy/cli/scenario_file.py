@@ -4,8 +4,8 @@ from pathlib import Path
 
 import msgspec
 
+from deploy.cli.template import template
 from deploy.scenario import Scenario
-from deploy.template import template
 from deploy.toml_text import toml_text
 from protocol.settings import BadSetting
 

@@ -11,9 +11,9 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from deploy.commands.display import process_table
-from deploy.commands.keyboard import is_ours, keyboard
-from deploy.field import swarm_map
+from deploy.cli.display import process_table
+from deploy.cli.terminal import is_ours, keyboard
+from deploy.cli.terminal_map import swarm_map
 from protocol.settings import BadSetting
 
 PERIOD = 0.5  # s between two pictures

@@ -2,13 +2,13 @@
 
 from typing import Literal
 
-from deploy.commands.app import ACT, Drawn, Run, Who, app
+from deploy.cli.app import ACT, Drawn, Run, Who, app
 
 
 @app.command(group=ACT, help_epilogue="Example: covey down --run hunt")
 def down(*, run: Run = None) -> int:
     """End a running swarm."""
-    from deploy.commands import acting
+    from deploy.cli import control as acting
 
     return acting.down(run)
 
@@ -79,6 +79,6 @@ def _act(
     value: float | None = None,
     options: dict[str, str | float] | None = None,
 ) -> int:
-    from deploy.commands import acting
+    from deploy.cli import control as acting
 
     return acting.act(verb, acting.meant(verb, names, random, otherwise), run, value, options)

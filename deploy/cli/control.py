@@ -7,8 +7,9 @@ from typing import Any
 
 from rich.console import Console
 
-from deploy.commands import board, ended
-from deploy.commands.display import process_table, swarm_line
+from deploy.cli import process_list as ended
+from deploy.cli import watch as board
+from deploy.cli.display import process_table, swarm_line
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import find_running
 from protocol.settings import BadSetting

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import msgspec
 
-from deploy.commands.options import Showing
+from deploy.cli.options import Showing
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
 from deploy.modules import command, environment
@@ -33,7 +33,7 @@ def run_live(scenario: Scenario, wish: str | None, title: str, showing: Showing,
     directory, lock = take(detached or wish, scenario.run.scenario)
     scenario = named(scenario, directory.name)
     zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
-    from deploy.commands.attending import attend
+    from deploy.cli.foreground import attend
 
     other = f"; runs/{wish} holds an earlier run" if detached is None and wish not in (None, directory.name) else ""
     attend(scenario, directory, lock, zygote, f"run {directory.name}{other}: {title}", showing)

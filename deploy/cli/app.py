@@ -5,8 +5,8 @@ from typing import Annotated
 
 from cyclopts import App, Group, Parameter
 
-from deploy.commands import completing
-from deploy.commands.options import WHOLE, RunOptions, switch_or_text
+from deploy.cli import completion as completing
+from deploy.cli.options import WHOLE, RunOptions, switch_or_text
 
 RUN, ACT, LOOK, KEEP, STUDY, SET_UP = (
     Group.create_ordered(name) for name in ("Run", "Act on a running swarm", "Look", "Keep", "Study", "Set up")

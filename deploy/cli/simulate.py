@@ -9,7 +9,7 @@ from typing import Literal
 
 from rich.console import Console
 
-from deploy.commands.display import show_result
+from deploy.cli.display import show_result
 from deploy.live.warmup import announce
 from deploy.recording.observers import Onlookers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from deploy.commands.options import FLAG, WHOLE
+from deploy.cli.options import FLAG, WHOLE
 
 
 def study(
@@ -73,11 +73,11 @@ def study(
     from deploy.extras import need
 
     need("study")
-    from deploy.commands import studying
+    from deploy.cli import study as studying
     from protocol.settings import BadSetting
 
     if name == "robustness":
-        from deploy.commands import robust
+        from deploy.cli import robustness as robust
 
         fixed = {**studying.options_of(triple, capacity, dt, seconds, settings or []), **robust.settings_of(teams, targets, methods)}
         return robust.study(quick, trials, seed, faults, fixed, into or studying.default_folder(name, quick), workers, scheduler, json)

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from deploy.commands.display import result_table
+from deploy.cli.display import result_table
 from deploy.extras import need
 from deploy.page.server import PageServer, address_of
 from deploy.recording.recording import DRAWING, Recording, find_recording

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter, Token
 
-from deploy.commands import completing
+from deploy.cli import completion as completing
 
 if TYPE_CHECKING:
     from deploy.scenario import FaultSettings, Scenario
@@ -116,7 +116,7 @@ class RunOptions:
         """The resolved scenario; raises BadSetting naming what is wrong."""
         import msgspec
 
-        from deploy.checks import check_scenario
+        from deploy.cli.scenario_checks import check_scenario
         from deploy.scenario import resolve
 
         scenario = resolve(name, self.overrides())
@@ -132,7 +132,7 @@ class RunOptions:
 
     def mistakes(self, name: str) -> list[str]:
         """Everything that is wrong with the scenario and the options, a line each."""
-        from deploy.checks import all_mistakes
+        from deploy.cli.scenario_checks import all_mistakes
         from deploy.scenario import read
         from protocol.settings import BadSetting
 

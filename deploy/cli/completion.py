@@ -39,7 +39,7 @@ def processes(context: CompletionContext) -> list[str]:
 
 def settings(context: CompletionContext) -> list[str]:
     """All settings of a scenario, as `section.key=`."""
-    from deploy.template import dotted_names
+    from deploy.cli.template import dotted_names
 
     return [f"{name}=" for name in dotted_names()]
 

@@ -5,15 +5,15 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from deploy.commands import completing
-from deploy.commands.app import SET_UP, Named, Options, app, version_line
-from deploy.commands.options import FLAG, WHOLE, RunOptions
+from deploy.cli import completion as completing
+from deploy.cli.app import SET_UP, Named, Options, app, version_line
+from deploy.cli.options import FLAG, WHOLE, RunOptions
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey init mine.toml")
 def init(file: Path = Path("scenario.toml"), /) -> int:
     """Write a scenario with every setting and its default, explained."""
-    from deploy.commands import scenarios
+    from deploy.cli import scenario_file as scenarios
 
     return scenarios.init(file)
 
@@ -21,7 +21,7 @@ def init(file: Path = Path("scenario.toml"), /) -> int:
 @app.command(group=SET_UP, help_epilogue="Example: covey check mine.toml --team 3")
 def check(scenario: Named = "convergence", /, *, options: Options = RunOptions()) -> int:
     """Is the scenario right, and can this machine run it?"""
-    from deploy.commands import checking
+    from deploy.cli import check as checking
 
     wrong = options.mistakes(scenario)
     return checking.complain(wrong) if wrong else checking.check(options.scenario(scenario))
@@ -30,7 +30,7 @@ def check(scenario: Named = "convergence", /, *, options: Options = RunOptions()
 @app.command(group=SET_UP, help_epilogue="Example: covey config efficacy --team 3 --set filter.gate=4")
 def config(scenario: Named = "convergence", /, *, options: Options = RunOptions()) -> int:
     """All settings of a scenario with its options, as TOML."""
-    from deploy.commands import scenarios
+    from deploy.cli import scenario_file as scenarios
 
     return scenarios.config(options.scenario(scenario))
 
@@ -50,7 +50,7 @@ def keys(
     For these names, or for all of a scenario; up --keys DIR uses them.
     --force: make anew what exists; --in-git: even in a git work tree.
     """
-    from deploy.commands import keys as making
+    from deploy.cli import keys as making
 
     return making.keys(list(names), scenario, into, host, days, force, in_git)
 

@@ -10,8 +10,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from deploy.commands.display import process_table
-from deploy.commands.logs import Tails, kept_runs
+from deploy.cli.display import process_table
+from deploy.cli.logs import Tails, kept_runs
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory, running_runs
 from protocol.settings import BadSetting, read_toml

@@ -14,6 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from deploy.cli.listener import Heard, Listener, Rates, block, expression, kinds, plain_line, swarm_to_watch
 from deploy.live.control import ask
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of
@@ -23,7 +24,6 @@ from deploy.recording.recorder import RecorderNode
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Scorer
 from deploy.storage.run_directory import RunDirectory
-from deploy.watching import Heard, Listener, Rates, block, expression, kinds, plain_line, swarm_to_watch
 from protocol import live
 from protocol.keys import order
 from protocol.settings import BadSetting

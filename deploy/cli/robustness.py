@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.table import Table
 
-from deploy.commands.studying import console_of, play_open
+from deploy.cli.study import console_of, play_open
 from deploy.studies.robustness import FRESH, LEVELS, NONE, Row, plan, play, summary, table
 from deploy.studies.study import Folder
 from protocol.settings import BadSetting
