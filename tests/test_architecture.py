@@ -137,7 +137,7 @@ def star_and_relative_imports(source: Source) -> list[str]:
 
 
 def modules_named_in_strings(source: Source) -> list[str]:
-    """No text names a module of a room, for a wheel has it under another name; `deploy.modules.command` translates what it is given."""
+    """No text names a module of a room: a wheel has it under another name. `deploy.installation.command` translates its argument."""
     tree = ast.parse(source.text)
     translated = {
         id(node.args[0])

@@ -8,9 +8,11 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 
+from cyclopts import App
 from rich.console import Console
 
 from deploy.bench.timing import Row, table
+from deploy.cli.errors import guarded
 from protocol.settings import BadSetting
 
 LONGEST = 86400.0  # s
@@ -124,3 +126,18 @@ def _measure(name: str, measured: Callable[[], Iterable[Row]]) -> list[Row]:
             if spinner is not None:
                 spinner.update(f"{name}: {len(rows)} rows after {time.monotonic() - begun:.0f} s")
     return rows
+
+
+def main() -> None:
+    """Run `python -m deploy.bench WHAT [--json] [--seconds S]`, which is what `covey bench` runs."""
+    app = App(name="covey bench", help_flags=[], version_flags=[])
+
+    @app.default
+    def command(what: str, /, *, json: bool = False, seconds: float | None = None) -> int:
+        return bench(what, json, seconds)
+
+    sys.exit(guarded(lambda: app(exit_on_error=False, print_error=False, result_action="return_value") or 0))
+
+
+if __name__ == "__main__":
+    main()

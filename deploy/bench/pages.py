@@ -23,7 +23,7 @@ import aiohttp
 from deploy.bench.browser import Browser, browser, parent
 from deploy.bench.processes import TEAMS, Mark, Swarm, cpu_of, swarm
 from deploy.bench.timing import Row, cpu_seconds, median_seconds
-from deploy.modules import ROOT, command, environment
+from deploy.installation import ROOT, command, environment
 from deploy.page.frames import frame
 from deploy.page.picture import Picture
 from deploy.recording.recorder import Recorder

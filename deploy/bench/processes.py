@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy import modules
+from deploy import installation
 from deploy.bench.timing import Row
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory
@@ -94,10 +94,14 @@ def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False) -> 
     before = os.environ.get("COVEY_RUNS")
     with tempfile.TemporaryDirectory() as folder:
         os.environ["COVEY_RUNS"] = folder
-        command = [*modules.command("deploy"), "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
-        environment = {**modules.environment(), "COVEY_ROUNDS": "empty" if empty else ""}
+        program = installation.command("deploy.bench.empty") if empty else installation.command("deploy")
+        command = [*program, "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
         process = subprocess.Popen(
-            [*command, "--seconds", "1000000", *words], cwd=modules.ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            [*command, "--seconds", "1000000", *words],
+            cwd=installation.ROOT,
+            env=installation.environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
         )
         begun = time.monotonic()
         try:

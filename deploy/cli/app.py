@@ -43,6 +43,6 @@ app["--help"].group = app["--version"].group = SET_UP
 
 def version_line() -> str:
     """Name and version, on one line."""
-    from deploy.scoring.result import VERSION
+    from deploy.installation import VERSION
 
     return f"covey {VERSION}"

@@ -6,7 +6,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from cyclopts import CycloptsError
@@ -24,7 +24,7 @@ def open_standard_files() -> None:
             setattr(sys, ("stdin", "stdout", "stderr")[number], open(number, mode, closefd=False))  # noqa: SIM115
 
 
-def caught(command: Callable[[], int]) -> int:
+def guarded(command: Callable[[], int]) -> int:
     """The exit code of a command; what it raises is told in one line."""
     try:
         sys.path.append(os.getcwd())  # where a user's own sensor models and controllers are
@@ -55,6 +55,17 @@ def _tell(error: Exception) -> int:
     if isinstance(error, MemoryError):
         return complain("there is not enough memory for this", FAILED)
     return complain(f"an error of Covey's own: {type(error).__name__}: {error}; {_details(error)}", FAILED)
+
+
+@contextlib.contextmanager
+def writing(option: str, path: Path) -> Iterator[None]:
+    """Raise BadSetting naming the option whose place cannot be written to."""
+    from protocol.settings import BadSetting  # loads numpy
+
+    try:
+        yield
+    except OSError as error:
+        raise BadSetting(f"{option} {path}: {error.strerror or error}; should be a place that can be written to") from None
 
 
 def complain(text: str, code: int) -> int:

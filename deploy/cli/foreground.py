@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from deploy.cli.display import Display, show_result
 from deploy.cli.options import Showing
-from deploy.cli.staying import is_at_terminal, open_browser, until_key
+from deploy.cli.terminal import is_at_terminal, open_browser, until_key
 from deploy.live.supervisor import EXIT_CRASHED, Supervisor
 from deploy.live.zygote import Zygote
 from deploy.page.picture import Picture

@@ -14,7 +14,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from deploy.cli.listener import Heard, Listener, Rates, block, expression, kinds, plain_line, swarm_to_watch
+from deploy.cli.listener import Heard, Listener, Rates, expression, kinds, swarm_to_watch
+from deploy.cli.message_text import block, plain_line
 from deploy.live.control import ask
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of

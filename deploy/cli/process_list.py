@@ -1,4 +1,4 @@
-"""`ps -a`: the processes of every running swarm of this folder, and a line for each run that has ended."""
+"""`ps`: the processes of a running swarm; with -a of all running swarms of this folder, and the runs that have ended."""
 
 import json
 import os
@@ -13,11 +13,23 @@ from rich.table import Table
 from deploy.cli.display import process_table
 from deploy.cli.logs import Tails, kept_runs
 from deploy.live.control import ControlClient
-from deploy.storage.run_directory import RunDirectory, running_runs
+from deploy.storage.run_directory import RunDirectory, find_running, running_runs
 from protocol.settings import BadSetting, read_toml
 
 PLAIN_WIDTH = 160  # columns where there is no terminal
 DEATH = re.compile(r"^(\S+) ended: (.*)$")
+
+
+def ps(run: str | None, as_json: bool, everything: bool = False) -> int:
+    """All processes of a running swarm; with `everything` of all running swarms of this folder, and the runs that have ended."""
+    if everything:
+        return ps_all(run, as_json)
+    data = ControlClient(find_running(run)).ask("status")["data"]
+    if as_json:
+        print(json.dumps(data))
+    else:
+        Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH).print(process_table(data))
+    return 0
 
 
 def ps_all(run: str | None, as_json: bool) -> int:

@@ -1,4 +1,4 @@
-"""`score`, `export`, `replay` and `figures`: commands that work on what has been recorded."""
+"""`score`, `export` and `replay`: commands on recordings."""
 
 import asyncio
 import contextlib
@@ -7,14 +7,14 @@ import os
 import shutil
 import signal
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
 from rich.console import Console
 
 from deploy.cli.display import result_table
-from deploy.extras import need
+from deploy.cli.errors import writing
+from deploy.installation import need_study_packages
 from deploy.page.server import PageServer, address_of
 from deploy.recording.recording import DRAWING, Recording, find_recording
 from deploy.recording.replay import ReplayNode, ReplaySource
@@ -22,16 +22,7 @@ from deploy.recording.rescore import difference, rescore, write_scores
 from deploy.storage.kept_runs import take
 from protocol.endpoints import free_port
 from protocol.live import Driver
-from protocol.settings import BadSetting, NetworkSettings
-
-
-@contextlib.contextmanager
-def writing(option: str, path: Path) -> Iterator[None]:
-    """What cannot be written is the fault of the option that named the place."""
-    try:
-        yield
-    except OSError as error:
-        raise BadSetting(f"{option} {path}: {error.strerror or error}; should be a place that can be written to") from None
+from protocol.settings import NetworkSettings
 
 
 def score(name: str, csv: Path | None, as_json: bool) -> int:
@@ -56,7 +47,7 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
 
 def export(name: str, form: str, out: Path | None) -> int:
     """Write a recording in the form of other tools."""
-    need("export")
+    need_study_packages("export")
     from deploy.recording.foxglove import write_foxglove
     from deploy.recording.tables import write_tables  # these load slowly
 
@@ -79,20 +70,6 @@ def export(name: str, form: str, out: Path | None) -> int:
     with writing("--out", folder):
         files = write_tables(recording, folder, form)
     print("\n".join(map(str, files)))
-    return 0
-
-
-def figures(name: str, out: Path | None, animate: bool) -> int:
-    """Draw the figures of one run."""
-    from deploy.plots.run_figures import write_animation, write_figure  # loads matplotlib
-
-    recording = Recording(find_recording(name))
-    folder = out or recording.path.parent / "figures"
-    with writing("--into", folder):
-        for file in write_figure(recording, folder):
-            print(file)
-        if animate:
-            print(write_animation(recording, folder))
     return 0
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 from rich.table import Table
 
-from deploy.cli.study import console_of, play_open
+from deploy.cli.study_progress import console_of, play_open
+from deploy.studies.results import Folder
 from deploy.studies.robustness import FRESH, LEVELS, NONE, Row, plan, play, summary, table
-from deploy.studies.study import Folder
 from protocol.settings import BadSetting
 
 FULL = {"at": 60.0, "seconds": 150.0, "trials": 10}
@@ -36,7 +36,7 @@ def kinds_of(faults: str | None) -> tuple[str, ...]:
     return (NONE, *named, *([FRESH] if "kill" in named else []))
 
 
-def study(
+def run_robustness_study(
     quick: bool,
     trials: int | None,
     seed: int | None,

@@ -1,13 +1,19 @@
-"""`init` and `config`: a scenario to begin with, and what one comes to with its options."""
+"""`init`, `check` and `config`: commands on scenario files."""
 
+import os
+import shutil
+import sys
 from pathlib import Path
 
 import msgspec
 
 from deploy.cli.template import template
+from deploy.installation import versions
 from deploy.scenario import Scenario
+from deploy.scoring.pace import too_small
+from deploy.storage.run_directory import ROOM, runs_folder
 from deploy.toml_text import toml_text
-from protocol.settings import BadSetting
+from protocol.settings import BadSetting, NetworkSettings
 
 
 def init(file: Path) -> int:
@@ -33,4 +39,37 @@ def init(file: Path) -> int:
 def config(scenario: Scenario) -> int:
     """Print a resolved scenario as TOML."""
     print(toml_text(msgspec.to_builtins(scenario)), end="")
+    return 0
+
+
+def complain(lines: list[str]) -> int:
+    """Say everything that is wrong with a scenario."""
+    for line in lines:
+        print(f"covey: {line}", file=sys.stderr)
+    return 2
+
+
+def check(scenario: Scenario) -> int:
+    """Say what the scenario comes to and whether this machine can open a session; raises BadSetting where not."""
+    from protocol.endpoints import check_loopback
+    from protocol.live import open_session  # loads zenoh
+
+    classes = list(scenario.members.values())
+    team = ", ".join(f"{classes.count(name)} {name}" for name in dict.fromkeys(classes))
+    run = scenario.run
+    print(f"scenario   {run.scenario} is right: {len(classes)} agents ({team})")
+    print(f"           {scenario.targets.count} targets, {run.ticks} ticks of {run.dt:g} s")
+    found = versions()
+    print(f"machine    Python {found['python']}, {found['cores']} cores, {found['machine']}")
+    check_loopback()
+    open_session(NetworkSettings()).close()
+    print(f"network    a Zenoh {found['packages']['eclipse-zenoh']} session opens on 127.0.0.1")
+    folder = next(path for path in [runs_folder(), *runs_folder().parents] if path.exists())
+    if not os.access(folder, os.W_OK) or not folder.is_dir():
+        raise BadSetting(f"runs {runs_folder()}: cannot be written; COVEY_RUNS names another place")
+    if shutil.disk_usage(folder).free < ROOM:
+        raise BadSetting(f"runs {runs_folder()}: the disk is full; COVEY_RUNS names another place")
+    print(f"runs       {runs_folder()}: writable")
+    if advice := too_small(scenario):
+        print(f"warning    {advice}", file=sys.stderr)
     return 0

@@ -9,9 +9,9 @@ from typing import NoReturn
 import msgspec
 
 from deploy.cli.options import Showing
+from deploy.installation import command, environment
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
-from deploy.modules import command, environment
 from deploy.scenario import FaultSettings, Scenario, named
 from deploy.scoring.pace import too_small
 from deploy.storage.kept_runs import take

@@ -1,5 +1,9 @@
-"""Single keys from a terminal, which is as it was before however the program ends."""
+"""The terminal of a command: whether a person uses it, single keys from it, and a browser beside it.
 
+A terminal is restored however the program ends.
+"""
+
+import asyncio
 import contextlib
 import os
 import re
@@ -7,7 +11,9 @@ import select
 import signal
 import sys
 import termios
+import threading
 import tty
+import webbrowser
 from collections.abc import Callable, Iterator
 from types import FrameType
 
@@ -57,3 +63,33 @@ def _pressed(number: int, seconds: float) -> list[str]:
         return []
     typed = os.read(number, 1024).decode(errors="replace")
     return [NAMES.get(key, key) for key in KEY.findall(typed)] if typed else ["q"]  # the terminal has gone
+
+
+def is_at_terminal() -> bool:
+    """Whether somebody sits at a terminal, sees the output there and can press a key."""
+    try:
+        return sys.stdin.isatty() and sys.stdout.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except (OSError, ValueError):
+        return False
+
+
+async def until_key() -> None:
+    """Wait for Enter, the end of the input, or a signal that asks to end."""
+    loop, over = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, over.set)
+    loop.add_reader(sys.stdin.fileno(), over.set)
+    await over.wait()
+    loop.remove_reader(sys.stdin.fileno())
+    with contextlib.suppress(OSError):
+        os.set_blocking(sys.stdin.fileno(), False)
+        os.read(sys.stdin.fileno(), 4096)  # what was typed is not the shell's
+        os.set_blocking(sys.stdin.fileno(), True)
+
+
+def open_browser(address: str) -> str:
+    """Open a page in the user's browser, which may take its time; a line for the user where there is none."""
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")):
+        return f"--open: no display here to open a browser on; open {address} by hand"
+    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    return ""

@@ -1,4 +1,4 @@
-"""What `watch` shows on a terminal: a map and a table of a running swarm that fit, and keys that act on the chosen process."""
+"""`watch`: a map and a table of a running swarm that fit the terminal, and keys that act on the chosen process."""
 
 import time
 from collections.abc import Callable
@@ -11,17 +11,44 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from deploy.cli.display import process_table
+from deploy.cli.display import process_table, swarm_line
 from deploy.cli.terminal import is_ours, keyboard
 from deploy.cli.terminal_map import swarm_map
+from deploy.live.control import ControlClient
+from deploy.storage.run_directory import find_running
 from protocol.settings import BadSetting
 
 PERIOD = 0.5  # s between two pictures
+PLAIN_PERIOD = 1.0  # s between two lines where there is no terminal
 LINES = 6  # of a picture that are neither map nor processes
 FIRST_TO_GO = ("inc", "pid", "class", "tick", "targets", "round ms", "mass", "cell %")
 LAST = ("name", "state")  # stay in the narrowest terminal
 KEYS = "↑ ↓ choose   k kill   p pause or resume   r restart   q quit"
 Ask = Callable[[str, str], dict[str, Any]]  # verb, who -> the supervisor's answer; raises BadSetting
+
+
+def watch(run: str | None) -> int:
+    """A live picture until the run ends or q is pressed; plain lines where there is no terminal."""
+    client = ControlClient(find_running(run))
+    console = Console(highlight=False)
+    try:
+        if not console.is_terminal:
+            while True:
+                print(watch_line(client.ask("status")["data"]), flush=True)
+                time.sleep(PLAIN_PERIOD)
+        show(client.ask, console)
+        return 0
+    except BadSetting as error:
+        console.print(str(error))
+        return 0
+
+
+def watch_line(data: dict[str, Any]) -> str:
+    """A swarm in one line, the dead by name and how they ended."""
+    rows = data["processes"]
+    dead = ", ".join(f"{row['name']} ({row['end']})" for row in rows if row["state"] == "dead" and row["end"])
+    paused = ", ".join(row["name"] for row in rows if row["state"] == "paused")
+    return swarm_line(data["swarm"]) + (f"  dead: {dead}" if dead else "") + (f"  paused: {paused}" if paused else "")
 
 
 class Board:

@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from deploy.installation import ROOT, command, environment
 from deploy.live.zygote import Forked, Zygote
-from deploy.modules import ROOT, command, environment
 from deploy.scenario import Scenario
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting

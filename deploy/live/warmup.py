@@ -15,7 +15,7 @@ from agents.agent import Agent
 from agents.arithmetic import PLAIN, Arithmetic
 from agents.config import AgentConfig, TimingSettings
 from agents.numba_cache import compiled_before, loops_on_disk, tidy
-from deploy.modules import ROOT, command
+from deploy.installation import ROOT, command
 from protocol.codec import encode
 from protocol.keys import message_key
 from protocol.messages import Beacon, Gossip, Hello, Observation

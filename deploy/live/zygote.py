@@ -21,12 +21,14 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
-from deploy.modules import ROOT, command
+from deploy.installation import ROOT, command
 
+PROGRAM = command("deploy.live.zygote")
 END_SECONDS = 2.0  # for the zygote to end by itself once its children have
 
 
@@ -84,7 +86,7 @@ class Zygote:
         self.is_gone = False
         with log.open("ab") as output:
             self._process = subprocess.Popen(
-                [*command("deploy.live.zygote"), str(theirs.fileno())],
+                [*PROGRAM, str(theirs.fileno())],
                 cwd=ROOT,
                 env=environment,
                 stdin=subprocess.PIPE,  # its end tells of a supervisor that died before the zygote could ask for a signal
@@ -218,22 +220,22 @@ def _be_agent(words: list[str], descriptors: list[int]) -> NoReturn:
     process.main("agents", AgentConfig, lambda config, name, incarnation: build(config, name, incarnation, FAST))
 
 
-def main() -> None:
-    """Import, warm up, serve."""
+def _warm_up() -> None:
+    from deploy.live.warmup import warm  # loads the agents, after the signal has been asked for
+
+    warm()
+
+
+def main(prepare: Callable[[], None]) -> None:
+    """Import, prepare what the agents need, serve."""
     from protocol.process import die_with_parent  # and with it zenoh, which the children need; no session is opened here
 
     channel = socket.socket(fileno=int(sys.argv[1]))
     die_with_parent()
-    from deploy.live.warmup import warm
-
-    warm()
-    if os.environ.get("COVEY_ROUNDS") == "empty":  # the reference of `covey bench live`
-        from deploy.bench import empty
-
-        empty.install()
+    prepare()
     serve(channel)
     os._exit(0)
 
 
 if __name__ == "__main__":
-    main()
+    main(_warm_up)

@@ -19,8 +19,7 @@ from matplotlib.patches import Patch
 from agents.capacity import detecting_capability, power_radius
 from deploy.scenario import TeamSettings, team_counts
 from deploy.studies.paired import Comparison, Group, compare, groups_of, values
-from deploy.studies.study import methods_of
-from deploy.studies.trials import Row
+from deploy.studies.trials import Row, methods_of
 from protocol.sensing import SENSOR_CLASSES
 from world.score import heterogeneity_level
 

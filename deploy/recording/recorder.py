@@ -22,10 +22,10 @@ import msgspec
 import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
+from deploy.installation import versions
 from deploy.recording.crash_safe_file import GrowingFile
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
-from deploy.storage.run_directory import versions
 from deploy.toml_text import toml_text
 from protocol.keys import all_of, message_key, token_key
 from protocol.messages import KINDS, Truth

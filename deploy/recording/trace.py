@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from deploy.extras import need
+from deploy.installation import need_study_packages
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from protocol.messages import Truth
@@ -26,7 +26,7 @@ def check_trace(path: Path) -> None:
     if path.suffix not in KINDS:
         raise BadSetting(f"--trace {path}: should end in {', '.join(KINDS)}")
     if path.suffix == ".parquet":
-        need(f"--trace {path}")
+        need_study_packages(f"--trace {path}")
     if not path.absolute().parent.is_dir():
         raise BadSetting(f"--trace {path}: the folder {path.parent} does not exist")
 

@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import msgspec
 
+from deploy.installation import VERSION
 from deploy.scoring.pace import PaceStatus
-
-VERSION = "0.1.0"
 
 
 class Fault(NamedTuple):

@@ -18,26 +18,21 @@ import errno
 import fcntl
 import json
 import os
-import platform
 import shutil
 import socket
-import sys
 import tempfile
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
+from deploy.installation import versions
 from deploy.scenario import Scenario, agent_config
 from deploy.toml_text import toml_text
-from protocol.messages import WIRE_VERSION
 from protocol.settings import BadSetting
 
 LATEST = "latest"  # the link to the run that began last
 ROOM = 16384  # bytes that a run needs at least, for its run.toml
-PACKAGES = ("covey", "eclipse-zenoh", "numpy", "scipy", "shapely", "msgspec", "numba")
 
 
 def runs_folder() -> Path:
@@ -201,20 +196,3 @@ def running_runs() -> list[RunDirectory]:
 def _others() -> str:
     names = ", ".join(directory.name for directory in running_runs())
     return f"; running are {names}" if names else ""
-
-
-def versions() -> dict[str, Any]:
-    """What ran: versions of the packages, of Python and of the wire, and the kind of machine."""
-    installed = {}
-    for package in PACKAGES:
-        try:
-            installed[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            installed[package] = ""
-    return {
-        "wire": WIRE_VERSION,
-        "python": sys.version.split()[0],
-        "machine": platform.platform(),
-        "cores": os.cpu_count(),
-        "packages": installed,
-    }

@@ -7,7 +7,7 @@ with it target tracks, starts and every die of the detectors.
 import hashlib
 import json
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -135,3 +135,8 @@ def cost(scenario: Scenario) -> float:
     """How long a trial takes, in units of its own: every agent plays every round and hears every other."""
     agents = len(scenario.members)
     return scenario.run.ticks * agents * (1.0 + agents / 60.0)
+
+
+def methods_of(rows: Sequence[Row]) -> list[str]:
+    """The methods that occur, in the order of METHODS."""
+    return [name for name in METHODS if any(row["method"] == name for row in rows)]

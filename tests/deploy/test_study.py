@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.studies.study import STUDIES, Design, Folder, design, methods_of, plan, read_results
-from deploy.studies.trials import Row
+from deploy.studies.design import STUDIES, Design, design, plan
+from deploy.studies.results import Folder, read_results
+from deploy.studies.trials import Row, methods_of
 from protocol.settings import BadSetting
 
 

@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
-from deploy.cli import study as studying
+from deploy.cli.study import run_study
+from deploy.cli.study_progress import Ahead, remaining, words
+from deploy.studies.design import Design, design_fields, design_with, dotted_options
 from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_shares
-from deploy.studies.study import Design, Folder
+from deploy.studies.results import Folder
 from deploy.studies.trials import Trial, run_trial
 from protocol.settings import BadSetting
 
@@ -23,7 +25,7 @@ def run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., dic
     """Run a study into a folder of its own with two workers; its JSON line."""
 
     def go(found: Design = SMALL, into: str = "study") -> dict[str, Any]:
-        assert studying.study(found, tmp_path / into, 2, None, as_json=True) == 0
+        assert run_study(found, tmp_path / into, 2, None, as_json=True) == 0
         result: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
         return result
 
@@ -73,13 +75,13 @@ def test_a_cluster_gives_the_same_table(run: Callable[..., dict[str, Any]], tmp_
     run()
     workers = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "host": "127.0.0.1"}
     with distributed.LocalCluster(**workers) as cluster:
-        assert studying.study(SMALL, tmp_path / "cluster", 2, cluster.scheduler_address, as_json=True) == 0
+        assert run_study(SMALL, tmp_path / "cluster", 2, cluster.scheduler_address, as_json=True) == 0
     assert Folder(tmp_path / "cluster").csv.read_bytes() == Folder(tmp_path / "study").csv.read_bytes()
 
 
 def test_options_become_fields_and_settings() -> None:
-    given = studying.given(3, 200, "2,20E+4H", "30, 40", "power,voronoi,power")
-    found = studying.chosen("efficacy", False, given, studying.options_of("BCD", None, 0.5, None, ["detection.clutter=0.2"]))
+    given = design_fields(3, 200, "2,20E+4H", "30, 40", "power,voronoi,power")
+    found = design_with("efficacy", False, given, dotted_options("BCD", None, 0.5, None, ["detection.clutter=0.2"]))
     assert (found.trials, found.first_seed, found.teams, found.targets) == (3, 200, ("2", "20E+4H"), (30, 40))
     assert found.methods == ("power", "voronoi")
     assert found.options == {"team.triple": "BCD", "run.dt": 0.5, "detection.clutter": 0.2}
@@ -91,17 +93,17 @@ def test_options_become_fields_and_settings() -> None:
 )
 def test_options_that_make_no_sense_are_named(trials: int | None, seed: int | None, targets: str | None, complaint: str) -> None:
     with pytest.raises(BadSetting, match=complaint):
-        studying.given(trials, seed, None, targets, None)
+        design_fields(trials, seed, None, targets, None)
 
 
 def test_what_is_left_is_what_was_done_at_the_same_speed() -> None:
-    assert studying.remaining(0.25, 60.0) == pytest.approx(180.0)
+    assert remaining(0.25, 60.0) == pytest.approx(180.0)
 
 
 def test_the_share_that_is_done_counts_running_trials_by_their_cost() -> None:
     """Four trials of equal cost: one done before this start, one finished, one half way, one open."""
     trials = [Trial(scenario="quick", seed=seed, team="A1", targets=3, method="power") for seed in range(4)]
-    ahead = studying.Ahead(trials, list(enumerate(trials))[1:], [0.0, 0.0, 0.5, 0.0])
+    ahead = Ahead(trials, list(enumerate(trials))[1:], [0.0, 0.0, 0.5, 0.0])
     ahead.finish(1)
     assert ahead.finished == 2 and ahead.running() == 1
     assert ahead.share() == pytest.approx(1.5 / 3.0)
@@ -109,4 +111,4 @@ def test_the_share_that_is_done_counts_running_trials_by_their_cost() -> None:
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (44.1, "45 s"), (100.0, "2 min"), (3600.0, "60 min"), (12000.0, "3 h 20 min")])
 def test_durations_in_words(seconds: float, text: str) -> None:
-    assert studying.words(seconds) == text
+    assert words(seconds) == text

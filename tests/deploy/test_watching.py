@@ -6,7 +6,8 @@ from collections.abc import Callable
 import pytest
 import zenoh
 
-from deploy.cli.listener import LOOK, SILENCE, Heard, Listener, Rates, block, expression, fields, kinds, lies_in, plain_line
+from deploy.cli.listener import LOOK, SILENCE, Heard, Listener, Rates, expression, kinds, lies_in
+from deploy.cli.message_text import block, fields, plain_line
 from deploy.cli.terminal_map import swarm_map
 from protocol import codec
 from protocol.messages import Command, Truth

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from deploy.__main__ import app
-from deploy.cli.errors import caught
+from deploy.cli.errors import guarded
 from deploy.cli.options import RunOptions
 from protocol.sensing import Pose
 
@@ -348,7 +348,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def typed(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str]]:
     """Exit code and lines of complaint of a command in this process, but for the line of the first one that compiles."""
-    code = caught(lambda: app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0)
+    code = guarded(lambda: app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     lines = capsys.readouterr().err.splitlines()
     return code, [line for line in lines if not line.startswith("covey: compiling")]
 

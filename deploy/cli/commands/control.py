@@ -1,4 +1,4 @@
-"""Commands that act on a running swarm: names, options and help. Imports little: it is read before every command."""
+"""Commands that act on a running swarm: names, options and help."""
 
 from typing import Literal
 
@@ -8,33 +8,33 @@ from deploy.cli.app import ACT, Drawn, Run, Who, app
 @app.command(group=ACT, help_epilogue="Example: covey down --run hunt")
 def down(*, run: Run = None) -> int:
     """End a running swarm."""
-    from deploy.cli import control as acting
+    from deploy.cli.control import down
 
-    return acting.down(run)
+    return down(run)
 
 
 @app.command(group=ACT, help_epilogue="Example: covey kill s1 s2 s3\n         covey kill 30%")
 def kill(*who: Who, random: Drawn = None, run: Run = None) -> int:
     """Kill agents (SIGKILL)."""
-    return _act("kill", who, random, run)
+    return _send("kill", who, random, run)
 
 
 @app.command(group=ACT, help_epilogue="Example: covey pause s4 s7")
 def pause(*who: Who, random: Drawn = None, run: Run = None) -> int:
     """Stop agents in their tracks (SIGSTOP)."""
-    return _act("pause", who, random, run)
+    return _send("pause", who, random, run)
 
 
 @app.command(group=ACT, help_epilogue="Example: covey resume s4")
 def resume(*who: Who, random: Drawn = None, run: Run = None) -> int:
     """Let paused agents go on (SIGCONT); all of them unless said."""
-    return _act("resume", who, random, run, "100%")
+    return _send("resume", who, random, run, "100%")
 
 
 @app.command(group=ACT, help_epilogue="Example: covey restart s1 s2")
 def restart(*who: Who, random: Drawn = None, run: Run = None) -> int:
     """Bring agents back under their names; all the dead unless said."""
-    return _act("restart", who, random, run, "100%")
+    return _send("restart", who, random, run, "100%")
 
 
 @app.command(group=ACT, help_epilogue="Example: covey partition s1 s2 --kind one-way")
@@ -43,13 +43,13 @@ def partition(*who: Who, kind: Literal["both", "one-way", "bridge"] = "both", ru
 
     The scenario has to say network.link_faults = true.
     """
-    return _act("partition", who, None, run, options={"kind": kind})
+    return _send("partition", who, None, run, options={"kind": kind})
 
 
 @app.command(group=ACT, help_epilogue="Example: covey heal")
 def heal(*, run: Run = None) -> int:
     """Make all links clear again."""
-    return _act("heal", (), None, run, "")
+    return _send("heal", (), None, run, "")
 
 
 @app.command(group=ACT, help_epilogue="Example: covey drop 0.2 s1 s2 --burst 4")
@@ -58,7 +58,7 @@ def drop(share: float, /, *who: Who, burst: float = 0.0, run: Run = None) -> int
 
     Of all agents unless said; --burst: in runs of so many. The scenario has to say network.link_faults = true.
     """
-    return _act("drop", who, None, run, "", value=share, options={"burst": burst})
+    return _send("drop", who, None, run, "", value=share, options={"burst": burst})
 
 
 @app.command(group=ACT, help_epilogue="Example: covey delay 0.5 s3 --jitter 0.2")
@@ -67,10 +67,10 @@ def delay(seconds: float, /, *who: Who, jitter: float = 0.0, run: Run = None) ->
 
     Of all agents unless said. The scenario has to say network.link_faults = true.
     """
-    return _act("delay", who, None, run, "", value=seconds, options={"jitter": jitter})
+    return _send("delay", who, None, run, "", value=seconds, options={"jitter": jitter})
 
 
-def _act(
+def _send(
     verb: str,
     names: tuple[str, ...],
     random: int | None,
@@ -79,6 +79,6 @@ def _act(
     value: float | None = None,
     options: dict[str, str | float] | None = None,
 ) -> int:
-    from deploy.cli import control as acting
+    from deploy.cli import control
 
-    return acting.act(verb, acting.meant(verb, names, random, otherwise), run, value, options)
+    return control.send(verb, control.selection(verb, names, random, otherwise), run, value, options)

@@ -1,11 +1,11 @@
-"""Commands that set up and explain: names, options and help. Imports little: it is read before every command."""
+"""Commands that set up and explain: names, options and help."""
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from deploy.cli import completion as completing
+from deploy.cli import completion
 from deploy.cli.app import SET_UP, Named, Options, app, version_line
 from deploy.cli.options import FLAG, WHOLE, RunOptions
 
@@ -13,33 +13,33 @@ from deploy.cli.options import FLAG, WHOLE, RunOptions
 @app.command(group=SET_UP, help_epilogue="Example: covey init mine.toml")
 def init(file: Path = Path("scenario.toml"), /) -> int:
     """Write a scenario with every setting and its default, explained."""
-    from deploy.cli import scenario_file as scenarios
+    from deploy.cli import scenario_file
 
-    return scenarios.init(file)
+    return scenario_file.init(file)
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey check mine.toml --team 3")
 def check(scenario: Named = "convergence", /, *, options: Options = RunOptions()) -> int:
     """Is the scenario right, and can this machine run it?"""
-    from deploy.cli import check as checking
+    from deploy.cli import scenario_file
 
     wrong = options.mistakes(scenario)
-    return checking.complain(wrong) if wrong else checking.check(options.scenario(scenario))
+    return scenario_file.complain(wrong) if wrong else scenario_file.check(options.scenario(scenario))
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey config efficacy --team 3 --set filter.gate=4")
 def config(scenario: Named = "convergence", /, *, options: Options = RunOptions()) -> int:
     """All settings of a scenario with its options, as TOML."""
-    from deploy.cli import scenario_file as scenarios
+    from deploy.cli import scenario_file
 
-    return scenarios.config(options.scenario(scenario))
+    return scenario_file.config(options.scenario(scenario))
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey keys --scenario efficacy --into ~/keys")
 def keys(
     *names: str,
     into: Path = Path("keys"),
-    scenario: Annotated[str | None, Parameter(completer=completing.scenarios)] = None,
+    scenario: Annotated[str | None, Parameter(completer=completion.scenarios)] = None,
     host: tuple[str, ...] = (),
     days: Annotated[int, WHOLE] = 730,
     force: Annotated[bool, FLAG] = False,
@@ -50,16 +50,17 @@ def keys(
     For these names, or for all of a scenario; up --keys DIR uses them.
     --force: make anew what exists; --in-git: even in a git work tree.
     """
-    from deploy.cli import keys as making
+    from deploy.cli import keys
 
-    return making.keys(list(names), scenario, into, host, days, force, in_git)
+    return keys.keys(list(names), scenario, into, host, days, force, in_git)
 
 
 @app.command(
+    name="completion",
     group=SET_UP,
     help_epilogue="Example: source <(covey completion bash)\n         covey completion fish > ~/.config/fish/completions/covey.fish",
 )
-def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
+def completion_script(shell: Literal["bash", "zsh", "fish"], /) -> int:
     """What completes words with TAB in a shell.
 
     bash: source it; fish: keep it where fish looks; zsh: keep it as _covey in a folder of $fpath.
@@ -73,7 +74,7 @@ def version() -> int:
     """Versions of Covey, of its wire format and of what it stands on."""
     import json
 
-    from deploy.storage.run_directory import versions
+    from deploy.installation import versions
 
     print(version_line())
     print(json.dumps(versions(), indent=2))

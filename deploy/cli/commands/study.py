@@ -1,13 +1,15 @@
-"""`covey study`: names, options and help. Imports little: it is read before every command."""
+"""Commands that study and measure: names, options and help."""
 
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from deploy.cli.app import STUDY, app
 from deploy.cli.options import FLAG, WHOLE
 
 
+@app.command(group=STUDY, help_epilogue="Example: covey study efficacy --quick")
 def study(
     name: str,
     /,
@@ -70,20 +72,46 @@ def study(
     json
         The last line of standard output is the table as one JSON object.
     """
-    from deploy.extras import need
+    from deploy.installation import need_study_packages
 
-    need("study")
-    from deploy.cli import study as studying
+    need_study_packages("study")
+    from deploy.cli.study import default_folder, run_study
+    from deploy.studies.design import design_fields, design_with, dotted_options
     from protocol.settings import BadSetting
 
+    options, folder = dotted_options(triple, capacity, dt, seconds, settings or []), into or default_folder(name, quick)
     if name == "robustness":
-        from deploy.cli import robustness as robust
+        from deploy.cli.robustness import run_robustness_study, settings_of
 
-        fixed = {**studying.options_of(triple, capacity, dt, seconds, settings or []), **robust.settings_of(teams, targets, methods)}
-        return robust.study(quick, trials, seed, faults, fixed, into or studying.default_folder(name, quick), workers, scheduler, json)
+        fixed = {**options, **settings_of(teams, targets, methods)}
+        return run_robustness_study(quick, trials, seed, faults, fixed, folder, workers, scheduler, json)
     if faults is not None:
         raise BadSetting(f"--faults {faults}: an option of the robustness study alone")
-    options = studying.options_of(triple, capacity, dt, seconds, settings or [])
-    given = studying.given(trials, seed, teams, targets, methods)
-    found = studying.chosen(name, quick, given, options)
-    return studying.study(found, into or studying.default_folder(name, quick), workers, scheduler, json)
+    design = design_with(name, quick, design_fields(trials, seed, teams, targets, methods), options)
+    return run_study(design, folder, workers, scheduler, json)
+
+
+@app.command(group=STUDY, help_epilogue="Example: covey bench round")
+def bench(what: str = "all", /, *, json: Annotated[bool, FLAG] = False, seconds: float | None = None) -> int:
+    """Measure this machine.
+
+    What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them.
+    --seconds: how long realtime runs each of its swarms; a minute if it is not given.
+    """
+    import subprocess
+
+    from deploy.installation import command, environment
+
+    words = [what, *(["--json"] if json else []), *([f"--seconds={seconds:g}"] if seconds is not None else [])]
+    return subprocess.call([*command("deploy.bench"), *words], env=environment())
+
+
+@app.command(group=STUDY, help_epilogue="Example: covey fuzz --seeds 20")
+def fuzz(*, seeds: Annotated[int, WHOLE] = 300, first: Annotated[int, WHOLE] = 1, jobs: Annotated[int | None, WHOLE] = None) -> int:
+    """Small swarms under faults drawn from a seed, all invariants checked.
+
+    Exit code 1 when a seed fails.
+    """
+    from deploy.cli import fuzz
+
+    return fuzz.fuzz(seeds, first, jobs)

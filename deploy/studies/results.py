@@ -1,4 +1,4 @@
-"""Studies: many trials with paired seeds, kept in a folder so that a study that was stopped goes on where it was.
+"""The folder of a study: it keeps every finished trial, so that a study that was stopped goes on where it was.
 
     <folder>/trials.jsonl      one line for every finished trial, written at once
              results.csv       the rows of the study in the order of its plan, and
@@ -11,7 +11,6 @@ on, more trials extend a study, and a changed program runs everything anew.
 
 import csv
 import fcntl
-import itertools
 import json
 import os
 from collections.abc import Iterator, Sequence
@@ -19,60 +18,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from deploy.scenario import TeamSettings, team_counts
-from deploy.studies.trials import METHODS, Row, Trial, check_method
+from deploy.studies.trials import Row
 from protocol.settings import BadSetting
-
-
-class Design(msgspec.Struct, frozen=True, kw_only=True):
-    """What a study compares: all combinations of teams, numbers of targets and methods, each with the same seeds."""
-
-    scenario: str
-    teams: tuple[str, ...]
-    targets: tuple[int, ...]
-    methods: tuple[str, ...]
-    trials: int = 10
-    first_seed: int = 100  # of the seeds 100, 101, ...; the defaults of the scenarios were found with smaller ones
-    options: dict[str, Any] = {}  # dotted settings of all trials
-
-
-STUDIES: dict[str, Design] = {
-    "convergence": Design(scenario="convergence", teams=("1",), targets=(8,), methods=("power", "voronoi-cod", "voronoi", "static")),
-    "efficacy": Design(scenario="efficacy", teams=("2", "3", "4", "5"), targets=(30, 40, 50), methods=("power", "voronoi", "voronoi-cod")),
-    "heterogeneity": Design(
-        scenario="heterogeneity", teams=("20E+20F", "20E+10G", "20E+4H"), targets=(30,), methods=("power", "voronoi", "voronoi-cod")
-    ),
-}
-QUICK: dict[str, dict[str, Any]] = {  # what --quick lays over a study: under 3 minutes on 2 cores
-    "convergence": {"trials": 4, "options": {"run.dt": 0.5}},
-    "efficacy": {"trials": 3, "options": {"run.dt": 0.5, "run.seconds": 40.0}},
-    "heterogeneity": {"trials": 4, "options": {"run.dt": 0.5, "run.seconds": 80.0}},
-}
-
-
-def design(name: str, quick: bool = False) -> Design:
-    """The study of that name; raises BadSetting listing what there is."""
-    if name not in STUDIES:
-        raise BadSetting(f"study {name!r} does not exist; known are {', '.join(STUDIES)}, robustness")
-    return msgspec.structs.replace(STUDIES[name], **QUICK[name]) if quick else STUDIES[name]
-
-
-def plan(found: Design) -> list[Trial]:
-    """All trials, seed by seed, so that a study that is cut short has compared everything equally often; checked by resolving them."""
-    for name in found.methods:
-        check_method(name)
-    for team in found.teams:
-        team_counts(TeamSettings(composition=team, triple=found.options.get("team.triple", "ACD")))
-    seeds = range(found.first_seed, found.first_seed + found.trials)
-    trials = [
-        Trial(scenario=found.scenario, seed=seed, team=team, targets=targets, method=method, options=found.options)
-        for seed, targets, team, method in itertools.product(seeds, found.targets, found.teams, found.methods)
-    ]
-    for trial in trials[: len(found.targets) * len(found.teams) * len(found.methods)]:
-        trial.resolve()
-    return trials
 
 
 class Folder:
@@ -189,8 +136,3 @@ def _plain(name: str, value: str) -> Any:
         except ValueError:
             continue
     return {"True": True, "False": False}.get(value, value)
-
-
-def methods_of(rows: Sequence[Row]) -> list[str]:
-    """The methods that occur, in the order of METHODS."""
-    return [name for name in METHODS if any(row["method"] == name for row in rows)]
