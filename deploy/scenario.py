@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import tomli_w
 
 from agents.config import AgentConfig
 from protocol.settings import BadSetting, NotNegative, RunSettings, Section, Share, convert, read_toml, sensor_of
@@ -178,3 +179,23 @@ def parse_set(text: str) -> tuple[str, Any]:
         return dotted.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return dotted.strip(), value.strip()
+
+
+def toml_text(settings: msgspec.Struct | dict[str, Any]) -> str:
+    """The TOML file of a scenario, of a part of it, or of plain data; None stands for a setting that is left out."""
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(settings)))
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return [_without_none(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def toml_value(value: Any) -> str:
+    """A value on one line of TOML: lists in brackets, tables in braces."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{tomli_w.dumps({key: 0})[:-5]} = {toml_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return tomli_w.dumps({"value": value}).removeprefix("value = ").removesuffix("\n")

@@ -11,78 +11,78 @@ from contextlib import nullcontext
 from cyclopts import App
 from rich.console import Console
 
-from deploy.bench.timing import Row, table
+from deploy.bench.timing import BenchRow, table
 from deploy.cli.errors import guarded
 from protocol.settings import BadSetting
 
 LONGEST = 86400.0  # s
 
 
-def _round() -> Iterable[Row]:
+def _round() -> Iterable[BenchRow]:
     from deploy.bench import rounds
 
     return rounds.measure()
 
 
-def _codec() -> Iterable[Row]:
+def _codec() -> Iterable[BenchRow]:
     from deploy.bench import rounds
 
     return rounds.codec_rows()
 
 
-def _simulate() -> Iterable[Row]:
+def _simulate() -> Iterable[BenchRow]:
     from deploy.bench import simulations
 
     return simulations.simulate()
 
 
-def _scale() -> Iterable[Row]:
+def _scale() -> Iterable[BenchRow]:
     from deploy.bench import simulations
 
     return simulations.scale()
 
 
-def _start() -> Iterable[Row]:
+def _start() -> Iterable[BenchRow]:
     from deploy.bench import processes
 
     return processes.start()
 
 
-def _live() -> Iterable[Row]:
+def _live() -> Iterable[BenchRow]:
     from deploy.bench import processes
 
     return processes.live()
 
 
-def _realtime(seconds: float = 60.0) -> Iterable[Row]:
+def _realtime(seconds: float = 60.0) -> Iterable[BenchRow]:
     from deploy.bench import processes
 
     return processes.realtime(seconds=seconds)
 
 
-def _memory() -> Iterable[Row]:
+def _memory() -> Iterable[BenchRow]:
     return [{key: row[key] for key in ("agents", "spawn", "PSS, MB")} for row in _start()]
 
 
-def _peers() -> Iterable[Row]:
+def _peers() -> Iterable[BenchRow]:
     from deploy.bench import peers
 
     return peers.measure()
 
 
-def _page() -> Iterable[Row]:
+def _page() -> Iterable[BenchRow]:
     from deploy.bench import pages
 
     return pages.measure()
 
 
-def _replay() -> Iterable[Row]:
+def _replay() -> Iterable[BenchRow]:
     from deploy.bench import pages
 
     return pages.replay()
 
 
-BENCHES: dict[str, Callable[[], Iterable[Row]]] = {
+BENCHES: dict[str, Callable[[], Iterable[BenchRow]]] = {
     "round": _round,
     "simulate": _simulate,
     "live": _live,
@@ -117,7 +117,7 @@ def bench(what: str, as_json: bool, seconds: float | None = None) -> int:
     return 0
 
 
-def _measure(name: str, measured: Callable[[], Iterable[Row]]) -> list[Row]:
+def _measure(name: str, measured: Callable[[], Iterable[BenchRow]]) -> list[BenchRow]:
     """The rows of a benchmark; people see how many there are while they wait for the next."""
     console, begun, rows = Console(stderr=True), time.monotonic(), []
     with console.status(f"{name}: measuring") if console.is_terminal else nullcontext() as spinner:

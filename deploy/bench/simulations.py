@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.agent import Agent
 from deploy.bench import central
-from deploy.bench.timing import Row, in_turns
+from deploy.bench.timing import BenchRow, in_turns
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation, compiled
 from protocol.messages import Message, Truth
@@ -54,7 +54,7 @@ def figure_4(seconds: float) -> Scenario:
     return resolve("efficacy", {"team.composition": "4", "run.dt": 0.5, "run.seconds": seconds})
 
 
-def simulate(seconds: float = 60.0, turns: int = 3) -> Iterator[Row]:
+def simulate(seconds: float = 60.0, turns: int = 3) -> Iterator[BenchRow]:
     """Simulated seconds per second of CPU: with the codec, without, without and with a tenth of the messages between agents lost, and the
     central filter without agents and messages. They take turns, so that all meet the machine in the same mood; medians."""
     scenario, arithmetic = figure_4(seconds), compiled()
@@ -97,7 +97,7 @@ def crowd(agents: int, interest: str, ticks: int, seed: int = 1) -> Scenario:
     return resolve("efficacy", options)
 
 
-def scale(sizes: tuple[int, ...] = (48, 200, 400, 1000, 5000), enough: int = 1000) -> Iterator[Row]:
+def scale(sizes: tuple[int, ...] = (48, 200, 400, 1000, 5000), enough: int = 1000) -> Iterator[BenchRow]:
     """Per agent-round at constant density, once all have chosen their neighbours and whoever was heard of at the start only has been
     forgotten: CPU, deliveries, messages, bytes, peers listened to. Of small swarms several are played, to measure `enough` agents.
 
@@ -133,7 +133,7 @@ class _Sums:
     inside: list[int] = field(default_factory=list)  # how many those hear who are far from every edge
 
 
-def _steady(scenarios: list[Scenario], interest: str) -> Row:
+def _steady(scenarios: list[Scenario], interest: str) -> BenchRow:
     """Swarms of one size, one after the other."""
     sums = _Sums()
     for scenario in scenarios:

@@ -13,7 +13,7 @@ from agents.births import background_births
 from agents.particles import Particles
 from agents.step import Step
 from agents.words import Words, eye_of, pack_row
-from deploy.bench.timing import Row, median_seconds
+from deploy.bench.timing import BenchRow, median_seconds
 from deploy.scenario import agent_config, resolve
 from protocol.geometry import rectangle
 from protocol.settings import sensor_of
@@ -112,14 +112,14 @@ def their_ospa() -> Any:
     return lambda: metric.compute_OSPA_distance(first, second)
 
 
-def measure(arithmetic: Arithmetic) -> list[Row]:
+def measure(arithmetic: Arithmetic) -> list[BenchRow]:
     """Milliseconds of CPU, and how many times faster ours are."""
     one, other = _points(TARGETS, 4), _points(TARGETS, 5)
     pairs = [
         (f"particle PHD scan, {PARTICLES} particles, {DETECTIONS} detections", our_scan(arithmetic), their_scan()),
         (f"OSPA, {TARGETS} against {TARGETS}", lambda: ospa(one, other), their_ospa()),
     ]
-    rows: list[Row] = []
+    rows: list[BenchRow] = []
     for what, ours, theirs in pairs:
         mine = 1000.0 * median_seconds(lambda call=ours: [call() for _ in range(REPEATS)]) / REPEATS  # type: ignore[misc]
         foreign = 1000.0 * median_seconds(theirs)

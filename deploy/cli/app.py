@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import App, Group, Parameter
 
-from deploy.cli import completion as completing
+from deploy.cli import completion
 from deploy.cli.options import WHOLE, RunOptions, switch_or_text
 
 RUN, ACT, LOOK, KEEP, STUDY, SET_UP = (
@@ -13,22 +13,22 @@ RUN, ACT, LOOK, KEEP, STUDY, SET_UP = (
 )
 
 Options = Annotated[RunOptions, Parameter(name="*")]
-Run = Annotated[str | None, Parameter(help="Name of the run; default: the newest that is running.", completer=completing.runs)]
-Named = Annotated[str, Parameter(help="A shipped scenario, or a TOML file.", completer=completing.scenarios)]
-Kept = Annotated[str, Parameter(help="Name of a run, its folder, or an .mcap file.", completer=completing.recordings)]
-Who = Annotated[
+RunName = Annotated[str | None, Parameter(help="Name of the run; default: the newest that is running.", completer=completion.runs)]
+ScenarioName = Annotated[str, Parameter(help="A shipped scenario, or a TOML file.", completer=completion.scenarios)]
+RecordingName = Annotated[str, Parameter(help="Name of a run, its folder, or an .mcap file.", completer=completion.recordings)]
+AgentChoice = Annotated[
     str,
     Parameter(
-        help="Names, with blanks or commas between them; or a number such as 4, or a share such as 30%.", completer=completing.agents
+        help="Names, with blanks or commas between them; or a number such as 4, or a share such as 30%.", completer=completion.agents
     ),
 ]
-Drawn = Annotated[int | None, WHOLE, Parameter(help="So many agents, drawn at random.")]
-Record = Annotated[bool | Path, Parameter(help="Record everything into this .mcap file; default: the run directory.", negative="")]
-Trace = Annotated[Path | None, Parameter(help="Write the time series into this .npz, .parquet or .csv file.")]
-Page = Annotated[
+RandomCount = Annotated[int | None, WHOLE, Parameter(help="So many agents, drawn at random.")]
+RecordFile = Annotated[bool | Path, Parameter(help="Record everything into this .mcap file; default: the run directory.", negative="")]
+TraceFile = Annotated[Path | None, Parameter(help="Write the time series into this .npz, .parquet or .csv file.")]
+PageAddress = Annotated[
     bool | str, Parameter(help="Show the run on a page in the browser: a port (0: any free one), or host:port.", converter=switch_or_text)
 ]
-Open = Annotated[bool, Parameter(help="Open the page in the browser.", negative="")]
+OpenPage = Annotated[bool, Parameter(help="Open the page in the browser.", negative="")]
 
 app = App(
     name="covey",

@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from deploy.cli.listener import Heard, Listener, Rates, expression, kinds, swarm_to_watch
+from deploy.cli.listener import KeyedPayload, Listener, Rates, expression, kinds, swarm_to_watch
 from deploy.cli.message_text import block, plain_line
 from deploy.live.control import ask
 from deploy.page.picture import Picture
@@ -50,7 +50,7 @@ def echo(key: str, count: int | None, run: str | None) -> int:
     show = block if sys.stdout.isatty() else plain_line
     left = count if count is not None else -1
 
-    def on_heard(heard: Heard, now: float) -> bool:
+    def on_heard(heard: KeyedPayload, now: float) -> bool:
         nonlocal left
         print(show(heard), flush=True)
         left -= 1
@@ -73,7 +73,7 @@ def hz(key: str, seconds: float | None, run: str | None) -> int:
     rates, console = Rates(), Console(highlight=False)
     shown_at = time.monotonic()
 
-    def on_heard(heard: Heard, now: float) -> bool:
+    def on_heard(heard: KeyedPayload, now: float) -> bool:
         nonlocal shown_at
         rates.note(heard, now)
         if time.monotonic() - shown_at >= PLAIN_PERIOD:

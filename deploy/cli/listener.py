@@ -18,7 +18,7 @@ LOOK = 2.0  # s that this takes: the rarest messages come every second or so
 PART = re.compile(r"^(\*\*?|[^*/#?$\s]+(\$\*[^*/#?$\s]*)*|\$\*[^*/#?$\s]+)\Z")
 
 
-class Heard(NamedTuple):
+class KeyedPayload(NamedTuple):
     """A payload under a key; `message` where it is one of ours, `reason` where it is not."""
 
     key: str
@@ -62,7 +62,7 @@ class Listener:
         run: str,
         name: str,
         wanted: str,
-        on_heard: Callable[[Heard, float], bool],
+        on_heard: Callable[[KeyedPayload, float], bool],
         seconds: float | None = None,
         on_silence: Callable[[list[str]], None] | None = None,
     ) -> None:
@@ -91,16 +91,16 @@ class Listener:
             case Timer():
                 return [Stop(0, "time is up")] if self._end is not None and now >= self._end else self._look_around(now)
             case Received(message=message):
-                return self._hear(Heard(message_key(self.run, message), event.payload, message, ""), now)
+                return self._hear(KeyedPayload(message_key(self.run, message), event.payload, message, ""), now)
             case Rejected():
-                return self._hear(Heard(event.key, event.payload, None, event.reason), now)
+                return self._hear(KeyedPayload(event.key, event.payload, None, event.reason), now)
             case Alive():
                 self.tokens.add((event.role, event.name, event.incarnation))
             case Gone():
                 self.tokens.discard((event.role, event.name, event.incarnation))
         return []
 
-    def _hear(self, heard: Heard, now: float) -> list[Effect]:
+    def _hear(self, heard: KeyedPayload, now: float) -> list[Effect]:
         """Hand on what is wanted; note where else something is said while that is looked at."""
         if self._looked and not lies_in(self._wanted, heard.key):
             if self._elsewhere is not None:
@@ -141,7 +141,7 @@ class Rates:
         self._last: dict[str, float] = {}
         self._longest: dict[str, float] = {}
 
-    def note(self, heard: Heard, now: float) -> bool:
+    def note(self, heard: KeyedPayload, now: float) -> bool:
         """Count one message; always True, for who listens goes on."""
         key = heard.key
         if key in self._last:

@@ -15,7 +15,7 @@ FOLLOW_PERIOD = 0.25  # s between two looks for new lines
 KNOWN = ("time", "level", "run", "agent", "message", "exception")  # what is said in a place of its own
 
 
-class Entry(NamedTuple):
+class LogEntry(NamedTuple):
     """One line of a log; `fields` is empty where it is no JSON, such as a complaint before the logging began."""
 
     time: float  # Unix time, s; a line without one has that of the line before
@@ -73,12 +73,12 @@ class Tails:
         self._read: dict[Path, int] = {}  # bytes
         self._time: dict[Path, float] = {}
 
-    def read(self) -> list[Entry]:
+    def read(self) -> list[LogEntry]:
         """What has been written since the last look, by time."""
         files = [self._directory.log(name) for name in self._names] or sorted(self._directory.logs.glob("*.jsonl"))
         return sorted((entry for file in files for entry in self._new(file)), key=lambda entry: entry.time)
 
-    def _new(self, file: Path) -> Iterator[Entry]:
+    def _new(self, file: Path) -> Iterator[LogEntry]:
         try:
             with file.open("rb") as log:
                 log.seek(self._read.get(file, 0))
@@ -93,22 +93,22 @@ class Tails:
             yield entry
 
 
-def entry_of(line: str, name: str, before: float) -> Entry:
+def entry_of(line: str, name: str, before: float) -> LogEntry:
     """A line of the log of `name`; `before` is the time of the line before."""
     try:
         fields = json.loads(line)
-        return Entry(float(fields["time"]), name, line, fields)
+        return LogEntry(float(fields["time"]), name, line, fields)
     except (ValueError, TypeError, KeyError):
-        return Entry(before, name, line, {})
+        return LogEntry(before, name, line, {})
 
 
-def _show(entries: Iterable[Entry], raw: bool) -> None:
+def _show(entries: Iterable[LogEntry], raw: bool) -> None:
     for entry in entries:
         print(entry.line if raw else plain(entry))
     sys.stdout.flush()
 
 
-def plain(entry: Entry) -> str:
+def plain(entry: LogEntry) -> str:
     """An entry for people: when, who, what, and what belongs to it; an exception in lines of its own."""
     clock = time.strftime("%H:%M:%S", time.localtime(entry.time)) + f".{int(1000 * (entry.time % 1)):03d}" if entry.time else " " * 12
     head = f"{clock}  {entry.name:10}  "

@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deploy.cli.listener import Heard
+from deploy.cli.listener import KeyedPayload
 from protocol.messages import Message
 
 
@@ -18,7 +18,7 @@ def fields(message: Message) -> dict[str, Any]:
     return found
 
 
-def plain_line(heard: Heard) -> str:
+def plain_line(heard: KeyedPayload) -> str:
     """One line of JSON: the key, and the message or its raw bytes and why it is none."""
     if heard.message is not None:
         return msgspec.json.encode({"key": heard.key, **fields(heard.message)}).decode()
@@ -31,7 +31,7 @@ def plain_line(heard: Heard) -> str:
         return msgspec.json.encode(raw).decode()
 
 
-def block(heard: Heard, most: int = 6) -> str:
+def block(heard: KeyedPayload, most: int = 6) -> str:
     """Several lines for a terminal: the key, then field by field, long arrays by their first rows."""
     if heard.message is None:
         return f"{heard.key}\n  {heard.reason}, {len(heard.payload)} bytes: {heard.payload[:64].hex(' ')}"

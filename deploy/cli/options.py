@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter, Token
 
-from deploy.cli import completion as completing
+from deploy.cli import completion
 
 if TYPE_CHECKING:
     from deploy.scenario import FaultSettings, Scenario
@@ -63,7 +63,7 @@ class RunOptions:
     """Lose this share (0 to 1) of the messages between agents from the start."""
     delay: float | None = None
     """Deliver the messages between agents this many seconds late."""
-    settings: Annotated[list[str], Parameter(name="--set", negative="", completer=completing.settings)] = field(default_factory=list)
+    settings: Annotated[list[str], Parameter(name="--set", negative="", completer=completion.settings)] = field(default_factory=list)
     """Any setting of the scenario: section.key=value. May be repeated."""
     run: str | None = None
     """Name of the run, and of its directory under ./runs (or COVEY_RUNS); default: <date>-<scenario>-<n>."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from deploy.storage.kept_runs import Kept, age_of, kept_runs, removable, remove
+from deploy.storage.kept_runs import KeptRun, age_of, kept_runs, removable, remove
 from deploy.storage.run_directory import RunDirectory, runs_folder
 from protocol.settings import BadSetting
 
@@ -35,7 +35,7 @@ def runs(as_json: bool) -> int:
     return 0
 
 
-def _cells(kept: Kept) -> list[str]:
+def _cells(kept: KeptRun) -> list[str]:
     when = time.strftime("%Y-%m-%d %H:%M", time.localtime(kept.began))
     scenario = Path(kept.scenario).name + (" (simulated)" if kept.simulated else "")
     ospa = "" if kept.ospa is None else f"{kept.ospa:.2f}"
@@ -63,7 +63,7 @@ def rm(names: Sequence[str], everything: bool, older_than: str | None, yes: bool
     return _remove([removable(kept.name) for kept in chosen])
 
 
-def _agreed(chosen: Sequence[Kept]) -> bool:
+def _agreed(chosen: Sequence[KeptRun]) -> bool:
     """Whether the user in the terminal says yes; raises BadSetting where there is none who could be asked."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise BadSetting(f"rm: would remove {len(chosen)} runs; add -y, for there is no terminal to ask")

@@ -5,14 +5,11 @@ import shutil
 import sys
 from pathlib import Path
 
-import msgspec
-
 from deploy.cli.template import template
 from deploy.installation import versions
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, toml_text
 from deploy.scoring.pace import too_small
 from deploy.storage.run_directory import ROOM, runs_folder
-from deploy.toml_text import toml_text
 from protocol.settings import BadSetting, NetworkSettings
 
 
@@ -38,7 +35,7 @@ def init(file: Path) -> int:
 
 def config(scenario: Scenario) -> int:
     """Print a resolved scenario as TOML."""
-    print(toml_text(msgspec.to_builtins(scenario)), end="")
+    print(toml_text(scenario), end="")
     return 0
 
 

@@ -62,11 +62,11 @@ def _simulate(
         Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     with console.status("") if console.is_terminal else nullcontext() as spinner:
         show = (lambda text: spinner.update(text)) if spinner else console.print
-        pace = Pace(show, 0.25 if spinner else 5.0)
+        progress = ProgressLine(show, 0.25 if spinner else 5.0)
 
         def heard(truth: Truth) -> None:
             series.tell(truth)
-            pace.tell(truth.tick + 1, scenario.run.ticks)
+            progress.tell(truth.tick + 1, scenario.run.ticks)
 
         simulation.on_truth = heard
         result = simulation.run()
@@ -81,7 +81,7 @@ def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | N
         Console(stderr=True, highlight=False).print(f"recorded in {os.path.relpath(recorded)}", soft_wrap=True)
 
 
-class Pace:
+class ProgressLine:
     """Says now and then how far a simulation is."""
 
     def __init__(self, show: Callable[[str], None], period: float) -> None:

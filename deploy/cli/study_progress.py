@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager, nullcontext
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from deploy.studies.engines import Job, Numbered, Play, Rows, Shares, TrialFailed, on_a_cluster, on_this_machine, shared_shares
+from deploy.studies.engines import FinishedTrials, Job, Numbered, Play, Shares, TrialFailed, on_a_cluster, on_this_machine, shared_shares
 from deploy.studies.results import Folder
 from deploy.studies.trials import Row, cost
 from protocol.settings import BadSetting
@@ -60,7 +60,7 @@ def _run(
         signal.signal(signal.SIGTERM, previous)
 
 
-def _follow(engine: Rows, folder: Folder, trials: Sequence[Job], ahead: "Ahead", tell: "Bar") -> None:
+def _follow(engine: FinishedTrials, folder: Folder, trials: Sequence[Job], ahead: "Ahead", tell: "Bar") -> None:
     for rows in engine:
         for number, row in rows:
             if row["key"] != trials[number].key():

@@ -11,8 +11,7 @@ from typing import Any
 import msgspec
 from msgspec.inspect import DictType, Field, FloatType, IntType, LiteralType, StructType, Type, UnionType, VarTupleType, type_info
 
-from deploy.scenario import Scenario
-from deploy.toml_text import toml_text
+from deploy.scenario import Scenario, toml_value
 
 COMMENT = re.compile(r"^    (\w+): .*?  # (.*)$", re.MULTILINE)
 HEAD = """\
@@ -66,9 +65,7 @@ def _default(field: Field) -> str:
     )
     if value is None or value is msgspec.NODEFAULT:
         return f"<{plain(field.type)}>"
-    if value == {}:
-        return "{}"
-    return toml_text({"x": value}).removeprefix("x = ").strip()
+    return toml_value(value)
 
 
 def plain(kind: Type) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deploy.page.picture import Happening, Known, Picture
+from deploy.page.picture import Happening, KnownAgent, Picture
 from deploy.scoring.scorer import Score
 from protocol.keys import order
 
@@ -120,13 +120,13 @@ def _blurred(grid: np.ndarray, axis: int) -> np.ndarray:
     return result
 
 
-def _outfit(known: Known) -> dict[str, Any]:
+def _outfit(known: KnownAgent) -> dict[str, Any]:
     """Name, class and footprint at the origin of an agent."""
     outline = known.sensor.footprint((0.0, 0.0, 0.0)) if known.sensor else np.empty((0, 2))
     return {"name": known.name, "class": known.sensor_class, "outline": _flat(outline)}
 
 
-def _agent(picture: Picture, known: Known) -> dict[str, Any]:
+def _agent(picture: Picture, known: KnownAgent) -> dict[str, Any]:
     gossip, estimate = picture.said(known)
     pose = picture.pose(known.name)
     data: dict[str, Any] = {"name": known.name, "state": known.state, "incarnation": known.incarnation, "age": picture.age(known)}
@@ -167,7 +167,7 @@ def belief(picture: Picture, name: str) -> dict[str, Any] | None:
     return data
 
 
-def agreement(picture: Picture, known: Known) -> list[int]:
+def agreement(picture: Picture, known: KnownAgent) -> list[int]:
     """How many live agents cut the same diagram as this one in its newest tick, and how many have spoken of that tick."""
     mine = known.estimate
     others = [other.estimate for other in picture.agents.values() if other.alive and other.estimate is not None]

@@ -48,7 +48,7 @@ class Happening(NamedTuple):
 
 
 @dataclass(slots=True)
-class Known:
+class KnownAgent:
     """What has been heard of one agent."""
 
     name: str
@@ -77,16 +77,16 @@ def silent_after(scenario: Scenario) -> int:
     return max(rounds, math.ceil(run.rate / run.dt)) if run.clock == "realtime" else rounds
 
 
-Said = TypeVar("Said", Gossip, Estimate)
+KeptMessage = TypeVar("KeptMessage", Gossip, Estimate)
 
 
-def up_to(said: dict[int, Said], tick: int) -> Said | None:
+def up_to(said: dict[int, KeptMessage], tick: int) -> KeptMessage | None:
     """The newest that is no younger than `tick`."""
     ticks = [stamp for stamp in said if stamp <= tick]
     return said[max(ticks)] if ticks else None
 
 
-def _keep(said: dict[int, Said], message: Said) -> None:
+def _keep(said: dict[int, KeptMessage], message: KeptMessage) -> None:
     """Keep a message among those of the last ticks."""
     said[message.tick] = message
     if len(said) > MOST_TICKS:
@@ -103,7 +103,7 @@ class Picture:
         self.scenario = scenario
         self.truth: Truth | None = None  # the newest
         self.shown: Truth | None = None  # of the tick that is drawn
-        self.agents: dict[str, Known] = {}
+        self.agents: dict[str, KnownAgent] = {}
         self.happenings: deque[Happening] = deque(maxlen=MOST_HAPPENINGS)
         self.trail: deque[Truth] = deque()
         self.messages = 0
@@ -197,13 +197,13 @@ class Picture:
         gossip = self.agents[name].gossip
         return gossip.pose if gossip else None
 
-    def said(self, known: Known) -> tuple[Gossip | None, Estimate | None]:
+    def said(self, known: KnownAgent) -> tuple[Gossip | None, Estimate | None]:
         """What an agent said of the tick that is drawn, or last before it."""
         if self.shown is None:
             return known.gossip, known.estimate
         return up_to(known.gossips, self.shown.tick), up_to(known.estimates, self.shown.tick)
 
-    def age(self, known: Known) -> float | None:
+    def age(self, known: KnownAgent) -> float | None:
         """How old the last word of an agent is, s of the world; None: it has never spoken."""
         if known.gossip is None or self.truth is None:
             return None
@@ -287,11 +287,11 @@ class Picture:
         if event.sender in self.agents:
             self.agents[event.sender].rejected += 1
 
-    def _known(self, name: str) -> Known:
+    def _known(self, name: str) -> KnownAgent:
         return self.agents.get(name) or self._meet(name, "", None)
 
-    def _meet(self, name: str, sensor_class: str, sensor: SensorModel | None) -> Known:
-        self.agents[name] = Known(name, sensor_class, sensor)
+    def _meet(self, name: str, sensor_class: str, sensor: SensorModel | None) -> KnownAgent:
+        self.agents[name] = KnownAgent(name, sensor_class, sensor)
         self.agents = dict(sorted(self.agents.items(), key=lambda item: order(item[0])))
         self.roster_version += 1
         return self.agents[name]
@@ -307,7 +307,7 @@ class Picture:
             if not quietly:
                 self._note_change(known, old, new)
 
-    def _note_change(self, known: Known, old: str, new: str) -> None:
+    def _note_change(self, known: KnownAgent, old: str, new: str) -> None:
         name = known.name
         if new == "dead":
             self.note("lost", name, f"{name} is gone")
@@ -320,7 +320,7 @@ class Picture:
         elif old == "waiting" and self.truth is not None and self.truth.tick > 1:
             self.note("joined", name, f"{name} has joined")
 
-    def _state(self, known: Known) -> str:
+    def _state(self, known: KnownAgent) -> str:
         if known.name in self.paused and known.seen:
             return "paused"  # after a while its token goes, too
         if not known.alive:

@@ -17,7 +17,7 @@ from aiohttp import WSMsgType, web
 from aiohttp.typedefs import Handler
 
 from deploy.page.frames import belief, frame, greeting, moment
-from deploy.page.metrics import PageFigures, prometheus_text
+from deploy.page.metrics import CONTENT_TYPE, PageFigures, metrics_page
 from deploy.page.source import Source
 from protocol.endpoints import free_port
 from protocol.settings import BadSetting
@@ -205,8 +205,8 @@ class PageServer:
 
     async def _metrics(self, request: web.Request) -> web.Response:
         self.figures.clients = len(self._clients)
-        text = prometheus_text(self.source.picture, self.source.score(), self.figures)
-        return web.Response(body=text.encode(), headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
+        text = metrics_page(self.source.picture, self.source.score(), self.figures)
+        return web.Response(body=text, headers={"Content-Type": CONTENT_TYPE})
 
     async def _frame(self, request: web.Request) -> web.Response:
         data = {**moment(self.source.picture, self.source.score()), **self._extra()}

@@ -24,9 +24,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from deploy.installation import versions
 from deploy.recording.crash_safe_file import GrowingFile
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, toml_text
 from deploy.scoring.result import Fault
-from deploy.toml_text import toml_text
 from protocol.keys import all_of, message_key, token_key
 from protocol.messages import KINDS, Truth
 from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Subscribe
@@ -97,7 +96,7 @@ class Recorder:
         self._tail = Tail()
         self._writer = Writer(cast(IO[bytes], self._file), WRITER_BYTES, CompressionType.ZSTD)
         self._writer.start(PROFILE)
-        about = {"run.toml": toml_text(msgspec.to_builtins(scenario)), "versions.json": json.dumps(versions()), "run": self._run}
+        about = {"run.toml": toml_text(scenario), "versions.json": json.dumps(versions()), "run": self._run}
         self._writer.add_metadata(ABOUT, about)
         self._file.settle()
 

@@ -35,7 +35,7 @@ RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 BROKEN = (McapError, ValueError, struct.error, EOFError, IndexError, KeyError, MemoryError)
 
 
-class Entry(NamedTuple):
+class RecordedEntry(NamedTuple):
     """One thing that was heard."""
 
     key: str
@@ -85,17 +85,17 @@ class Recording:
         first, last = next(self.entries(0, 1)), list(self.entries(len(self.spans) - 1))[-1]
         return (last.published - first.published) / 1e9
 
-    def entries(self, first: int = 0, last: int | None = None) -> Iterator[Entry]:
+    def entries(self, first: int = 0, last: int | None = None) -> Iterator[RecordedEntry]:
         """What the chunks number `first` to `last` (excluded) hold, in order."""
         with self.path.open("rb") as file:
             for span in self.spans[first:last]:
                 file.seek(span.offset)
                 yield from self._entries_of(_read_chunk(file))
 
-    def _entries_of(self, chunk: Chunk) -> Iterator[Entry]:
+    def _entries_of(self, chunk: Chunk) -> Iterator[RecordedEntry]:
         for record in breakup_chunk(chunk):
             if isinstance(record, Message):
-                yield Entry(self._topics[record.channel_id], record.log_time / 1e9, record.data, record.publish_time)
+                yield RecordedEntry(self._topics[record.channel_id], record.log_time / 1e9, record.data, record.publish_time)
             elif isinstance(record, Channel):
                 self._topics[record.id] = record.topic
 
@@ -157,7 +157,7 @@ def _scenario(path: Path, text: str) -> Scenario:
     return convert(tomllib.loads(text), Scenario, str(path))
 
 
-def event_of(entry: Entry) -> Event:
+def event_of(entry: RecordedEntry) -> Event:
     """What a node was told when this was heard."""
     token = parse_token(entry.key)
     if token is not None:

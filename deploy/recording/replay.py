@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from deploy.page.picture import TRAIL, Picture, paused_after
-from deploy.recording.recording import Entry, Recording, event_of
+from deploy.recording.recording import RecordedEntry, Recording, event_of
 from deploy.recording.rescore import rescore_slowly
 from deploy.scoring.scorer import Score, Scorer
 from protocol.keys import parse_message_key
@@ -45,8 +45,8 @@ class ReplaySource:
         self._scorer.on_told = lambda told: self._historian.note("told", told.who, told.text, told.time)
         self._faults = deque(recording.faults)  # that do not stand on the time line yet
         self.picture.take_happenings(self._historian)
-        self._entries: Iterator[Entry] = recording.entries()
-        self._next: Entry | None = None
+        self._entries: Iterator[RecordedEntry] = recording.entries()
+        self._next: RecordedEntry | None = None
 
     @property
     def is_scanned(self) -> bool:
@@ -173,7 +173,7 @@ class ReplayNode:
         return [*said]
 
 
-def _is_talk(entry: Entry) -> bool:
+def _is_talk(entry: RecordedEntry) -> bool:
     """Whether it is a message of or to an agent: neither the truth nor a token."""
     parts = parse_message_key(entry.key)
     return parts is not None and parts.kind != "truth"

@@ -18,7 +18,7 @@ from protocol.geometry import polygon_area
 from protocol.messages import Estimate, Gossip, Message, Truth
 from protocol.node import Received
 
-Row = tuple[Any, ...]
+TableRow = tuple[Any, ...]
 NUMBER, WHOLE, WORD = pyarrow.float64(), pyarrow.int64(), pyarrow.string()
 WHOLE_SCORES = ("tick", "targets", "in_view", "estimated")
 SCHEMAS: dict[str, list[tuple[str, pyarrow.DataType]]] = {
@@ -51,7 +51,7 @@ def tables(recording: Recording) -> dict[str, pyarrow.Table]:
     """All five tables by name."""
     scorer = Scorer(recording.scenario)
     dt = recording.scenario.run.dt
-    rows: dict[str, list[Row]] = {name: [] for name in SCHEMAS}
+    rows: dict[str, list[TableRow]] = {name: [] for name in SCHEMAS}
     for message in messages(recording, scorer.handle):
         if isinstance(message, Truth):
             rows["targets"] += [(message.tick, message.time, int(n), x, y) for n, (x, y) in zip(message.ids, message.targets.tolist())]
@@ -66,13 +66,13 @@ def tables(recording: Recording) -> dict[str, pyarrow.Table]:
     return {"scores": _table(schema, [tuple(getattr(score, name) for name in COLUMNS) for score in scorer.scores]), **found}
 
 
-def _agent_row(one: Estimate, dt: float) -> Row:
+def _agent_row(one: Estimate, dt: float) -> TableRow:
     place = (*one.pose, *one.cod, one.power_radius)
     figures = (one.unused, one.load, one.mass, polygon_area(one.cell), len(one.targets), len(one.neighbours), one.round_seconds)
     return one.tick, one.tick * dt, one.sender, one.incarnation, *place, *figures
 
 
-def _table(schema: list[tuple[str, pyarrow.DataType]], rows: list[Row]) -> pyarrow.Table:
+def _table(schema: list[tuple[str, pyarrow.DataType]], rows: list[TableRow]) -> pyarrow.Table:
     columns = list(zip(*rows)) if rows else [()] * len(schema)
     arrays = [pyarrow.array(column, kind) for column, (_, kind) in zip(columns, schema)]
     return pyarrow.Table.from_arrays(arrays, names=[name for name, _ in schema])

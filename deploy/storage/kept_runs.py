@@ -25,7 +25,7 @@ INTERRUPTED = (130, 143)  # exit codes of a run that a signal has stopped
 UNITS = {"m": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}  # s
 
 
-class Kept(NamedTuple):
+class KeptRun(NamedTuple):
     """One run as `covey runs` lists it."""
 
     name: str
@@ -102,7 +102,7 @@ def find_run(name: str) -> RunDirectory | None:
     return directory if directory.path.is_dir() else None
 
 
-def kept_runs() -> list[Kept]:
+def kept_runs() -> list[KeptRun]:
     """All runs, the newest first."""
     directories = [RunDirectory(path.name) for path in _paths()]
     return sorted((_look(one) for one in directories if one.config.exists()), key=lambda kept: kept.began, reverse=True)
@@ -113,13 +113,13 @@ def _paths() -> list[Path]:
     return [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()] if folder.is_dir() else []
 
 
-def _look(directory: RunDirectory) -> Kept:
+def _look(directory: RunDirectory) -> KeptRun:
     scenario = _run_section(directory)
     result = _result(directory)
     state = "running" if directory.is_running() else "interrupted"
     if state == "interrupted" and result.get("exit_code", 0) not in INTERRUPTED and result:
         state = "ended"
-    return Kept(
+    return KeptRun(
         name=directory.name,
         scenario=str(scenario.get("scenario", "")),
         seed=scenario.get("seed"),

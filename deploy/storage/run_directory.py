@@ -24,11 +24,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
-
 from deploy.installation import versions
-from deploy.scenario import Scenario, agent_config
-from deploy.toml_text import toml_text
+from deploy.scenario import Scenario, agent_config, toml_text
 from protocol.settings import BadSetting
 
 LATEST = "latest"  # the link to the run that began last
@@ -125,8 +122,8 @@ class RunDirectory:
         """Write run.toml, agents.toml and versions.json."""
         about = {**versions(), "simulated": simulated}
         with self._writing():
-            self.config.write_text(toml_text(msgspec.to_builtins(scenario)), encoding="utf-8")
-            self.agents.write_text(toml_text(msgspec.to_builtins(agent_config(scenario))), encoding="utf-8")
+            self.config.write_text(toml_text(scenario), encoding="utf-8")
+            self.agents.write_text(toml_text(agent_config(scenario)), encoding="utf-8")
             self.versions.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
 
     def is_simulated(self) -> bool:

@@ -19,7 +19,7 @@ from protocol.process import die_with_parent
 from protocol.settings import BadSetting
 
 TICK = 0.25  # s between two looks at what is running
-Rows = Generator[list[tuple[int, Row]], None, None]
+FinishedTrials = Generator[list[tuple[int, Row]], None, None]
 Play = Callable[..., Row]  # of a trial and, where it is asked how far it is, a function that is told the share of its ticks
 
 
@@ -70,7 +70,7 @@ def _work(play: Play, number: int, trial: Job) -> Row:
     return play(trial, tell)
 
 
-def on_this_machine(trials: Sequence[Numbered], workers: int, shares: Shares, play: Play = run_trial) -> Rows:
+def on_this_machine(trials: Sequence[Numbered], workers: int, shares: Shares, play: Play = run_trial) -> FinishedTrials:
     """What has finished since the last look, every `TICK` s; `shares` tells how far each running trial is."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, _start_worker, (shares,))
@@ -98,7 +98,7 @@ def shared_shares(count: int) -> Shares:
     return shares
 
 
-def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_trial) -> Rows:
+def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_trial) -> FinishedTrials:
     """What has finished since the last look; the workers of the scheduler at `address` need Covey on their path."""
     try:
         from distributed import Client
@@ -115,7 +115,7 @@ def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_tria
             client.close(timeout=2)
 
 
-def _from_cluster(client: Any, trials: Sequence[Numbered], play: Play) -> Rows:
+def _from_cluster(client: Any, trials: Sequence[Numbered], play: Play) -> FinishedTrials:
     futures = {client.submit(play, trial, key=f"covey-{trial.key()}"): (number, trial) for number, trial in trials}
     try:
         while futures:

@@ -1,4 +1,4 @@
-"""The oracle: one centralised filter over the whole arena, fed with everything that the agents say they saw.
+"""The central filter: one PHD filter over the whole arena, fed with the detections that all agents report.
 
 It uses the agents' own functions, but knows no cells while it predicts and corrects: every particle and every detection of a tick in
 one filter, the sensors in the order of their names. Only the draw of new particles goes cell by cell, with the claims that the
@@ -23,7 +23,7 @@ from protocol.messages import Gossip
 from protocol.settings import ArenaSettings, sensor_of
 
 
-class Oracle:
+class CentralFilter:
     """A PHD over the whole arena; `particles` holds after the tick `stamp`, `updated` is what the new ones were drawn from."""
 
     def __init__(self, scenario: Scenario, particles: Particles, stamp: int = -1, arithmetic: Arithmetic = PLAIN) -> None:
@@ -60,7 +60,7 @@ def _widely(arena: ArenaSettings) -> np.ndarray:
     return rectangle(arena.width + 2.0 * far, arena.height + 2.0 * far) - far
 
 
-class Distance(NamedTuple):
+class ParticleDifference(NamedTuple):
     """How far two sets of particles are apart."""
 
     strangers: int  # ids that only one of them has
@@ -74,12 +74,12 @@ class Distance(NamedTuple):
         return self.strangers == 0 and self.moved == 0 and self.weight <= 1e-9
 
 
-def distance(one: Particles, other: Particles) -> Distance:
+def particle_difference(one: Particles, other: Particles) -> ParticleDifference:
     """Particle by particle; both in ascending order of id."""
     common, first, second = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
     moved = np.any(one.states[first] != other.states[second], axis=1)
     apart = np.abs(one.weights[first] - other.weights[second])
-    return Distance(
+    return ParticleDifference(
         strangers=len(one.ids) + len(other.ids) - 2 * len(common),
         moved=int(np.count_nonzero(moved)),
         weight=float(apart.max()) if len(common) else 0.0,

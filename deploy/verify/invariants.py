@@ -11,7 +11,7 @@ from agents.belief import MOST_COPIES, share_of
 from agents.round import Outcome
 from agents.said import MOST_TICKS
 from deploy.simulation import Simulation
-from deploy.verify.central_filter import Oracle, distance, united
+from deploy.verify.central_filter import CentralFilter, particle_difference, united
 from protocol.geometry import polygon_area
 from protocol.keys import all_of
 from protocol.messages import Command, Estimate, Gossip, Hello, Truth
@@ -35,10 +35,10 @@ def need(condition: bool, what: str) -> None:
         raise Broken(what)
 
 
-class Ear:
+class MessageCollector:
     """A Node that hears all gossip, estimates and commands; only the newest ticks are kept."""
 
-    role, name, incarnation = "recorder", "ear", 1
+    role, name, incarnation = "recorder", "collector", 1
 
     def __init__(self, run: str) -> None:
         self.run = run
@@ -83,9 +83,9 @@ class Watch:
         self._newest: dict[tuple[str, int, str], int] = {}  # (name, incarnation, other's name) -> the youngest incarnation it has seen
         self._prints: dict[tuple[str, int], Print] = {}
         self._first_mass: float | None = None
-        self._oracle: Oracle | None = None
-        self._ear = Ear(simulation.scenario.run.name)
-        simulation.bus.add(self._ear)
+        self._central_filter: CentralFilter | None = None
+        self._collector = MessageCollector(simulation.scenario.run.name)
+        simulation.bus.add(self._collector)
         simulation.bus.tap = self._after
         simulation.on_truth = self._on_truth
 
@@ -93,7 +93,7 @@ class Watch:
         """The run is over: liveness."""
         scores = self._simulation.scorer.scores
         need(len(scores) == self._simulation.scenario.run.ticks, f"only {len(scores)} ticks were scored")
-        need(self._oracle is not None or self._is_spoilt, "the run never settled")
+        need(self._central_filter is not None or self._is_spoilt, "the run never settled")
         for score in scores[self._settled :]:
             need(
                 score.hole <= 1e-9 and score.overlap <= 1e-9,
@@ -117,8 +117,8 @@ class Watch:
             check_round(node, is_first=before.belief.stamp < 0)
             check_words(node)
             check_diagram(node)
-        while self._ear.commands:
-            self._check_command(self._ear.commands.pop())
+        while self._collector.commands:
+            self._check_command(self._collector.commands.pop())
 
     def _check_incarnations(self, agent: Agent, events: Sequence[Event]) -> None:
         """A message of an incarnation older than one whose token was seen changes nothing.
@@ -153,7 +153,7 @@ class Watch:
     def _on_truth(self, truth: Truth) -> None:
         """A tick of the world begins: the one before last is complete."""
         tick = truth.tick - 2
-        estimates = self._ear.estimates.get(tick, {})
+        estimates = self._collector.estimates.get(tick, {})
         if self._first_mass is None and tick >= 0:
             self._first_mass = math.fsum(estimate.mass for estimate in estimates.values())
         if tick < self._settled:
@@ -175,18 +175,18 @@ class Watch:
 
     def _compare(self, tick: int) -> None:
         """From the settled tick on the agents are the central filter that starts from what they own."""
-        following = self._ear.gossips.get(tick + 1, {})
+        following = self._collector.gossips.get(tick + 1, {})
         shares = {name: said for name, said in following.items() if said.claim_names}
         told = {name: share_of(said) for name, said in shares.items()}
         owned = united({name: share.particles for name, share in told.items()})
         if len(np.unique(owned.ids)) < len(owned.ids):
             need(self._is_spoilt, f"tick {tick}: a particle is owned by two agents though healed")
             return
-        if self._oracle is None:
-            self._oracle = Oracle(self._simulation.injector.scenario, owned, tick)
+        if self._central_filter is None:
+            self._central_filter = CentralFilter(self._simulation.injector.scenario, owned, tick)
             return
-        self._oracle.play(self._ear.gossips[tick], {name: share.claim for name, share in told.items()})
-        apart = distance(owned, self._oracle.particles)
+        self._central_filter.play(self._collector.gossips[tick], {name: share.claim for name, share in told.items()})
+        apart = particle_difference(owned, self._central_filter.particles)
         need(apart.exact, f"tick {tick}: not the central filter: {apart}")
 
 

@@ -1,4 +1,4 @@
-"""Kept runs: every run has a directory of its own, a name means one run, and what is removed was asked for."""
+"""KeptRun runs: every run has a directory of its own, a name means one run, and what is removed was asked for."""
 
 import json
 import os

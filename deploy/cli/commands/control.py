@@ -2,11 +2,11 @@
 
 from typing import Literal
 
-from deploy.cli.app import ACT, Drawn, Run, Who, app
+from deploy.cli.app import ACT, AgentChoice, RandomCount, RunName, app
 
 
 @app.command(group=ACT, help_epilogue="Example: covey down --run hunt")
-def down(*, run: Run = None) -> int:
+def down(*, run: RunName = None) -> int:
     """End a running swarm."""
     from deploy.cli.control import down
 
@@ -14,31 +14,31 @@ def down(*, run: Run = None) -> int:
 
 
 @app.command(group=ACT, help_epilogue="Example: covey kill s1 s2 s3\n         covey kill 30%")
-def kill(*who: Who, random: Drawn = None, run: Run = None) -> int:
+def kill(*who: AgentChoice, random: RandomCount = None, run: RunName = None) -> int:
     """Kill agents (SIGKILL)."""
     return _send("kill", who, random, run)
 
 
 @app.command(group=ACT, help_epilogue="Example: covey pause s4 s7")
-def pause(*who: Who, random: Drawn = None, run: Run = None) -> int:
+def pause(*who: AgentChoice, random: RandomCount = None, run: RunName = None) -> int:
     """Stop agents in their tracks (SIGSTOP)."""
     return _send("pause", who, random, run)
 
 
 @app.command(group=ACT, help_epilogue="Example: covey resume s4")
-def resume(*who: Who, random: Drawn = None, run: Run = None) -> int:
+def resume(*who: AgentChoice, random: RandomCount = None, run: RunName = None) -> int:
     """Let paused agents go on (SIGCONT); all of them unless said."""
     return _send("resume", who, random, run, "100%")
 
 
 @app.command(group=ACT, help_epilogue="Example: covey restart s1 s2")
-def restart(*who: Who, random: Drawn = None, run: Run = None) -> int:
+def restart(*who: AgentChoice, random: RandomCount = None, run: RunName = None) -> int:
     """Bring agents back under their names; all the dead unless said."""
     return _send("restart", who, random, run, "100%")
 
 
 @app.command(group=ACT, help_epilogue="Example: covey partition s1 s2 --kind one-way")
-def partition(*who: Who, kind: Literal["both", "one-way", "bridge"] = "both", run: Run = None) -> int:
+def partition(*who: AgentChoice, kind: Literal["both", "one-way", "bridge"] = "both", run: RunName = None) -> int:
     """Cut agents off from the rest of a swarm that allows it.
 
     The scenario has to say network.link_faults = true.
@@ -47,13 +47,13 @@ def partition(*who: Who, kind: Literal["both", "one-way", "bridge"] = "both", ru
 
 
 @app.command(group=ACT, help_epilogue="Example: covey heal")
-def heal(*, run: Run = None) -> int:
+def heal(*, run: RunName = None) -> int:
     """Make all links clear again."""
     return _send("heal", (), None, run, "")
 
 
 @app.command(group=ACT, help_epilogue="Example: covey drop 0.2 s1 s2 --burst 4")
-def drop(share: float, /, *who: Who, burst: float = 0.0, run: Run = None) -> int:
+def drop(share: float, /, *who: AgentChoice, burst: float = 0.0, run: RunName = None) -> int:
     """Lose a share (0 to 1) of the messages from and to agents.
 
     Of all agents unless said; --burst: in runs of so many. The scenario has to say network.link_faults = true.
@@ -62,7 +62,7 @@ def drop(share: float, /, *who: Who, burst: float = 0.0, run: Run = None) -> int
 
 
 @app.command(group=ACT, help_epilogue="Example: covey delay 0.5 s3 --jitter 0.2")
-def delay(seconds: float, /, *who: Who, jitter: float = 0.0, run: Run = None) -> int:
+def delay(seconds: float, /, *who: AgentChoice, jitter: float = 0.0, run: RunName = None) -> int:
     """Deliver the messages from and to agents so many seconds late.
 
     Of all agents unless said. The scenario has to say network.link_faults = true.

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from deploy.cli import completion
-from deploy.cli.app import KEEP, Kept, Page, Run, app
+from deploy.cli.app import KEEP, PageAddress, RecordingName, RunName, app
 from deploy.cli.options import FLAG
 
 
@@ -39,7 +39,7 @@ def rm(
 
 
 @app.command(group=KEEP, help_epilogue="Example: covey record hunt.mcap")
-def record(file: Path | None = None, /, *, run: Run = None) -> int:
+def record(file: Path | None = None, /, *, run: RunName = None) -> int:
     """Record a running swarm from outside.
 
     Until Ctrl-C or its end; without a file into its run directory.
@@ -50,7 +50,7 @@ def record(file: Path | None = None, /, *, run: Run = None) -> int:
 
 
 @app.command(group=KEEP, help_epilogue="Example: covey replay hunt --speed 4")
-def replay(recording: Kept, /, *, page: Page = True, speed: float = 1.0, publish: Annotated[bool, FLAG] = False) -> int:
+def replay(recording: RecordingName, /, *, page: PageAddress = True, speed: float = 1.0, publish: Annotated[bool, FLAG] = False) -> int:
     """Play a recording on the page: play, pause, scrub, speed.
 
     --publish: also under the same keys.
@@ -61,7 +61,7 @@ def replay(recording: Kept, /, *, page: Page = True, speed: float = 1.0, publish
 
 
 @app.command(group=KEEP, help_epilogue="Example: covey score hunt --csv ticks.csv")
-def score(recording: Kept, /, *, csv: Path | None = None, json: Annotated[bool, FLAG] = False) -> int:
+def score(recording: RecordingName, /, *, csv: Path | None = None, json: Annotated[bool, FLAG] = False) -> int:
     """OSPA, GOSPA and the rest from a recording alone."""
     from deploy.cli import recordings
 
@@ -69,7 +69,7 @@ def score(recording: Kept, /, *, csv: Path | None = None, json: Annotated[bool, 
 
 
 @app.command(group=KEEP, help_epilogue="Example: covey export hunt --to foxglove")
-def export(recording: Kept, /, *, to: Literal["csv", "parquet", "foxglove", "rerun"] = "csv", out: Path | None = None) -> int:
+def export(recording: RecordingName, /, *, to: Literal["csv", "parquet", "foxglove", "rerun"] = "csv", out: Path | None = None) -> int:
     """A recording as tables, or as a file for Foxglove or Rerun.
 
     foxglove: an MCAP file that it draws; rerun needs the package rerun-sdk.
@@ -80,7 +80,7 @@ def export(recording: Kept, /, *, to: Literal["csv", "parquet", "foxglove", "rer
 
 
 @app.command(group=KEEP, help_epilogue="Example: covey figures hunt --animate\n         covey figures runs/study-efficacy")
-def figures(what: Kept, /, *, into: Path | None = None, animate: Annotated[bool, FLAG] = False) -> int:
+def figures(what: RecordingName, /, *, into: Path | None = None, animate: Annotated[bool, FLAG] = False) -> int:
     """Figures for a paper, of a recorded run or of a study: PDF and PNG.
 
     Of a run: start, end, trajectories; a moving picture with --animate.

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Annotated, Literal
 
-from deploy.cli.app import RUN, Named, Open, Options, Page, Record, Trace, app
+from deploy.cli.app import RUN, OpenPage, Options, PageAddress, RecordFile, ScenarioName, TraceFile, app
 from deploy.cli.options import FLAG, RunOptions, Showing
 
 DEMO_PACE = 2.5  # world seconds per second: the 200 s of the demo take 80 s
@@ -12,10 +12,10 @@ DEMO_PACE = 2.5  # world seconds per second: the 200 s of the demo take 80 s
 @app.command(group=RUN, help_epilogue="Example: covey demo --seed 3")
 def demo(
     *,
-    page: Page = True,
-    open: Open = False,
+    page: PageAddress = True,
+    open: OpenPage = False,
     fast: Annotated[bool, FLAG] = False,
-    record: Record = False,
+    record: RecordFile = False,
     options: Options = RunOptions(),
 ) -> int:
     """Watch a swarm work: 16 agents, 8 targets, 3 deaths at mid-run, a table.
@@ -33,13 +33,13 @@ def demo(
 
 @app.command(group=RUN, help_epilogue="Example: covey up efficacy --team 3 --rate 2 --page")
 def up(
-    scenario: Named = "convergence",
+    scenario: ScenarioName = "convergence",
     /,
     *,
     detach: Annotated[bool, FLAG] = False,
-    page: Page = False,
-    open: Open = False,
-    record: Record = False,
+    page: PageAddress = False,
+    open: OpenPage = False,
+    record: RecordFile = False,
     options: Options = RunOptions(),
 ) -> int:
     """Run a scenario with real processes."""
@@ -50,7 +50,9 @@ def up(
 
 
 @app.command(group=RUN, help_epilogue="Example: covey simulate efficacy --kill 30%@300 --seed 7 --json")
-def simulate(scenario: Named = "convergence", /, *, record: Record = False, trace: Trace = None, options: Options = RunOptions()) -> int:
+def simulate(
+    scenario: ScenarioName = "convergence", /, *, record: RecordFile = False, trace: TraceFile = None, options: Options = RunOptions()
+) -> int:
     """Run the same nodes in one process, in virtual time.
 
     With --rate the world waits for nobody, as on a clock. The result is printed, and kept as a run only with --run NAME or --record.

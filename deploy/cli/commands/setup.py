@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from deploy.cli import completion
-from deploy.cli.app import SET_UP, Named, Options, app, version_line
+from deploy.cli.app import SET_UP, Options, ScenarioName, app, version_line
 from deploy.cli.options import FLAG, WHOLE, RunOptions
 
 
@@ -19,7 +19,7 @@ def init(file: Path = Path("scenario.toml"), /) -> int:
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey check mine.toml --team 3")
-def check(scenario: Named = "convergence", /, *, options: Options = RunOptions()) -> int:
+def check(scenario: ScenarioName = "convergence", /, *, options: Options = RunOptions()) -> int:
     """Is the scenario right, and can this machine run it?"""
     from deploy.cli import scenario_file
 
@@ -28,7 +28,7 @@ def check(scenario: Named = "convergence", /, *, options: Options = RunOptions()
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey config efficacy --team 3 --set filter.gate=4")
-def config(scenario: Named = "convergence", /, *, options: Options = RunOptions()) -> int:
+def config(scenario: ScenarioName = "convergence", /, *, options: Options = RunOptions()) -> int:
     """All settings of a scenario with its options, as TOML."""
     from deploy.cli import scenario_file
 

@@ -12,10 +12,9 @@ import numpy as np
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
 from covey.plugged import name_of
 from deploy.cli.options import RunOptions
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, toml_text, toml_value
 from deploy.scoring.result import Result
 from deploy.scoring.scores import Score
-from deploy.toml_text import toml_text
 from protocol.messages import Truth
 from protocol.settings import BadSetting
 
@@ -93,16 +92,19 @@ def scenario(
         delay=delay,
         lockstep=rate is None,
         rate=rate,
-        settings=[f"{key}={_toml_value(value)}" for key, value in {**named, **(settings or {})}.items()],
+        settings=[
+            f"{key}={toml_value(value.item() if isinstance(value, np.generic) else value)}"
+            for key, value in {**named, **(settings or {})}.items()
+        ],
     )
     if not isinstance(name, Scenario):
         return options.scenario(str(name))
     return _lay_over(name, options)
 
 
-def _toml_value(value: Any) -> str:
-    """A value as TOML writes it inside a list, where a table is in braces."""
-    return toml_text({"value": [[value]]}).removeprefix("value = [[").removesuffix("]]\n")
+def _plain(value: Any) -> Any:
+    """A numpy scalar as Python's own number; another value as it is."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _lay_over(found: Scenario, options: RunOptions) -> Scenario:

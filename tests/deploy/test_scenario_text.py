@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.scenario import Scenario, resolve
-from deploy.toml_text import toml_text
+from deploy.scenario import Scenario, resolve, toml_text, toml_value
 
 scalars = st.one_of(
     st.booleans(),
@@ -25,6 +24,12 @@ values = st.recursive(
 @given(st.dictionaries(st.text(max_size=8), values, max_size=5))
 def test_any_plain_data_reads_back_the_same(data: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(data)) == data
+
+
+@given(values)
+def test_any_value_on_one_line_reads_back_the_same(value: Any) -> None:
+    line = f"value = {toml_value(value)}"
+    assert tomllib.loads(line) == {"value": value} and "\n" not in line
 
 
 def test_a_key_that_ends_in_a_line_break_is_quoted() -> None:
