@@ -114,7 +114,7 @@ class Simulation:
         for action in self._schedule.due(truth.time, alive, dead, [*alive, *dead, "world"]):
             if action.verb == REFUSED:
                 raise BadSetting(action.options["why"])
-            if action.verb in ("pause", "resume") or self.scorer.losses.paused.intersection(action.names):
+            if action.verb in ("pause", "resume") or self.scorer.deaths.paused.intersection(action.names):
                 self.scorer.note_fault(action.verb, f"{action.verb} {', '.join(action.names)}", ",".join(action.names), self.bus.now)
             self.injector.strike(action)
             if action.verb in LINK_VERBS:

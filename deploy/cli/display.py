@@ -87,14 +87,17 @@ def swarm_line(swarm: dict[str, Any]) -> str:
     """Time and scores of a swarm."""
     scores = f"OSPA {swarm['ospa']:5.2f} m  GOSPA {swarm['gospa']:5.1f} m  in view {swarm['in_view']}/{swarm['targets']}"
     cells = f"hole {100.0 * swarm['hole']:.2f} %  overlap {100.0 * swarm['overlap']:.2f} %"
-    return f"t {swarm['time']:7.2f} s  {scores}  {cells}  {pace_words(swarm['pace'])}".rstrip()
+    return f"t {swarm['time']:7.2f} s  {scores}  {cells}  {tick_rate_words(swarm['tick_rate'])}".rstrip()
 
 
-def pace_words(pace: dict[str, Any]) -> str:
+def tick_rate_words(tick_rate: dict[str, Any]) -> str:
     """`7.1 of 8 ticks/s, 3 rounds skipped, 1 late`; what is nothing is left out."""
-    speed = "" if pace["ticks_per_s"] is None else f"{pace['ticks_per_s']:.1f}"
-    asked = f" of {pace['asked_per_s']:g}" if speed and pace["asked_per_s"] is not None else ""
-    counts = [f"{pace['skipped']} rounds skipped" if pace["skipped"] else "", f"{pace['late']} late" if pace["late"] else ""]
+    speed = "" if tick_rate["ticks_per_s"] is None else f"{tick_rate['ticks_per_s']:.1f}"
+    asked = f" of {tick_rate['asked_per_s']:g}" if speed and tick_rate["asked_per_s"] is not None else ""
+    counts = [
+        f"{tick_rate['skipped']} rounds skipped" if tick_rate["skipped"] else "",
+        f"{tick_rate['late']} late" if tick_rate["late"] else "",
+    ]
     return ", ".join(filter(None, [f"{speed}{asked} ticks/s" if speed else "", *counts]))
 
 
@@ -104,8 +107,8 @@ def status_table(status: "Status") -> Table:
     table.add_row(status_line(status))
     absent = "dim" if status.tick < 0 else "red strike"
     table.add_row(" ".join(f"[{'yellow' if one.paused else 'green' if one.alive else absent}]{one.name}[/]" for one in status.agents))
-    if status.pace.advice:
-        table.add_row(f"[yellow]{status.pace.advice}[/]")
+    if status.tick_rate.advice:
+        table.add_row(f"[yellow]{status.tick_rate.advice}[/]")
     return table
 
 
@@ -120,7 +123,7 @@ def result_table(result: "Result", title: str) -> Table:
 def process_table(data: dict[str, Any]) -> Table:
     """Every process of a running swarm."""
     title = f"{data['run']} ({data['scenario']})  {swarm_line(data['swarm'])}"
-    caption = "\n".join(filter(None, [f"subscribe at {data['endpoint']}", data["swarm"]["pace"]["advice"]]))
+    caption = "\n".join(filter(None, [f"subscribe at {data['endpoint']}", data["swarm"]["tick_rate"]["advice"]]))
     table = Table(title=title, title_justify="left", box=None, caption=caption, caption_justify="left")
     for head in ("name", "class", "state", "pid", "inc", "tick", "cell %", "mass", "targets", "round ms", "skipped", "late"):
         table.add_column(head, justify="left" if head in ("name", "class", "state") else "right", no_wrap=True)

@@ -7,7 +7,7 @@ import sys
 from typing import NoReturn
 
 from deploy.cli.display import Display, show_result
-from deploy.cli.options import Showing
+from deploy.cli.options import DisplayOptions
 from deploy.cli.terminal import is_at_terminal, open_browser, until_key
 from deploy.live.supervisor import EXIT_CRASHED, Supervisor
 from deploy.live.zygote import Zygote
@@ -16,13 +16,15 @@ from deploy.page.server import PageServer, address_of
 from deploy.page.source import LiveSource
 from deploy.recording.observers import Onlookers, open_recorder, recording_path
 from deploy.scenario import Scenario
-from deploy.scoring.pace import too_small
+from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import RunDirectory
 from protocol.process import JsonLines, leave
 from protocol.settings import BadSetting
 
 
-def attend(scenario: Scenario, directory: RunDirectory, lock: int, zygote: Zygote | None, title: str, showing: Showing) -> NoReturn:
+def run_in_foreground(
+    scenario: Scenario, directory: RunDirectory, lock: int, zygote: Zygote | None, title: str, showing: DisplayOptions
+) -> NoReturn:
     """Supervise the run whose folder is claimed (`lock`), show its progress and its result, and end this process with the exit code."""
     handler = logging.FileHandler(directory.log("supervisor"))
     handler.setFormatter(JsonLines(scenario.run.name, "supervisor"))

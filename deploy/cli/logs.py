@@ -33,7 +33,7 @@ def logs(names: tuple[str, ...], run: str | None, follow: bool, lines: int | Non
     if unknown:
         known = sorted((file.stem for file in directory.logs.glob("*.jsonl")), key=order)
         raise BadSetting(f"{unknown[0]!r}: run {directory.name} has no such process; it has {', '.join(known)}")
-    tails = Tails(directory, names)
+    tails = LogTails(directory, names)
     found = tails.read()
     _show(found if lines is None else found[len(found) - min(lines, len(found)) :], raw)
     while follow and directory.is_running():
@@ -64,7 +64,7 @@ def kept_runs() -> list[RunDirectory]:
     return [RunDirectory(path.parent.name) for path in sorted(found, key=lambda path: path.stat().st_mtime)]
 
 
-class Tails:
+class LogTails:
     """The logs of a run, each read as far as it goes; a line that is not finished waits for its end."""
 
     def __init__(self, directory: RunDirectory, names: tuple[str, ...] = ()) -> None:

@@ -27,7 +27,7 @@ WHOLE = Parameter(converter=whole)
 
 
 @dataclass(frozen=True)
-class Showing:
+class DisplayOptions:
     """How a run with processes is shown and kept."""
 
     json: bool = False  # the result as one JSON object on the last line
@@ -124,8 +124,8 @@ class RunOptions:
         check_scenario(scenario)
         return scenario
 
-    def wish(self, scenario: "Scenario") -> str | None:
-        """The name that the user gives the run, here or in the scenario; None: there is no such wish."""
+    def requested_name(self, scenario: "Scenario") -> str | None:
+        """The name that the user gives the run, here or in the scenario; None: there is none."""
         from protocol.settings import RunSettings
 
         return self.run or (scenario.run.name if scenario.run.name != RunSettings().name else None)

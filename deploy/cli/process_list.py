@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.cli.display import process_table
-from deploy.cli.logs import Tails, kept_runs
+from deploy.cli.logs import LogTails, kept_runs
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory, find_running, running_runs
 from protocol.settings import BadSetting, read_toml
@@ -59,7 +59,7 @@ def ended_run(directory: RunDirectory) -> dict[str, Any]:
         config = read_toml(directory.config)
     except BadSetting:  # it ended before it began
         config = {}
-    entries = Tails(directory, ("supervisor",)).read()
+    entries = LogTails(directory, ("supervisor",)).read()
     deaths = [match for entry in entries if (match := DEATH.match(str(entry.fields.get("message", "")))) and match[1] != "world"]
     return {
         "run": directory.name,

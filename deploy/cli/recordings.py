@@ -19,7 +19,7 @@ from deploy.page.server import PageServer, address_of
 from deploy.recording.recording import DRAWING, Recording, find_recording
 from deploy.recording.replay import ReplayNode, ReplaySource
 from deploy.recording.rescore import difference, rescore, write_scores
-from deploy.storage.kept_runs import take
+from deploy.storage.kept_runs import new_run_directory
 from protocol.endpoints import free_port
 from protocol.live import Driver
 from protocol.settings import NetworkSettings
@@ -104,7 +104,7 @@ async def _play(server: PageServer, recording: Recording, publish: bool) -> None
 
 async def _say_again(server: PageServer, recording: Recording, over: asyncio.Event) -> None:
     """Publish what is played under the same keys, as a run of its own directory that `echo`, `hz`, `ls` and `watch --page` find."""
-    directory, lock = take(f"{recording.run[:48]}-replay", recording.scenario.run.scenario)
+    directory, lock = new_run_directory(f"{recording.run[:48]}-replay", recording.scenario.run.scenario)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     network = msgspec.structs.replace(recording.scenario.network, listen=(endpoint,), seeds=())
     found = msgspec.structs.replace(network, listen=NetworkSettings().listen, seeds=(endpoint,))

@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.table import Table
 
-from deploy.cli.study_progress import console_of, play_open
+from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.studies.results import Folder
 from deploy.studies.robustness import FRESH, LEVELS, NONE, Row, plan, play, summary, table
 from protocol.settings import BadSetting
@@ -58,7 +58,7 @@ def run_robustness_study(
     bouts = [bout for bout in plan(number, 100 if seed is None else seed, size["at"], seconds, options) if bout.kind in kinds]
     console = console_of(as_json)
     with folder.claimed():
-        rows = play_open("robustness", folder, bouts, workers, scheduler, console, play)
+        rows = run_open_trials("robustness", folder, bouts, workers, scheduler, console, play)
         paths = write(rows, into)
     cells = summary(table(rows))
     console.print(table_of(cells, number))

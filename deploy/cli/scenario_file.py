@@ -8,7 +8,7 @@ from pathlib import Path
 from deploy.cli.template import template
 from deploy.installation import versions
 from deploy.scenario import Scenario, toml_text
-from deploy.scoring.pace import too_small
+from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import ROOM, runs_folder
 from protocol.settings import BadSetting, NetworkSettings
 

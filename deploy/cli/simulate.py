@@ -16,13 +16,13 @@ from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from deploy.storage.kept_runs import link_latest, take
+from deploy.storage.kept_runs import link_latest, new_run_directory
 from protocol.messages import Truth
 
 
 def simulate_here(
     scenario: Scenario,
-    wish: str | None,
+    requested_name: str | None,
     as_json: bool,
     record: bool | Path = False,
     trace: Path | None = None,
@@ -30,15 +30,15 @@ def simulate_here(
 ) -> int:
     """Run the same nodes in this process in virtual time.
 
-    The result is kept as a run when it is named (`wish`) or recorded without a file's name.
+    The result is kept as a run when it is named (`requested_name`) or recorded without a file's name.
     """
     if trace is not None:
         check_trace(trace)
-    if wish is None and record is not True:
+    if requested_name is None and record is not True:
         result, path = _simulate(scenario, clock, recording_path(record, Path()), trace)
         _show(result, None, as_json, path)
         return 0
-    directory, lock = take(wish, scenario.run.scenario)
+    directory, lock = new_run_directory(requested_name, scenario.run.scenario)
     scenario = named(scenario, directory.name)
     directory.write_config(scenario, simulated=True)
     link_latest(directory)
@@ -57,7 +57,7 @@ def _simulate(
     simulation = Simulation(scenario, clock=clock)
     series = Trace(simulation)
     console = Console(stderr=True, highlight=False)
-    simulation.scorer.on_told = lambda told: console.print(f"[{told.time:.1f} s] {told.text}", markup=False, soft_wrap=True)
+    simulation.scorer.on_report = lambda told: console.print(f"[{told.time:.1f} s] {told.text}", markup=False, soft_wrap=True)
     if path is not None:
         Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     with console.status("") if console.is_terminal else nullcontext() as spinner:

@@ -8,13 +8,13 @@ from typing import NoReturn
 
 import msgspec
 
-from deploy.cli.options import Showing
+from deploy.cli.options import DisplayOptions
 from deploy.installation import command, environment
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
 from deploy.scenario import FaultSettings, Scenario, named
-from deploy.scoring.pace import too_small
-from deploy.storage.kept_runs import take
+from deploy.scoring.tick_rate import too_small
+from deploy.storage.kept_runs import new_run_directory
 from deploy.storage.run_directory import runs_folder
 from protocol.endpoints import check_loopback
 from protocol.settings import BadSetting
@@ -23,30 +23,30 @@ DETACHED = "COVEY_DETACHED"  # the environment variable that hands a detached ru
 DETACH_SECONDS = 90.0  # that a detached swarm may take to start
 
 
-def run_live(scenario: Scenario, wish: str | None, title: str, showing: Showing, spawn: Spawn) -> NoReturn:
+def run_live(scenario: Scenario, requested_name: str | None, title: str, showing: DisplayOptions, spawn: Spawn) -> NoReturn:
     """Run a scenario with real processes, show its progress and its result, and end this process with the exit code.
 
-    `wish`: the name that the user gives the run; None: one of the date and the scenario.
+    `requested_name`: the name that the user gives the run; None: one of the date and the scenario.
     """
     check_loopback()
     detached = os.environ.pop(DETACHED, None)  # the name that the waiting command has chosen
-    directory, lock = take(detached or wish, scenario.run.scenario)
+    directory, lock = new_run_directory(detached or requested_name, scenario.run.scenario)
     scenario = named(scenario, directory.name)
     zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
-    from deploy.cli.foreground import attend
+    from deploy.cli.foreground import run_in_foreground
 
-    other = f"; runs/{wish} holds an earlier run" if detached is None and wish not in (None, directory.name) else ""
-    attend(scenario, directory, lock, zygote, f"run {directory.name}{other}: {title}", showing)
+    other = f"; runs/{requested_name} holds an earlier run" if detached is None and requested_name not in (None, directory.name) else ""
+    run_in_foreground(scenario, directory, lock, zygote, f"run {directory.name}{other}: {title}", showing)
 
 
-def demo(scenario: Scenario, wish: str | None, showing: Showing, spawn: Spawn = "zygote") -> NoReturn:
+def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions, spawn: Spawn = "zygote") -> NoReturn:
     """Section IV-A live, with 3 of 16 agents killed at mid-run unless the options say otherwise."""
     if not scenario.faults:
         deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
         scenario = msgspec.structs.replace(scenario, faults=(deaths,))
     agents, targets, run = len(scenario.members), scenario.targets.count, scenario.run
     title = f"{agents} agent processes and one world, {targets} targets, {run.seconds:g} s of world time, {_pace(scenario)}; Ctrl-C ends it"
-    run_live(scenario, wish, title, showing, spawn)
+    run_live(scenario, requested_name, title, showing, spawn)
 
 
 def _pace(scenario: Scenario) -> str:
@@ -59,19 +59,19 @@ def _pace(scenario: Scenario) -> str:
     return "as fast as it goes"
 
 
-def up(scenario: Scenario, wish: str | None, detach: bool, showing: Showing, spawn: Spawn = "zygote") -> NoReturn:
+def up(scenario: Scenario, requested_name: str | None, detach: bool, showing: DisplayOptions, spawn: Spawn = "zygote") -> NoReturn:
     """Run a scenario in the foreground, or detached."""
     if detach:
-        _detach(scenario, wish)
+        _detach(scenario, requested_name)
     run = scenario.run
     pace = "lockstep" if run.clock == "lockstep" else f"rate {run.rate:g}"
     title = f"{run.scenario}, {len(scenario.members)} agents, {pace}; other terminal: covey ps | kill | watch"
-    run_live(scenario, wish, title, showing, spawn)
+    run_live(scenario, requested_name, title, showing, spawn)
 
 
-def _detach(scenario: Scenario, wish: str | None) -> NoReturn:
+def _detach(scenario: Scenario, requested_name: str | None) -> NoReturn:
     """Start the same command without --detach in a session of its own, and wait until its control socket answers."""
-    directory, lock = take(wish, scenario.run.scenario)
+    directory, lock = new_run_directory(requested_name, scenario.run.scenario)
     os.close(lock)
     words = [word for word in sys.argv[1:] if word not in ("--detach", "-d")]
     with directory.output.open("wb") as log:

@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from deploy.cli.study_progress import console_of, play_open
+from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.storage.run_directory import runs_folder
 from deploy.studies.design import Design, plan
 from deploy.studies.paired import compare, groups_of, summarise
@@ -20,7 +20,7 @@ def run_study(found: Design, into: Path, workers: int | None, scheduler: str | N
     console = console_of(as_json)
     trials, folder = plan(found), Folder(into)
     with folder.claimed():
-        rows = play_open(found.scenario, folder, trials, workers, scheduler, console, run_trial)
+        rows = run_open_trials(found.scenario, folder, trials, workers, scheduler, console, run_trial)
         folder.publish(rows)
     show(rows, console)
     console.print(f"{_short(folder.csv)} and .parquet; covey figures {_short(into)}", soft_wrap=True)

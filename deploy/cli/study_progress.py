@@ -26,7 +26,7 @@ def console_of(as_json: bool) -> Console:
     return console if console.is_terminal else Console(stderr=as_json, highlight=False, width=PLAIN_WIDTH)
 
 
-def play_open(
+def run_open_trials(
     name: str, folder: Folder, trials: Sequence[Job], workers: int | None, scheduler: str | None, console: Console, play: Play
 ) -> list[Row]:
     """The rows of all trials in their order: those that the folder has not are played first."""
@@ -46,7 +46,7 @@ def _run(
     """Run what is to do, row by row into the folder."""
     shares = shared_shares(len(trials))
     engine = on_a_cluster(todo, scheduler, play) if scheduler else on_this_machine(todo, min(workers, len(todo)), shares, play)
-    ahead = Ahead(trials, todo, shares)
+    ahead = RemainingWork(trials, todo, shares)
     previous = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that workers are ended on the way out
     try:
         with closing(engine), _bar(console, len(trials), ahead) as show_progress:
@@ -60,7 +60,7 @@ def _run(
         signal.signal(signal.SIGTERM, previous)
 
 
-def _follow(engine: FinishedTrials, folder: Folder, trials: Sequence[Job], ahead: "Ahead", tell: "Bar") -> None:
+def _follow(engine: FinishedTrials, folder: Folder, trials: Sequence[Job], ahead: "RemainingWork", tell: "ProgressBar") -> None:
     for rows in engine:
         for number, row in rows:
             if row["key"] != trials[number].key():
@@ -70,7 +70,7 @@ def _follow(engine: FinishedTrials, folder: Folder, trials: Sequence[Job], ahead
         tell.show()
 
 
-class Ahead:
+class RemainingWork:
     """How much of a study is left: work is measured by the cost of a trial, speed by what this start has done in its time."""
 
     def __init__(self, trials: Sequence[Job], todo: Sequence[Numbered], shares: Shares) -> None:
@@ -117,10 +117,10 @@ def words(seconds: float) -> str:
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
 
 
-class Bar:
+class ProgressBar:
     """Shows how far a study is: a bar in a terminal, a line now and then elsewhere."""
 
-    def __init__(self, console: Console, ahead: Ahead, total: int, progress: Progress | None) -> None:
+    def __init__(self, console: Console, ahead: RemainingWork, total: int, progress: Progress | None) -> None:
         self._console, self._ahead, self._total, self._progress = console, ahead, total, progress
         self._task: TaskID | None = progress.add_task("", total=total, completed=ahead.finished) if progress else None
         self._said_at = -PLAIN_PERIOD
@@ -138,9 +138,9 @@ class Bar:
 
 
 @contextmanager
-def _bar(console: Console, total: int, ahead: Ahead) -> Iterator[Bar]:
+def _bar(console: Console, total: int, ahead: RemainingWork) -> Iterator[ProgressBar]:
     """A bar while it is on the screen."""
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     progress = Progress(*columns, console=console, transient=True) if console.is_terminal else None
     with progress or nullcontext():
-        yield Bar(console, ahead, total, progress)
+        yield ProgressBar(console, ahead, total, progress)

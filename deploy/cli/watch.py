@@ -51,7 +51,7 @@ def watch_line(data: dict[str, Any]) -> str:
     return swarm_line(data["swarm"]) + (f"  dead: {dead}" if dead else "") + (f"  paused: {paused}" if paused else "")
 
 
-class Board:
+class WatchScreen:
     """Which process is chosen, and what the last key has done."""
 
     def __init__(self, ask: Ask) -> None:
@@ -116,7 +116,7 @@ def fit(table: Table, console: Console) -> None:
 
 def show(ask: Ask, console: Console) -> None:
     """Show a swarm until it ends or q is pressed; raises BadSetting when nobody answers any more."""
-    board, keys = Board(ask), is_ours()
+    board, keys = WatchScreen(ask), is_ours()
     with Live(console=console, auto_refresh=False) as live, keyboard(console.show_cursor) if keys else nullcontext(_sleep) as pressed:
         go_on = True
         while go_on:

@@ -111,7 +111,7 @@ class Child:
         """Whether it ended by an exception or a crash of its own: neither done, nor stopped, nor killed."""
         return self.returncode in CRASHES
 
-    def last_words(self) -> str:
+    def last_log_line(self) -> str:
         """The last line of its log that is no JSON, where complaints about bad input stand; else its last exception or message."""
         try:
             lines = self.directory.log(self.name).read_text(encoding="utf-8", errors="replace").splitlines()

@@ -19,7 +19,7 @@ LOOK = 0.05  # s between two looks at the zygote while it prepares
 MOST_NAMED = 5  # missing agents that are named; more are counted
 
 
-class StartLine:
+class Startup:
     """Used once by a supervisor, in its event loop. Nothing here blocks: a run can be ended while it starts."""
 
     def __init__(self, members: list[str], children: list[Child], scorer: Scorer, zygote: Zygote | None, log: Path) -> None:

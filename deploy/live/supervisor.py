@@ -20,7 +20,7 @@ from deploy.faults.links import Links, describe
 from deploy.live.control import Answer, ControlServer
 from deploy.live.processes import Child, check_names, endpoints, process_rows, rooms
 from deploy.live.seeds import seed_listeners
-from deploy.live.startup import StartLine
+from deploy.live.startup import Startup
 from deploy.live.zygote import Zygote
 from deploy.scenario import FaultSettings, Scenario
 from deploy.scoring.result import Result
@@ -73,14 +73,14 @@ class Supervisor:
         self.scorer.on_truth = self._on_truth
         self.scorer.on_twin = self._on_twin
         self.scorer.on_differing = self._on_differing
-        self.scorer.on_told = lambda told: on_event(f"[{told.time:.1f} s] {told.text}")
+        self.scorer.on_report = lambda told: on_event(f"[{told.time:.1f} s] {told.text}")
         self.crashed: list[str] = []  # processes that have ended by an exception or a crash of their own
         self._advised = False
         self.children = {name: Child(name, room, directory, self._words(name, seeds)) for name, room in rooms(scenario).items()}
         self._zygote = zygote
         for name in scenario.members:
             self.children[name].zygote = self._zygote
-        self._start = StartLine(list(scenario.members), list(self.children.values()), self.scorer, zygote, directory.log("zygote"))
+        self._start = Startup(list(scenario.members), list(self.children.values()), self.scorer, zygote, directory.log("zygote"))
         self._schedule = Schedule(scenario.run.seed, scenario.faults)
         self._links = Links(scenario.run.seed, list(scenario.members))
         self._on_event, self._on_status = on_event, on_status
@@ -88,7 +88,7 @@ class Supervisor:
         self._winding_down = False
         self._started_at = time.monotonic()
         self._first_truth_at: float | None = None
-        self._dice = np.random.default_rng()  # of commands by hand only; those of the scenario are drawn from its seed
+        self._rng = np.random.default_rng()  # of commands by hand only; those of the scenario are drawn from its seed
 
     async def run(self) -> int:
         """Run to the end; the exit code. Raises BadSetting when a process refuses its input."""
@@ -131,9 +131,9 @@ class Supervisor:
             self._reap()  # in case a signal was merged with another
             status = self._status()
             self._on_status(status)
-            if status.pace.advice and not self._advised:
+            if status.tick_rate.advice and not self._advised:
                 self._advised = True
-                self._tell(status.pace.advice)
+                self._tell(status.tick_rate.advice)
             if start.done() and not self._over.done():
                 start.result()
             if monitor.done() and not self._over.done():
@@ -161,7 +161,7 @@ class Supervisor:
         now = asyncio.get_running_loop().time()
         self.scorer.finish(now)
         result = self.scorer.result(now - (self._first_truth_at or now))
-        self.result = msgspec.structs.replace(result, exit_code=code, pace=self.scorer.pace.whole())
+        self.result = msgspec.structs.replace(result, exit_code=code, tick_rate=self.scorer.tick_rate.whole())
         try:
             self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
         except OSError as error:
@@ -215,7 +215,7 @@ class Supervisor:
             self._end(0)
             return
         if child.returncode == EXIT_BAD_INPUT or (self.scorer.truth is None and child.returncode == 1):
-            self._fail(BadSetting(child.last_words() or f"{child.name} ended with {child.end()}"))
+            self._fail(BadSetting(child.last_log_line() or f"{child.name} ended with {child.end()}"))
         if self.scorer.truth is None and self.scenario.run.strict:
             why = self._start.waiting() if child.name == "world" else f"{child.name} died: {child.end()}"
             self._fail(BadSetting(f"{why}; --strict refuses to start with fewer than {len(self.scenario.members)} agents"))
@@ -224,7 +224,7 @@ class Supervisor:
         words = f"{child.name} died: {child.end()}"
         if child.crashed:
             self.crashed.append(child.name)
-            words += f": {child.last_words()}"
+            words += f": {child.last_log_line()}"
         if child.name == "world":
             words += f"; the swarm stands still until `covey restart world --run {self.directory.name}`, Ctrl-C ends the run"
         self._tell(words)
@@ -282,14 +282,14 @@ class Supervisor:
         check_fault(fault, "", [*self.scenario.members], live=True, link_faults=self.scenario.network.link_faults)
         states = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}
         candidates = self._agents(states.get(verb, "running"))
-        names = choose(who, candidates, list(self.children), self._dice) if who else candidates
+        names = choose(who, candidates, list(self.children), self._rng) if who else candidates
         return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}
 
     def _act(self, action: Action) -> str:
         """Do it, and say what was done."""
         verb, names, done = action.verb, action.names, []
         if verb in LINK_VERBS:
-            return self._spoil_links(action)
+            return self._change_links(action)
         self._note_pauses(verb, [name for name in names if self.children[name].is_running])
         for name in names:
             child = self.children[name]
@@ -308,10 +308,10 @@ class Supervisor:
 
     def _note_pauses(self, verb: str, names: list[str]) -> None:
         """Tell the scorer who is paused by order and who no longer is: a paused agent whose token goes has not died."""
-        if verb in ("pause", "resume") or self.scorer.losses.paused.intersection(names):
+        if verb in ("pause", "resume") or self.scorer.deaths.paused.intersection(names):
             self.scorer.note_fault(verb, f"{verb} {', '.join(names)}", ",".join(names), asyncio.get_running_loop().time())
 
-    def _spoil_links(self, action: Action) -> str:
+    def _change_links(self, action: Action) -> str:
         """Change the links between agents: every agent is told how it hears the others from now on."""
         self._links.act(action)
         for name in self.scenario.members:

@@ -55,7 +55,7 @@ class Forked:
         self.stdin.close()
         return self.returncode
 
-    def born(self, pid: int) -> None:
+    def set_pid(self, pid: int) -> None:
         """Note the pid, and deliver the signals that have been waiting for it."""
         self.pid = pid
         for number in self.signals:
@@ -139,7 +139,7 @@ class Zygote:
             self.is_ready = True
         elif "forked" in message:
             child = self._children[message["pid"]] = self._requests.pop(message["forked"])
-            child.born(message["pid"])
+            child.set_pid(message["pid"])
         elif "ended" in message:
             self._children.pop(message["ended"]).returncode = message["code"]
 

@@ -71,9 +71,9 @@ class LiveSource:
     def extra(self) -> dict[str, Any]:
         if self._waiting and self.picture.truth is None:
             return {"waiting": self._waiting}
-        pace = self._scorer.pace.now()
-        speeds = [None if speed is None else round(speed, 1) for speed in (pace.ticks_per_s, pace.asked_per_s)]
-        return {"pace": [*speeds, pace.skipped, pace.late], "advice": pace.advice}
+        tick_rate = self._scorer.tick_rate.now()
+        speeds = [None if speed is None else round(speed, 1) for speed in (tick_rate.ticks_per_s, tick_rate.asked_per_s)]
+        return {"tick_rate": [*speeds, tick_rate.skipped, tick_rate.late], "advice": tick_rate.advice}
 
     async def ask(self, request: dict[str, Any]) -> str:
         verb, who = str(request.get("verb", "")), str(request.get("who", ""))

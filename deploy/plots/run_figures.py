@@ -43,7 +43,7 @@ MOST_FRAMES = 600
 
 
 @dataclass
-class Ways:
+class Trajectories:
     """Where bodies and targets have been: lists of (x, y) by name and by id; a target that leaves and comes back is two ways."""
 
     bodies: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
@@ -87,7 +87,7 @@ def _is_over(picture: Picture, event: object) -> bool:
 
 def figure_of(recording: Recording) -> Figure:
     """Three panels: the start, the end, and the trajectories; raises BadSetting when nothing was recorded."""
-    ways, last, first_drawn = Ways(), None, False
+    ways, last, first_drawn = Trajectories(), None, False
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(3.0 * PANEL + 0.5, PANEL + 0.75), layout="constrained")
         start, end, paths = figure.subplots(1, 3, sharex=True, sharey=True)
@@ -104,7 +104,7 @@ def figure_of(recording: Recording) -> Figure:
         assert last.shown is not None
         draw_moment(end, last)
         end.set_title(f"(b) end, t = {last.shown.time:g} s")
-        draw_ways(paths, last, ways)
+        draw_trajectories(paths, last, ways)
         paths.set_title("(c) trajectories")
         start.set_ylabel("y (m)")
         figure.legend(handles=_legend(), loc="outside lower center", ncols=5, frameon=False, handletextpad=0.4, columnspacing=1.4)
@@ -138,7 +138,7 @@ def draw_moment(axes: Axes, picture: Picture) -> None:
         axes.plot(*picture.shown.targets.T, "o", color=TARGET, markersize=5.0, markerfacecolor="none", markeredgewidth=0.7, zorder=5)
 
 
-def draw_ways(axes: Axes, picture: Picture, ways: Ways) -> None:
+def draw_trajectories(axes: Axes, picture: Picture, ways: Trajectories) -> None:
     """The ways of bodies in the colours of their cells and of targets in grey; where each began a dot, where it ended the body."""
     _arena(axes, picture)
     for way in ways.targets.values():

@@ -13,7 +13,7 @@ from deploy.page.server import PageServer
 from deploy.recording.recorder import FLUSH_SECONDS, Recorder
 from deploy.recording.recording import NAME
 from deploy.scenario import Scenario
-from deploy.scoring.result import Fault, Told
+from deploy.scoring.result import EventReport, Fault
 from deploy.scoring.scorer import Scorer
 from protocol.node import Event, Gone
 from protocol.settings import BadSetting
@@ -61,7 +61,7 @@ class Onlookers:
         scorer.on_event = self._see
         scorer.on_finish = self._finish
         scorer.on_fault = self._note_fault
-        self._told, scorer.on_told = scorer.on_told, self._tell
+        self._told, scorer.on_report = scorer.on_report, self._tell
 
     async def __aenter__(self) -> "Onlookers":
         if self._recorder is not None:
@@ -85,7 +85,7 @@ class Onlookers:
         if self._page is not None and fault.verb in PAUSES:  # the page's source asks the supervisor for the others
             self._page.source.picture.note_fault(fault)
 
-    def _tell(self, told: Told) -> None:
+    def _tell(self, told: EventReport) -> None:
         self._told(told)
         if self._page is not None:
             self._page.source.picture.note("told", told.who, told.text, told.time)

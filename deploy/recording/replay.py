@@ -42,7 +42,7 @@ class ReplaySource:
         self._historian = Picture(recording.scenario)
         self._scan: Iterator[float] | None = rescore_slowly(recording, self._scorer)
         self._scorer.on_event = self._historian.see
-        self._scorer.on_told = lambda told: self._historian.note("told", told.who, told.text, told.time)
+        self._scorer.on_report = lambda told: self._historian.note("told", told.who, told.text, told.time)
         self._faults = deque(recording.faults)  # that do not stand on the time line yet
         self.picture.take_happenings(self._historian)
         self._entries: Iterator[RecordedEntry] = recording.entries()

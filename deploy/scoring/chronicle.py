@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from deploy.scoring.result import Told
+from deploy.scoring.result import EventReport
 
 CLOSED = 1e-6  # of the arena: cells leave no hole, and do not overlap
 NEAR = 3.0  # m
@@ -21,7 +21,7 @@ LEAST = 0.05  # of a cell: smaller gains are not told
 MOST_HEIRS = 4
 
 
-class View(NamedTuple):
+class ScoredTick(NamedTuple):
     """What was scored at one tick."""
 
     tick: int
@@ -62,7 +62,7 @@ class Loss:
     heirs: list[tuple[str, float]] = field(default_factory=list)  # who took which share of the cell
     seen: set[int] = field(default_factory=set)  # targets that were tracked shortly before it is told
 
-    def see(self, view: View) -> str | None:
+    def see(self, view: ScoredTick) -> str | None:
         """Look at the next tick; the sentence once it is due."""
         if view.tick <= self.tick:
             return None
@@ -93,7 +93,7 @@ class Return:
     name: str
     tick: int
 
-    def see(self, view: View) -> str | None:
+    def see(self, view: ScoredTick) -> str | None:
         """Look at the next tick; the sentence once it owns a cell."""
         cell = view.cells.get(self.name)
         if view.tick <= self.tick or cell is None or len(cell) < 3:
@@ -109,7 +109,7 @@ class Cut:
     verb: str  # partition, heal
     tick: int
 
-    def see(self, view: View) -> str | None:
+    def see(self, view: ScoredTick) -> str | None:
         """Look at the next tick; the sentence once the cells have settled."""
         if view.tick <= self.tick or view.hole > CLOSED:
             return None
@@ -120,11 +120,11 @@ class Cut:
 
 
 class Chronicle:
-    """Told of events and shown every scored tick, it says what came of them."""
+    """EventReport of events and shown every scored tick, it says what came of them."""
 
     def __init__(self) -> None:
         self._open: list[Loss | Return | Cut] = []
-        self._last: View | None = None
+        self._last: ScoredTick | None = None
         self._cells: dict[str, np.ndarray] = {}  # the newest of each agent
 
     def lose(self, name: str, verb: str, tick: int, time: float) -> None:
@@ -144,19 +144,19 @@ class Chronicle:
         self._open = [one for one in self._open if not isinstance(one, Cut)]
         self._open.append(Cut(verb, tick))
 
-    def see(self, view: View) -> list[Told]:
+    def see(self, view: ScoredTick) -> list[EventReport]:
         """Show a scored tick; the sentences that are due."""
         told = []
         for one in list(self._open):
             text = one.see(view)
             if text is not None:
                 self._open.remove(one)
-                told.append(Told(view.time, "" if isinstance(one, Cut) else one.name, text))
+                told.append(EventReport(view.time, "" if isinstance(one, Cut) else one.name, text))
         self._last = view
         self._cells.update(view.cells)
         return told
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EventReport]:
         """The run is over: what is known of the losses that are closed and not told yet."""
         view, losses = self._last, [one for one in self._open if isinstance(one, Loss)]
         self._open = []
@@ -166,7 +166,7 @@ class Chronicle:
         for loss in losses:
             loss.seen |= view.tracked()
             text = loss.tell(present) if loss.closed is not None else f"{loss.name} {loss.verb}: its cell was open when the run ended"
-            told.append(Told(view.time, loss.name, text))
+            told.append(EventReport(view.time, loss.name, text))
         return told
 
     def _drop(self, name: str) -> None:

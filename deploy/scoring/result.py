@@ -6,7 +6,7 @@ from typing import NamedTuple
 import msgspec
 
 from deploy.installation import VERSION
-from deploy.scoring.pace import PaceStatus
+from deploy.scoring.status import TickRate
 
 
 class Fault(NamedTuple):
@@ -18,7 +18,7 @@ class Fault(NamedTuple):
     who: str = ""  # names with commas, where it struck somebody
 
 
-class Told(NamedTuple):
+class EventReport(NamedTuple):
     """A sentence about what came of an event."""
 
     time: float  # of the world, when it was told, s
@@ -76,8 +76,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     steady_mass: float = 0.0
     steady_coverage: float = 0.0  # share of the arena inside some footprint
     end_in_view: float = 0.0  # share of target-time over the last 5 s
-    events: tuple[Told, ...] = ()  # what came of each death, return and cut
-    pace: PaceStatus | None = None  # of a run with processes: ticks a second, rounds that were skipped or late
+    events: tuple[EventReport, ...] = ()  # what came of each death, return and cut
+    tick_rate: TickRate | None = None  # of a run with processes: ticks a second, rounds that were skipped or late
     exit_code: int = 0  # of the run: 0 done, 1 a process failed, 130 and 143 stopped by a signal
 
     def to_json(self) -> str:
@@ -109,11 +109,14 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
             ("time to close the hole", hole),
             ("largest hole / overlap", f"{100.0 * self.hole_area:.2f} / {100.0 * self.overlap_area:.2f} % of the arena"),
             ("wall time", f"{self.wall_s:.1f} s"),
-            *(_pace_rows(self.pace) if self.pace is not None else []),
+            *(_tick_rate_rows(self.tick_rate) if self.tick_rate is not None else []),
         ]
 
 
-def _pace_rows(pace: PaceStatus) -> list[tuple[str, str]]:
-    done = "-" if pace.ticks_per_s is None else f"{pace.ticks_per_s:.1f}"
-    asked = "as fast as it goes" if pace.asked_per_s is None else f"asked {pace.asked_per_s:g}"
-    return [("ticks a second", f"{done} ({asked})"), ("rounds skipped / late", f"{pace.skipped} / {pace.late} of {pace.rounds}")]
+def _tick_rate_rows(tick_rate: TickRate) -> list[tuple[str, str]]:
+    done = "-" if tick_rate.ticks_per_s is None else f"{tick_rate.ticks_per_s:.1f}"
+    asked = "as fast as it goes" if tick_rate.asked_per_s is None else f"asked {tick_rate.asked_per_s:g}"
+    return [
+        ("ticks a second", f"{done} ({asked})"),
+        ("rounds skipped / late", f"{tick_rate.skipped} / {tick_rate.late} of {tick_rate.rounds}"),
+    ]

@@ -13,12 +13,12 @@ import msgspec
 import numpy as np
 
 from deploy.scenario import Scenario, agent_config
-from deploy.scoring.chronicle import Chronicle, View
-from deploy.scoring.losses import Losses
-from deploy.scoring.pace import Pace
-from deploy.scoring.result import Fault, Result, Told
+from deploy.scoring.chronicle import Chronicle, ScoredTick
+from deploy.scoring.deaths import Deaths
+from deploy.scoring.result import EventReport, Fault, Result
 from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
 from deploy.scoring.status import AgentStatus, Status
+from deploy.scoring.tick_rate import TickRateMeter
 from protocol.agreement import disagreement
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
@@ -55,13 +55,13 @@ class Scorer:
         self.missing: tuple[str, ...] = ()  # members that were not there at the first tick
         self.faults: list[Fault] = []  # that were ordered and do not show by themselves
         self.on_fault: Callable[[Fault], None] = lambda fault: None
-        self.on_told: Callable[[Told], None] = lambda told: None  # called with what came of an event, once it is known
+        self.on_report: Callable[[EventReport], None] = lambda told: None  # called with what came of an event, once it is known
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
         self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
         self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, sections: None  # called when settings differ
         self.greeted: set[str] = set()  # who has been heard at all
-        self.losses = Losses()
-        self.pace = Pace(scenario)
+        self.deaths = Deaths()
+        self.tick_rate = TickRateMeter(scenario)
         self._settings = agent_config(scenario).agreed()
         self._differing: dict[str, tuple[str, ...]] = {}  # by name: the sections in which settings differ
         self._scenario = scenario
@@ -77,7 +77,7 @@ class Scorer:
         self._latest: dict[str, Estimate] = {}
         self._next = 0
         self._chronicle = Chronicle()
-        self._events: list[Told] = []
+        self._events: list[EventReport] = []
         self._tally = _Tally()
         self._keeps_scores = scores
         self._checked = -1, 0  # a tick, and how many of those who live have answered it, from the first on
@@ -135,7 +135,7 @@ class Scorer:
     def _hear_truth(self, truth: Truth, now: float) -> None:
         if truth.tick < self._next or (self.truth is not None and truth.tick <= self.truth.tick):
             return
-        self.pace.tick(now, truth.tick)
+        self.tick_rate.tick(now, truth.tick)
         self._truths[truth.tick] = self.truth = truth
         self.on_truth(truth)
 
@@ -144,7 +144,7 @@ class Scorer:
         if latest is not None and (estimate.incarnation, estimate.tick) <= (latest.incarnation, latest.tick):
             return
         self._latest[estimate.sender] = estimate
-        self.pace.count(estimate.sender, estimate.incarnation, estimate.counters)
+        self.tick_rate.count(estimate.sender, estimate.incarnation, estimate.counters)
         if estimate.tick >= self._next:
             self._estimates.setdefault(estimate.tick, {})[estimate.sender] = estimate
 
@@ -160,7 +160,7 @@ class Scorer:
             return
         self._gone_at[name] = self.truth.time
         tick, time = self.truth.tick, self.truth.time
-        self._chronicle.lose(name, self.losses.lose(name, tick, time, now), tick, time)
+        self._chronicle.lose(name, self.deaths.lose(name, tick, time, now), tick, time)
 
     def _gain(self, name: str, incarnation: int) -> None:
         is_new = name not in self._alive
@@ -229,9 +229,9 @@ class Scorer:
         )
         self.scores.append(score)
         cells = {estimate.sender: estimate.cell for estimate in counted}
-        view = View(truth.tick, truth.time, cells, truth.ids, truth.targets, targets, hole, overlap)
+        view = ScoredTick(truth.tick, truth.time, cells, truth.ids, truth.targets, targets, hole, overlap)
         self._tell(self._chronicle.see(view))
-        self.losses.see(truth.tick, hole, now)
+        self.deaths.see(truth.tick, hole, now)
 
     def finish(self, now: float) -> None:
         """The run is over: score what is left; who leaves from now on has not been lost."""
@@ -243,17 +243,17 @@ class Scorer:
         self._finished = True
         self.on_finish()
 
-    def _tell(self, sentences: list[Told]) -> None:
+    def _tell(self, sentences: list[EventReport]) -> None:
         for told in sentences:
             self._events.append(told)
-            self.on_told(told)
+            self.on_report(told)
 
     def note_fault(self, verb: str, text: str, who: str = "", now: float = 0.0) -> None:
         """A fault has been ordered that nobody can hear, such as a cut between agents, or a pause; `who`: names with commas."""
         self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text, who))
         names = [name for name in who.split(",") if name]
         if verb == "pause":
-            self.losses.paused |= set(names)
+            self.deaths.paused |= set(names)
         elif verb in ("resume", "kill", "restart"):
             self._end_pause(verb, names, now)
         elif verb in ("partition", "heal") and self.truth is not None:
@@ -263,10 +263,10 @@ class Scorer:
     def _end_pause(self, verb: str, names: list[str], now: float) -> None:
         """Those who were paused go on, or have been killed; of a killed one whose token went before nothing more will be heard."""
         for name in names:
-            was_paused = name in self.losses.paused
-            self.losses.paused.discard(name)
+            was_paused = name in self.deaths.paused
+            self.deaths.paused.discard(name)
             if was_paused and verb != "resume" and name not in self._alive and self.truth is not None and not self._finished:
-                self.losses.lose(name, self.truth.tick, self.truth.time, now)
+                self.deaths.lose(name, self.truth.tick, self.truth.time, now)
 
     def is_up_to_date(self) -> bool:
         """Whether every truth that was heard has been scored."""
@@ -292,7 +292,7 @@ class Scorer:
             hole=last.hole,
             overlap=last.overlap,
             messages=self._tally.messages,
-            pace=self.pace.now(),
+            tick_rate=self.tick_rate.now(),
             agents=[self._agent_status(name) for name in self._names],
             arena=(self._scenario.arena.width, self._scenario.arena.height),
             places=_pairs([self.truth.targets] if self.truth else []),
@@ -301,7 +301,7 @@ class Scorer:
 
     def _agent_status(self, name: str) -> AgentStatus:
         status = AgentStatus(name=name, alive=name in self._alive, incarnation=self._alive.get(name, 0), gone_at=self._gone_at.get(name))
-        status.paused = name in self.losses.paused
+        status.paused = name in self.deaths.paused
         status.differs = list(self._differing.get(name, ()))
         if self.truth is not None and name in self.truth.bodies:
             x, y, heading = self.truth.poses[self.truth.bodies.index(name)].tolist()
@@ -347,8 +347,8 @@ class Scorer:
             mass_residual=self._tally.residual,
             messages=self._tally.messages if messages is None else messages,
             bytes=self._tally.bytes if payload_bytes is None else payload_bytes,
-            rounds=self.pace.rounds,
-            kills=self.losses.kills(),
+            rounds=self.tick_rate.rounds,
+            kills=self.deaths.kills(),
             transcript=self._transcript.hexdigest(),
             events=tuple(self._events),
         )

@@ -2,7 +2,16 @@
 
 import msgspec
 
-from deploy.scoring.pace import PaceStatus
+
+class TickRate(msgspec.Struct, kw_only=True):
+    """How fast a run goes."""
+
+    ticks_per_s: float | None = None  # None: nothing to judge by yet
+    asked_per_s: float | None = None  # None: as fast as it goes
+    rounds: int = 0  # played by all agents together
+    skipped: int = 0  # that agents left out because they were busy
+    late: int = 0  # that were closed at the deadline, with somebody's word missing
+    advice: str = ""  # one line where the machine is too small
 
 
 class AgentStatus(msgspec.Struct, kw_only=True):
@@ -39,7 +48,7 @@ class Status(msgspec.Struct, kw_only=True):
     hole: float
     overlap: float
     messages: int
-    pace: PaceStatus
+    tick_rate: TickRate
     agents: list[AgentStatus]
     arena: tuple[float, float]  # width and height, m
     places: list[tuple[float, float]]  # of the true targets, m

@@ -38,16 +38,16 @@ class KeptRun(NamedTuple):
     simulated: bool
 
 
-def take(wish: str | None, scenario: str) -> tuple[RunDirectory, int]:
+def new_run_directory(requested_name: str | None, scenario: str) -> tuple[RunDirectory, int]:
     """A directory that no run has used, and the descriptor that holds it; raises BadSetting.
 
-    `wish`: the name that the user gives; None: one of the date and the scenario.
+    `requested_name`: the name that the user gives; None: one of the date and the scenario.
     """
-    if wish is not None:
-        check_name(wish)
-    for name in _dated(scenario) if wish is None else _successors(wish):
+    if requested_name is not None:
+        check_name(requested_name)
+    for name in _dated(scenario) if requested_name is None else _successors(requested_name):
         directory = RunDirectory(name)
-        if name == wish and directory.is_running():
+        if name == requested_name and directory.is_running():
             raise is_running_already(name)
         lock = directory.hold() if directory.is_free() else None
         if lock is not None and directory.is_free():

@@ -22,7 +22,15 @@ from protocol.settings import BadSetting
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
 CORE = ("protocol", "agents", "world", "deploy/simulation.py", "deploy/scenario.py", "deploy/scoring/scorer.py", "deploy/scoring/scores.py")
-LEFT_OUT = ("wall_s", "bytes", "kills", "missing", "events", "pace", "exit_code")  # of a result: what another machine changes, and lists
+LEFT_OUT = (
+    "wall_s",
+    "bytes",
+    "kills",
+    "missing",
+    "events",
+    "tick_rate",
+    "exit_code",
+)  # of a result: what another machine changes, and lists
 FLAGS = {  # options of `covey simulate`
     "run.seed": "--seed",
     "team.composition": "--team",

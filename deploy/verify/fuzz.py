@@ -20,7 +20,7 @@ from agents.arithmetic import Arithmetic
 from deploy.faults.injector import Build
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
-from deploy.verify.invariants import Broken, Watch
+from deploy.verify.invariants import InvariantBroken, InvariantChecker
 from protocol.streams import stream
 
 CALM_START, CHAOS, SETTLE, CALM_END = 2.0, 20.0, 5.0, 2.0  # s
@@ -130,10 +130,10 @@ def play(case: Case, build: Build = Agent, arithmetic: Arithmetic | None = None)
     """What a case broke, None when all is well."""
     try:
         simulation = Simulation(case.scenario, clock="realtime", build=build, arithmetic=arithmetic)
-        watch = Watch(simulation, HEAL_AT + SETTLE, case.is_ledger, case.kinds)
+        watch = InvariantChecker(simulation, HEAL_AT + SETTLE, case.is_ledger, case.kinds)
         simulation.run()
         watch.finish()
-    except Broken as broken:
+    except InvariantBroken as broken:
         return str(broken)
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]

@@ -25,14 +25,14 @@ SILENT_ROUNDS = 4  # that a silent peer stays a generator
 SLACK = 1.0 + 1e-9
 
 
-class Broken(Exception):
+class InvariantBroken(Exception):
     """An invariant does not hold."""
 
 
 def need(condition: bool, what: str) -> None:
-    """Raise `Broken` unless the condition holds."""
+    """Raise `InvariantBroken` unless the condition holds."""
     if not condition:
-        raise Broken(what)
+        raise InvariantBroken(what)
 
 
 class MessageCollector:
@@ -70,7 +70,7 @@ class MessageCollector:
             del table[min(table)]
 
 
-class Watch:
+class InvariantChecker:
     """Watches a simulation; `settled` is the world time from which on the swarm must be one again."""
 
     def __init__(self, simulation: Simulation, settled: float, is_ledger: bool, kinds: Collection[str]) -> None:
@@ -81,7 +81,7 @@ class Watch:
         self._mass_kept = (MASS_KEPT_REDRAWN if simulation.scenario.filter.least_particles > 100 else MASS_KEPT)[len(kinds) <= 1]
         self._outcomes: dict[str, Outcome] = {}
         self._newest: dict[tuple[str, int, str], int] = {}  # (name, incarnation, other's name) -> the youngest incarnation it has seen
-        self._prints: dict[tuple[str, int], Print] = {}
+        self._prints: dict[tuple[str, int], Fingerprint] = {}
         self._first_mass: float | None = None
         self._central_filter: CentralFilter | None = None
         self._collector = MessageCollector(simulation.scenario.run.name)
@@ -237,7 +237,7 @@ def check_diagram(agent: Agent) -> None:
         )
 
 
-class Print(NamedTuple):
+class Fingerprint(NamedTuple):
     """Everything about an agent that a message could change, but for the counters."""
 
     tick: int
@@ -250,8 +250,8 @@ class Print(NamedTuple):
         return self.peers.get(name), self.held.get(name)
 
 
-def fingerprint(agent: Agent) -> Print:
+def fingerprint(agent: Agent) -> Fingerprint:
     """The print of an agent; taking it changes nothing about how the agent keeps its gossips."""
     neighbours = agent.neighbours
     peers = {name: (p.incarnation, p.token, p.gone_at, p.missed, p.outfit is None) for name, p in neighbours.peers.items()}
-    return Print(agent.tick, id(agent.outcome), peers, neighbours.said.held())
+    return Fingerprint(agent.tick, id(agent.outcome), peers, neighbours.said.held())

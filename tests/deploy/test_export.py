@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 from PIL import Image
 from pyarrow import csv, parquet
 
-from deploy.cli import recordings as keeping
-from deploy.plots.run_figures import Ways, pictures, write_animation, write_figure
+from deploy.cli import figures, recordings
+from deploy.plots.run_figures import Trajectories, pictures, write_animation, write_figure
 from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
 from deploy.recording.observers import Onlookers, open_recorder
 from deploy.recording.recorder import Recorder
@@ -133,7 +133,7 @@ def test_the_drawing_is_never_taken_for_the_recording(run: Run) -> None:
 
 
 def test_figures_are_drawn_tick_by_tick_from_what_had_been_heard(run: Run) -> None:
-    ways = Ways()
+    ways = Trajectories()
     ticks = []
     for picture in pictures(run[1]):
         assert picture.shown is not None
@@ -166,10 +166,10 @@ def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: 
 @pytest.mark.parametrize(
     ("option", "command"),
     [
-        ("--out", lambda file, place: keeping.export(file, "csv", place)),
-        ("--out", lambda file, place: keeping.export(file, "foxglove", place)),
-        ("--into", lambda file, place: keeping.figures(file, place, False)),
-        ("--csv", lambda file, place: keeping.score(file, place, False)),
+        ("--out", lambda file, place: recordings.export(file, "csv", place)),
+        ("--out", lambda file, place: recordings.export(file, "foxglove", place)),
+        ("--into", lambda file, place: figures.draw_run(file, place, False)),
+        ("--csv", lambda file, place: recordings.score(file, place, False)),
     ],
 )
 def test_a_place_that_cannot_be_written_to_is_named(run: Run, tmp_path: Path, option: str, command: Callable[[str, Path], int]) -> None:

@@ -301,7 +301,7 @@ def test_a_frame_says_that_the_run_is_over_and_how_fast_it_went() -> None:
         try:
             async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws") as ws:
                 first = await frame_of(ws)
-                assert "over" not in first and first["pace"][1:] == [None, 0, 0]
+                assert "over" not in first and first["tick_rate"][1:] == [None, 0, 0]
                 simulation.scorer.finish(simulation.bus.now)
                 assert (await frame_of(ws))["over"] is True
                 async with session.get(f"{url}api/frame") as answer:

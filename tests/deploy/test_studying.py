@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from deploy.cli.study import run_study
-from deploy.cli.study_progress import Ahead, remaining, words
+from deploy.cli.study_progress import RemainingWork, remaining, words
 from deploy.studies.design import Design, design_fields, design_with, dotted_options
 from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_shares
 from deploy.studies.results import Folder
@@ -103,7 +103,7 @@ def test_what_is_left_is_what_was_done_at_the_same_speed() -> None:
 def test_the_share_that_is_done_counts_running_trials_by_their_cost() -> None:
     """Four trials of equal cost: one done before this start, one finished, one half way, one open."""
     trials = [Trial(scenario="quick", seed=seed, team="A1", targets=3, method="power") for seed in range(4)]
-    ahead = Ahead(trials, list(enumerate(trials))[1:], [0.0, 0.0, 0.5, 0.0])
+    ahead = RemainingWork(trials, list(enumerate(trials))[1:], [0.0, 0.0, 0.5, 0.0])
     ahead.finish(1)
     assert ahead.finished == 2 and ahead.running() == 1
     assert ahead.share() == pytest.approx(1.5 / 3.0)

@@ -130,7 +130,7 @@ class Covey:
             if data is not None and condition(data):
                 return data
             time.sleep(0.05)
-        raise AssertionError(f"not reached: {data}; {self.last_words()}")
+        raise AssertionError(f"not reached: {data}; {self.last_log_line()}")
 
     def running(self) -> dict[str, Any]:
         """The status once all processes run and the world's time has begun."""
@@ -169,7 +169,7 @@ class Covey:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 
-    def last_words(self, run: str = "latest") -> str:
+    def last_log_line(self, run: str = "latest") -> str:
         """The end of every log, for whoever must find out why a test failed."""
         logs = sorted((self.runs / run / "logs").glob("*.jsonl"))
         return "\n".join(f"{log.stem}: {log.read_text(errors='replace')[-300:]}" for log in logs)

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Annotated, Literal
 
 from deploy.cli.app import RUN, OpenPage, Options, PageAddress, RecordFile, ScenarioName, TraceFile, app
-from deploy.cli.options import FLAG, RunOptions, Showing
+from deploy.cli.options import FLAG, DisplayOptions, RunOptions
 
 DEMO_PACE = 2.5  # world seconds per second: the 200 s of the demo take 80 s
 
@@ -28,7 +28,9 @@ def demo(
     settings = [f"run.pace={DEMO_PACE}", *options.settings] if paced else options.settings
     chosen = replace(options, lockstep=options.lockstep or options.rate is None, settings=settings)
     resolved = chosen.scenario("convergence")
-    start.demo(resolved, chosen.wish(resolved), Showing(options.json, record, page or open, open, stays=True), options.spawn)
+    start.demo(
+        resolved, chosen.requested_name(resolved), DisplayOptions(options.json, record, page or open, open, stays=True), options.spawn
+    )
 
 
 @app.command(group=RUN, help_epilogue="Example: covey up efficacy --team 3 --rate 2 --page")
@@ -46,7 +48,7 @@ def up(
     from deploy.cli import start
 
     resolved = options.scenario(scenario)
-    start.up(resolved, options.wish(resolved), detach, Showing(options.json, record, page or open, open), options.spawn)
+    start.up(resolved, options.requested_name(resolved), detach, DisplayOptions(options.json, record, page or open, open), options.spawn)
 
 
 @app.command(group=RUN, help_epilogue="Example: covey simulate efficacy --kill 30%@300 --seed 7 --json")
@@ -61,4 +63,4 @@ def simulate(
 
     clock: Literal["lockstep", "realtime"] = "lockstep" if options.rate is None or options.lockstep else "realtime"
     resolved = options.scenario(scenario)
-    return simulate_here(resolved, options.wish(resolved), options.json, record, trace, clock)
+    return simulate_here(resolved, options.requested_name(resolved), options.json, record, trace, clock)

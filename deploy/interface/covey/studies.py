@@ -89,7 +89,7 @@ def study(
         Processes; default: one for each core.
     """
     from deploy.cli.study import default_folder
-    from deploy.cli.study_progress import console_of, play_open
+    from deploy.cli.study_progress import console_of, run_open_trials
     from deploy.installation import need_study_packages
     from deploy.studies.design import design_fields, design_with, dotted_options
     from deploy.studies.trials import run_trial
@@ -104,7 +104,7 @@ def study(
     folder = Folder(Path(into) if into is not None else default_folder(name, quick))
     with folder.claimed():
         console = console_of(as_json=True)
-        rows = play_open(found.scenario, folder, plan(found), workers, None, console, run_trial)
+        rows = run_open_trials(found.scenario, folder, plan(found), workers, None, console, run_trial)
         folder.publish(rows)
     return Study(folder.path, tuple(rows))
 

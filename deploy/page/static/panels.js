@@ -25,7 +25,7 @@ export function fillFigures(box, state) {
     : [["–", ""], ["–", ""], ["–", ""], ["–", ""]];
   values.push([`${alive} of ${frame.agents.length}`, ""], [score ? (100 * score[6]).toFixed(2) : "–", "%"], [score ? (100 * score[7]).toFixed(2) : "–", "%"]);
   values.push([rate === null ? "–" : rate.toFixed(0), "/s"]);
-  const [done, asked, skipped, late] = frame.pace || [null, null, 0, 0];
+  const [done, asked, skipped, late] = frame.tick_rate || [null, null, 0, 0];
   values.push([done === null ? "–" : done.toFixed(1), asked === null ? "/s" : `of ${asked} /s`], [String(skipped), late ? `rounds, ${late} late` : "rounds"]);
   values.forEach(([value, unit], index) => {
     const b = box.children[index].firstChild;
@@ -36,7 +36,7 @@ export function fillFigures(box, state) {
   box.children[4].classList.toggle("bad", alive < frame.agents.length);
   box.children[5].classList.toggle("bad", Boolean(score) && score[6] > 0.001);
   box.children[6].classList.toggle("bad", Boolean(score) && score[7] > 0.001);
-  for (const at of [8, 9]) box.children[at].hidden = !frame.pace; // a replay has no pace of its own
+  for (const at of [8, 9]) box.children[at].hidden = !frame.tick_rate; // a replay has no pace of its own
   box.children[9].classList.toggle("bad", skipped > 0);
 }
 

@@ -5,16 +5,17 @@ from typing import Any
 
 import pytest
 
-from deploy.cli.display import pace_words
+from deploy.cli.display import tick_rate_words
 from deploy.scenario import Scenario, resolve
-from deploy.scoring.pace import Pace, PaceStatus, asked_per_s, too_small
+from deploy.scoring.status import TickRate
+from deploy.scoring.tick_rate import TickRateMeter, asked_per_s, too_small
 
 
 def scenario(**run: Any) -> Scenario:
     return resolve("quick", {"run.dt": 0.25, **{f"run.{field}": value for field, value in run.items()}})
 
 
-def run_at(pace: Pace, per_second: float, seconds: float, skipped: int = 0, rounds: int = 100) -> None:
+def run_at(pace: TickRateMeter, per_second: float, seconds: float, skipped: int = 0, rounds: int = 100) -> None:
     for tick in range(int(per_second * seconds) + 1):
         pace.tick(100.0 + tick / per_second, tick)
     pace.count("s1", 1, {"rounds": rounds, "skipped": skipped, "late": 3})
@@ -27,7 +28,7 @@ def test_what_is_asked_is_the_rate_of_real_time_or_the_pace_of_lockstep() -> Non
 
 
 def test_the_speed_is_that_of_the_last_seconds_and_that_of_the_whole_run() -> None:
-    pace = Pace(scenario(clock="lockstep"))
+    pace = TickRateMeter(scenario(clock="lockstep"))
     assert pace.now().ticks_per_s is None
     run_at(pace, 10.0, 10.0)
     for tick in range(1, 101):
@@ -37,7 +38,7 @@ def test_the_speed_is_that_of_the_last_seconds_and_that_of_the_whole_run() -> No
 
 
 def test_rounds_are_counted_over_all_incarnations() -> None:
-    pace = Pace(scenario())
+    pace = TickRateMeter(scenario())
     pace.count("s1", 1, {"rounds": 10, "skipped": 2, "late": 1})
     pace.count("s1", 1, {"rounds": 20, "skipped": 4})
     pace.count("s1", 2, {"rounds": 5, "late": 3})
@@ -47,24 +48,24 @@ def test_rounds_are_counted_over_all_incarnations() -> None:
 
 
 def test_a_machine_that_keeps_up_gets_no_advice_and_one_that_does_not_gets_a_rate_that_fits() -> None:
-    calm = Pace(scenario(clock="realtime", rate=2.0))
+    calm = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(calm, 8.0, 10.0, skipped=4)
     assert calm.now().advice == ""
-    busy = Pace(scenario(clock="realtime", rate=2.0))
+    busy = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(busy, 8.0, 10.0, skipped=100)
     assert busy.now().advice == (
         "this machine is too small for 6 agents at rate 2 (50 % of the rounds are skipped): take --rate 1 or less, or --lockstep"
     )
-    slow = Pace(scenario(clock="realtime", rate=2.0))
+    slow = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(slow, 4.0, 10.0)
     assert "(50 % of the ticks come): take --rate 1 or less" in slow.now().advice
 
 
 def test_there_is_no_advice_in_the_first_seconds_nor_in_lockstep() -> None:
-    early = Pace(scenario(clock="realtime", rate=2.0))
+    early = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(early, 8.0, 2.0, skipped=100)
     assert early.now().advice == ""
-    patient = Pace(scenario(clock="lockstep", pace=2.5))
+    patient = TickRateMeter(scenario(clock="lockstep", pace=2.5))
     run_at(patient, 1.0, 10.0, skipped=100)
     assert patient.now().advice == ""
 
@@ -80,8 +81,8 @@ def test_too_many_agents_for_the_cores_are_known_before_the_start(monkeypatch: p
 
 def test_what_is_nothing_is_not_said() -> None:
     def words(**fields: Any) -> str:
-        status = PaceStatus(**fields)
-        return pace_words({name: getattr(status, name) for name in status.__struct_fields__})
+        status = TickRate(**fields)
+        return tick_rate_words({name: getattr(status, name) for name in status.__struct_fields__})
 
     assert words() == ""
     assert words(ticks_per_s=7.12) == "7.1 ticks/s"

@@ -3,26 +3,14 @@
 import os
 from collections import deque
 
-import msgspec
-
 from deploy.scenario import Scenario
+from deploy.scoring.status import TickRate
 
 WINDOW = 5.0  # s of the clock over which the present pace is measured
 LEAST = 3.0  # s without which there is nothing to judge by
 AGENT_TICKS_PER_CORE = 96.0  # rounds a second that a core plays in real time, all agents together
 BAD_SHARE = 0.05  # of the rounds: more skipped ones are worth a line
 SLOW = 0.9  # of the ticks that were asked for
-
-
-class PaceStatus(msgspec.Struct, kw_only=True):
-    """How fast a run goes."""
-
-    ticks_per_s: float | None = None  # None: nothing to judge by yet
-    asked_per_s: float | None = None  # None: as fast as it goes
-    rounds: int = 0  # played by all agents together
-    skipped: int = 0  # that agents left out because they were busy
-    late: int = 0  # that were closed at the deadline, with somebody's word missing
-    advice: str = ""  # one line where the machine is too small
 
 
 def asked_per_s(scenario: Scenario) -> float | None:
@@ -46,8 +34,8 @@ def too_small(scenario: Scenario) -> str:
     return f"{agents} agents at {ticks:g} ticks/s will be late on {room}: take --rate {fits:.2g} or less, fewer agents, or --lockstep"
 
 
-class Pace:
-    """Told when ticks come and what the agents count, it says how fast the run goes."""
+class TickRateMeter:
+    """EventReport when ticks come and what the agents count, it says how fast the run goes."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -72,24 +60,24 @@ class Pace:
         """Rounds that all agents have played."""
         return sum(count[0] for count in self._counts.values())
 
-    def now(self) -> PaceStatus:
+    def now(self) -> TickRate:
         """The pace of the last seconds."""
         return self._status(self._ticks[0] if self._ticks else None)
 
-    def whole(self) -> PaceStatus:
+    def whole(self) -> TickRate:
         """The pace of the whole run."""
         return self._status(self._first)
 
-    def _status(self, start: tuple[float, int] | None) -> PaceStatus:
+    def _status(self, start: tuple[float, int] | None) -> TickRate:
         speed = None
         if start is not None and self._ticks[-1][0] > start[0]:
             speed = (self._ticks[-1][1] - start[1]) / (self._ticks[-1][0] - start[0])
         rounds, skipped, late = (sum(column) for column in zip(*self._counts.values())) if self._counts else (0, 0, 0)
-        found = PaceStatus(ticks_per_s=speed, asked_per_s=self._asked, rounds=rounds, skipped=skipped, late=late)
+        found = TickRate(ticks_per_s=speed, asked_per_s=self._asked, rounds=rounds, skipped=skipped, late=late)
         found.advice = self._advice(found)
         return found
 
-    def _advice(self, found: PaceStatus) -> str:
+    def _advice(self, found: TickRate) -> str:
         """A line when rounds are skipped or ticks fall behind; empty in lockstep, where a slow machine takes longer and loses nothing."""
         run, share = self._scenario.run, found.skipped / max(1, found.rounds + found.skipped)
         if run.clock != "realtime" or self._first is None or self._ticks[-1][0] - self._first[0] < LEAST:

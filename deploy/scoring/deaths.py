@@ -7,7 +7,7 @@ from deploy.scoring.result import Kill
 
 
 @dataclass(slots=True)
-class _Loss:
+class _Death:
     name: str
     tick: int
     time: float
@@ -15,31 +15,31 @@ class _Loss:
     closed: tuple[float, int] | None = None  # s, ticks
 
 
-class Losses:
-    """Told who goes and shown the hole of every tick; an agent that was stopped by order has not died when its token goes."""
+class Deaths:
+    """EventReport who goes and shown the hole of every tick; an agent that was stopped by order has not died when its token goes."""
 
     def __init__(self) -> None:
         self.paused: set[str] = set()
-        self._losses: list[_Loss] = []
+        self._deaths: list[_Death] = []
 
     def lose(self, name: str, tick: int, time: float, now: float) -> str:
         """An agent's token has gone at a tick and time of the world, s; what it is: `died` or `is paused`."""
         if name in self.paused:
             return "is paused"
-        self._losses.append(_Loss(name, tick, time, now))
+        self._deaths.append(_Death(name, tick, time, now))
         return "died"
 
     def see(self, tick: int, hole: float, now: float) -> None:
         """The cells of a tick leave this share of the arena uncovered."""
-        for loss in self._losses:
+        for loss in self._deaths:
             if loss.closed is None and hole <= CLOSED and tick > loss.tick:
                 loss.closed = now - loss.now, tick - loss.tick
 
     def kills(self) -> tuple[Kill, ...]:
         """Everybody who died, in order."""
-        return tuple(map(_kill, self._losses))
+        return tuple(map(_kill, self._deaths))
 
 
-def _kill(loss: _Loss) -> Kill:
+def _kill(loss: _Death) -> Kill:
     seconds, ticks = loss.closed if loss.closed else (None, None)
     return Kill(name=loss.name, tick=loss.tick, time=loss.time, closed_seconds=seconds, closed_ticks=ticks)
