@@ -69,13 +69,13 @@ def agent_config(scenario: Scenario) -> AgentConfig:
     fields["filter"] = msgspec.structs.replace(scenario.filter, seed=seed)
     if scenario.timing.interest == "neighbours":
         fields["members"] = {}
-    if not scenario.network.encrypted:  # whom to admit is asked of certificates alone
+    if not scenario.network.encrypted:  # only certificates are checked against this list
         fields["network"] = msgspec.structs.replace(scenario.network, admit=())
     return AgentConfig(**fields)
 
 
 def filter_seed(run_seed: int) -> int:
-    """The seed that the agents share, a one-way hash of the run's: from it nobody computes target tracks or detections.
+    """The seed that the agents share: a one-way hash of the run's seed, which reveals neither target tracks nor detections.
 
     Small seeds can be guessed and tried out: a run whose agents are not trusted takes a random one below 2^63.
     """

@@ -28,7 +28,7 @@ from world.world import World
 
 @contextmanager
 def rare_collections() -> Iterator[None]:
-    """Look for cycles rarely and among new objects only: messages and beliefs hold none, and the search took 6 to 9 % of a simulation.
+    """Search for reference cycles rarely, among new objects only: messages and beliefs hold none, and the search took 6 to 9 % of a run.
 
     With 5000 agents more than 50 000 objects are new within a tick, and each search among them took 0.25 s.
     """
@@ -54,7 +54,7 @@ def compiled() -> Arithmetic:
 class Simulation:
     """One run in virtual time: `step` until `done`, then `result`.
 
-    `clock` is that of the world: "lockstep" waits for every live agent, in "realtime" whoever is late misses its round.
+    `clock` is that of the world: "lockstep" waits for every live agent; in "realtime" a late agent misses its round.
     """
 
     def __init__(

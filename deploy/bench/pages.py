@@ -52,7 +52,7 @@ def measure(pairs: int = PAIRS, agents: int = AGENTS) -> list[BenchRow]:
 
 
 def compare(rows: list[BenchRow]) -> list[BenchRow]:
-    """How much more or less each viewer makes of it than nobody, %, in the median of the turns."""
+    """The difference that each viewer makes to the run without one, %, in the median of the turns."""
     found = []
     for viewer in VIEWERS[1:]:
         row: BenchRow = {"what": f"{viewer} against {VIEWERS[0]}, %"}
@@ -96,7 +96,7 @@ def _reach(running: Swarm, tick: int) -> SwarmReading:
 
 @contextmanager
 def _looking(viewer: str, url: str) -> Iterator[Browser | None]:
-    """One who looks at the page, if anybody is to; the browser if it is one."""
+    """A viewer of the page, if one is wanted; yields the browser if it is one."""
     if viewer == VIEWERS[2]:
         with browser(url) as chromium:
             chromium.until("window.covey && covey.frame")

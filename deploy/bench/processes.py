@@ -165,7 +165,7 @@ def live(agents: tuple[int, ...] = (16, 48, 96)) -> Iterator[BenchRow]:
 
 
 def _choices(agents: int) -> list[tuple[str, ...]]:
-    """Everybody linked to everybody or all to a router; and who hears whom. More than 48 are never linked to everybody."""
+    """Full mesh or router, and the interest; more than 48 agents never form a full mesh."""
     everybody: list[tuple[str, ...]] = [(), ROUTER] if agents <= 48 else [ROUTER]
     return everybody if agents < 48 else [*everybody, (*NEIGHBOURS, *ROUTER)]
 

@@ -81,7 +81,7 @@ def whole(captured: Captured) -> None:
 
 
 def again(captured: Captured) -> None:
-    """The round of one for whom another has laid the gossips side by side, as in a simulation."""
+    """A round whose gossips have already been put side by side, as in a simulation."""
     play(*captured)
 
 

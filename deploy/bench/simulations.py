@@ -20,7 +20,7 @@ from protocol.node import Batch, Effect, Event
 
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
 INSIDE = 60.0  # m from every edge of the arena: who is farther from them is counted apart
-ALIKE = range(26, 34)  # gossips: who hears so many is timed apart
+ALIKE = range(26, 34)  # gossips: agents that hear so many are timed apart
 SETTLED, END = 26, 34  # ticks of a growing crowd: those between them are measured
 MOST_SEEDS = 20
 
@@ -129,8 +129,8 @@ class _Sums:
     heard: int = 0  # the rest is of the last tick, of all agents
     known: int = 0
     certified: int = 0
-    alike: list[float] = field(default_factory=list)  # CPU of the rounds of those who hear about the same number, s
-    inside: list[int] = field(default_factory=list)  # how many those hear who are far from every edge
+    alike: list[float] = field(default_factory=list)  # CPU of the rounds of agents that hear about the same number, s
+    inside: list[int] = field(default_factory=list)  # gossips heard by agents far from every edge
 
 
 def _steady(scenarios: list[Scenario], interest: str) -> BenchRow:

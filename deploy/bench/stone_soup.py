@@ -90,7 +90,7 @@ def their_scan() -> Any:
     detections = [Detection(point.reshape(2, 1), timestamp=later, measurement_model=sensor) for point in _points(DETECTIONS, 2)]
 
     def scan() -> Any:
-        prior = ParticleState(states, log_weight=weights, timestamp=start)  # a new one, for predictions are cached
+        prior = ParticleState(states, log_weight=weights, timestamp=start)  # a new one: predictions are cached
         prediction = predictor.predict(prior, timestamp=later)
         seen = [SingleHypothesis(prediction, detection) for detection in detections]
         return updater.update(MultipleHypothesis([SingleHypothesis(prediction, MissedDetection(timestamp=later)), *seen]))

@@ -1,4 +1,4 @@
-"""What a shell is offered when a word is completed with TAB. Imports nothing heavy: somebody waits with a finger on a key."""
+"""Completion of words with TAB. This file imports nothing slow, because the user waits for the answer."""
 
 import os
 import tomllib
@@ -10,7 +10,7 @@ SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
 
 def scenarios(context: CompletionContext) -> list[str]:
-    """The shipped scenarios, and the TOML files that begin with what is typed."""
+    """The shipped scenarios, and the TOML files whose names begin with the typed text."""
     return sorted(file.stem for file in SCENARIOS.glob("*.toml")) + _files(context.incomplete, ".toml")
 
 
@@ -21,7 +21,7 @@ def runs(context: CompletionContext) -> list[str]:
 
 
 def recordings(context: CompletionContext) -> list[str]:
-    """The runs that have a recording, and the MCAP files that begin with what is typed."""
+    """The runs that have a recording, and the MCAP files whose names begin with the typed text."""
     return sorted(path.parent.name for path in _runs_folder().glob("*/recording.mcap")) + _files(context.incomplete, ".mcap")
 
 
@@ -49,7 +49,7 @@ def _runs_folder() -> Path:
 
 
 def _files(begin: str, suffix: str) -> list[str]:
-    """Folders and files of this suffix that begin with what is typed."""
+    """Folders and files of this suffix whose names begin with the typed text."""
     folder = Path(os.path.dirname(begin) or ".")
     names = sorted(folder.iterdir()) if folder.is_dir() else []
     lead = os.path.dirname(begin) + "/" * bool(os.path.dirname(begin).strip("/"))

@@ -11,7 +11,7 @@ DOWN_SECONDS = 20.0
 
 
 def selection(verb: str, names: tuple[str, ...], random: int | None, otherwise: str | None) -> str:
-    """Who is meant, as one text: names, a share or a number; `otherwise` when nobody is named. Raises BadSetting."""
+    """The selected agents as one text: names, a share or a number; `otherwise` without any of these. Raises BadSetting."""
     if not names and random is None and otherwise is None:
         raise BadSetting(f"{verb}: nobody is named; give names such as s3, a number such as 4, or a share such as 30%")
     if random is not None and names:
@@ -23,7 +23,7 @@ def selection(verb: str, names: tuple[str, ...], random: int | None, otherwise: 
 
 
 def send(verb: str, who: str, run: str | None, value: float | None = None, options: dict[str, Any] | None = None) -> int:
-    """Ask the supervisor of a run to do something to somebody."""
+    """Send a request to the supervisor of a run and print its answer."""
     client = ControlClient(find_running(run))
     print(client.ask(verb, who, value, options)["ok"])
     return 0

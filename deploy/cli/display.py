@@ -91,7 +91,7 @@ def swarm_line(swarm: dict[str, Any]) -> str:
 
 
 def tick_rate_words(tick_rate: dict[str, Any]) -> str:
-    """`7.1 of 8 ticks/s, 3 rounds skipped, 1 late`; what is nothing is left out."""
+    """`7.1 of 8 ticks/s, 3 rounds skipped, 1 late`; zeros are left out."""
     speed = "" if tick_rate["ticks_per_s"] is None else f"{tick_rate['ticks_per_s']:.1f}"
     asked = f" of {tick_rate['asked_per_s']:g}" if speed and tick_rate["asked_per_s"] is not None else ""
     counts = [
@@ -133,7 +133,7 @@ def process_table(data: dict[str, Any]) -> Table:
 
 
 def process_cells(row: dict[str, Any]) -> list[str]:
-    """The cells of one process: who died says how and when."""
+    """The cells of one process; a dead one shows how and when it ended."""
     state = row["state"]
     if state == "dead":
         when = f" at {time.strftime('%H:%M:%S', time.localtime(row['ended_at']))}" if row["ended_at"] else ""

@@ -1,4 +1,4 @@
-"""Whatever goes wrong in a command: one line on standard error and an exit code; never a traceback, unless COVEY_DEBUG is set."""
+"""Errors of commands: one line on standard error and an exit code. A traceback is shown only when COVEY_DEBUG is set."""
 
 import contextlib
 import os
@@ -15,7 +15,7 @@ OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def open_standard_files() -> None:
-    """Standard files that were closed lead nowhere from now on: a file that is opened later must not take their place."""
+    """Open closed standard files on the null device, so that a file opened later does not take their descriptors."""
     for number, mode in ((0, "r"), (1, "w"), (2, "w")):
         try:
             os.fstat(number)
@@ -25,7 +25,7 @@ def open_standard_files() -> None:
 
 
 def guarded(command: Callable[[], int]) -> int:
-    """The exit code of a command; what it raises is told in one line."""
+    """The exit code of a command. An exception becomes one line on standard error."""
     try:
         sys.path.append(os.getcwd())  # where a user's own sensor models and controllers are
     except OSError as error:
@@ -38,7 +38,7 @@ def guarded(command: Callable[[], int]) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         _lead_nowhere()
-        return OK  # whoever read has seen enough
+        return OK  # the reader of the pipe has closed it
     except Exception as error:
         if os.environ.get("COVEY_DEBUG"):
             raise
@@ -99,7 +99,7 @@ def _output_fails() -> bool:
 
 
 def _lead_nowhere() -> None:
-    """Point standard output at nothing, so that what is left of it fails nobody at the end of the process."""
+    """Point standard output at the null device, so that the flush at the end of the process succeeds."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)

@@ -29,7 +29,7 @@ def run_in_foreground(
     handler = logging.FileHandler(directory.log("supervisor"))
     handler.setFormatter(JsonLines(scenario.run.name, "supervisor"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    logging.raiseExceptions = False  # a log that finds no room ends nothing, and is not told in a traceback
+    logging.raiseExceptions = False  # a log on a full disk neither ends the run nor prints a traceback
     with Display(to_stderr=showing.json) as display:
         try:
             supervisor = Supervisor(scenario, directory, display.event, display.status, zygote)

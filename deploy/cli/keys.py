@@ -9,7 +9,7 @@ from protocol.settings import BadSetting
 
 
 def keys(names: list[str], scenario: str | None, into: Path, hosts: tuple[str, ...], days: int, force: bool, in_git: bool = False) -> int:
-    """Make the certificates of these names, or of the world, the watchers and all members of a scenario, and say what was made."""
+    """Make certificates and list them: for these names, or for the world, the watchers and all members of a scenario."""
     if bool(names) == bool(scenario):
         raise BadSetting("keys: give either names, such as `covey keys s1 s2 world monitor`, or --scenario NAME")
     if not 1 <= days <= 36500:

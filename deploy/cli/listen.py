@@ -30,12 +30,12 @@ from protocol.keys import order
 from protocol.settings import BadSetting
 
 LOOK_PERIOD = 1.0  # s between two looks whether the run still runs
-FAULTS_PERIOD = 0.5  # s between two questions what faults have been ordered
+FAULTS_PERIOD = 0.5  # s between two requests for the list of ordered faults
 PLAIN_PERIOD = 2.0  # s between two tables of rates
 
 
 def own_name(role: str) -> str:
-    """A name that no other watcher has."""
+    """A name that is unique among watchers."""
     return f"{role}-{os.getpid()}"
 
 
@@ -45,7 +45,7 @@ def _until_interrupted(work: Coroutine[Any, Any, int]) -> int:
 
 
 def echo(key: str, count: int | None, run: str | None) -> int:
-    """Print what is said under a key: blocks in a terminal, JSON lines elsewhere."""
+    """Print the messages under a key: blocks in a terminal, JSON lines elsewhere."""
     _, scenario = swarm_to_watch(run)
     show = block if sys.stdout.isatty() else plain_line
     left = count if count is not None else -1
@@ -68,7 +68,7 @@ def echo(key: str, count: int | None, run: str | None) -> int:
 
 
 def hz(key: str, seconds: float | None, run: str | None) -> int:
-    """Print every two seconds how often and how much is said under a key."""
+    """Print the message rates and sizes under a key every two seconds."""
     _, scenario = swarm_to_watch(run)
     rates, console = Rates(), Console(highlight=False)
     shown_at = time.monotonic()
@@ -88,7 +88,7 @@ def hz(key: str, seconds: float | None, run: str | None) -> int:
 
 
 def ls(seconds: float, run: str | None) -> int:
-    """Print who is there and what is said, after listening for some seconds."""
+    """Print the live processes and all keys with messages, after listening for some seconds."""
     directory, scenario = swarm_to_watch(run)
     rates, console = Rates(), Console(highlight=False)
     own = own_name("ls")
@@ -138,7 +138,7 @@ def record(file: Path | None, run: str | None) -> int:
 
 
 async def _note_faults(directory: RunDirectory, note: Callable[[Fault], None]) -> None:
-    """Ask the supervisor now and then which faults it has ordered: a cut between agents is not said under any key."""
+    """Poll the supervisor for ordered faults: no message carries a cut between agents."""
     known = 0
     while True:
         with contextlib.suppress(BadSetting):
@@ -150,7 +150,7 @@ async def _note_faults(directory: RunDirectory, note: Callable[[Fault], None]) -
 
 
 def watch_page(page: bool | str, run: str | None) -> int:
-    """Show a running swarm on a page: a process that listens as any other may."""
+    """Show a running swarm on a page, as a subscriber from outside."""
     directory, scenario = swarm_to_watch(run)
     address = address_of(page)
     assert address is not None
@@ -180,5 +180,5 @@ async def _serve_while_running(driver: live.Driver, is_running: Callable[[], boo
 
 
 def _quietly(code: int) -> int:
-    """Ctrl-C is how one ends a look; that is no failure."""
+    """The exit code, where the end by Ctrl-C counts as success."""
     return 0 if code in (0, 130) else code

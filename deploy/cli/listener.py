@@ -1,4 +1,4 @@
-"""Listening to a running swarm from outside: key expressions, and a node that hands on whatever it hears."""
+"""Listening to a running swarm from outside: key expressions, a node that forwards all it receives, and message rates."""
 
 import itertools
 import re
@@ -13,13 +13,13 @@ from protocol.messages import Message
 from protocol.node import Alive, Effect, Event, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.settings import BadSetting, load
 
-SILENCE = 3.0  # s without a word after which it is looked where something is said
-LOOK = 2.0  # s that this takes: the rarest messages come every second or so
+SILENCE = 3.0  # s without a message after which the listener looks for other keys
+LOOK = 2.0  # s of that search: the rarest messages come about once a second
 PART = re.compile(r"^(\*\*?|[^*/#?$\s]+(\$\*[^*/#?$\s]*)*|\$\*[^*/#?$\s]+)\Z")
 
 
 class KeyedPayload(NamedTuple):
-    """A payload under a key; `message` where it is one of ours, `reason` where it is not."""
+    """A payload under a key: `message` when it decodes, `reason` when it does not."""
 
     key: str
     payload: bytes
@@ -52,7 +52,7 @@ def lies_in(expression: str, key: str) -> bool:
 
 
 class Listener:
-    """The Node of `echo`, `hz` and `ls`: subscribes to one expression, hands on what it hears, stops after `seconds` or on demand."""
+    """The Node of `echo`, `hz` and `ls`: subscribes to one expression, forwards each payload, stops after `seconds` or on demand."""
 
     role = "monitor"
     incarnation = 1
@@ -66,19 +66,19 @@ class Listener:
         seconds: float | None = None,
         on_silence: Callable[[list[str]], None] | None = None,
     ) -> None:
-        """`on_heard` says whether to go on listening; `on_silence` is told once, when nothing is heard, which keys are written."""
+        """`on_heard` returns whether to continue. `on_silence` is called once after a silence, with the keys that do have messages."""
         self.run, self.name = run, name
-        self.tokens: set[tuple[str, str, int]] = set()  # role, name, incarnation of who is there
+        self.tokens: set[tuple[str, str, int]] = set()  # role, name, incarnation of live processes
         self._wanted, self._on_heard, self._seconds = wanted, on_heard, seconds
         self._all = f"{ROOT}/{run}/**"
         self._end: float | None = None
         self._on_silence = on_silence
-        self._look: float | None = None  # when it is time to look what is said elsewhere, or to tell
+        self._look: float | None = None  # when to search other keys, or to report them
         self._looked = False
-        self._elsewhere: set[str] | None = None  # the keys that are written, while somebody looks
+        self._elsewhere: set[str] | None = None  # keys found while the search runs
 
     def deadline(self) -> float | None:
-        """When the time is up, or nothing has been heard for so long that something has to be said."""
+        """When the time is up, or a silence has to be reported."""
         return min((at for at in (self._end, self._look) if at is not None), default=None)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
@@ -101,18 +101,18 @@ class Listener:
         return []
 
     def _hear(self, heard: KeyedPayload, now: float) -> list[Effect]:
-        """Hand on what is wanted; note where else something is said while that is looked at."""
+        """Forward a wanted payload; note the key of any other while the search runs."""
         if self._looked and not lies_in(self._wanted, heard.key):
             if self._elsewhere is not None:
                 self._elsewhere.add(heard.key)
-            return []  # also what was still on its way when the look was over
+            return []  # also late payloads of a search that has ended
         effects: list[Effect] = [] if self._elsewhere is None else [Subscribe(self._wanted), Unsubscribe(self._all)]
         self._elsewhere = None
         self._look = None
         return effects if self._on_heard(heard, now) else [*effects, Stop(0, "enough")]
 
     def _look_around(self, now: float) -> list[Effect]:
-        """After a silence listen to all keys for a moment, each message once; then say which they are and go back to the wanted."""
+        """After a silence listen to all keys for a moment, report them, and return to the wanted key."""
         if self._look is None or now < self._look:
             return []
         if self._elsewhere is None and self._wanted != self._all:
@@ -132,7 +132,7 @@ def kinds(keys: list[str]) -> str:
 
 
 class Rates:
-    """How often and how much is said, by key."""
+    """Message rates and sizes by key."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}
@@ -142,7 +142,7 @@ class Rates:
         self._longest: dict[str, float] = {}
 
     def note(self, heard: KeyedPayload, now: float) -> bool:
-        """Count one message; always True, for who listens goes on."""
+        """Count one message; always True: the listener continues."""
         key = heard.key
         if key in self._last:
             self._longest[key] = max(self._longest.get(key, 0.0), now - self._last[key])

@@ -1,4 +1,4 @@
-"""`logs`: what the processes of a run have written, all of them merged by time or some, of a run that runs or of one that has ended."""
+"""`logs`: the log lines of the processes of a run, merged by time. The run may still run or have ended."""
 
 import json
 import sys
@@ -12,11 +12,11 @@ from protocol.keys import order
 from protocol.settings import BadSetting
 
 FOLLOW_PERIOD = 0.25  # s between two looks for new lines
-KNOWN = ("time", "level", "run", "agent", "message", "exception")  # what is said in a place of its own
+KNOWN = ("time", "level", "run", "agent", "message", "exception")  # fields with a place of their own in a printed line
 
 
 class LogEntry(NamedTuple):
-    """One line of a log; `fields` is empty where it is no JSON, such as a complaint before the logging began."""
+    """One line of a log; `fields` is empty for a line that is no JSON, such as an error before logging starts."""
 
     time: float  # Unix time, s; a line without one has that of the line before
     name: str
@@ -65,16 +65,16 @@ def kept_runs() -> list[RunDirectory]:
 
 
 class LogTails:
-    """The logs of a run, each read as far as it goes; a line that is not finished waits for its end."""
+    """The logs of a run, read incrementally. An unfinished line is read once it is complete."""
 
     def __init__(self, directory: RunDirectory, names: tuple[str, ...] = ()) -> None:
-        """`names`: of these processes only; none: of all, those that come later included."""
+        """`names`: only these processes; empty: all, including later ones."""
         self._directory, self._names = directory, names
         self._read: dict[Path, int] = {}  # bytes
         self._time: dict[Path, float] = {}
 
     def read(self) -> list[LogEntry]:
-        """What has been written since the last look, by time."""
+        """The lines since the last call, by time."""
         files = [self._directory.log(name) for name in self._names] or sorted(self._directory.logs.glob("*.jsonl"))
         return sorted((entry for file in files for entry in self._new(file)), key=lambda entry: entry.time)
 
@@ -109,7 +109,7 @@ def _show(entries: Iterable[LogEntry], raw: bool) -> None:
 
 
 def plain(entry: LogEntry) -> str:
-    """An entry for people: when, who, what, and what belongs to it; an exception in lines of its own."""
+    """An entry for people: time, process, message and further fields; an exception in lines of its own."""
     clock = time.strftime("%H:%M:%S", time.localtime(entry.time)) + f".{int(1000 * (entry.time % 1)):03d}" if entry.time else " " * 12
     head = f"{clock}  {entry.name:10}  "
     if not entry.fields:

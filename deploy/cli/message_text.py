@@ -19,7 +19,7 @@ def fields(message: Message) -> dict[str, Any]:
 
 
 def plain_line(heard: KeyedPayload) -> str:
-    """One line of JSON: the key, and the message or its raw bytes and why it is none."""
+    """One line of JSON: the key with the message, or with the raw bytes and the reason why they do not decode."""
     if heard.message is not None:
         return msgspec.json.encode({"key": heard.key, **fields(heard.message)}).decode()
     raw: dict[str, Any] = {"key": heard.key, "unknown": heard.reason, "bytes": len(heard.payload), "raw": heard.payload[:256].hex()}

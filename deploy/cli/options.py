@@ -1,4 +1,4 @@
-"""The options that every command which runs a scenario shares. Imports little: it is read before every command."""
+"""Options that all commands that run a scenario share. Every command loads this file, so it imports little."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -34,12 +34,12 @@ class DisplayOptions:
     record: bool | Path = False
     page: bool | str = False
     open: bool = False  # the page in a browser
-    stays: bool = False  # the page stays at the end, where somebody sits at a terminal
+    stays: bool = False  # the page stays after the end when a person uses the terminal
 
 
 @dataclass
 class RunOptions:
-    """Laid over the scenario file; what is not given stays as the file says."""
+    """Laid over the scenario file. An option that is not given leaves the file's value."""
 
     seed: Annotated[int | None, WHOLE] = None
     """Seed of the run: the same scenario and seed, the same run."""
@@ -160,12 +160,12 @@ class RunOptions:
 
 
 def switch_or_text(kind: object, tokens: Sequence[Token]) -> bool | str:
-    """`--page` alone is True, `--no-page` False; a text stays as it was given, for 0 is a port and not a no."""
+    """`--page` alone is True, `--no-page` is False. A text stays a text: `0` is a port."""
     return tokens[-1].implicit_value if isinstance(tokens[-1].implicit_value, bool) else tokens[-1].value
 
 
 def parse_kill(text: str) -> "FaultSettings":
-    """`30%@300` as a fault: who, and when in s of world time."""
+    """`30%@300` as a fault: the selected agents, and s of world time."""
     from deploy.scenario import FaultSettings
     from protocol.settings import BadSetting
 

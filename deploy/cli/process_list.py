@@ -54,10 +54,10 @@ def ps_all(run: str | None, as_json: bool) -> int:
 
 
 def ended_run(directory: RunDirectory) -> dict[str, Any]:
-    """What is known of a run that has ended: its scenario, when it ended, who died before, and whether it has a result."""
+    """Facts about a run that has ended: its scenario, its end, its dead processes, and its result file."""
     try:
         config = read_toml(directory.config)
-    except BadSetting:  # it ended before it began
+    except BadSetting:  # it ended before it wrote its configuration
         config = {}
     entries = LogTails(directory, ("supervisor",)).read()
     deaths = [match for entry in entries if (match := DEATH.match(str(entry.fields.get("message", "")))) and match[1] != "world"]

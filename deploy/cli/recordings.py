@@ -26,7 +26,7 @@ from protocol.settings import NetworkSettings
 
 
 def score(name: str, csv: Path | None, as_json: bool) -> int:
-    """Score a recording; its difference to what the run itself had found, where that is known."""
+    """Score a recording, and compare with the result of the run itself where that exists."""
     recording = Recording(find_recording(name))
     console = Console(stderr=as_json, highlight=False)
     scorer = rescore(recording)
@@ -103,7 +103,7 @@ async def _play(server: PageServer, recording: Recording, publish: bool) -> None
 
 
 async def _say_again(server: PageServer, recording: Recording, over: asyncio.Event) -> None:
-    """Publish what is played under the same keys, as a run of its own directory that `echo`, `hz`, `ls` and `watch --page` find."""
+    """Publish the played messages under the same keys, as a run with its own directory that `echo`, `hz`, `ls` and `watch --page` find."""
     directory, lock = new_run_directory(f"{recording.run[:48]}-replay", recording.scenario.run.scenario)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     network = msgspec.structs.replace(recording.scenario.network, listen=(endpoint,), seeds=())
@@ -117,5 +117,5 @@ async def _say_again(server: PageServer, recording: Recording, over: asyncio.Eve
     await over.wait()
     driver.stop(0, "the replay is over")
     await serving
-    shutil.rmtree(directory.path, ignore_errors=True)  # it was there to be found, and holds nothing that is worth keeping
+    shutil.rmtree(directory.path, ignore_errors=True)  # other commands found the run by it; it holds no results
     os.close(lock)

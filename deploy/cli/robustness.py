@@ -1,4 +1,4 @@
-"""`study robustness`: play the bouts that are not done yet, show how far it is, and say what came out."""
+"""`study robustness`: run the open bouts, show the progress, print the result."""
 
 import json
 import math
@@ -18,7 +18,7 @@ DT = 0.5  # s unless it is said
 
 
 def settings_of(team: str | None, targets: str | None, methods: str | None) -> dict[str, Any]:
-    """The settings that team and targets stand for; raises BadSetting for what this study does not know."""
+    """The settings that team and targets stand for; raises BadSetting for options that this study does not have."""
     if methods is not None:
         raise BadSetting(f"--methods {methods}: not an option of the robustness study; --set partition.kind=voronoi chooses another")
     if targets is not None and not targets.isdecimal():

@@ -64,7 +64,7 @@ def rm(names: Sequence[str], everything: bool, older_than: str | None, yes: bool
 
 
 def _agreed(chosen: Sequence[KeptRun]) -> bool:
-    """Whether the user in the terminal says yes; raises BadSetting where there is none who could be asked."""
+    """Whether the user in the terminal answers yes; raises BadSetting without a terminal."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise BadSetting(f"rm: would remove {len(chosen)} runs; add -y, for there is no terminal to ask")
     print("\n".join(kept.name for kept in chosen))

@@ -1,4 +1,4 @@
-"""What is wrong with a scenario beyond what its types can tell: teams, classes of the user's own, faults, endpoints."""
+"""Checks of a scenario beyond its types: teams, classes of the user, faults, endpoints, memory."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -33,7 +33,7 @@ def check_scenario(scenario: Scenario) -> None:
 
 
 def all_mistakes(data: dict[str, Any], name: str, source: str, faults: Sequence[FaultSettings] = ()) -> list[str]:
-    """Everything that is wrong with the data of a scenario, a line each; what follows from another mistake is left out."""
+    """All mistakes in the data of a scenario, a line each. A mistake that follows from another one is left out."""
     found, paths, rest = mistakes(data, Scenario)
     lines = [f"{source}: {line}" for line in found]
     wrong = {path[0] for path in paths}
@@ -46,14 +46,14 @@ def all_mistakes(data: dict[str, Any], name: str, source: str, faults: Sequence[
     except BadSetting as error:
         lines.append(str(error))
         wrong |= TEAM
-    if wrong & TEAM:  # nobody knows who is in the team, so who is meant by a fault or driven by a law cannot be told
+    if wrong & TEAM:  # faults and control laws can be checked only with a valid team
         wrong |= TEAM | {"faults", "control"}
     later = [*complaints(scenario), *_network(scenario)]
     return lines + [f"{source}: {line}" for section, line in later if section not in wrong]
 
 
 def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """What is wrong with a resolved scenario: the section, and a line that names what would be right."""
+    """The mistakes of a resolved scenario: the section, and a line that names a right value."""
     yield from _told("arena", lambda: check_costs(scenario))
     for sensor_class in dict.fromkeys(scenario.members.values()):
         yield from _told("sensors", lambda name=sensor_class: _try_sensor(scenario, name))  # type: ignore[misc]
@@ -64,7 +64,7 @@ def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def check_costs(scenario: Scenario) -> None:
-    """Raise BadSetting, with a value that would do, when an agent would need more memory and time than a machine has."""
+    """Raise BadSetting, with a possible value, when an agent would need more memory or time than a machine has."""
     filters, arena = scenario.filter, scenario.arena
     area, particles = arena.width * arena.height, prior_size(filters, arena)
     if particles > MOST_PRIOR and area > MOST_PRIOR / LEAST_PRIOR:
@@ -81,7 +81,7 @@ def check_costs(scenario: Scenario) -> None:
 
 
 def _network(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """What only a run with real processes cannot do with."""
+    """The mistakes that matter to a run with real processes only."""
     yield from _told("network", lambda: check_endpoints(scenario.network))
     yield from _told("members", lambda: check_names(scenario))
 
@@ -106,7 +106,7 @@ def _try_sensor(scenario: Scenario, sensor_class: str) -> None:
 
 
 def _try_law(scenario: Scenario) -> None:
-    """Let a law of the user's own drive one agent in the middle of the arena for a tick."""
+    """Try a control law of the user for one agent and one tick, in the middle of the arena."""
     law = control_law(scenario)
     if not isinstance(law, CheckedLaw):
         return
@@ -135,7 +135,7 @@ def _try_law(scenario: Scenario) -> None:
 
 
 def _try_motion(scenario: Scenario) -> None:
-    """Let a motion of the user's own move two targets for a tick."""
+    """Try a motion model of the user for two targets and one tick."""
     motion = build_motion(scenario.targets, scenario.run.dt, scenario.run.seed)
     if isinstance(motion, CheckedMotion):
         motion.move(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 1.0]), np.array([1, 2], dtype=np.uint64), 0)

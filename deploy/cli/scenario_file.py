@@ -27,7 +27,7 @@ def init(file: Path) -> int:
         with out:
             out.write(template())
     except OSError as error:
-        file.unlink()  # half a scenario is none
+        file.unlink()  # a partial scenario is not left behind
         raise BadSetting(f"{file}: {error.strerror}") from None
     print(f"{file}: every section and every default; change it, then: covey check {file}; covey up {file}")
     return 0
@@ -40,14 +40,14 @@ def config(scenario: Scenario) -> int:
 
 
 def complain(lines: list[str]) -> int:
-    """Say everything that is wrong with a scenario."""
+    """Print all mistakes of a scenario; the exit code."""
     for line in lines:
         print(f"covey: {line}", file=sys.stderr)
     return 2
 
 
 def check(scenario: Scenario) -> int:
-    """Say what the scenario comes to and whether this machine can open a session; raises BadSetting where not."""
+    """Print a summary of the scenario and check that this machine can open a session; raises BadSetting when it cannot."""
     from protocol.endpoints import check_loopback
     from protocol.live import open_session  # loads zenoh
 

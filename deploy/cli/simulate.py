@@ -82,14 +82,14 @@ def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | N
 
 
 class ProgressLine:
-    """Says now and then how far a simulation is."""
+    """Prints the progress of a simulation from time to time."""
 
     def __init__(self, show: Callable[[str], None], period: float) -> None:
         self._show, self._period = show, period
         self._said_at = time.monotonic()
 
     def tell(self, done: int, ticks: int) -> None:
-        """Say it if `period` s have passed since it was last said."""
+        """Print the progress if `period` s have passed since the last line."""
         if time.monotonic() - self._said_at >= self._period:
             self._said_at = time.monotonic()
             self._show(f"{100 * done // ticks:3d} %  tick {done} of {ticks}")

@@ -1,4 +1,4 @@
-"""`study`: run the trials of a study that are not done yet, show how far it is, and say what came out."""
+"""`study`: run the open trials of a study and print its result."""
 
 import json
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from deploy.studies.trials import Row, methods_of, run_trial
 
 
 def run_study(found: Design, into: Path, workers: int | None, scheduler: str | None, as_json: bool) -> int:
-    """Run a study to its end; what is finished already is not run again."""
+    """Run a study to its end. Finished trials are not repeated."""
     console = console_of(as_json)
     trials, folder = plan(found), Folder(into)
     with folder.claimed():
@@ -30,13 +30,13 @@ def run_study(found: Design, into: Path, workers: int | None, scheduler: str | N
 
 
 def _short(path: Path) -> str:
-    """A path as one would type it here."""
+    """A path relative to the current folder where it lies below it."""
     here = Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 def default_folder(name: str, quick: bool) -> Path:
-    """Where a study goes unless it is said."""
+    """The default folder of a study."""
     return runs_folder() / f"study-{name}{'-quick' if quick else ''}"
 
 

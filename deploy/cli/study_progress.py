@@ -21,7 +21,7 @@ PLAIN_PERIOD = 20.0  # s between two lines where there is no terminal
 
 
 def console_of(as_json: bool) -> Console:
-    """For people: standard output, or standard error where that is for programs."""
+    """The console for people: standard output, or standard error when standard output carries JSON."""
     console = Console(stderr=as_json, highlight=False)
     return console if console.is_terminal else Console(stderr=as_json, highlight=False, width=PLAIN_WIDTH)
 
@@ -29,7 +29,7 @@ def console_of(as_json: bool) -> Console:
 def run_open_trials(
     name: str, folder: Folder, trials: Sequence[Job], workers: int | None, scheduler: str | None, console: Console, play: Play
 ) -> list[Row]:
-    """The rows of all trials in their order: those that the folder has not are played first."""
+    """The rows of all trials in their order. Trials that the folder lacks are run first."""
     done = folder.finished()
     open_trials = [(number, trial) for number, trial in enumerate(trials) if trial.key() not in done]
     count = len(trials) - len(open_trials)
@@ -43,7 +43,7 @@ def run_open_trials(
 def _run(
     folder: Folder, trials: Sequence[Job], todo: Sequence[Numbered], workers: int, scheduler: str | None, console: Console, play: Play
 ) -> None:
-    """Run what is to do, row by row into the folder."""
+    """Run the open trials; every row goes into the folder when it is finished."""
     shares = shared_shares(len(trials))
     engine = on_a_cluster(todo, scheduler, play) if scheduler else on_this_machine(todo, min(workers, len(todo)), shares, play)
     ahead = RemainingWork(trials, todo, shares)
@@ -71,7 +71,7 @@ def _follow(engine: FinishedTrials, folder: Folder, trials: Sequence[Job], ahead
 
 
 class RemainingWork:
-    """How much of a study is left: work is measured by the cost of a trial, speed by what this start has done in its time."""
+    """The remaining work of a study: costs of the open trials, and the speed since this start."""
 
     def __init__(self, trials: Sequence[Job], todo: Sequence[Numbered], shares: Shares) -> None:
         self._costs = {number: cost(trial.resolve()) for number, trial in todo}
@@ -95,7 +95,7 @@ class RemainingWork:
         return 1.0 - left / sum(self._costs.values())
 
     def seconds(self) -> float | None:
-        """s that are left if it goes on like this; None until there is something to judge by."""
+        """Estimated s that are left; None before there are enough data."""
         share = self.share()
         return None if share < 0.01 or self.elapsed() < 2.0 else remaining(share, self.elapsed())
 
@@ -118,7 +118,7 @@ def words(seconds: float) -> str:
 
 
 class ProgressBar:
-    """Shows how far a study is: a bar in a terminal, a line now and then elsewhere."""
+    """Shows the progress of a study: a bar in a terminal, a line from time to time elsewhere."""
 
     def __init__(self, console: Console, ahead: RemainingWork, total: int, progress: Progress | None) -> None:
         self._console, self._ahead, self._total, self._progress = console, ahead, total, progress

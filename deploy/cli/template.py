@@ -1,6 +1,6 @@
-"""A scenario file with every section and every setting, each with its default: made from the settings' types, so that it is never stale.
+"""A scenario file with every section and every setting and its default, made from the types of the settings.
 
-What a setting is for is the comment beside its declaration; what is allowed follows from its type.
+The purpose of a setting is the comment beside its declaration. The allowed values follow from its type.
 """
 
 import inspect
@@ -59,7 +59,7 @@ def _settings(section: type) -> Iterator[str]:
 
 
 def _default(field: Field) -> str:
-    """The default as TOML; in angle brackets what has to be put in where there is none."""
+    """The default as TOML; without a default, the kind of value in angle brackets."""
     value = (
         field.default_factory() if field.default is msgspec.NODEFAULT and field.default_factory is not msgspec.NODEFAULT else field.default
     )
@@ -100,7 +100,7 @@ def _purpose(section: type) -> str:
 
 
 def _notes(struct: type) -> dict[str, str]:
-    """The comments beside the declarations of a struct and of those it is made from."""
+    """The comments beside the declarations of a struct and of its bases."""
     found: dict[str, str] = {}
     for part in reversed(struct.__mro__):
         if issubclass(part, msgspec.Struct) and part.__module__.split(".")[0] != "msgspec":

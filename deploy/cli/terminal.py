@@ -66,7 +66,7 @@ def _pressed(number: int, seconds: float) -> list[str]:
 
 
 def is_at_terminal() -> bool:
-    """Whether somebody sits at a terminal, sees the output there and can press a key."""
+    """Whether standard input and output are a terminal and this program is in the foreground."""
     try:
         return sys.stdin.isatty() and sys.stdout.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except (OSError, ValueError):
@@ -83,12 +83,12 @@ async def until_key() -> None:
     loop.remove_reader(sys.stdin.fileno())
     with contextlib.suppress(OSError):
         os.set_blocking(sys.stdin.fileno(), False)
-        os.read(sys.stdin.fileno(), 4096)  # what was typed is not the shell's
+        os.read(sys.stdin.fileno(), 4096)  # typed characters must not reach the shell
         os.set_blocking(sys.stdin.fileno(), True)
 
 
 def open_browser(address: str) -> str:
-    """Open a page in the user's browser, which may take its time; a line for the user where there is none."""
+    """Open a page in the user's browser without waiting for it; a line for the user when there is no display."""
     if sys.platform == "linux" and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")):
         return f"--open: no display here to open a browser on; open {address} by hand"
     threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

@@ -36,7 +36,7 @@ def swarm_map(swarm: dict[str, Any], rows: list[dict[str, Any]], most_lines: int
 
 
 def _square(place: list[float], width: float, height: float, columns: int, lines: int) -> tuple[int, int]:
-    """(line, column) of a place; what lies outside is drawn at the border."""
+    """(line, column) of a position; a position outside the arena is drawn at the border."""
     column = min(columns - 1, max(0, int(place[0] / width * columns)))
     return min(lines - 1, max(0, lines - 1 - int(place[1] / height * lines))), column
 

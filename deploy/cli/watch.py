@@ -28,7 +28,7 @@ Ask = Callable[[str, str], dict[str, Any]]  # verb, who -> the supervisor's answ
 
 
 def watch(run: str | None) -> int:
-    """A live picture until the run ends or q is pressed; plain lines where there is no terminal."""
+    """Show a live picture until the run ends or q is pressed; print plain lines without a terminal."""
     client = ControlClient(find_running(run))
     console = Console(highlight=False)
     try:
@@ -52,7 +52,7 @@ def watch_line(data: dict[str, Any]) -> str:
 
 
 class WatchScreen:
-    """Which process is chosen, and what the last key has done."""
+    """The chosen process, and the effect of the last key."""
 
     def __init__(self, ask: Ask) -> None:
         self.chosen = ""
@@ -102,7 +102,7 @@ class WatchScreen:
 
 
 def fit(table: Table, console: Console) -> None:
-    """Take columns away until the table is no wider than the terminal; what matters least goes first."""
+    """Remove columns, the least important first, until the table is no wider than the terminal."""
     unknown = [str(column.header) for column in table.columns if str(column.header) not in (*FIRST_TO_GO, *LAST)]
     for head in (*unknown, *FIRST_TO_GO):
         if Measurement.get(console, console.options.update(max_width=1000), table).maximum <= console.width:
@@ -115,7 +115,7 @@ def fit(table: Table, console: Console) -> None:
 
 
 def show(ask: Ask, console: Console) -> None:
-    """Show a swarm until it ends or q is pressed; raises BadSetting when nobody answers any more."""
+    """Show a swarm until it ends or q is pressed; raises BadSetting when the supervisor stops answering."""
     board, keys = WatchScreen(ask), is_ours()
     with Live(console=console, auto_refresh=False) as live, keyboard(console.show_cursor) if keys else nullcontext(_sleep) as pressed:
         go_on = True

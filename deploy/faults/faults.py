@@ -1,4 +1,4 @@
-"""Faults: the verbs, who is meant by "s3", "s3,s4", "4" or "30%", and which faults of a scenario are due.
+"""Faults: the verbs, the agents selected by "s3", "s3,s4", "4" or "30%", and the schedule of a scenario's faults.
 
 The words are the same in a scenario's [[faults]], on the command line, in a simulation and on real processes:
 
@@ -7,7 +7,7 @@ The words are the same in a scenario's [[faults]], on the command line, in a sim
     slow                 it takes `value` s over every observation
     join, twin           a newcomer (options.class), or a second process of a name
     jump                 its clock jumps by `value` s (options.back = true: back)
-    partition            those meant and the rest do not hear each other (options.kind = "one-way": only the rest is deaf; "bridge":
+    partition            the selected and the rest do not hear each other (options.kind = "one-way": only the rest is deaf; "bridge":
                          one of the rest hears both sides); with options.tokens = false the sessions stay up
     drop, delay          a share of the messages is lost (options.burst: in runs of so many); all come `value` s late (options.jitter)
     duplicate, reorder   a share comes twice; is held back and overtaken (options.spread s at most)
@@ -50,7 +50,7 @@ REFUSED = "refused"  # the verb of an action in place of a fault that cannot be 
 
 
 class Action(NamedTuple):
-    """One fault that is due, with everybody meant by name."""
+    """One fault that is due, with the names of the selected processes."""
 
     verb: str
     names: list[str]
@@ -59,7 +59,7 @@ class Action(NamedTuple):
 
 
 def choose(who: str, candidates: Sequence[str], known: Sequence[str], rng: np.random.Generator) -> list[str]:
-    """Names meant by `who`: names with commas (any known one), or a number or a share of the candidates, drawn at random.
+    """Names selected by `who`: names with commas (any known one), or a number or a share of the candidates, drawn at random.
 
     A share is rounded to the nearest number, at least 1. Raises BadSetting naming what would be right.
     """
@@ -98,13 +98,13 @@ def plain_verb(verb: str) -> str:
 
 
 def check_faults(faults: Sequence[FaultSettings], members: Sequence[str], *, live: bool = False, link_faults: bool = True) -> None:
-    """Raise BadSetting for a fault that nobody here can carry out."""
+    """Raise BadSetting for a fault that cannot be carried out here."""
     for number, fault in enumerate(faults):
         check_fault(fault, f"faults[{number}].", members, live=live, link_faults=link_faults)
 
 
 def check_fault(fault: FaultSettings, where: str, members: Sequence[str], *, live: bool, link_faults: bool) -> None:
-    """Raise BadSetting when nobody here can carry out a fault; `where` stands before the names of its fields."""
+    """Raise BadSetting when a fault cannot be carried out here; `where` stands before the names of its fields."""
     verb = plain_verb(fault.verb)
     if verb not in VERBS:
         raise BadSetting(f"{where}verb = {fault.verb!r}: should be one of {', '.join(VERBS)}")

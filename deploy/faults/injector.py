@@ -30,7 +30,7 @@ class Injector:
         self.agents: dict[str, Agent] = {}  # by label: the name, or s3#2 for the second of a name
         self._bus, self._links = bus, links
         self._arithmetic, self._build = arithmetic, build
-        self.scenario = scenario  # with the newcomers among its members, of whom the agents are told nothing
+        self.scenario = scenario  # members include newcomers, which the configuration of agents does not name
         self._config = agent_config(scenario)
         self._incarnations = dict.fromkeys(scenario.members, 0)
         self._pauses: dict[str, int] = {}  # label -> number of the pause it is in
@@ -50,7 +50,7 @@ class Injector:
         return [name for name in self._incarnations if name not in alive]
 
     def strike(self, action: Action) -> None:
-        """Carry out a fault; what makes no sense any more (killing the dead) is passed over."""
+        """Carry out a fault; one that no longer applies, such as killing a dead agent, has no effect."""
         if action.verb in LINK_VERBS:
             self._links.act(action)
             self._look_at_sessions()
@@ -199,7 +199,7 @@ class Injector:
             self._forget(label)
 
     def _forget(self, label: str) -> None:
-        """Nothing is known of a label any more."""
+        """Remove all state of a label."""
         self._pauses.pop(label, None)
         self._unseen.discard(label)
         self._tearing = {pair: number for pair, number in self._tearing.items() if label not in pair}

@@ -1,6 +1,6 @@
-"""A certificate authority of one swarm, and a certificate for each of its names: what mutual TLS needs.
+"""A certificate authority of one swarm and a certificate for each of its names, for mutual TLS.
 
-keys/ca.pem     the authority's certificate, which everybody trusts
+keys/ca.pem     the authority's certificate, which all processes trust
 keys/ca.key     its private key; no process of a run reads it
 keys/s3.pem     the certificate of s3: common name s3, for TLS servers and clients
 keys/s3.key     its private key

@@ -106,7 +106,7 @@ class ControlClient:
 
 
 async def ask(directory: RunDirectory, verb: str, who: str = "") -> Answer:
-    """The supervisor's answer to one request, in an event loop; raises BadSetting with its complaint, or when nobody answers."""
+    """The supervisor's answer to one request, in an event loop; raises BadSetting with its complaint, or without an answer."""
     try:
         where = json.loads(directory.control.read_text(encoding="utf-8"))["socket"]
         async with asyncio.timeout(ANSWER_SECONDS):

@@ -137,7 +137,7 @@ def rooms(scenario: Scenario) -> dict[str, str]:
 
 
 def endpoints(name: str, listens: Mapping[str, str], seeds: Sequence[str]) -> list[str]:
-    """The command-line options of a process: a seed listens where all expect it, and nobody dials itself."""
+    """The endpoint options of a process: a seed listens on its known endpoint and does not dial it."""
     own = listens.get(name)
     words = ["--listen", own] if own else []
     for endpoint in seeds:
@@ -146,7 +146,7 @@ def endpoints(name: str, listens: Mapping[str, str], seeds: Sequence[str]) -> li
 
 
 def process_rows(children: Mapping[str, Child], members: Mapping[str, str], agents: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Every process as `ps` shows it, with what the scorer knows of the agents; guests, which were not started here, at the end."""
+    """Every process as `ps` shows it, with the scorer's figures of agents; agents that were not started here come last."""
     scored = {agent["name"]: agent for agent in agents}
     rows: list[dict[str, Any]] = []
     for name, child in children.items():

@@ -1,4 +1,4 @@
-"""The start line of a run: starts every process, and says what the first tick waits for and who is missing when it comes."""
+"""The start of a run: starts every process, and reports what the first tick waits for and which agents miss it."""
 
 import asyncio
 import importlib
@@ -14,7 +14,7 @@ from deploy.live.zygote import Zygote
 from deploy.scoring.scorer import Scorer
 from protocol.messages import Truth
 
-HOLD = 20.0  # s that the last agent is held back at most, while the monitor hears of no further process
+HOLD = 20.0  # s at most for which the last agent is held back without a new process heard by the monitor
 LOOK = 0.05  # s between two looks at the zygote while it prepares
 MOST_NAMED = 5  # missing agents that are named; more are counted
 
@@ -26,10 +26,10 @@ class Startup:
         """`members` are the agents that the scenario has, `log` is that of the zygote."""
         self._members, self._children, self._scorer, self._zygote, self._log = members, children, scorer, zygote, log
         self._begun = time.monotonic()
-        self._is_told = False  # that the zygote has ended before it was ready
+        self._is_told = False  # the early end of the zygote has been reported
 
     async def start_all(self, tell: Callable[[str], None]) -> None:
-        """Start everybody, the last agent only when the monitor hears all others: the world waits for it, so nothing is missed."""
+        """Start all processes, the last agent once the monitor hears all others. The world waits for it, so no tick is missed."""
         *first, last = self._children
         # For the first score. It begins before the agents are forked: on a starved machine it takes longer than the world waits.
         loading = threading.Thread(target=importlib.import_module, args=["scipy.optimize"], daemon=True)
@@ -50,7 +50,7 @@ class Startup:
         last.start()
 
     async def _prepare(self, zygote: Zygote, tell: Callable[[str], None]) -> None:
-        """Return when the zygote can fork, or has ended; what it compiles on the very first start takes as long as it takes."""
+        """Return when the zygote can fork or has ended. There is no time limit: the very first start compiles."""
         while not zygote.is_ready and not zygote.is_gone:
             await asyncio.sleep(LOOK)
             zygote.collect()
@@ -60,7 +60,7 @@ class Startup:
             tell(f"the process that prepares agents has ended, see {log}; each agent starts by itself, and works slower")
 
     def expect(self) -> None:
-        """Tell the world which agents to wait for: all whose processes have not ended. It needs no time limit then."""
+        """Tell the world to wait for all agents whose processes have not ended; so it needs no time limit."""
         if self._scorer.truth is None:
             ended = {child.name for child in self._children if child.returncode is not None}
             world = next(child for child in self._children if child.name == "world")
@@ -93,7 +93,7 @@ class Startup:
         return complaint
 
     def _who(self, missing: list[str]) -> str:
-        """How many of how many agents, and who of them is missing."""
+        """The number of present agents, and the names of missing ones."""
         number = f"{len(self._members) - len(missing)} of {len(self._members)} agents"
         more = f" and {len(missing) - MOST_NAMED} more" if len(missing) > MOST_NAMED else ""
         return f"{number} (without {', '.join(missing[:MOST_NAMED])}{more})" if missing else number

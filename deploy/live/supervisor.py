@@ -1,4 +1,4 @@
-"""The supervisor: starts the world and the agents, kills, pauses and restarts them, notices who dies, and never leaves an orphan.
+"""The supervisor: starts the world and the agents, kills, pauses and restarts them, notices deaths, and leaves no orphan.
 
 It is no part of the swarm: agents find each other by themselves and go on without it in every respect but one, they end with it.
 Everything runs in one event loop in the main thread (children must be started from there).
@@ -147,7 +147,7 @@ class Supervisor:
         return code
 
     def _status(self) -> Status:
-        """What is known of the swarm, and what its start waits for."""
+        """The status of the swarm, and what its start waits for."""
         return msgspec.structs.replace(self.scorer.status(), waiting=self._start.waiting())
 
     async def _wait_for_estimates(self) -> None:
@@ -168,7 +168,7 @@ class Supervisor:
             self._tell(f"{self.directory.result}: {error.strerror}; the result is not kept")
 
     async def _wind_down(self) -> None:
-        """End all children: politely, then not; at the end none is left. Before the first tick there is nothing that they could finish."""
+        """End all children: SIGTERM, then SIGKILL after `GRACE`; before the first tick at once. None is left."""
         self._winding_down = True
         for child in self.children.values():
             child.send(signal.SIGTERM)
@@ -177,7 +177,7 @@ class Supervisor:
         while any(child.is_running for child in self.children.values()):
             if time.monotonic() > end:
                 self._kill_all()
-                if self._zygote is not None:  # with a child whose pid it has not told
+                if self._zygote is not None:  # with children of which no pid is known
                     self._zygote.kill()
             await asyncio.sleep(0.02)
             self._reap()
@@ -197,14 +197,14 @@ class Supervisor:
             self._over.set_result(code)
 
     def _hear(self, zygote: Zygote) -> None:
-        """Take what the zygote tells, until it has ended."""
+        """Read the messages of the zygote, until it has ended."""
         zygote.collect()
         if zygote.is_gone:
             asyncio.get_running_loop().remove_reader(zygote.fileno())
         self._reap()
 
     def _reap(self) -> None:
-        """Notice who has died."""
+        """Notice the end of children."""
         for child in self.children.values():
             if child.poll() and not self._winding_down:
                 self._on_death(child)
@@ -254,7 +254,7 @@ class Supervisor:
                 self._tell(f"a fault of the scenario could not be carried out: {error}")
 
     def _on_twin(self, name: str, known: int, other: int) -> None:
-        """Two processes have one name: an alarm, unless the younger one was started here in place of one that has just been killed."""
+        """Warn about two processes of one name, unless the younger one was just started here in place of a killed one."""
         child = self.children.get(name)
         if child is None or child.incarnation != max(known, other):
             text = f"two processes are called {name}, incarnations {known} and {other}: the older one stops itself"
@@ -286,7 +286,7 @@ class Supervisor:
         return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}
 
     def _act(self, action: Action) -> str:
-        """Do it, and say what was done."""
+        """Carry out an action; a line that says what was done."""
         verb, names, done = action.verb, action.names, []
         if verb in LINK_VERBS:
             return self._change_links(action)
@@ -307,12 +307,12 @@ class Supervisor:
         return text
 
     def _note_pauses(self, verb: str, names: list[str]) -> None:
-        """Tell the scorer who is paused by order and who no longer is: a paused agent whose token goes has not died."""
+        """Tell the scorer which agents are paused on request: a paused agent whose token is lost has not died."""
         if verb in ("pause", "resume") or self.scorer.deaths.paused.intersection(names):
             self.scorer.note_fault(verb, f"{verb} {', '.join(names)}", ",".join(names), asyncio.get_running_loop().time())
 
     def _change_links(self, action: Action) -> str:
-        """Change the links between agents: every agent is told how it hears the others from now on."""
+        """Change the links between agents: every agent receives its new reception."""
         self._links.act(action)
         for name in self.scenario.members:
             self._tell_links(name)
@@ -355,7 +355,7 @@ class Supervisor:
         ]
 
     def status(self) -> dict[str, Any]:
-        """What `ps` and `watch` show: the swarm as scored, and every process."""
+        """The data of `ps` and `watch`: the scores of the swarm, and every process."""
         swarm = msgspec.to_builtins(self._status())
         rows = process_rows(self.children, self.scenario.members, swarm.pop("agents"))
         head = {"run": self.directory.name, "scenario": self.scenario.run.scenario, "endpoint": self._own_network.listen[0]}

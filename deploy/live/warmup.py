@@ -1,4 +1,4 @@
-"""Loading the compiled loops before they are needed, and telling the user when they must be compiled first."""
+"""Loading the compiled functions before they are needed, and a notice when they must be compiled first."""
 
 import contextlib
 import fcntl
@@ -25,14 +25,14 @@ from protocol.settings import ArenaSettings, convert
 NAMES = ("s1", "s2")
 HALF = ("refresh", "refresh_all")  # functions of the arithmetic that take as long to compile as all others together
 ROUNDS = 24
-LOST = (4, 5)  # ticks in which nobody hears the other
+LOST = (4, 5)  # ticks in which the agents do not hear each other
 SKIPPED = (8, 9)  # ticks that s2 does not see
 LATE = 1e3  # s after which every open round closes
 LONGEST = 90.0  # s to wait for the next loop while another process compiles
 
 
 def announce() -> None:
-    """Say what the very first start on a machine spends its time on."""
+    """Print a notice when the first start on a machine has to compile."""
     if not compiled_before():
         print("covey: compiling the particle loops, once on this machine; some 40 s", file=sys.stderr, flush=True)
 
@@ -50,7 +50,7 @@ def warm() -> None:
             _compile_on_two_cores(FAST)
         _play_all(FAST)
         tidy()
-    convert({"members": {"s1": "A"}}, AgentConfig, "")  # what is looked up about its types once is looked up for all who are forked
+    convert({"members": {"s1": "A"}}, AgentConfig, "")  # types are inspected once here, and not again in every forked child
 
 
 def _compile_on_two_cores(fast: Arithmetic) -> None:
@@ -75,7 +75,7 @@ def main() -> None:
 
 @contextlib.contextmanager
 def _one_by_one() -> Iterator[None]:
-    """Hold the folder alone, after the others on this machine that compile; not after one that gets no further, for it may be stopped."""
+    """Hold the cache folder alone, after other processes that compile. A process without progress may be stopped and is not waited for."""
     from agents.update_kernels import update
 
     descriptor = os.open(str(update.stats.cache_path), os.O_RDONLY)  # the folder in which numba keeps what it has compiled
@@ -117,7 +117,7 @@ def _play(config: AgentConfig, arithmetic: Arithmetic) -> None:
 
 
 def _measure(arithmetic: Arithmetic) -> None:
-    """Distances from read-only polygons and to parts of arrays, as only a crowd asks for them."""
+    """Distances from read-only polygons and to slices of arrays, which occur in large swarms only."""
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     arithmetic.distances(square, np.zeros((3, 3))[:, :2])
     square.flags.writeable = False

@@ -1,4 +1,4 @@
-"""The zygote: a process that has imported everything, compiled loops included, and forks one agent process per request.
+"""The zygote: a process that has imported all modules and compiled functions and forks one agent process per request.
 
 Each child is a process of its own: its own Zenoh session, log, process group, random streams and end. The zygote opens no session
 and starts no thread. It ends with its supervisor, and its children with it; `--spawn exec` does without it.
@@ -34,7 +34,7 @@ END_SECONDS = 2.0  # for the zygote to end by itself once its children have
 
 @dataclass
 class Forked:
-    """A child of the zygote, with the part of subprocess.Popen's face that the supervisor uses."""
+    """A child of the zygote, with the part of the interface of subprocess.Popen that the supervisor uses."""
 
     stdin: Any  # the only write end of its stdin
     zygote: "Zygote"
@@ -75,7 +75,7 @@ class Forked:
 
 
 class Zygote:
-    """The supervisor's end: starts the zygote, asks for children, hears of their ends. Nothing here waits but `close`."""
+    """The supervisor's end: starts the zygote, requests children, receives their exit codes. Only `close` waits."""
 
     def __init__(self, environment: dict[str, str], log: Path) -> None:
         self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -89,7 +89,7 @@ class Zygote:
                 [*PROGRAM, str(theirs.fileno())],
                 cwd=ROOT,
                 env=environment,
-                stdin=subprocess.PIPE,  # its end tells of a supervisor that died before the zygote could ask for a signal
+                stdin=subprocess.PIPE,  # its end reports a supervisor that died before the zygote asked for a signal
                 stdout=output,
                 stderr=output,
                 pass_fds=[theirs.fileno()],
@@ -120,7 +120,7 @@ class Zygote:
         return child
 
     def collect(self) -> None:
-        """Hear what the zygote has told; if it has ended, all its children have."""
+        """Read the messages of the zygote. Its end means the end of all its children."""
         try:
             while not self.is_gone and select.select([self._channel], [], [], 0.0)[0]:
                 data = self._channel.recv(4096)
@@ -152,7 +152,7 @@ class Zygote:
         for child in (*self._children.values(), *self._requests.values()):
             child.stdin.close()
         self._channel.close()
-        if self.is_ready:  # else it compiles, and hears nothing
+        if self.is_ready:  # else it compiles and reads no message
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(END_SECONDS)
         self._process.kill()
@@ -188,14 +188,14 @@ def serve(channel: socket.socket) -> None:
                     end.close()
                 _be_agent(request["words"], descriptors)
             with contextlib.suppress(OSError):
-                os.setpgid(pid, pid)  # here as well as in the child, so that it holds whoever comes first
+                os.setpgid(pid, pid)  # here as well as in the child: either may run first
             for descriptor in descriptors:
                 os.close(descriptor)
             channel.send(json.dumps({"forked": request["number"], "pid": pid}).encode())
 
 
 def _report(channel: socket.socket) -> None:
-    """Reap and tell who has ended."""
+    """Reap ended children and report them."""
     with contextlib.suppress(ChildProcessError):
         while True:
             pid, status = os.waitpid(-1, os.WNOHANG)

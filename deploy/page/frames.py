@@ -145,7 +145,7 @@ def _agent(picture: Picture, known: KnownAgent) -> dict[str, Any]:
 
 
 def belief(picture: Picture, name: str) -> dict[str, Any] | None:
-    """What one agent believes: its claim, its neighbours as it places them, its particles; None: nobody of this name is known."""
+    """The belief of one agent: its claim, the positions of its neighbours, its particles; None for an unknown name."""
     known = picture.agents.get(name)
     if known is None:
         return None

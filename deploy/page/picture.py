@@ -1,7 +1,7 @@
-"""The picture: what a watcher has heard of a run, newest first; pages and metrics are drawn from it.
+"""The picture: the newest messages of a run; pages and metrics are drawn from it.
 
-It is shown events and keeps the latest of each kind per agent; nobody waits for it and it asks nobody. What happened (an agent lost,
-back, silent, heard again) stands in a time line.
+It takes events and keeps the latest message of each kind per agent. It sends nothing, and no process waits for it. Changes (an agent lost,
+back, silent, heard again) stand in a time line.
 """
 
 import math
@@ -22,7 +22,7 @@ from protocol.settings import BadSetting, sensor_of
 
 TRAIL = 12.0  # s of the world that trails reach back
 MOST_HAPPENINGS = 2000
-UNKNOWN = 0  # incarnation of who has not been heard
+UNKNOWN = 0  # incarnation of an agent that has not been heard
 MOST_TICKS = 24  # kept of what an agent said
 
 
@@ -30,7 +30,7 @@ PAUSES = ("pause", "resume", "kill", "restart")  # verbs of faults that begin or
 
 
 def paused_after(faults: Iterable[Fault], before: frozenset[str] = frozenset()) -> frozenset[str]:
-    """Who is paused after some faults."""
+    """The paused agents after some faults."""
     for fault in faults:
         names = frozenset(fault.who.split(","))
         before = before | names if fault.verb == "pause" else before - names if fault.verb in PAUSES else before
@@ -72,7 +72,7 @@ class KnownAgent:
 
 
 def silent_after(scenario: Scenario) -> int:
-    """Ticks without a word after which an agent counts as silent: as many as its peers wait, and in real time 1 s at least."""
+    """Ticks without a gossip after which an agent counts as silent: as many as its peers wait, and in real time at least 1 s."""
     run, rounds = scenario.run, scenario.timing.silent_rounds
     return max(rounds, math.ceil(run.rate / run.dt)) if run.clock == "realtime" else rounds
 
@@ -143,7 +143,7 @@ class Picture:
                 self._reject(event)
 
     def note(self, kind: str, who: str, text: str, time: float | None = None) -> None:
-        """Put something on the time line, unless somebody else keeps it; at this moment, or at another time of the world, s."""
+        """Put an entry on the time line, now or at another world time, s; nothing when the time line is another picture's."""
         if self._keeps_no_diary:
             return
         self._numbered += 1
@@ -151,18 +151,18 @@ class Picture:
         self.happenings.append(Happening(self._numbered, self.time if time is None else time, kind, who, text))
 
     def note_fault(self, fault: Fault) -> None:
-        """Put a fault on the time line that was ordered and that no message shows; note who is paused."""
+        """Put an ordered fault that no message shows on the time line; note paused agents."""
         if fault.verb in PAUSES:
             self.pause(paused_after([fault], self.paused))
         else:
             self.note(fault.verb if fault.verb in ("partition", "heal") else "links", "", fault.text, fault.time)
 
     def take_happenings(self, other: "Picture") -> None:
-        """Show the time line of another picture instead of an own one: that of a whole recording, while this one jumps about in it."""
+        """Show the time line of another picture, which has seen the whole recording, instead of an own one."""
         self.happenings, self._keeps_no_diary = other.happenings, True
 
     def forget(self) -> None:
-        """Forget what is said from moment to moment, keep the roster and the time line: a replay jumps."""
+        """Forget all messages and keep the roster and the time line: a replay has jumped."""
         self.truth = self.shown = None
         self.trail.clear()
         for known in self.agents.values():
@@ -171,14 +171,14 @@ class Picture:
         self.version += 1
 
     def assume(self, truth: Truth) -> None:
-        """Believe the world about who is alive: a replay that has jumped has not heard the tokens."""
+        """Take the live agents from the truth: a replay that has jumped has not seen the tokens."""
         for name, known in self.agents.items():
             known.alive = name in truth.alive
             known.seen = known.seen or known.alive or truth.tick > 0
         self._settle(quietly=True)
 
     def pause(self, names: frozenset[str]) -> None:
-        """Note who is paused, as the supervisor says."""
+        """Set the paused agents, as reported by the supervisor."""
         if names != self.paused:
             self.paused = names
             self.version += 1
@@ -198,13 +198,13 @@ class Picture:
         return gossip.pose if gossip else None
 
     def said(self, known: KnownAgent) -> tuple[Gossip | None, Estimate | None]:
-        """What an agent said of the tick that is drawn, or last before it."""
+        """The messages of an agent at the tick that is drawn, or the last before it."""
         if self.shown is None:
             return known.gossip, known.estimate
         return up_to(known.gossips, self.shown.tick), up_to(known.estimates, self.shown.tick)
 
     def age(self, known: KnownAgent) -> float | None:
-        """How old the last word of an agent is, s of the world; None: it has never spoken."""
+        """Age of the newest gossip of an agent, s of world time; None without one."""
         if known.gossip is None or self.truth is None:
             return None
         return max(0, self.truth.tick - known.gossip.tick) * self.scenario.run.dt
@@ -261,7 +261,7 @@ class Picture:
         try:
             known.sensor = hello.sensor or sensor_of(self.scenario, hello.sensor_class)
         except BadSetting:
-            return  # a sensor that nobody here knows is not drawn
+            return  # an unknown sensor is not drawn
         self.roster_version += 1
 
     def _appear(self, name: str, incarnation: int) -> None:

@@ -1,7 +1,7 @@
-"""The server of the page: on loopback unless told otherwise, and without memory for browsers that do not keep up.
+"""The server of the page. It listens on loopback by default and keeps one frame per browser.
 
-Each frame is encoded once for all browsers. A browser has room for one frame that waits; a newer one takes its place. Requests that come
-through a foreign host name or from a foreign page are refused: no web site that somebody has open shall see the swarm or kill agents.
+Each frame is encoded once for all browsers. A newer frame replaces one that still waits for a slow browser. Requests with a foreign host
+name or from a foreign page are refused, so that no other web site can see the swarm or kill agents.
 """
 
 import asyncio
@@ -155,7 +155,7 @@ class PageServer:
             log.exception("the page's source has failed")
 
     async def _broadcast(self) -> None:
-        """A frame for everybody whenever there is another tick to show, as often as the source wants it at most."""
+        """Send a frame to all browsers for each new tick, at most once per period of the source."""
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:

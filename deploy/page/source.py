@@ -1,4 +1,4 @@
-"""What a page shows: a source is a running swarm or a recording. The server asks it for pictures and hands it what is clicked."""
+"""Sources of a page: a running swarm or a recording. The server takes pictures from a source and forwards clicks to it."""
 
 import asyncio
 import contextlib
@@ -14,7 +14,7 @@ from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
 FRAME_PERIOD = 0.1  # s
-STATE_PERIOD = 1.0  # s between two questions who is paused
+STATE_PERIOD = 1.0  # s between two status requests
 BUTTONS = ("kill", "pause", "resume", "restart", "partition", "heal")
 
 
@@ -45,7 +45,7 @@ class Source(Protocol):
 
 
 class LiveSource:
-    """A running swarm: the picture is fed by whoever drives the scorer; the supervisor, if it can be reached, obeys the buttons."""
+    """A running swarm. The driver of the scorer feeds the picture; the supervisor, if it can be reached, carries out clicks."""
 
     def __init__(self, scorer: Scorer, picture: Picture, directory: RunDirectory | None) -> None:
         self.picture = picture
@@ -86,7 +86,7 @@ class LiveSource:
         return text
 
     async def chores(self) -> None:
-        """Ask the supervisor now and then what cannot be heard: what the start waits for, who is paused, which links have been cut."""
+        """Poll the supervisor for what no message shows: the state of the start, paused agents, cut links."""
         while True:
             with contextlib.suppress(BadSetting, OSError, KeyError, TypeError):
                 status = (await self._control("status", ""))["data"]

@@ -1,6 +1,6 @@
-"""Figures of one run in the manner of the paper's Figure 3: the start, the end, and the ways between; and the run as a moving picture.
+"""Figures of one run like Figure 3 of the paper: start, end and trajectories; and the run as an animation.
 
-Drawn from a recording with matplotlib in a small style of our own, fit for a column of a paper (PDF with real fonts, and PNG).
+Drawn from a recording with matplotlib, in a style for a column of a paper (PDF with real fonts, and PNG).
 """
 
 import shutil
@@ -58,7 +58,7 @@ class Trajectories:
 
 
 def pictures(recording: Recording) -> Iterator[Picture]:
-    """The same picture, set to one tick after the other: each when the next but one begins, for then everything has been heard of it."""
+    """One picture, set to each tick in turn once the next but one begins: then all messages of the tick have arrived."""
     picture = Picture(recording.scenario)
     waiting: list[int] = []  # ticks that have begun
     for entry in recording.entries():
@@ -80,7 +80,7 @@ def _shown(picture: Picture, waiting: list[int], later: int) -> Iterator[Picture
 
 
 def _is_over(picture: Picture, event: object) -> bool:
-    """Whether the world has left after its last tick: who goes now has not been lost."""
+    """Whether the world has left after its last tick; agents that leave then are not lost."""
     over = picture.truth is not None and picture.truth.tick >= picture.scenario.run.ticks - 1
     return over and type(event).__name__ == "Gone" and getattr(event, "role", "") == "world"
 

@@ -1,4 +1,4 @@
-"""A file that can be read whenever its writer is killed: a settled part, and behind it a tail that stands in for what is settled next."""
+"""A file that stays readable when its writer is killed: a settled part, and a tail with small chunks of the next part."""
 
 import contextlib
 import os
@@ -54,7 +54,7 @@ class GrowingFile:
         try:
             self._put(data, self.size)
         except OSError:
-            with contextlib.suppress(OSError):  # what is told is why it could not be written
+            with contextlib.suppress(OSError):  # the first error is the one to report
                 os.ftruncate(self._file.fileno(), self.size)
             raise
 

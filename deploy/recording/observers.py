@@ -1,4 +1,4 @@
-"""The recorder and the page of a run: they hear what its scorer hears, in its process, and nothing of what they do reaches the swarm."""
+"""The observers of a run, recorder and page: they receive the events of its scorer, in its process, and send nothing to the swarm."""
 
 import asyncio
 import contextlib
@@ -46,7 +46,7 @@ def open_recorder(path: Path, scenario: Scenario, *, virtual: bool = False) -> R
 
 
 class Onlookers:
-    """What listens to one scorer; a context in the event loop of the run. One that fails is left out from then on, the run goes on."""
+    """The observers of one scorer, as a context in the event loop of the run. A failing observer is removed; the run continues."""
 
     def __init__(self, scorer: Scorer, recorder: Recorder | None, page: PageServer | None = None) -> None:
         self._scorer = scorer
@@ -101,7 +101,7 @@ class Onlookers:
                 self._listeners.remove(listener)
 
     def _notice_end(self, gone: Gone) -> None:
-        """Once the world has left after its last tick, who leaves has not died: the page keeps what it shows."""
+        """Freeze the page after the last tick: agents that leave then have not died."""
         truth = self._scorer.truth
         self._is_over |= gone.role == "world" and truth is not None and truth.tick >= self._last_tick
         if self._is_over and gone.role == "agent":
@@ -118,7 +118,7 @@ class Onlookers:
             self._recorder.close()
 
     async def _flush(self) -> None:
-        """What was heard reaches the file within a second, also when nothing more is heard."""
+        """Write received messages to the file within a second, even when no more arrive."""
         assert self._recorder is not None
         while True:
             await asyncio.sleep(1.0 - FLUSH_SECONDS)

@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 
 
 class Compressor:
-    """Stands where the MCAP writer, which lets nobody choose a level, looks for `zstandard`."""
+    """Replaces `zstandard` in the MCAP writer, which has no option for the level."""
 
     @staticmethod
     def compress(data: bytes) -> bytes:
@@ -75,7 +75,7 @@ class Tail:
 
 
 class Recorder:
-    """Writes what it is shown into one file; `see` never raises, for a full disk must not end a run."""
+    """Writes events into one file. `see` never raises: a full disk must not end a run."""
 
     def __init__(self, path: Path, scenario: Scenario, wall: Callable[[], float] | None = time.time) -> None:
         """`wall` gives the publish times, s; None where time is virtual. Raises OSError when the file cannot be made."""
@@ -193,7 +193,7 @@ class Recorder:
 
 
 class RecorderNode:
-    """The recorder as a participant of its own: a process that may come, go and die without anybody's notice."""
+    """The recorder as a process of its own, without influence on the swarm."""
 
     role = "recorder"
     incarnation = 1
@@ -204,7 +204,7 @@ class RecorderNode:
         self._due: float | None = None
 
     def deadline(self) -> float | None:
-        """When the chunk must be written even if nobody speaks."""
+        """When the chunk must be written even without new messages."""
         return self._due
 
     def handle(self, event: Event, now: float) -> list[Effect]:

@@ -1,4 +1,4 @@
-"""A recording is read: what was heard, in the order in which it was heard, and what the scenario was.
+"""Reading a recording: its messages in order of arrival, and its scenario.
 
 The index at the end of the file is used when it is there. When the recorder was killed it is not, and the file is read from its
 beginning as far as it is whole.
@@ -116,7 +116,7 @@ class Recording:
         return metadata
 
     def _walk(self, file: IO[bytes]) -> dict[str, str] | None:
-        """The same by reading from the beginning as far as the file is whole; None when it does not begin as one of ours."""
+        """The same by reading from the beginning as far as the file is whole; None for a file of another program."""
         metadata = None
         file.seek(0)
         try:
@@ -158,7 +158,7 @@ def _scenario(path: Path, text: str) -> Scenario:
 
 
 def event_of(entry: RecordedEntry) -> Event:
-    """What a node was told when this was heard."""
+    """The event of a recorded entry."""
     token = parse_token(entry.key)
     if token is not None:
         alive = bool(msgspec.msgpack.decode(entry.payload).get("alive"))

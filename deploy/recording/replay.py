@@ -1,7 +1,7 @@
-"""A recording on the page: played, paused, scrubbed, at any speed; and said again under the same keys if that is wanted.
+"""Replay of a recording on the page: play, pause, seek, at any speed; and publishing under the same keys.
 
-The picture is fed from the file as if it were heard. A second look at the whole file, in small slices beside the first, finds the
-scores and the time line, so that the curves are there before they are played.
+The picture takes the recorded events. A second pass over the whole file, in small slices beside the first, finds the scores and the time
+line, so that the curves are complete before they are played.
 """
 
 import asyncio
@@ -35,7 +35,7 @@ class ReplaySource:
         self.jumps = 0  # grows when browsers must be greeted again
         self.period = FRAME_PERIOD
         self.clock = 0.0  # the world's time that is shown, s
-        self.outbox: deque[Message] | None = None  # what has been played, for who says it again
+        self.outbox: deque[Message] | None = None  # played messages that wait for publication
         self.playing, self.speed = playing, speed
         self._recording = recording
         self._scorer = Scorer(recording.scenario)
@@ -149,7 +149,7 @@ class ReplaySource:
 
 
 class ReplayNode:
-    """Says what is played once more, under the same keys; nobody's token is among it."""
+    """Publishes played messages under the same keys, without tokens."""
 
     role = "monitor"
     incarnation = 1

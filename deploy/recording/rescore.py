@@ -1,4 +1,4 @@
-"""Scores from a recording alone: what was heard is shown to the same scorer again, in the same order."""
+"""Scores from a recording alone: the same scorer receives the recorded events in the same order."""
 
 import csv
 import math

@@ -1,7 +1,7 @@
-"""The chronicle: what came of each death, pause, return, cut and healing, in one sentence each, from the cells before and after.
+"""The chronicle: one sentence for the effect of each death, pause, return, cut and healing, derived from the cells before and after.
 
-A death is told when the cells leave no hole again and `SETTLE` s of the world have passed since: until then the swarm may still lose or
-find the targets that the dead agent tracked. A true target is tracked while an estimate lies within `NEAR`.
+A death is reported when the cells have left no hole for `SETTLE` s of world time. Until then the swarm may still lose or find targets of
+the dead agent. A true target is tracked while an estimate lies within `NEAR`.
 """
 
 from collections.abc import Mapping
@@ -16,8 +16,8 @@ from deploy.scoring.result import EventReport
 CLOSED = 1e-6  # of the arena: cells leave no hole, and do not overlap
 NEAR = 3.0  # m
 SETTLE = 2.0  # s of the world
-GIVE_UP = 15.0  # s of the world after which an open cell is told as open
-LEAST = 0.05  # of a cell: smaller gains are not told
+GIVE_UP = 15.0  # s of the world after which a cell that is still open is reported
+LEAST = 0.05  # of a cell: smaller gains are not reported
 MOST_HEIRS = 4
 
 
@@ -49,7 +49,7 @@ class ScoredTick(NamedTuple):
 
 @dataclass
 class Loss:
-    """An agent that went, until it is told what came of it."""
+    """An agent that died or was paused, until its effect is reported."""
 
     name: str
     verb: str  # died, is paused
@@ -58,9 +58,9 @@ class Loss:
     cell: np.ndarray
     tracked: set[int]  # targets in its cell that were tracked
     closed: int | None = None  # ticks until there was no hole
-    settled: float = 0.0  # when it may be told, s
-    heirs: list[tuple[str, float]] = field(default_factory=list)  # who took which share of the cell
-    seen: set[int] = field(default_factory=set)  # targets that were tracked shortly before it is told
+    settled: float = 0.0  # earliest time of the report, s
+    heirs: list[tuple[str, float]] = field(default_factory=list)  # the share of the cell that each taker has
+    seen: set[int] = field(default_factory=set)  # targets that were tracked shortly before the report
 
     def see(self, view: ScoredTick) -> str | None:
         """Look at the next tick; the sentence once it is due."""
@@ -120,7 +120,7 @@ class Cut:
 
 
 class Chronicle:
-    """EventReport of events and shown every scored tick, it says what came of them."""
+    """Takes events and scored ticks, and reports the effect of each event."""
 
     def __init__(self) -> None:
         self._open: list[Loss | Return | Cut] = []
@@ -157,7 +157,7 @@ class Chronicle:
         return told
 
     def finish(self) -> list[EventReport]:
-        """The run is over: what is known of the losses that are closed and not told yet."""
+        """The run is over: the reports on losses that were not reported yet."""
         view, losses = self._last, [one for one in self._open if isinstance(one, Loss)]
         self._open = []
         if view is None:
@@ -170,12 +170,12 @@ class Chronicle:
         return told
 
     def _drop(self, name: str) -> None:
-        """What is still open about an agent is overtaken."""
+        """Drop the open events of an agent."""
         self._open = [one for one in self._open if isinstance(one, Cut) or one.name != name]
 
 
 def shares(cell: np.ndarray, cells: Mapping[str, np.ndarray]) -> list[tuple[str, float]]:
-    """Who owns which share of a former cell, the largest first; shares below `LEAST` are left out."""
+    """Owners of a former cell and their shares, the largest first; shares below `LEAST` are left out."""
     if len(cell) < 3:
         return []
     former = shapely.Polygon(cell)

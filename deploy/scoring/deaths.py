@@ -1,4 +1,4 @@
-"""The losses of a run: which agents went, who of them is only paused, and how long the cells of the rest left a hole."""
+"""The deaths of a run: which agents died, which are only paused, and how long the other cells left a hole."""
 
 from dataclasses import dataclass
 
@@ -16,14 +16,14 @@ class _Death:
 
 
 class Deaths:
-    """EventReport who goes and shown the hole of every tick; an agent that was stopped by order has not died when its token goes."""
+    """Takes lost tokens and the hole of every tick. An agent that was paused on request has not died when its token is lost."""
 
     def __init__(self) -> None:
         self.paused: set[str] = set()
         self._deaths: list[_Death] = []
 
     def lose(self, name: str, tick: int, time: float, now: float) -> str:
-        """An agent's token has gone at a tick and time of the world, s; what it is: `died` or `is paused`."""
+        """Note that an agent's token is lost at a tick and world time, s; `died` or `is paused`."""
         if name in self.paused:
             return "is paused"
         self._deaths.append(_Death(name, tick, time, now))
@@ -36,7 +36,7 @@ class Deaths:
                 loss.closed = now - loss.now, tick - loss.tick
 
     def kills(self) -> tuple[Kill, ...]:
-        """Everybody who died, in order."""
+        """All deaths in order."""
         return tuple(map(_kill, self._deaths))
 
 

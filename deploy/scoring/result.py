@@ -10,24 +10,24 @@ from deploy.scoring.status import TickRate
 
 
 class Fault(NamedTuple):
-    """A fault that was ordered, and does not show in what is said."""
+    """An ordered fault that no message shows."""
 
     time: float  # of the world, s
     verb: str
     text: str
-    who: str = ""  # names with commas, where it struck somebody
+    who: str = ""  # names of the affected agents, with commas
 
 
 class EventReport(NamedTuple):
-    """A sentence about what came of an event."""
+    """A sentence about the effect of an event."""
 
-    time: float  # of the world, when it was told, s
+    time: float  # of the world at the report, s
     who: str
     text: str
 
 
 class Kill(msgspec.Struct, frozen=True, kw_only=True):
-    """One agent that went, and how long the rest took until their cells covered the arena again."""
+    """The death of an agent, and how long the others took to cover the arena again."""
 
     name: str
     tick: int  # the newest when it went
@@ -37,7 +37,7 @@ class Kill(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """What a run came to. Lengths in m, areas as shares of the arena, times in s."""
+    """The result of a run. Lengths in m, areas as shares of the arena, times in s."""
 
     scenario: str
     seed: int
@@ -76,7 +76,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     steady_mass: float = 0.0
     steady_coverage: float = 0.0  # share of the arena inside some footprint
     end_in_view: float = 0.0  # share of target-time over the last 5 s
-    events: tuple[EventReport, ...] = ()  # what came of each death, return and cut
+    events: tuple[EventReport, ...] = ()  # the effect of each death, return and cut
     tick_rate: TickRate | None = None  # of a run with processes: ticks a second, rounds that were skipped or late
     exit_code: int = 0  # of the run: 0 done, 1 a process failed, 130 and 143 stopped by a signal
 
@@ -85,7 +85,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
         return json.dumps(msgspec.to_builtins(self))
 
     def rows(self) -> list[tuple[str, str]]:
-        """The table for people: what, and how much."""
+        """The table for people: rows of a label and a value."""
         closed = [kill for kill in self.kills if kill.closed_seconds is not None]
         slowest = max(closed, key=lambda kill: kill.closed_seconds or 0.0, default=None)
         hole = "not closed" if self.kills else "-"

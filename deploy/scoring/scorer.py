@@ -1,7 +1,7 @@
-"""The scorer: a Node that hears truth and estimates and says how the swarm fares. Live it is fed by Zenoh, in a simulation by the bus.
+"""The scorer: a Node that receives truth and estimates and scores every tick. It is the same live and in a simulation.
 
-A tick is scored once every live agent's estimate of it is in, or when the world is `lag` ticks ahead. Hole and overlap are exact
-areas of the published cells of the living, as shares of the arena.
+A tick is scored when the estimates of all live agents have arrived, or when the world is `lag` ticks ahead. Hole and overlap are exact
+areas of the published cells of live agents, as shares of the arena.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unle
 
 @dataclass
 class _Tally:
-    """What has been counted, by incarnation where it starts again with every process."""
+    """Counts over the run."""
 
     messages: int = 0
     bytes: int = 0
@@ -45,21 +45,21 @@ class Scorer:
     role = "monitor"
 
     def __init__(self, scenario: Scenario, name: str = "monitor", incarnation: int = 1, *, scores: bool = True) -> None:
-        """`scores` false: ticks are followed and counted, but not scored (an assignment of thousands of targets takes longer than they)."""
+        """`scores` false: ticks are counted but not scored, because the assignment of thousands of targets takes longer than a tick."""
         self.run, self.name, self.incarnation = scenario.run.name, name, incarnation
         self.last_tick = scenario.run.ticks - 1  # of the whole run
         self.scores: list[Score] = []
         self.truth: Truth | None = None  # the newest
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick of the world
-        self.on_event: Callable[[Event, float], None] = lambda event, now: None  # called first with all that is heard: recorder, page
+        self.on_event: Callable[[Event, float], None] = lambda event, now: None  # called first with every event: recorder, page
         self.missing: tuple[str, ...] = ()  # members that were not there at the first tick
-        self.faults: list[Fault] = []  # that were ordered and do not show by themselves
+        self.faults: list[Fault] = []  # ordered faults that no message shows
         self.on_fault: Callable[[Fault], None] = lambda fault: None
-        self.on_report: Callable[[EventReport], None] = lambda told: None  # called with what came of an event, once it is known
+        self.on_report: Callable[[EventReport], None] = lambda told: None  # called with the effect of an event, once it is known
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
         self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
         self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, sections: None  # called when settings differ
-        self.greeted: set[str] = set()  # who has been heard at all
+        self.greeted: set[str] = set()  # names with at least one Hello
         self.deaths = Deaths()
         self.tick_rate = TickRateMeter(scenario)
         self._settings = agent_config(scenario).agreed()
@@ -80,12 +80,12 @@ class Scorer:
         self._events: list[EventReport] = []
         self._tally = _Tally()
         self._keeps_scores = scores
-        self._checked = -1, 0  # a tick, and how many of those who live have answered it, from the first on
+        self._checked = -1, 0  # a tick, and how many live agents have answered it, counted from the first
         self._transcript = hashlib.blake2b(digest_size=16)
         self._finished = False
 
     def deadline(self) -> float | None:
-        """Never: what is late is noticed by the world's next ticks."""
+        """None: late estimates are noticed at the next ticks of the world."""
         return None
 
     def handle(self, event: Event, now: float) -> list[Effect]:
@@ -125,7 +125,7 @@ class Scorer:
             self._compare_settings(message)
 
     def _compare_settings(self, hello: Hello) -> None:
-        """Agents that differ refuse one another, and whoever watches is told in what."""
+        """Report sections in which the settings of an agent differ from those of the run; its peers refuse it."""
         differs = disagreement(self._settings, hello.settings)
         if differs != self._differing.get(hello.sender, ()):
             self._differing[hello.sender] = differs
@@ -186,7 +186,7 @@ class Scorer:
         self._next = tick + 1
 
     def _is_complete(self, truth: Truth) -> bool:
-        """Whether all who live and were given this tick have answered; ticks without estimates wait for the next one."""
+        """Whether all live agents that received this tick have answered; ticks without estimates wait for the next one."""
         if truth.tick % self._scenario.timing.estimate_every:
             return truth.tick + 1 in self._truths
         said = self._estimates.get(truth.tick, {})
@@ -234,7 +234,7 @@ class Scorer:
         self.deaths.see(truth.tick, hole, now)
 
     def finish(self, now: float) -> None:
-        """The run is over: score what is left; who leaves from now on has not been lost."""
+        """The run is over: score the remaining ticks. An agent that leaves from now on is not lost."""
         while self._truths and not self._finished:
             tick = min(self._truths)
             self._score(self._truths[tick], now)
@@ -249,7 +249,7 @@ class Scorer:
             self.on_report(told)
 
     def note_fault(self, verb: str, text: str, who: str = "", now: float = 0.0) -> None:
-        """A fault has been ordered that nobody can hear, such as a cut between agents, or a pause; `who`: names with commas."""
+        """Note an ordered fault that no message shows, such as a cut or a pause; `who`: names with commas."""
         self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text, who))
         names = [name for name in who.split(",") if name]
         if verb == "pause":
@@ -261,7 +261,7 @@ class Scorer:
         self.on_fault(self.faults[-1])
 
     def _end_pause(self, verb: str, names: list[str], now: float) -> None:
-        """Those who were paused go on, or have been killed; of a killed one whose token went before nothing more will be heard."""
+        """End the pauses of these agents. A killed one whose token is already lost counts as dead now."""
         for name in names:
             was_paused = name in self.deaths.paused
             self.deaths.paused.discard(name)
@@ -311,7 +311,7 @@ class Scorer:
             status.tick, status.round_ms = estimate.tick, 1000.0 * estimate.round_seconds
             status.rounds, status.skipped = estimate.counters.get("rounds", 0), estimate.counters.get("skipped", 0)
             status.late = estimate.counters.get("late", 0)
-        if estimate is not None and status.alive:  # who has gone owns nothing
+        if estimate is not None and status.alive:  # a dead agent owns nothing
             status.mass, status.targets = estimate.mass, len(estimate.targets)
             status.cell = polygon_area(estimate.cell) / self._area
         return status

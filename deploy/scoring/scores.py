@@ -1,4 +1,4 @@
-"""Scores of one tick, and what they come to over a run: how wrong the estimate is and why, who covers what."""
+"""Scores of one tick and their means over a run: error, its parts, and coverage."""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -104,7 +104,7 @@ def share_in_view(scores: Sequence[Score]) -> float:
 
 
 def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float]:
-    """Means over the steady part of what makes an error what it is, and the share in view over the last `END` s; fields of `Result`."""
+    """Means of the parts of the error over the steady part, and the share in view over the last `END` s; fields of `Result`."""
     steady = steady_part(scores, scenario)
     last = [score for score in scores if score.time > scores[-1].time - END]
     return {

@@ -1,4 +1,4 @@
-"""What watchers see of a swarm, as one record for terminals and the control socket."""
+"""The status of a swarm, as one record for terminals and the control socket."""
 
 import msgspec
 
@@ -10,7 +10,7 @@ class TickRate(msgspec.Struct, kw_only=True):
     asked_per_s: float | None = None  # None: as fast as it goes
     rounds: int = 0  # played by all agents together
     skipped: int = 0  # that agents left out because they were busy
-    late: int = 0  # that were closed at the deadline, with somebody's word missing
+    late: int = 0  # closed at the deadline with a gossip missing
     advice: str = ""  # one line where the machine is too small
 
 

@@ -1,4 +1,4 @@
-"""The pace of a run: ticks a second as asked for and as done, rounds that were skipped or late, and advice where a machine is too small."""
+"""The tick rate of a run: ticks a second requested and done, rounds skipped or late, and advice when the machine is too small."""
 
 import os
 from collections import deque
@@ -6,8 +6,8 @@ from collections import deque
 from deploy.scenario import Scenario
 from deploy.scoring.status import TickRate
 
-WINDOW = 5.0  # s of the clock over which the present pace is measured
-LEAST = 3.0  # s without which there is nothing to judge by
+WINDOW = 5.0  # s of the clock over which the present rate is measured
+LEAST = 3.0  # s of data that a judgement needs
 AGENT_TICKS_PER_CORE = 96.0  # rounds a second that a core plays in real time, all agents together
 BAD_SHARE = 0.05  # of the rounds: more skipped ones are worth a line
 SLOW = 0.9  # of the ticks that were asked for
@@ -26,7 +26,7 @@ def usable_cores() -> int:
 
 
 def too_small(scenario: Scenario) -> str:
-    """One line of advice when this machine is too small for the scenario in real time; empty when it is not, or nobody can know."""
+    """One line of advice when this machine is too small for the scenario in real time; else empty."""
     agents, cores, ticks = len(scenario.members), usable_cores(), asked_per_s(scenario)
     if scenario.run.clock != "realtime" or ticks is None or agents * ticks <= AGENT_TICKS_PER_CORE * cores:
         return ""
@@ -35,7 +35,7 @@ def too_small(scenario: Scenario) -> str:
 
 
 class TickRateMeter:
-    """EventReport when ticks come and what the agents count, it says how fast the run goes."""
+    """Measures the tick rate from the ticks of the world and the counters of the agents."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -52,7 +52,7 @@ class TickRateMeter:
             self._ticks.popleft()
 
     def count(self, name: str, incarnation: int, counters: dict[str, int]) -> None:
-        """What an agent says of itself."""
+        """Take the counters of an agent."""
         self._counts[name, incarnation] = (counters.get("rounds", 0), counters.get("skipped", 0), counters.get("late", 0))
 
     @property
@@ -61,11 +61,11 @@ class TickRateMeter:
         return sum(count[0] for count in self._counts.values())
 
     def now(self) -> TickRate:
-        """The pace of the last seconds."""
+        """The rate of the last seconds."""
         return self._status(self._ticks[0] if self._ticks else None)
 
     def whole(self) -> TickRate:
-        """The pace of the whole run."""
+        """The rate of the whole run."""
         return self._status(self._first)
 
     def _status(self, start: tuple[float, int] | None) -> TickRate:

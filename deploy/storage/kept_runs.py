@@ -1,7 +1,7 @@
-"""The runs that are kept under `runs`: how they are named, which one is the latest, what each came to, and how they are removed.
+"""The kept runs under `runs`: their names, the latest one, their results, and their removal.
 
-A run that nobody names is called <date>-<scenario>-<n>. A name that is taken by an ended run gets the next number, such as hunt-2: no run
-ever writes into the directory of another. `latest` is a link to the run that began last.
+The default name is <date>-<scenario>-<n>. A name that an ended run has gets the next number, such as hunt-2: no run writes into the
+directory of another. `latest` is a link to the run that began last.
 """
 
 import contextlib

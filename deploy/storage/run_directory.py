@@ -52,7 +52,7 @@ class RunDirectory:
         self.control = self.path / "control.json"
         self.truth = self.path / "truth.msgpack"
         self.page = self.path / "page"  # its address
-        self.output = self.path / "up.log"  # what a detached run would have said in a terminal
+        self.output = self.path / "up.log"  # the terminal output of a detached run
 
     def log(self, name: str) -> Path:
         """The log file of one process."""
@@ -92,7 +92,7 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """What cannot be written here is told with the name of the folder."""
+        """Raise BadSetting naming the folder when it cannot be written."""
         try:
             yield
         except OSError as error:
@@ -134,7 +134,7 @@ class RunDirectory:
             return False
 
     def socket_path(self) -> Path:
-        """Where to put the control socket: a short path of this user's own, for socket paths are limited to about 100 bytes."""
+        """The path of the control socket: a short path of this user, because socket paths are limited to about 100 bytes."""
         folder = Path(tempfile.gettempdir()) / f"covey-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         if folder.stat().st_uid != os.getuid() or folder.is_symlink():
@@ -149,7 +149,7 @@ def is_running_already(name: str) -> BadSetting:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove the sockets of supervisors that were killed: their process is gone, and nobody answers."""
+    """Remove the sockets of killed supervisors: no process and no answer."""
     for path in folder.glob("*.sock"):
         pid = path.stem.rpartition("-")[2]
         with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as probe:

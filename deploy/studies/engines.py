@@ -20,7 +20,7 @@ from protocol.settings import BadSetting
 
 TICK = 0.25  # s between two looks at what is running
 FinishedTrials = Generator[list[tuple[int, Row]], None, None]
-Play = Callable[..., Row]  # of a trial and, where it is asked how far it is, a function that is told the share of its ticks
+Play = Callable[..., Row]  # of a trial and a function that takes the share of finished ticks
 
 
 class Job(Protocol):
@@ -40,7 +40,7 @@ Numbered = tuple[int, Job]
 
 
 class Shares(Protocol):
-    """How far each trial is, 0 to 1; one place for all processes."""
+    """The progress of each trial, 0 to 1, shared by all processes."""
 
     def __getitem__(self, number: int, /) -> float:
         """Of one trial."""
@@ -71,7 +71,7 @@ def _work(play: Play, number: int, trial: Job) -> Row:
 
 
 def on_this_machine(trials: Sequence[Numbered], workers: int, shares: Shares, play: Play = run_trial) -> FinishedTrials:
-    """What has finished since the last look, every `TICK` s; `shares` tells how far each running trial is."""
+    """The rows that have finished since the last step, every `TICK` s; `shares` holds the progress of each running trial."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, _start_worker, (shares,))
     try:
@@ -93,13 +93,13 @@ def _harvest(future: "Future[Row]", number: int, trial: Job) -> tuple[int, Row]:
 
 
 def shared_shares(count: int) -> Shares:
-    """Room for how far each trial is."""
+    """Shared memory for the progress of all trials."""
     shares: Shares = multiprocessing.get_context("spawn").Array("d", max(1, count))
     return shares
 
 
 def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_trial) -> FinishedTrials:
-    """What has finished since the last look; the workers of the scheduler at `address` need Covey on their path."""
+    """The rows that have finished since the last step; the workers of the scheduler at `address` need Covey on their path."""
     try:
         from distributed import Client
     except ImportError:

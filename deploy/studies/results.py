@@ -51,7 +51,7 @@ class Folder:
             os.close(descriptor)
 
     def _mend(self) -> None:
-        """Cut off what a killed study left of a line."""
+        """Remove the partial last line of a killed study."""
         if self.trials.exists():
             data = self.trials.read_bytes()
             whole = data.rfind(b"\n") + 1
@@ -73,7 +73,7 @@ class Folder:
             os.fsync(file.fileno())
 
     def publish(self, rows: Sequence[Row]) -> None:
-        """Write results.csv and results.parquet whole; how long a trial took is left out, so that the same study gives the same table."""
+        """Write results.csv and results.parquet; wall times are left out, so that the same study gives the same table."""
         table = [{name: value for name, value in row.items() if name not in ("wall_s", "key")} for row in rows]
         _replace(self.csv, lambda path: _write_csv(path, table))
         _replace(self.parquet, lambda path: _write_parquet(path, table))

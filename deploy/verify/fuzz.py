@@ -30,7 +30,7 @@ BLIND = {"angle": 240.0, "radius": 8.0, "prob_detection": 1e-12}  # sees nothing
 
 
 class Case(NamedTuple):
-    """What a seed stands for."""
+    """The case of a seed."""
 
     seed: int
     scenario: Scenario

@@ -1,4 +1,4 @@
-"""Invariants: what must hold after every event of a simulation, whatever is broken, and what must hold once all has healed."""
+"""Invariants: conditions after every event of a simulation under any fault, and conditions after all faults have ended."""
 
 import math
 from collections.abc import Collection, Sequence
@@ -211,8 +211,10 @@ def check_round(agent: Agent, is_first: bool) -> None:
 
 
 def check_words(agent: Agent) -> None:
-    """What the newest round was computed from are numbers, and nobody has more capacity than somebody announced: one bad float can win
-    every cell."""
+    """The inputs of the newest round are finite numbers, and no capacity exceeds the largest announced one.
+
+    One bad float could win every cell.
+    """
     outfits = [peer.outfit for peer in agent.neighbours.peers.values() if peer.outfit is not None]
     most = SLACK * max([agent.self.facts.capability, *(outfit.facts.capability for outfit in outfits)])
     for name, gossip in agent.neighbours.said.last.items():
@@ -224,7 +226,7 @@ def check_words(agent: Agent) -> None:
 
 
 def check_diagram(agent: Agent) -> None:
-    """Whoever is alive and was heard in the last `SILENT_ROUNDS` rounds has a generator (rule 7)."""
+    """Every live peer that was heard in the last `SILENT_ROUNDS` rounds has a generator (rule 7)."""
     belief, neighbours = agent.outcome.belief, agent.neighbours
     for name, peer in neighbours.circle.items():
         last = neighbours.said.last.get(name)

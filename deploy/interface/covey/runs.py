@@ -72,7 +72,7 @@ def scenario(
     loss, delay
         Share of the messages between agents that is lost, and how many s they are late.
     rate
-        The world waits for nobody, and so many world seconds pass in a second; default: it waits for every agent.
+        World seconds per second, without waiting for late agents; default: the world waits for every agent.
     settings
         Any setting by its dotted name, such as {"detection.clutter": 0.5}.
     """
