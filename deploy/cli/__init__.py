@@ -1,1 +1,1 @@
-"""What the subcommands of `covey` do; imported only when a subcommand runs, so that the command starts fast."""
+"""The `covey` command: names, options and help in `commands`, the work in the other modules, which are imported when a command runs."""

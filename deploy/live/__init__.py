@@ -1,1 +1,1 @@
-"""A live swarm: the supervisor, its processes and zygote, the control socket, the run directory."""
+"""A live swarm: supervisor, child processes, zygote, control socket, certificates and start."""

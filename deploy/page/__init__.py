@@ -1,1 +1,1 @@
-"""The live page: a server that is a pure subscriber, and one static page that works offline."""
+"""The live page: a server that only subscribes, metrics for Prometheus, and one static page that works offline."""
