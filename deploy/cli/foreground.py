@@ -14,7 +14,7 @@ from deploy.live.zygote import Zygote
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of
 from deploy.page.source import LiveSource
-from deploy.recording.observers import Onlookers, open_recorder, recording_path
+from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.scenario import Scenario
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import RunDirectory
@@ -51,7 +51,7 @@ def run_in_foreground(
         stays = showing.stays and not showing.json and server is not None and is_at_terminal()
 
         async def work() -> int:
-            async with Onlookers(supervisor.scorer, recorder, server):
+            async with Observers(supervisor.scorer, recorder, server):
                 code = await supervisor.run()
                 os.close(lock)
                 display.close()

@@ -20,7 +20,7 @@ from deploy.live.control import ask
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of
 from deploy.page.source import LiveSource
-from deploy.recording.observers import Onlookers, open_recorder, recording_path
+from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.recorder import RecorderNode
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Scorer
@@ -160,7 +160,7 @@ def watch_page(page: bool | str, run: str | None) -> int:
     print(f"run {directory.name}; Ctrl-C ends the page, not the run", flush=True)
 
     async def work() -> int:
-        async with Onlookers(scorer, None, server):
+        async with Observers(scorer, None, server):
             return await _serve_while_running(live.Driver(scorer, scenario.network), directory.is_running)
 
     return _until_interrupted(work())

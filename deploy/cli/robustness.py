@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 
 from deploy.cli.study_progress import console_of, run_open_trials
-from deploy.studies.results import Folder
+from deploy.studies.results import StudyFolder
 from deploy.studies.robustness import FRESH, LEVELS, NONE, Row, plan, play, summary, table
 from protocol.settings import BadSetting
 
@@ -54,7 +54,7 @@ def run_robustness_study(
     options = {"run.dt": DT, **options}
     seconds = float(options.pop("run.seconds", size["seconds"]))
     number = int(size["trials"]) if trials is None else trials
-    kinds, folder = kinds_of(faults), Folder(into)
+    kinds, folder = kinds_of(faults), StudyFolder(into)
     bouts = [bout for bout in plan(number, 100 if seed is None else seed, size["at"], seconds, options) if bout.kind in kinds]
     console = console_of(as_json)
     with folder.claimed():

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from deploy.cli.display import show_result
 from deploy.live.warmup import announce
-from deploy.recording.observers import Onlookers, open_recorder, recording_path
+from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
 from deploy.scoring.result import Result
@@ -59,7 +59,7 @@ def _simulate(
     console = Console(stderr=True, highlight=False)
     simulation.scorer.on_report = lambda told: console.print(f"[{told.time:.1f} s] {told.text}", markup=False, soft_wrap=True)
     if path is not None:
-        Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+        Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     with console.status("") if console.is_terminal else nullcontext() as spinner:
         show = (lambda text: spinner.update(text)) if spinner else console.print
         progress = ProgressLine(show, 0.25 if spinner else 5.0)

@@ -11,14 +11,14 @@ from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.storage.run_directory import runs_folder
 from deploy.studies.design import Design, plan
 from deploy.studies.paired import compare, groups_of, summarise
-from deploy.studies.results import Folder
+from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row, methods_of, run_trial
 
 
 def run_study(found: Design, into: Path, workers: int | None, scheduler: str | None, as_json: bool) -> int:
     """Run a study to its end. Finished trials are not repeated."""
     console = console_of(as_json)
-    trials, folder = plan(found), Folder(into)
+    trials, folder = plan(found), StudyFolder(into)
     with folder.claimed():
         rows = run_open_trials(found.scenario, folder, trials, workers, scheduler, console, run_trial)
         folder.publish(rows)

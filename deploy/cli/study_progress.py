@@ -11,8 +11,18 @@ from contextlib import closing, contextmanager, nullcontext
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from deploy.studies.engines import FinishedTrials, Job, Numbered, Play, Shares, TrialFailed, on_a_cluster, on_this_machine, shared_shares
-from deploy.studies.results import Folder
+from deploy.studies.engines import (
+    FinishedTrials,
+    Job,
+    Numbered,
+    Play,
+    SharedProgress,
+    TrialFailed,
+    on_a_cluster,
+    on_this_machine,
+    shared_progress,
+)
+from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row, cost
 from protocol.settings import BadSetting
 
@@ -27,7 +37,7 @@ def console_of(as_json: bool) -> Console:
 
 
 def run_open_trials(
-    name: str, folder: Folder, trials: Sequence[Job], workers: int | None, scheduler: str | None, console: Console, play: Play
+    name: str, folder: StudyFolder, trials: Sequence[Job], workers: int | None, scheduler: str | None, console: Console, play: Play
 ) -> list[Row]:
     """The rows of all trials in their order. Trials that the folder lacks are run first."""
     done = folder.finished()
@@ -41,10 +51,10 @@ def run_open_trials(
 
 
 def _run(
-    folder: Folder, trials: Sequence[Job], todo: Sequence[Numbered], workers: int, scheduler: str | None, console: Console, play: Play
+    folder: StudyFolder, trials: Sequence[Job], todo: Sequence[Numbered], workers: int, scheduler: str | None, console: Console, play: Play
 ) -> None:
     """Run the open trials; every row goes into the folder when it is finished."""
-    shares = shared_shares(len(trials))
+    shares = shared_progress(len(trials))
     engine = on_a_cluster(todo, scheduler, play) if scheduler else on_this_machine(todo, min(workers, len(todo)), shares, play)
     ahead = RemainingWork(trials, todo, shares)
     previous = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that workers are ended on the way out
@@ -60,7 +70,7 @@ def _run(
         signal.signal(signal.SIGTERM, previous)
 
 
-def _follow(engine: FinishedTrials, folder: Folder, trials: Sequence[Job], ahead: "RemainingWork", tell: "ProgressBar") -> None:
+def _follow(engine: FinishedTrials, folder: StudyFolder, trials: Sequence[Job], ahead: "RemainingWork", tell: "ProgressBar") -> None:
     for rows in engine:
         for number, row in rows:
             if row["key"] != trials[number].key():
@@ -73,7 +83,7 @@ def _follow(engine: FinishedTrials, folder: Folder, trials: Sequence[Job], ahead
 class RemainingWork:
     """The remaining work of a study: costs of the open trials, and the speed since this start."""
 
-    def __init__(self, trials: Sequence[Job], todo: Sequence[Numbered], shares: Shares) -> None:
+    def __init__(self, trials: Sequence[Job], todo: Sequence[Numbered], shares: SharedProgress) -> None:
         self._costs = {number: cost(trial.resolve()) for number, trial in todo}
         self._shares = shares
         self._open = set(self._costs)

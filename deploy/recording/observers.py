@@ -45,7 +45,7 @@ def open_recorder(path: Path, scenario: Scenario, *, virtual: bool = False) -> R
         raise BadSetting(f"--record {path}: {error.strerror}") from None
 
 
-class Onlookers:
+class Observers:
     """The observers of one scorer, as a context in the event loop of the run. A failing observer is removed; the run continues."""
 
     def __init__(self, scorer: Scorer, recorder: Recorder | None, page: PageServer | None = None) -> None:
@@ -63,7 +63,7 @@ class Onlookers:
         scorer.on_fault = self._note_fault
         self._told, scorer.on_report = scorer.on_report, self._tell
 
-    async def __aenter__(self) -> "Onlookers":
+    async def __aenter__(self) -> "Observers":
         if self._recorder is not None:
             self._chores = asyncio.create_task(self._flush())
         if self._page is not None:

@@ -39,7 +39,7 @@ class Job(Protocol):
 Numbered = tuple[int, Job]
 
 
-class Shares(Protocol):
+class SharedProgress(Protocol):
     """The progress of each trial, 0 to 1, shared by all processes."""
 
     def __getitem__(self, number: int, /) -> float:
@@ -56,7 +56,7 @@ class TrialFailed(Exception):
     """A trial ended with an error; the text says which and how."""
 
 
-def _start_worker(shares: Shares) -> None:
+def _start_worker(shares: SharedProgress) -> None:
     global _shares
     _shares = shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the study, which ends its workers
@@ -70,7 +70,7 @@ def _work(play: Play, number: int, trial: Job) -> Row:
     return play(trial, tell)
 
 
-def on_this_machine(trials: Sequence[Numbered], workers: int, shares: Shares, play: Play = run_trial) -> FinishedTrials:
+def on_this_machine(trials: Sequence[Numbered], workers: int, shares: SharedProgress, play: Play = run_trial) -> FinishedTrials:
     """The rows that have finished since the last step, every `TICK` s; `shares` holds the progress of each running trial."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, _start_worker, (shares,))
@@ -92,9 +92,9 @@ def _harvest(future: "Future[Row]", number: int, trial: Job) -> tuple[int, Row]:
         raise TrialFailed(f"{trial.command()}: {type(error).__name__}: {error}") from error
 
 
-def shared_shares(count: int) -> Shares:
+def shared_progress(count: int) -> SharedProgress:
     """Shared memory for the progress of all trials."""
-    shares: Shares = multiprocessing.get_context("spawn").Array("d", max(1, count))
+    shares: SharedProgress = multiprocessing.get_context("spawn").Array("d", max(1, count))
     return shares
 
 

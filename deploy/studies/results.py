@@ -22,7 +22,7 @@ from deploy.studies.trials import Row
 from protocol.settings import BadSetting
 
 
-class Folder:
+class StudyFolder:
     """Where a study keeps its rows."""
 
     def __init__(self, path: Path) -> None:

@@ -16,7 +16,7 @@ from pyarrow import csv, parquet
 from deploy.cli import figures, recordings
 from deploy.plots.run_figures import Trajectories, pictures, write_animation, write_figure
 from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
-from deploy.recording.observers import Onlookers, open_recorder
+from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recorder import Recorder
 from deploy.recording.recording import Recording, find_recording
 from deploy.recording.rerun_file import write_rerun
@@ -35,7 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     scenario = resolve("quick", {"run.seconds": 5.0})
     simulation = Simulation(msgspec.structs.replace(scenario, faults=(FaultSettings(at=3.0, verb="kill", who="s2"),)))
     path = tmp_path_factory.mktemp("export") / "recording.mcap"
-    Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     simulation.run()
     return simulation, Recording(path)
 

@@ -15,7 +15,7 @@ from deploy.__main__ import app
 from deploy.page.picture import Picture
 from deploy.page.server import Address, Client, PageServer, address_of
 from deploy.page.source import LiveSource
-from deploy.recording.observers import Onlookers
+from deploy.recording.observers import Observers
 from deploy.scenario import resolve
 from deploy.scoring.scorer import Score, Scorer
 from deploy.simulation import Simulation
@@ -255,7 +255,7 @@ def watched(ticks: int) -> tuple[Simulation, PageServer]:
     """A simulation of 12 ticks with a page beside it, played for some of them."""
     simulation = Simulation(resolve("quick", {"run.seconds": 3.0, "run.dt": 0.25, "team.composition": "3E"}))
     server = PageServer(LiveSource(simulation.scorer, Picture(simulation.scenario), None), Address("127.0.0.1", 0, True))
-    Onlookers(simulation.scorer, None, server)
+    Observers(simulation.scorer, None, server)
     while simulation.scorer.truth is None or simulation.scorer.truth.tick < ticks - 1:
         simulation.bus.step()
     simulation.bus.step(simulation.bus.now)

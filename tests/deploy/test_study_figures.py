@@ -7,7 +7,7 @@ import pytest
 
 from deploy.cli.figures import draw_study, is_study
 from deploy.plots.study_figures import boxes, differences, draw, level_of
-from deploy.studies.results import Folder
+from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row
 from protocol.settings import BadSetting
 
@@ -75,7 +75,7 @@ def test_one_method_alone_has_nothing_to_be_paired_with(tmp_path: Path) -> None:
 
 
 def test_figures_go_into_the_folder_of_the_study_or_where_one_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = Folder(tmp_path / "study")
+    folder = StudyFolder(tmp_path / "study")
     with folder.claimed():
         folder.publish(rows())
     assert is_study(folder.path) and is_study(folder.csv) and not is_study(tmp_path)

@@ -10,8 +10,8 @@ import pytest
 from deploy.cli.study import run_study
 from deploy.cli.study_progress import RemainingWork, remaining, words
 from deploy.studies.design import Design, design_fields, design_with, dotted_options
-from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_shares
-from deploy.studies.results import Folder
+from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_progress
+from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Trial, run_trial
 from protocol.settings import BadSetting
 
@@ -39,14 +39,14 @@ def test_a_study_that_was_cut_short_goes_on_and_ends_with_the_same_table(run: Ca
     (tmp_path / "again" / "trials.jsonl").write_text(lines[2] + lines[0] + lines[1][:40])  # two rows and a torn one
     again = run(into="again")
     assert {**again, "folder": ""} == {**whole, "folder": ""} and whole["trials"] == 4
-    assert Folder(tmp_path / "again").csv.read_bytes() == Folder(tmp_path / "study").csv.read_bytes()
+    assert StudyFolder(tmp_path / "again").csv.read_bytes() == StudyFolder(tmp_path / "study").csv.read_bytes()
     kept = (tmp_path / "again" / "trials.jsonl").read_text().splitlines(keepends=True)
     assert kept[:2] == [lines[2], lines[0]] and len(kept) == 4  # nothing was run twice
 
 
 def test_workers_give_the_rows_that_this_process_gives(run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     run()
-    rows = Folder(tmp_path / "study").finished()
+    rows = StudyFolder(tmp_path / "study").finished()
     trial = Trial(scenario="quick", seed=100, team="A2,B4", targets=3, method="voronoi", options=SMALL.options)
     assert {**rows[trial.key()], "wall_s": 0} == {**run_trial(trial), "wall_s": 0}
 
@@ -61,7 +61,7 @@ def test_rows_of_another_program_are_not_mixed_in(run: Callable[..., dict[str, A
 def test_a_trial_that_fails_names_its_command() -> None:
     bad = Trial(scenario="quick", seed=1, team="A1", targets=3, method="power", options={"targets.motion": "nowhere:Motion"})
     with pytest.raises(TrialFailed, match=r"covey simulate quick .*nowhere"):
-        list(on_this_machine([(0, bad)], 1, shared_shares(1)))
+        list(on_this_machine([(0, bad)], 1, shared_progress(1)))
 
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:
@@ -76,7 +76,7 @@ def test_a_cluster_gives_the_same_table(run: Callable[..., dict[str, Any]], tmp_
     workers = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "host": "127.0.0.1"}
     with distributed.LocalCluster(**workers) as cluster:
         assert run_study(SMALL, tmp_path / "cluster", 2, cluster.scheduler_address, as_json=True) == 0
-    assert Folder(tmp_path / "cluster").csv.read_bytes() == Folder(tmp_path / "study").csv.read_bytes()
+    assert StudyFolder(tmp_path / "cluster").csv.read_bytes() == StudyFolder(tmp_path / "study").csv.read_bytes()
 
 
 def test_options_become_fields_and_settings() -> None:

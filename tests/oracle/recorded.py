@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from deploy.recording.observers import Onlookers, open_recorder
+from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recording import Recording
 from deploy.scenario import resolve
 from deploy.scoring.scores import Score
@@ -29,7 +29,7 @@ def recorded(*options: tuple[str, Any]) -> Recorded:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         simulation = Simulation(resolve("efficacy", dict(options)))
-        Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+        Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
         simulation.run()
         recording = Recording(path)
         ticks = ticks_of([(entry.key, entry.payload) for entry in recording.entries()])

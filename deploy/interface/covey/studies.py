@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
 from deploy.studies.design import plan
 from deploy.studies.paired import Summary, groups_of, summarise
-from deploy.studies.results import Folder, read_results
+from deploy.studies.results import StudyFolder, read_results
 from deploy.studies.trials import methods_of
 from protocol.settings import BadSetting
 
@@ -101,7 +101,7 @@ def study(
     given = design_fields(trials, seed, *joined)
     options = {**dotted_options(triple, capacity, dt, seconds, []), **(settings or {})}
     found = design_with(name, quick, given, options)
-    folder = Folder(Path(into) if into is not None else default_folder(name, quick))
+    folder = StudyFolder(Path(into) if into is not None else default_folder(name, quick))
     with folder.claimed():
         console = console_of(as_json=True)
         rows = run_open_trials(found.scenario, folder, plan(found), workers, None, console, run_trial)
