@@ -154,6 +154,13 @@ def named(scenario: Scenario, run: str) -> Scenario:
     return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, name=run))
 
 
+def check_names(scenario: Scenario) -> None:
+    """Raise BadSetting for an agent that bears the name of another process."""
+    for name in ("world", "monitor", "supervisor"):
+        if name in scenario.members:
+            raise BadSetting(f"members.{name}: this name belongs to the {name}; call the agent otherwise")
+
+
 def _name_members(counts: dict[str, int]) -> dict[str, str]:
     classes = [sensor_class for sensor_class, number in counts.items() for _ in range(number)]
     return {f"s{number}": sensor_class for number, sensor_class in enumerate(classes, start=1)}

@@ -12,8 +12,7 @@ from agents.capacity import sensor_facts
 from agents.control import CheckedLaw, Situation, control_law
 from agents.particles import Particles
 from deploy.faults.faults import check_fault
-from deploy.live.processes import check_names
-from deploy.scenario import FaultSettings, Scenario, spelled_out
+from deploy.scenario import FaultSettings, Scenario, check_names, spelled_out
 from protocol.endpoints import check_endpoints
 from protocol.geometry import rectangle
 from protocol.mistakes import mistakes

@@ -18,7 +18,6 @@ from deploy.installation import ROOT, command, environment
 from deploy.live.zygote import Forked, Zygote
 from deploy.scenario import Scenario
 from deploy.storage.run_directory import RunDirectory
-from protocol.settings import BadSetting
 
 Spawn = Literal["zygote", "exec"]  # how agents are started
 
@@ -136,15 +135,6 @@ def rooms(scenario: Scenario) -> dict[str, str]:
     return {"world": "world", **dict.fromkeys(scenario.members, "agents")}
 
 
-def endpoints(name: str, listens: Mapping[str, str], seeds: Sequence[str]) -> list[str]:
-    """The endpoint options of a process: a seed listens on its known endpoint and does not dial it."""
-    own = listens.get(name)
-    words = ["--listen", own] if own else []
-    for endpoint in seeds:
-        words += ["--seed-endpoint", endpoint] if endpoint != own else []
-    return words
-
-
 def process_rows(children: Mapping[str, Child], members: Mapping[str, str], agents: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Every process as `ps` shows it, with the scorer's figures of agents; agents that were not started here come last."""
     scored = {agent["name"]: agent for agent in agents}
@@ -156,13 +146,6 @@ def process_rows(children: Mapping[str, Child], members: Mapping[str, str], agen
         rows.append({**scored.pop(name, {}), **row})
     guest = {"class": "", "state": "guest", "pid": None, "end": "", "ended_at": None}
     return rows + [{**agent, **guest} for agent in scored.values() if agent["alive"]]
-
-
-def check_names(scenario: Scenario) -> None:
-    """Raise BadSetting for an agent that bears the name of another process."""
-    for name in ("world", "monitor", "supervisor"):
-        if name in scenario.members:
-            raise BadSetting(f"members.{name}: this name belongs to the {name}; call the agent otherwise")
 
 
 def child_environment() -> dict[str, str]:

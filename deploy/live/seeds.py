@@ -1,5 +1,7 @@
 """Where the processes of a run find each other: the few that listen on a known port."""
 
+from collections.abc import Mapping, Sequence
+
 from deploy.scenario import Scenario
 from protocol.endpoints import free_port
 from protocol.settings import BadSetting, NetworkSettings
@@ -21,3 +23,12 @@ def seed_listeners(scenario: Scenario) -> dict[str, str]:
         ports.add(free_port())
     link = "tls" if scenario.network.encrypted else "tcp"
     return {name: f"{link}/127.0.0.1:{port}" for name, port in zip(names, sorted(ports))}
+
+
+def endpoints(name: str, listens: Mapping[str, str], seeds: Sequence[str]) -> list[str]:
+    """The endpoint options of a process: a seed listens on its known endpoint and does not dial it."""
+    own = listens.get(name)
+    words = ["--listen", own] if own else []
+    for endpoint in seeds:
+        words += ["--seed-endpoint", endpoint] if endpoint != own else []
+    return words

@@ -18,11 +18,11 @@ import numpy as np
 from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
 from deploy.faults.links import Links, describe
 from deploy.live.control import Answer, ControlServer
-from deploy.live.processes import Child, check_names, endpoints, process_rows, rooms
-from deploy.live.seeds import seed_listeners
+from deploy.live.processes import Child, process_rows, rooms
+from deploy.live.seeds import endpoints, seed_listeners
 from deploy.live.startup import Startup
 from deploy.live.zygote import Zygote
-from deploy.scenario import FaultSettings, Scenario
+from deploy.scenario import FaultSettings, Scenario, check_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer, Status
 from deploy.storage.kept_runs import link_latest

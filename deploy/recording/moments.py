@@ -1,16 +1,24 @@
-"""A recording tick by tick, for drawings in the forms of other tools."""
+"""A recording as messages, and tick by tick for drawings in the forms of other tools."""
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 from deploy.page.picture import Picture
-from deploy.recording.recording import Recording
-from deploy.recording.tables import messages
+from deploy.recording.recording import Recording, event_of
 from deploy.scoring.scorer import Score, Scorer
-from protocol.messages import Truth
-from protocol.node import Event
+from protocol.messages import Message, Truth
+from protocol.node import Event, Received
 
 PALETTE = ("77aadd", "ee8866", "44bb99", "eedd88", "ffaabb", "99ddff", "bbcc33", "c9a4e0", "aaaa00")  # Paul Tol's "light"
+
+
+def messages(recording: Recording, also: Callable[[Any, float], object] = lambda event, now: None) -> Iterator[Message]:
+    """The valid messages of a recording in order; `also` is shown every event first."""
+    for entry in recording.entries():
+        event = event_of(entry)
+        also(event, entry.published / 1e9)
+        if isinstance(event, Received):
+            yield event.message
 
 
 class Moment(NamedTuple):

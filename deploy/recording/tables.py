@@ -4,19 +4,18 @@ Five tables: `scores` (a row per tick), `agents` (per agent and tick), `targets`
 times in s, angles in rad. The drawing for Foxglove is in `deploy.recording.foxglove`.
 """
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pyarrow
 from pyarrow import csv, parquet
 
-from deploy.recording.recording import Recording, event_of
+from deploy.recording.moments import messages
+from deploy.recording.recording import Recording
 from deploy.recording.rescore import COLUMNS
 from deploy.scoring.scorer import Scorer
 from protocol.geometry import polygon_area
-from protocol.messages import Estimate, Gossip, Message, Truth
-from protocol.node import Received
+from protocol.messages import Estimate, Gossip, Truth
 
 TableRow = tuple[Any, ...]
 NUMBER, WHOLE, WORD = pyarrow.float64(), pyarrow.int64(), pyarrow.string()
@@ -36,15 +35,6 @@ SCHEMAS: dict[str, list[tuple[str, pyarrow.DataType]]] = {
     "estimates": [("tick", WHOLE), ("time", NUMBER), ("agent", WORD), ("x", NUMBER), ("y", NUMBER)],
     "detections": [("tick", WHOLE), ("time", NUMBER), ("agent", WORD), ("x", NUMBER), ("y", NUMBER)],
 }
-
-
-def messages(recording: Recording, also: Callable[[Any, float], object] = lambda event, now: None) -> Iterator[Message]:
-    """The valid messages of a recording in order; `also` is shown every event first."""
-    for entry in recording.entries():
-        event = event_of(entry)
-        also(event, entry.published / 1e9)
-        if isinstance(event, Received):
-            yield event.message
 
 
 def tables(recording: Recording) -> dict[str, pyarrow.Table]:

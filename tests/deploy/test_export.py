@@ -16,11 +16,12 @@ from pyarrow import csv, parquet
 from deploy.cli import figures, recordings
 from deploy.plots.run_figures import Trajectories, pictures, write_animation, write_figure
 from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
+from deploy.recording.moments import messages
 from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recorder import Recorder
 from deploy.recording.recording import Recording, find_recording
 from deploy.recording.rerun_file import write_rerun
-from deploy.recording.tables import messages, tables, write_tables
+from deploy.recording.tables import tables, write_tables
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
 from protocol.messages import Truth

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.live.processes import Child, endpoints, process_rows
+from deploy.live.processes import Child, process_rows
+from deploy.live.seeds import endpoints
 from deploy.storage.run_directory import RunDirectory
 
 
