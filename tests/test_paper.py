@@ -22,7 +22,7 @@ from agents.particles import NONE, Particles
 from agents.phd import resample, update
 from agents.regions import in_view, moments
 from deploy.scenario import TeamSettings, resolve, team_counts
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from protocol.geometry import EMPTY, distances, polygon_area, polygon_centroid, rectangle
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, LimitSettings

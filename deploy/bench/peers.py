@@ -6,8 +6,8 @@ import numpy as np
 import shapely
 
 from agents.backend import PLAIN
-from deploy.bench.timing import Row, median_seconds
-from deploy.simulate import compiled
+from deploy.bench.timing import BenchRow, median_seconds
+from deploy.simulation import compiled
 from protocol.geometry import rectangle
 
 
@@ -34,9 +34,9 @@ def by_shapely(points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list
     return cells
 
 
-def measure() -> list[Row]:
+def measure() -> list[BenchRow]:
     """Milliseconds of CPU, and how many times faster ours are."""
-    rows: list[Row] = []
+    rows: list[BenchRow] = []
     for count, side in ((48, 100.0), (1000, 456.0)):
         points, radii = generators(count, side)
         arena = rectangle(side, side)

@@ -12,7 +12,7 @@ from agents.neighbours import Neighbours
 from agents.round import run_round
 from agents.words import announced, forget, newest_table, side_by_side
 from deploy.bench.capture import Captured, capture, cold
-from deploy.bench.timing import Row, cpu_seconds, median_seconds
+from deploy.bench.timing import BenchRow, cpu_seconds, median_seconds
 from deploy.scenario import Scenario, resolve
 from protocol import codec
 from protocol.keys import message_key
@@ -90,7 +90,7 @@ def again(captured: Captured) -> None:
     run_round(*captured)
 
 
-def phases(rounds: list[Captured]) -> Row:
+def phases(rounds: list[Captured]) -> BenchRow:
     """Milliseconds of CPU per round of one agent, in the median over rounds: the whole, its phases, and what lies between them."""
     play_it = per_round(rounds, whole)
     shared = per_round(rounds, again, first=lay)
@@ -106,7 +106,7 @@ def phases(rounds: list[Captured]) -> Row:
     return {name: 1000.0 * seconds for name, seconds in row.items()}
 
 
-def wire(rounds: list[Captured]) -> Row:
+def wire(rounds: list[Captured]) -> BenchRow:
     """Milliseconds of CPU per round for encoding the own gossip and decoding those that were heard."""
     run = rounds[0].me.config.run.name
     mine = [captured.mine for captured in rounds]
@@ -117,7 +117,7 @@ def wire(rounds: list[Captured]) -> Row:
     return {"heard": heard, "encode": 1000.0 * encode, "decode": 1000.0 * decode * heard, "decode one": 1000.0 * decode}
 
 
-def from_bytes(rounds: list[Captured]) -> Row:
+def from_bytes(rounds: list[Captured]) -> BenchRow:
     """Milliseconds of CPU per round from the bytes of what was heard to the outcome, and how much of it goes by until all is accepted."""
     whole_times, accepted = [], []
     for captured in cold(rounds):
@@ -140,7 +140,7 @@ def from_bytes(rounds: list[Captured]) -> Row:
     return {"bytes to accepted": 1000.0 * statistics.median(accepted), "bytes to outcome": 1000.0 * statistics.median(whole_times)}
 
 
-def measure(teams: list[str] | None = None, tick: int = 60) -> list[Row]:
+def measure(teams: list[str] | None = None, tick: int = 60) -> list[BenchRow]:
     """One row per team: ms of CPU per agent-round, each gossip decoded and predicted by the agent itself."""
     rows = []
     for team in teams or list(TEAMS):
@@ -149,7 +149,7 @@ def measure(teams: list[str] | None = None, tick: int = 60) -> list[Row]:
     return rows
 
 
-def codec_rows() -> list[Row]:
+def codec_rows() -> list[BenchRow]:
     """Microseconds of CPU per message of a real round, and its bytes."""
     rounds = capture(scenario_of("5"), 60)
     run = rounds[0].me.config.run.name

@@ -15,7 +15,7 @@ from agents.particles import Particles
 from agents.step import Step
 from agents.tracker import RegionInput
 from agents.words import Words, announced
-from deploy.bench.timing import Row, median_seconds
+from deploy.bench.timing import BenchRow, median_seconds
 from deploy.scenario import agent_config, resolve
 from protocol.fields import pack
 from protocol.geometry import rectangle
@@ -96,7 +96,7 @@ def their_scan() -> Any:
     detections = [Detection(point.reshape(2, 1), timestamp=later, measurement_model=sensor) for point in _points(DETECTIONS, 2)]
 
     def scan() -> Any:
-        prior = ParticleState(states, log_weight=weights, timestamp=start)  # a new one, for predictions are cached
+        prior = ParticleState(states, log_weight=weights, timestamp=start)  # a new one: predictions are cached
         prediction = predictor.predict(prior, timestamp=later)
         seen = [SingleHypothesis(prediction, detection) for detection in detections]
         return updater.update(MultipleHypothesis([SingleHypothesis(prediction, MissedDetection(timestamp=later)), *seen]))
@@ -118,14 +118,14 @@ def their_ospa() -> Any:
     return lambda: metric.compute_OSPA_distance(first, second)
 
 
-def measure(backend: Backend) -> list[Row]:
+def measure(backend: Backend) -> list[BenchRow]:
     """Milliseconds of CPU, and how many times faster ours are."""
     one, other = _points(TARGETS, 4), _points(TARGETS, 5)
     pairs = [
         (f"particle PHD scan, {PARTICLES} particles, {DETECTIONS} detections", our_scan(backend), their_scan()),
         (f"OSPA, {TARGETS} against {TARGETS}", lambda: ospa(one, other), their_ospa()),
     ]
-    rows: list[Row] = []
+    rows: list[BenchRow] = []
     for what, ours, theirs in pairs:
         mine = 1000.0 * median_seconds(lambda call=ours: [call() for _ in range(REPEATS)]) / REPEATS  # type: ignore[misc]
         foreign = 1000.0 * median_seconds(theirs)

@@ -11,7 +11,7 @@ import pytest
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, ControlSettings, FilterSettings, PartitionSettings, TimingSettings
-from deploy.simulate import compiled
+from deploy.simulation import compiled
 from protocol.messages import Command, Estimate, Gossip, Message, Observation
 from protocol.node import received
 from protocol.settings import ArenaSettings, LimitSettings, RunSettings, SensorSettings

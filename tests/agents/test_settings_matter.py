@@ -18,7 +18,7 @@ from agents.config import (
     TimingSettings,
 )
 from deploy.scenario import resolve
-from deploy.simulate import Simulation, compiled
+from deploy.simulation import Simulation, compiled
 from protocol.node import Event, messages_of
 from tests.golden.fields import digest, values_of
 from tests.swarm.scene import fault

@@ -8,7 +8,7 @@ from agents.config import AgentConfig, TimingSettings
 from agents.shared_round import SharedRound, shared_round
 from agents.step import Step
 from agents.words import Words
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
 from tests.agents.side_by_side import table as table_of

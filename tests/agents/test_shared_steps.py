@@ -18,7 +18,7 @@ from agents.round import _claim
 from agents.step import Step
 from agents.tracker import RegionInput
 from agents.words import KAPPA, Words
-from deploy.simulate import compiled
+from deploy.simulation import compiled
 from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.keys import order

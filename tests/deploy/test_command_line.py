@@ -13,9 +13,9 @@ import pytest
 from cyclopts import App
 
 from deploy.__main__ import app
-from deploy.commands.acting import meant
-from deploy.commands.app import SET_UP
-from deploy.result import VERSION
+from deploy.cli.app import SET_UP
+from deploy.cli.control import selection
+from deploy.installation import VERSION
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +71,7 @@ def test_version_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_several_names_may_follow_each_other(names: tuple[str, ...], random: int | None, text: str) -> None:
-    assert meant("kill", names, random, None) == text
+    assert selection("kill", names, random, None) == text
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_several_names_may_follow_each_other(names: tuple[str, ...], random: int
 )
 def test_who_is_meant_must_be_clear(names: tuple[str, ...], random: int | None, complaint: str) -> None:
     with pytest.raises(BadSetting, match=complaint):
-        meant("kill", names, random, None)
+        selection("kill", names, random, None)
 
 
 def program_in(folder: Path) -> Path:

@@ -15,11 +15,11 @@ import pytest
 
 import covey
 from covey import plugged
-from deploy.chaos.faults import check_faults
-from deploy.commands.options import RunOptions
+from deploy.cli.options import RunOptions
+from deploy.faults.faults import check_faults
 from deploy.scenario import resolve
-from deploy.simulate import simulate
-from deploy.studies.study import plan
+from deploy.simulation import simulate
+from deploy.studies.design import plan
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -88,7 +88,7 @@ def test_a_run_is_that_of_the_simulation_and_its_arrays_are_the_series_behind_th
 
 
 def test_bodies_stand_where_the_arrays_say(run: covey.Run) -> None:
-    from deploy.simulate import Simulation
+    from deploy.simulation import Simulation
 
     simulation = Simulation(run.scenario)
     seen = {}
@@ -189,10 +189,10 @@ def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None
 
 def plan_of(options: dict[str, object]) -> list[object]:
     """The trials that the command plans for these options."""
-    from deploy.commands import studying
+    from deploy.studies.design import design_fields, design_with
 
-    given = studying.given(1, None, None, None, "power,static")
-    return list(plan(studying.chosen("convergence", False, given, {"run.seconds": 2.0})))
+    given = design_fields(1, None, None, None, "power,static")
+    return list(plan(design_with("convergence", False, given, {"run.seconds": 2.0})))
 
 
 def test_tables_need_their_packages_and_say_so(run: covey.Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.swarm.processes import Child, endpoints, is_stopped, process_rows
-from deploy.swarm.rundir import RunDirectory
+from deploy.live.processes import Child, is_stopped, process_rows
+from deploy.live.seeds import endpoints
+from deploy.storage.run_directory import RunDirectory
 
 
 @pytest.fixture
@@ -26,13 +27,13 @@ def line(**fields: str) -> str:
 
 def test_the_last_words_of_a_process_are_its_complaint_or_the_last_line_of_its_exception(child: Child) -> None:
     log = child.directory.log("s2")
-    assert child.last_words() == ""
+    assert child.last_log_line() == ""
     log.write_text(line(message="joined") + "\n" + line(message="the end", exception="Traceback:\n  a.py\nZeroDivisionError: no way\n"))
-    assert child.last_words() == "ZeroDivisionError: no way"
+    assert child.last_log_line() == "ZeroDivisionError: no way"
     log.write_text(line(message="joined") + "\n")
-    assert child.last_words() == "joined"
+    assert child.last_log_line() == "joined"
     log.write_text("agents: --name s9: no such member\n" + line(message="joined") + "\n")
-    assert child.last_words() == "agents: --name s9: no such member"
+    assert child.last_log_line() == "agents: --name s9: no such member"
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from deploy.__main__ import app
-from deploy.commands.last_net import caught
-from deploy.commands.options import RunOptions
+from deploy.cli.errors import guarded
+from deploy.cli.options import RunOptions
 from protocol.sensing import Pose
 
 ROOT = Path(__file__).parents[2]
@@ -280,8 +280,6 @@ TYPED = [
     ("study efficacy --faults kill", 2, "--faults kill: an option of the robustness study alone"),
     ("study robustness --methods power", 2, "--methods power: not an option"),
     ("study robustness --faults rain", 2, "--faults rain: should be one or more of kill"),
-    ("bench nix", 2, "bench 'nix': should be one of round"),
-    ("bench round --seconds 3", 2, "--seconds 3: is for `bench realtime`"),
     ("fuzz --seeds 0", 2, "--seeds 0"),
     ("init mine", 2, "mine: should be a file that ends in .toml"),
     ("init empty.toml", 2, "empty.toml: exists and is left as it is"),
@@ -367,7 +365,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def typed(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str]]:
     """Exit code and lines of complaint of a command in this process, but for the line of the first one that compiles."""
-    code = caught(lambda: app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0)
+    code = guarded(lambda: app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     lines = capsys.readouterr().err.splitlines()
     return code, [line for line in lines if not line.startswith("covey: compiling")]
 

@@ -8,7 +8,7 @@ import string
 from typing import NamedTuple
 
 from agents.backend import Backend
-from deploy.simulate import Simulation, rare_collections
+from deploy.simulation import Simulation, rare_collections
 from protocol.keys import order
 from protocol.node import Event, messages_of
 from tests.golden.cases import TICKS, Case

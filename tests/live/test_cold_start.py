@@ -19,7 +19,7 @@ MOMENTS = (0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 4.0, 8.0)  # s after the star
 BUSY = 5.0  # times that: other tests run beside this one
 SLOW = """
 import sys, time
-if "deploy.swarm.zygote" in sys.orig_argv:
+if "deploy.live.zygote" in sys.orig_argv:
     time.sleep(6.0)
 """
 DYING = """

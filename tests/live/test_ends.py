@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from tests.live.harness import PATIENT, Covey
 
 pytestmark = pytest.mark.live

@@ -15,7 +15,7 @@ import urllib.request
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from tests.live.harness import BOUND, PATIENT, ROOT, Covey, rows
 
 pytestmark = pytest.mark.live
@@ -82,8 +82,8 @@ def address_in(text: str) -> str:
 def test_the_pace_of_a_lockstep_run_changes_no_bit_of_it(covey: Covey) -> None:
     result = covey.result("up", "quick", "--lockstep", "--seconds", "10", "--set", "run.pace=5", *PATIENT)
     assert result["transcript"] == simulate(resolve("quick", {"run.seconds": 10.0})).transcript
-    assert result["pace"]["asked_per_s"] == 5.0 / result["dt"]
-    assert result["pace"]["ticks_per_s"] <= 1.05 * result["pace"]["asked_per_s"]
+    assert result["tick_rate"]["asked_per_s"] == 5.0 / result["dt"]
+    assert result["tick_rate"]["ticks_per_s"] <= 1.05 * result["tick_rate"]["asked_per_s"]
 
 
 ENDS = [(b"\r", None), pytest.param(b"\x03", None, marks=pytest.mark.slow), pytest.param(b"", signal.SIGTERM, marks=pytest.mark.slow)]
@@ -160,7 +160,7 @@ def test_a_world_that_dies_is_said_with_the_command_that_helps(covey: Covey) -> 
 HURRY = """
 import sys
 if "up" in sys.orig_argv:
-    from deploy.swarm import supervisor
+    from deploy.live import supervisor
     supervisor.WORLD_SECONDS = 2.0
 """
 
@@ -245,11 +245,11 @@ def test_a_paused_agent_is_paused_everywhere_and_the_dead_own_no_cell(covey: Cov
 def test_a_machine_that_is_too_small_is_said_in_the_terminal_in_ps_and_in_the_result(covey: Covey) -> None:
     """Six agents that are asked for 4000 rounds a second each: no machine is large enough."""
     supervisor = covey.start("up", "quick", "--rate", "1000", "--seconds", "100000")
-    covey.wait(lambda data: data["swarm"]["pace"]["advice"] != "")
+    covey.wait(lambda data: data["swarm"]["tick_rate"]["advice"] != "")
     assert "this machine is too small for 6 agents at rate 1000" in " ".join(covey.run("ps")[1].split())
     assert covey.run("down")[0] == 0
     output, _ = supervisor.communicate(timeout=BOUND)
     first, later = output.index("6 agents at 4000 ticks/s will be late"), output.index("this machine is too small for 6 agents")
     assert first < later
-    pace = json.loads((covey.runs / "latest" / "result.json").read_text())["pace"]
-    assert pace["asked_per_s"] == 4000.0 and pace["ticks_per_s"] < 4000.0 and "--rate" in pace["advice"]
+    rate = json.loads((covey.runs / "latest" / "result.json").read_text())["tick_rate"]
+    assert rate["asked_per_s"] == 4000.0 and rate["ticks_per_s"] < 4000.0 and "--rate" in rate["advice"]

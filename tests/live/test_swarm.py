@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from protocol import keys, live
 from protocol.settings import NetworkSettings
 from tests.live.harness import PATIENT, Covey, rows

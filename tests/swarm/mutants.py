@@ -21,8 +21,8 @@ from agents.round import AgentContext, RoundResult
 from agents.step import Step
 from agents.tracker import RegionInput
 from agents.words import WEIGHT, Words
-from deploy.chaos import fuzz
-from deploy.chaos.fuzz import Case
+from deploy.verify import fuzz
+from deploy.verify.fuzz import Case
 from protocol.messages import Gossip, Observation
 from protocol.node import Batch
 from protocol.streams import key, scramble

@@ -8,9 +8,9 @@ import msgspec
 
 from agents.agent import Agent
 from agents.backend import Backend
-from deploy.result import Result
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.scoring.result import Result
+from deploy.simulation import Simulation
 from protocol.keys import all_of
 from protocol.messages import Estimate
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of

@@ -10,7 +10,7 @@ import pytest
 
 from agents.backend import PLAIN, Backend
 from agents.regions import RegionUpdate
-from deploy.simulate import Simulation, compiled
+from deploy.simulation import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -5,9 +5,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from deploy.chaos import fuzz
-from deploy.chaos.fuzz import HEAL_AT, KINDS, Case, Failure, draw, healing, play, shrink
 from deploy.scenario import FaultSettings
+from deploy.verify import fuzz
+from deploy.verify.fuzz import HEAL_AT, KINDS, Case, Failure, draw, healing, play, shrink
 from tests.swarm.mutants import MUTANTS, Mutant, no_dedupe_by_id
 
 KEPT = [int(line.split()[0]) for line in (Path(__file__).parent / "seeds.txt").read_text().splitlines() if not line.startswith("#")]

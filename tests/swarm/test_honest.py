@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from deploy.scenario import resolve
-from deploy.scores import Score
-from deploy.simulate import Simulation
+from deploy.scoring.scores import Score
+from deploy.simulation import Simulation
 from protocol.messages import Truth
 
 SCENE = str(Path(__file__).with_name("eyes.toml"))
