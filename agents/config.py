@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import msgspec
 
 from protocol.agreement import Agreed, agreed, common_sections
-from protocol.settings import Common, NotNegative, Positive, Section, Seed, Share
+from protocol.settings import Common, Fraction, NotNegative, Positive, Section, Seed
 
-Particles = Annotated[int, msgspec.Meta(ge=1, le=8000)]
+ParticleCount = Annotated[int, msgspec.Meta(ge=1, le=8000)]
 Certainty = Annotated[float, msgspec.Meta(ge=0.0, le=0.999999)]
 Density = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]  # per m^2
 Distance = Annotated[float, msgspec.Meta(ge=0.1, le=1000.0)]  # m
@@ -26,9 +26,9 @@ class FilterSettings(Section, frozen=True, kw_only=True):
     lifetime: NotNegative = 1000.0  # mean survival time, s; 0 = for ever
     border: Literal["cross", "reflect"] = "cross"  # what a particle does at the border of the arena
     prior_density: Density = 0.001  # expected targets per m^2 at the start and in equilibrium
-    particles_per_target: Particles = 75
-    least_particles: Particles = 30  # per owner
-    most_particles: Particles = 2000  # per owner
+    particles_per_target: ParticleCount = 75
+    least_particles: ParticleCount = 30  # per owner
+    most_particles: ParticleCount = 2000  # per owner
     gate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 6.0  # the likelihood is cut at this many standard deviations
     halo: Positive = 6.0  # what is updated around the own cell, m
     certainty: Certainty = 0.999  # how sure the filter may be that a target is there: a miss is weighed against that
@@ -39,11 +39,11 @@ class FilterSettings(Section, frozen=True, kw_only=True):
 class BirthSettings(Section, frozen=True, kw_only=True):
     """[birth] where new targets may come from."""
 
-    border_share: Share = 0.9  # of the background births lie on the border, the rest anywhere
-    background_particles: Particles = 12  # per tick over the whole arena
+    border_share: Fraction = 0.9  # of the background births lie on the border, the rest anywhere
+    background_particles: ParticleCount = 12  # per tick over the whole arena
     background: bool = True
     measurement: bool = True
-    copies: Particles = 10  # particles per measurement birth
+    copies: ParticleCount = 10  # particles per measurement birth
     radius: Distance = 4.0  # the local density is read within this distance, m
     least_density: Density = 1.0e-5  # the density is at least this, per m^2,
     least_share: NotNegative = 0.25  # and at least this share of the clutter density, but not of more than twice the most
@@ -85,7 +85,7 @@ class ExtractionSettings(Section, frozen=True, kw_only=True):
 class TimingSettings(Section, frozen=True, kw_only=True):
     """[timing] of rounds and of membership."""
 
-    deadline: Share = 0.5  # a round closes at this share of the period at the latest, realtime only
+    deadline: Fraction = 0.5  # a round closes at this share of the period at the latest, realtime only
     silent_rounds: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4  # a silent peer stays a generator this long
     listening_rounds: Annotated[int, msgspec.Meta(ge=0, le=100)] = 2  # at most, for a new incarnation
     overlap: NotNegative = 0.0  # both claims count this close to a contested border, m (docs/decisions/0003)

@@ -17,8 +17,8 @@ from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting, LimitSettings, load_named
 from protocol.streams import key
 
-Command = tuple[tuple[float, float], float]
-STAND: Command = ((0.0, 0.0), 0.0)
+ControlInput = tuple[tuple[float, float], float]
+STAND: ControlInput = ((0.0, 0.0), 0.0)
 
 
 class Situation(NamedTuple):
@@ -45,21 +45,21 @@ class Situation(NamedTuple):
 class ControlLaw(Protocol):
     """What drives a body."""
 
-    def command(self, situation: Situation) -> Command:
+    def command(self, situation: Situation) -> ControlInput:
         """The velocity and turn rate until the next tick."""
 
 
 class Lloyd:
     """Drive the COD to the centroid of the own cell and face it; without a cell stand still (18)."""
 
-    def command(self, situation: Situation) -> Command:
+    def command(self, situation: Situation) -> ControlInput:
         return approach(situation, situation.centroid) if situation.centroid else STAND
 
 
 class UniformDensity:
     """Lloyd's algorithm for a uniform density: the centroid of the cell's area."""
 
-    def command(self, situation: Situation) -> Command:
+    def command(self, situation: Situation) -> ControlInput:
         if not len(situation.cell):
             return STAND
         x, y = polygon_centroid(situation.cell)
@@ -69,14 +69,14 @@ class UniformDensity:
 class Static:
     """Never move."""
 
-    def command(self, situation: Situation) -> Command:
+    def command(self, situation: Situation) -> ControlInput:
         return STAND
 
 
 class RandomWalk:
     """Drive to a random place of the arena, another one every 20 s."""
 
-    def command(self, situation: Situation) -> Command:
+    def command(self, situation: Situation) -> ControlInput:
         leg = int(situation.tick * situation.dt // 20.0)
         bits = key(situation.seed, "waypoint", situation.name, leg)
         goal = ((bits >> 32) * 2.0**-32 * situation.arena[0], (bits & 0xFFFFFFFF) * 2.0**-32 * situation.arena[1])
@@ -112,7 +112,7 @@ class CheckedLaw:
         self._law, self._name = law, name
         self.uses_fields = bool(getattr(law, "uses_fields", False))
 
-    def command(self, situation: Situation) -> Command:
+    def command(self, situation: Situation) -> ControlInput:
         """As the law says."""
         with fault_of(f"{self._name}.command"):
             answer = self._law.command(situation)
@@ -128,7 +128,7 @@ class CheckedLaw:
         return (numbers[0], numbers[1]), numbers[2]
 
 
-def approach(situation: Situation, goal: tuple[float, float]) -> Command:
+def approach(situation: Situation, goal: tuple[float, float]) -> ControlInput:
     """Move the driven point to the goal within one step if the limits allow, and turn towards it as fast as they allow (18)."""
     limits, dt = situation.limits, situation.dt
     vx, vy = (goal[0] - situation.driven[0]) / dt, (goal[1] - situation.driven[1]) / dt

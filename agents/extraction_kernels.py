@@ -9,6 +9,7 @@ from agents.numba_cache import cached
 
 @cached
 def block(masses: np.ndarray, row: int, column: int) -> float:
+    """The mass of the 5 x 5 bins around one, column after column."""
     total = 0.0
     for c in range(column - 2, column + 3):
         line = 0.0

@@ -59,10 +59,10 @@ def orphaned(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.nda
     return claim_kernels.orphaned(points, *claims[1:], arena.width, arena.height)  # type: ignore[no-any-return]
 
 
-Motion = tuple[np.uint64, np.uint64, np.uint64, float, float, float, float, float, bool, float, float]
+MotionArguments = tuple[np.uint64, np.uint64, np.uint64, float, float, float, float, float, bool, float, float]
 
 
-def motion(step: Step) -> Motion:
+def motion(step: Step) -> MotionArguments:
     """A step of prediction as the kernels want it: three keys, dt, half the turn per deviation, speed, noise, survival, border, arena."""
     config, tick = step.config, step.tick
     run, settings, arena = config.run, config.filter, config.arena

@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.capacity import sensor_facts
 from agents.cells import power_cell
-from agents.control import STAND, Command, Situation
+from agents.control import STAND, ControlInput, Situation
 from protocol.geometry import polygon_centroid, rectangle, wrap_angle
 
 HEADINGS = 37  # that are compared, between the extremes that can be reached
@@ -32,7 +32,7 @@ class Pursuit:
         self._seen = np.empty(0)  # s of world time
         self._offset: float | None = None
 
-    def command(self, situation: Situation) -> Command:
+    def command(self, situation: Situation) -> ControlInput:
         """Velocity and turn rate until the next tick."""
         ages = self._ages(situation)
         goal = _goal(situation, ages)

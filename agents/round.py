@@ -17,12 +17,12 @@ from agents.capacity import SensorFacts, power_radius, sensor_facts, unused_capa
 from agents.cells import NO_CELL, Cell
 from agents.claims import Claim, make_claim
 from agents.config import AgentConfig
-from agents.control import STAND, Command, ControlLaw, Situation, control_law
+from agents.control import STAND, ControlInput, ControlLaw, Situation, control_law
 from agents.neighbours import LOCAL_VIEW, Neighbours
 from agents.places import Far
 from agents.shared_round import claim_of, shared_round
 from agents.step import Step
-from agents.tracker import AnyTracker, Belief, Diagram, RegionInput, Update
+from agents.tracker import AnyTracker, Diagram, RegionInput, TrackerState, Update
 from agents.words import Words, announced, side_by_side
 from protocol.geometry import EMPTY, distances, polygon_centroid, rectangle
 from protocol.keys import order
@@ -59,13 +59,13 @@ def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backe
 class RoundResult:
     """What a round leaves behind."""
 
-    belief: Belief
+    belief: TrackerState
     unused: float  # U, m^2
     load: float = 0.0  # expected targets in the footprint
     mass: float = 0.0  # expected targets in the cell
     cell: np.ndarray = field(default_factory=lambda: EMPTY)
     targets: np.ndarray = field(default_factory=lambda: NO_TARGETS)  # estimates in the cell, (M, 2) m
-    command: Command = STAND
+    command: ControlInput = STAND
 
     @property
     def power_radius(self) -> float:

@@ -1,8 +1,8 @@
 """What a round asks of a tracker, so that another one is a matter of its own files.
 
-A round knows agents, cells and claims. What is held of the targets is the tracker's: a `Belief` between two rounds, what it received of
-the others in one, an `Update` around each cell. All of them are values, and a tracker is a set of pure functions of them, of which
-`belief.ParticlePhd` is one.
+A round knows agents, cells and claims. What is held of the targets is the tracker's: a `TrackerState` between two rounds, what the others
+said in one, an `Update` around each cell. All of them are values. A tracker is a set of pure functions of them; `belief.ParticlePhd` is
+one.
 """
 
 from collections.abc import Sequence
@@ -78,7 +78,7 @@ class OwnedState(NamedTuple):
     view: int  # of the diagram that its cell was cut from
 
 
-class Belief(Protocol):
+class TrackerState(Protocol):
     """What an agent holds between two rounds."""
 
     stamp: int  # the tick of the round after which it holds
@@ -86,7 +86,7 @@ class Belief(Protocol):
     everyone: frozenset[str]  # see `Diagram`
 
 
-B = TypeVar("B", bound=Belief)
+B = TypeVar("B", bound=TrackerState)
 R = TypeVar("R")
 U = TypeVar("U", bound=Update)
 

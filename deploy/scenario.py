@@ -10,7 +10,7 @@ import msgspec
 import tomli_w
 
 from agents.config import AgentConfig
-from protocol.settings import BadSetting, NotNegative, RunSettings, Section, Share, convert, read_toml, sensor_of
+from protocol.settings import BadSetting, Fraction, NotNegative, RunSettings, Section, convert, read_toml, sensor_of
 from world.config import BodySettings, TargetSettings, WorldConfig, WorldRun
 
 LOCKSTEP_HASTE = 5  # times the messages a second that are no flood: nothing holds the world up there, and one agent alone does 700 ticks/s
@@ -39,7 +39,7 @@ class FaultSettings(Section, frozen=True, kw_only=True):
 class StudySettings(Section, frozen=True, kw_only=True):
     """[study] how results are averaged."""
 
-    steady_share: Share = 0.8  # the last share of the run that counts as steady state
+    steady_share: Fraction = 0.8  # the last share of the run that counts as steady state
 
 
 class Scenario(AgentConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):

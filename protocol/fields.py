@@ -3,9 +3,12 @@
 Lengths in m, times in s, angles in rad.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
+import msgspec
 import numpy as np
+
+Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]  # of a participant or a sensor class
 
 MAX_DETECTIONS = 8192
 MAX_PARTICLES = 8192

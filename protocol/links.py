@@ -12,7 +12,7 @@ from typing import Protocol
 import msgspec
 
 from protocol.keys import parse_message_key
-from protocol.settings import NotNegative, Section, Share, convert
+from protocol.settings import Fraction, NotNegative, Section, convert
 from protocol.streams import key, stream
 
 
@@ -29,14 +29,14 @@ class LinkFaults(Protocol):
 class Condition(Section, frozen=True, kw_only=True):
     """The condition of one direction of a link; the default is a clear one."""
 
-    drop: Share = 0.0  # share of the messages that are lost
+    drop: Fraction = 0.0  # share of the messages that are lost
     burst: NotNegative = 0.0  # mean number of messages lost in a row (Gilbert-Elliott); 0: each is lost on its own (Bernoulli)
     delay: NotNegative = 0.0  # s
     jitter: NotNegative = 0.0  # s, uniform on top of the delay; messages may overtake each other
-    duplicate: Share = 0.0  # share of the messages that arrive twice, the copy up to `spread` s later
-    reorder: Share = 0.0  # share of the messages that are held back by up to `spread` s
+    duplicate: Fraction = 0.0  # share of the messages that arrive twice, the copy up to `spread` s later
+    reorder: Fraction = 0.0  # share of the messages that are held back by up to `spread` s
     spread: NotNegative = 0.2  # s
-    flip: Share = 0.0  # share of the messages that are spoilt: one bit is wrong, or eight bytes are all ones, which is no number
+    flip: Fraction = 0.0  # share of the messages that are spoilt: one bit is wrong, or eight bytes are all ones, which is no number
 
 
 AT_ONCE = 8  # messages: numpy takes as long to throw the dice of one as of so many
@@ -93,7 +93,7 @@ def spoilt(payload: bytes, where: float) -> bytes:
     return bytes(changed)
 
 
-class Reception(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class LinkConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """How one node hears the others: from whom nothing at all, and the conditions of the links that are not clear."""
 
     cut: tuple[str, ...] = ()
@@ -105,11 +105,11 @@ class Ears:
 
     def __init__(self, seed: int, receiver: str) -> None:
         self._seed, self._receiver = seed, receiver
-        self._reception = Reception()
+        self._reception = LinkConditions()
         self._lossy: dict[str, float] = {}  # who is only ever lost, each message on its own, and how large a share
         self._channels: dict[str, Channel] = {}
 
-    def set(self, reception: Reception) -> None:
+    def set(self, reception: LinkConditions) -> None:
         """From now on it hears like this."""
         self._reception, plain = reception, reception.conditions.items()
         self._lossy = {name: condition.drop for name, condition in plain if condition == Condition(drop=condition.drop) != CLEAR}
@@ -131,7 +131,7 @@ class Ears:
 
 
 class LiveLink:
-    """Link faults of one process, set by lines of its standard input: {"links": {...}} as `Reception`. Other lines are ignored."""
+    """Link faults of one process, set by lines of its standard input: {"links": {...}} as `LinkConditions`. Other lines are ignored."""
 
     def __init__(self, seed: int, receiver: str, complain: Callable[[str], None] = lambda text: None) -> None:
         self._ears = Ears(seed, receiver)
@@ -142,7 +142,7 @@ class LiveLink:
         try:
             data = json.loads(line)
             if isinstance(data, dict) and "links" in data:
-                self._ears.set(convert(data["links"], Reception, "links"))
+                self._ears.set(convert(data["links"], LinkConditions, "links"))
         except ValueError as error:
             self._complain(str(error))
 
@@ -163,6 +163,6 @@ def sender_of(key: str) -> str:
     return "world" if parts.kind in ("truth", "observation") else parts.name
 
 
-def as_line(reception: Reception) -> str:
+def as_line(reception: LinkConditions) -> str:
     """A reception as the line that `LiveLink.on_line` reads."""
     return json.dumps({"links": msgspec.to_builtins(reception)})

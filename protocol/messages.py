@@ -35,6 +35,7 @@ from protocol.fields import (
     TARGETS,
     U8,
     Malformed,
+    Name,
     are_plain,
     check_number,
     check_rows,
@@ -45,7 +46,6 @@ from protocol.once import once
 from protocol.sensing import WedgeSensor
 
 WIRE_VERSION = 1
-Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]

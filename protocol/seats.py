@@ -15,7 +15,7 @@ Item = Decoded | Event  # what one message is to a listener: the message, or the
 TO_MANY = (Gossip, Beacon, Hello)  # kinds that wait in the boxes of their listeners until nothing else is left of the instant
 
 
-class Run:
+class MessageRun:
     """Messages to the very same listeners, published one right after the other: read once for all of them."""
 
     def __init__(self, sender: "Seat", item: Item) -> None:
@@ -45,9 +45,9 @@ class Delivery:
         """Of the message; None when it could not be read."""
         return type(self.item.message) if isinstance(self.item, Decoded) else None
 
-    def with_followers(self, ready: deque[Any]) -> Run:
+    def with_followers(self, ready: deque[Any]) -> MessageRun:
         """This message and those next in the queue that are of its kind and go to the very same listeners; they leave the queue."""
-        run = Run(self.sender, self.item)
+        run = MessageRun(self.sender, self.item)
         while ready and isinstance(ready[0], Delivery) and ready[0].listeners is self.listeners and ready[0].kind is self.kind:
             following = ready.popleft()
             run.senders.append(following.sender)
@@ -69,7 +69,7 @@ class Seat:
     work: float = 0.0  # how long it takes over an observation, s
     at_work: bool = False
     armed: float | None = None  # the deadline for which the timer is set
-    box: list[Run] = field(default_factory=list)  # what was said to many in this instant
+    box: list[MessageRun] = field(default_factory=list)  # what was said to many in this instant
     handle: Callable[[Event, float], list[Effect]] = field(init=False)  # those of the node, looked up once
     deadline: Callable[[], float | None] = field(init=False)
 

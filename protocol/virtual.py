@@ -17,7 +17,7 @@ from protocol.messages import Command, Message
 from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.reception import in_batches, read
 from protocol.routes import Routes
-from protocol.seats import TO_MANY, Delivery, Item, Run, Seat, is_observation, place_of
+from protocol.seats import TO_MANY, Delivery, Item, MessageRun, Seat, is_observation, place_of
 
 
 class Link(Protocol):
@@ -168,7 +168,7 @@ class VirtualBus:
                     if seat is not delivery.sender:
                         self._hand(seat, event)
             return
-        run = delivery.with_followers(self._ready) if self.batches else Run(delivery.sender, delivery.item)
+        run = delivery.with_followers(self._ready) if self.batches else MessageRun(delivery.sender, delivery.item)
         for seat in delivery.listeners:
             if len(run.items) > 1 or seat is not delivery.sender:
                 if not seat.box:

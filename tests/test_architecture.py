@@ -419,19 +419,6 @@ def test_nothing_but_a_benchmark_imports_the_benchmarks() -> None:
     assert "deploy.simulation" in graph["deploy.bench"]
 
 
-TWO_MEANINGS = {  # type names with two definitions that wait for the rooms agents, protocol and world to rename one of them
-    "Box",
-    "Command",
-    "Motion",
-    "Name",
-    "Particles",
-    "Reception",
-    "Share",
-    "Together",
-    "Whole",
-}
-
-
 def defined_types(source: Source) -> set[str]:
     """Classes of a file, and names in capitals and small letters that it gives to types."""
     tree = ast.parse(source.text)
@@ -447,5 +434,4 @@ def test_a_type_name_has_one_definition_in_the_project() -> None:
         for name in defined_types(source):
             places.setdefault(name, []).append(source.path)
     twice = {name: paths for name, paths in places.items() if len(paths) > 1}
-    assert {name: paths for name, paths in twice.items() if name not in TWO_MEANINGS} == {}
-    assert not TWO_MEANINGS - set(twice), "these have one definition by now: take them off the list"
+    assert twice == {}

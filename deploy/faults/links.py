@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from deploy.faults.faults import SHARES, Action
-from protocol.links import CLEAR, Condition, Ears, Reception
+from protocol.links import CLEAR, Condition, Ears, LinkConditions
 
 Direction = tuple[str, str]  # sender, receiver
 
@@ -43,10 +43,11 @@ class Links:
         for name in {*self._ears, *self._receivers()}:
             self._ears.setdefault(name, Ears(self._seed, name)).set(self.reception(name))
 
-    def reception(self, receiver: str) -> Reception:
+    def reception(self, receiver: str) -> LinkConditions:
         """How one node hears the others."""
         cut = tuple(sorted(sender for sender, hearer in self._cut if hearer == receiver))
-        return Reception(cut=cut, conditions={sender: found for (sender, hearer), found in self._conditions.items() if hearer == receiver})
+        conditions = {sender: found for (sender, hearer), found in self._conditions.items() if hearer == receiver}
+        return LinkConditions(cut=cut, conditions=conditions)
 
     def torn(self, one: str, other: str) -> bool:
         """Whether the session between two nodes has been cut; one direction is enough."""

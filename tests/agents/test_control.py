@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig, ControlSettings
-from agents.control import LAWS, STAND, Command, Lloyd, RandomWalk, Situation, Static, UniformDensity, approach, control_law
+from agents.control import LAWS, STAND, ControlInput, Lloyd, RandomWalk, Situation, Static, UniformDensity, approach, control_law
 from agents.particles import NONE
 from protocol.geometry import EMPTY, rectangle, wrap_angle
 from protocol.sensing import SENSOR_CLASSES, Pose
@@ -49,7 +49,7 @@ def situation(
 class Spin:
     """A law of the user's own."""
 
-    def command(self, situation: Situation) -> Command:
+    def command(self, situation: Situation) -> ControlInput:
         return (0.0, 0.0), 1.0
 
 

@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 class Stay:
     """A control law that others can import."""
 
-    def command(self, situation: covey.Situation) -> covey.Command:
+    def command(self, situation: covey.Situation) -> covey.ControlInput:
         return covey.STAND
 
 

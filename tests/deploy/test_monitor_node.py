@@ -44,7 +44,7 @@ def truth(tick: int, alive: tuple[str, ...] = ("a", "b")) -> Received:
             in_view=1,
             alive=alive,
         ),
-        100,
+        payloads=[bytes(100)],
     )
 
 
@@ -64,7 +64,7 @@ def estimate(name: str, tick: int, cell: np.ndarray, targets: np.ndarray | None 
             targets_bytes=pack(targets, "<f8"),
             counters={"rounds": tick + 1},
         ),
-        50,
+        payloads=[bytes(50)],
     )
 
 
@@ -166,7 +166,7 @@ def test_the_mass_residual_compares_what_an_agent_says_with_the_particles_it_pub
         states_bytes=pack(np.zeros((3, 4)), "<f4"),
         ids_bytes=pack(np.arange(3), "<u8"),
     )
-    scorer.handle(received(gossip, 10), 0.0)
+    scorer.handle(received(gossip, payloads=[bytes(10)]), 0.0)
     assert scorer.result(1.0).mass_residual == 0.25
 
 

@@ -20,9 +20,10 @@ from deploy.recording.rescore import difference, rescore, write_scores
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.scoring.result import Fault, Result
 from deploy.simulation import Simulation
+from protocol import codec
 from protocol.keys import message_key
-from protocol.messages import KINDS, Command, Truth
-from protocol.node import Alive, Gone, Received, Rejected, received
+from protocol.messages import KINDS, Command, Message, Truth
+from protocol.node import Alive, Gone, Received, Rejected, messages_of, received
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,6 +36,15 @@ def scenario(**more: object) -> Scenario:
 
 def command(tick: int) -> Command:
     return Command(sender="s1", incarnation=1, tick=tick, velocity=(1.0, 0.0), turn_rate=0.0)
+
+
+def heard(message: Message) -> Received:
+    """A message with what was on the wire."""
+    return received(message, payloads=[codec.encode(message)])
+
+
+def payloads_of(events: list[Received]) -> list[bytes]:
+    return [payload for event in events for payload in event.batch.payloads]
 
 
 def recorded_run(path: Path, of: Scenario) -> tuple[Simulation, Result]:
@@ -53,14 +63,14 @@ def heard_truths(of: Scenario) -> list[Received]:
 
 def test_payloads_come_back_byte_for_byte_in_order_under_their_keys(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "a.mcap", scenario())
-    sent = [received(command(tick)) for tick in range(300)]
+    sent = [heard(command(tick)) for tick in range(300)]
     for event in sent:
         recorder.see(event, 0.0)
     recorder.close()
     entries = list(Recording(tmp_path / "a.mcap").entries())
-    assert [entry.payload for entry in entries] == [event.payload for event in sent]
+    assert [entry.payload for entry in entries] == payloads_of(sent)
     assert {entry.key for entry in entries} == {message_key("short", command(0))}
-    assert [event_of(entry) for entry in entries] == sent
+    assert [messages_of(event_of(entry)) for entry in entries] == [event.batch.messages for event in sent]
 
 
 def test_tokens_and_what_was_rejected_come_back_as_the_same_events(tmp_path: Path) -> None:
@@ -149,7 +159,7 @@ def test_a_file_that_lost_its_end_is_read_as_far_as_it_is_whole(tmp_path: Path, 
 def test_a_chunk_that_was_cut_through_costs_only_itself(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "a.mcap", scenario())
     for tick in range(40):
-        recorder.see(received(command(tick)), 0.0)
+        recorder.see(heard(command(tick)), 0.0)
         if tick % 10 == 9:
             recorder.flush()
     data = (tmp_path / "a.mcap").read_bytes()
@@ -167,7 +177,9 @@ def test_one_large_chunk_takes_the_place_of_the_small_ones_and_what_is_read_stay
         recorder.flush()
         recording = Recording(tmp_path / "a.mcap")
         assert not recording.is_whole
-        assert [entry.payload for entry in recording.entries()] == [event.payload for event in truths[:number]]
+        assert [entry.payload for entry in recording.entries()] == [
+            payload for event in truths[:number] for payload in event.batch.payloads
+        ]
         spans.append(len(recording.spans))
     recorder.close()
     recording = Recording(tmp_path / "a.mcap")
@@ -175,7 +187,7 @@ def test_one_large_chunk_takes_the_place_of_the_small_ones_and_what_is_read_stay
     assert spans == [*range(1, small + 1), *range(2, len(truths) - small + 2)]
     assert len(recording.spans) == 2
     assert recording.is_whole
-    assert [entry.payload for entry in recording.entries()] == [event.payload for event in truths]
+    assert [entry.payload for entry in recording.entries()] == payloads_of(truths)
 
 
 def test_the_recording_of_a_simulation_is_the_same_to_the_last_byte_every_time(tmp_path: Path) -> None:
@@ -187,9 +199,9 @@ def test_the_recording_of_a_simulation_is_the_same_to_the_last_byte_every_time(t
 @pytest.mark.parametrize("whole", [True, False])
 def test_faults_that_do_not_show_by_themselves_stand_in_the_recording(tmp_path: Path, whole: bool) -> None:
     recorder = Recorder(tmp_path / "a.mcap", scenario())
-    recorder.see(received(command(1)), 0.0)
+    recorder.see(heard(command(1)), 0.0)
     recorder.note_fault(Fault(12.25, "partition", "cut off s1"))
-    recorder.see(received(command(2)), 0.0)
+    recorder.see(heard(command(2)), 0.0)
     recorder.note_fault(Fault(13.0, "pause", "pause s2, s3", "s2,s3"))
     recorder.note_fault(Fault(14.0, "heal", "all links are clear again"))
     data = (tmp_path / "a.mcap").read_bytes()  # as a kill would leave it
@@ -209,13 +221,13 @@ def test_faults_that_do_not_show_by_themselves_stand_in_the_recording(tmp_path: 
 KILLED = """
 import sys, time
 from pathlib import Path
-from tests.deploy.test_recorder import Recorder, command, received, scenario
+from tests.deploy.test_recorder import Recorder, command, heard, scenario
 recorder = Recorder(Path(sys.argv[1]), scenario())
 for tick in range(50):
-    recorder.see(received(command(tick)), 0.0)
+    recorder.see(heard(command(tick)), 0.0)
 recorder.flush()
 for tick in range(50, 60):
-    recorder.see(received(command(tick)), 0.0)
+    recorder.see(heard(command(tick)), 0.0)
 print("ready", flush=True)
 time.sleep(60)
 """
@@ -235,13 +247,13 @@ def test_a_recorder_that_is_killed_leaves_all_that_it_had_flushed(tmp_path: Path
 FULL = """
 import resource, signal, sys
 from pathlib import Path
-from tests.deploy.test_recorder import Recorder, command, received, scenario
+from tests.deploy.test_recorder import Recorder, command, heard, scenario
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 recorder = Recorder(Path(sys.argv[1]), scenario())
 room = recorder.file_bytes + 3000
 resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 for tick in range(3000):
-    recorder.see(received(command(tick)), 0.0)
+    recorder.see(heard(command(tick)), 0.0)
     if tick % 50 == 49:
         recorder.flush()
 recorder.close()

@@ -39,11 +39,6 @@ def test_trials_of_one_seed_share_targets_and_starts_whatever_the_method() -> No
     assert tracks(trial("power")) != tracks(trial("power", seed=4))
 
 
-def test_without_the_codec_the_transcript_is_the_same_to_the_last_bit() -> None:
-    scenario = trial().resolve()
-    assert simulate(scenario, use_codec=True).transcript == simulate(scenario).transcript
-
-
 def test_a_trial_is_repeated_by_the_command_in_its_row() -> None:
     """The words of the command, read as `covey simulate` reads them, resolve to the same scenario."""
     one = trial("voronoi-cod", **{"team.triple": "ABC", "detection.clutter": 0.25, "filter.border": "reflect"})

@@ -54,7 +54,7 @@ def test_a_listener_hands_on_what_is_ours_and_what_is_not_and_stops_on_demand() 
     node = listener(on_heard)
     assert node.handle(Started(), 0.0) == [Subscribe("covey/r/**")]
     assert node.deadline() is None
-    assert node.handle(received(COMMAND), 1.0) == []
+    assert node.handle(received(COMMAND, payloads=[codec.encode(COMMAND)]), 1.0) == []
     assert node.handle(Rejected("x", "key", "covey/r/strange/x", b"\x01"), 2.0) == [Stop(0, "enough")]
     assert heard[0] == KeyedPayload("covey/r/command/s1", codec.encode(COMMAND), COMMAND, "")
     assert heard[1] == KeyedPayload("covey/r/strange/x", b"\x01", None, "key")

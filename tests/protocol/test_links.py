@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from protocol.links import CLEAR, Channel, Condition, Ears, LiveLink, Reception, as_line, sender_of, spoilt
+from protocol.links import CLEAR, Channel, Condition, Ears, LinkConditions, LiveLink, as_line, sender_of, spoilt
 
 
 def arrivals(condition: Condition, number: int = 20000, seed: int = 1) -> list[list[tuple[float, bytes]]]:
@@ -74,7 +74,7 @@ def test_each_direction_has_dice_of_its_own_and_the_same_seed_repeats_them() -> 
 
 def test_ears_are_deaf_to_those_who_are_cut_off_and_clear_to_all_others() -> None:
     ears = Ears(1, "b")
-    ears.set(Reception(cut=("a",), conditions={"c": Condition(delay=1.0)}))
+    ears.set(LinkConditions(cut=("a",), conditions={"c": Condition(delay=1.0)}))
     assert ears.hear("a", b"x") == []
     assert ears.hear("c", b"x") == [(1.0, b"x")]
     assert ears.hear("d", b"x") == [(0.0, b"x")]
@@ -83,14 +83,14 @@ def test_ears_are_deaf_to_those_who_are_cut_off_and_clear_to_all_others() -> Non
 def test_a_process_hears_by_the_line_it_was_sent_and_goes_on_as_before_after_a_wrong_one() -> None:
     complaints: list[str] = []
     link = LiveLink(1, "s2", complaints.append)
-    link.on_line(as_line(Reception(cut=("s1",))))
+    link.on_line(as_line(LinkConditions(cut=("s1",))))
     assert link.incoming("covey/r/gossip/s1", b"x") == []
     for wrong in ("", "no json", json.dumps({"links": {"cut": 3}}), json.dumps({"links": {"kut": []}}), json.dumps([1])):
         link.on_line(wrong)
     assert len(complaints) == 4
     assert link.incoming("covey/r/gossip/s1", b"x") == [] and link.incoming("covey/r/gossip/s3", b"x") == [(0.0, b"x")]
     assert link.outgoing("covey/r/gossip/s2", b"x") == [(0.0, b"x")]
-    link.on_line(as_line(Reception()))
+    link.on_line(as_line(LinkConditions()))
     assert link.incoming("covey/r/gossip/s1", b"x") == [(0.0, b"x")]
 
 
@@ -113,7 +113,7 @@ def test_a_link_that_only_loses_loses_what_one_loses_of_which_more_is_asked(drop
     heard = []
     for condition in (Condition(drop=drop), Condition(drop=drop, spread=0.1)):  # nothing is held back, so how long it would be says nothing
         ears = Ears(3, "b")
-        ears.set(Reception(conditions={"a": condition}))
+        ears.set(LinkConditions(conditions={"a": condition}))
         heard.append([ears.hear("a", b"payload") for _ in range(200)])
     assert heard[0] == heard[1]
     lost = sum(not copies for copies in heard[0])

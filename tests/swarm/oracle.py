@@ -51,7 +51,6 @@ class Beside:
 
     scenario: Scenario
     arithmetic: Backend = PLAIN
-    use_codec: bool = True
     link: Link | None = None
     distances: list[ParticleDifference] = field(default_factory=list)  # of the agents' own particles from the filter's, after each tick
     swarm: list[float] = field(default_factory=list)  # OSPA of what the agents report, m, by tick

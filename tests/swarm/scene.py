@@ -83,7 +83,6 @@ class Watched:
 def watch(
     scenario: Scenario,
     *,
-    use_codec: bool = True,
     arithmetic: Backend | None = None,
     clock: Literal["lockstep", "realtime"] = "lockstep",
     at_tick: Callable[[int, Simulation], None] = lambda tick, simulation: None,

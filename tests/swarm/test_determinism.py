@@ -33,10 +33,6 @@ def test_another_seed_gives_another_run() -> None:
     assert runs[0].transcript != runs[1].transcript
 
 
-def test_bytes_on_the_wire_change_nothing() -> None:
-    assert transcript(use_codec=True) == transcript()
-
-
 @pytest.mark.parametrize("interest", ["all", "neighbours"])
 def test_taking_what_comes_in_an_instant_together_changes_nothing(interest: str) -> None:
     """The bus hands out messages one by one, or as batches."""

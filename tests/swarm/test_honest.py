@@ -24,7 +24,7 @@ CLUTTER = (0.0, 0.1, 1.0, 10.0)
 def played(team: str, seed: int, **settings: Any) -> Simulation:
     """A run of the scene; settings as section__field."""
     options = {"team.composition": team, "run.seed": seed} | {name.replace("__", "."): value for name, value in settings.items()}
-    return Simulation(resolve(SCENE, options), use_codec=False)
+    return Simulation(resolve(SCENE, options))
 
 
 def scores(team: str, seed: int, **settings: Any) -> list[Score]:

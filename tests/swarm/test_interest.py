@@ -12,12 +12,12 @@ from deploy.simulation import Simulation
 from protocol.geometry import polygon_area, polygon_centroid
 from protocol.keys import all_of
 from protocol.messages import Beacon, Estimate
-from protocol.node import Effect, Event, Started, Subscribe, messages_of
+from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
 from tests.swarm.scene import Listener, ledger, tracking, watch
 
 
 @dataclass
-class Beacons:
+class Beacons(Node):
     """A Node that keeps all beacons."""
 
     run: str

@@ -13,7 +13,7 @@ raises `BadSetting`, a ValueError of one line. Every name is imported when it is
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from agents.control import STAND, Command, ControlLaw, Situation, approach
+    from agents.control import STAND, ControlInput, ControlLaw, Situation, approach
     from covey.runs import Run, load, scenario, simulate
     from covey.studies import Study, load_study, study
     from deploy.installation import VERSION as __version__
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "STAND",
     "BadSetting",
-    "Command",
+    "ControlInput",
     "ControlLaw",
     "Pose",
     "Run",
@@ -42,7 +42,7 @@ __all__ = [
     "study",
 ]
 _SENSING = ("Pose", "SensorModel", "WedgeSensor")
-_CONTROL = ("STAND", "Command", "ControlLaw", "Situation", "approach")
+_CONTROL = ("STAND", "ControlInput", "ControlLaw", "Situation", "approach")
 _STUDIES = ("Study", "load_study", "study")
 
 
