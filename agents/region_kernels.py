@@ -15,7 +15,7 @@ from agents.numba_cache import cached
 from agents.update_kernels import update
 from agents.words import PARTICLES, WEIGHT
 
-Limits = tuple[float, float, float, float]  # west, south, east and north, m
+BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
 SIZES = 4  # first columns of a result: how many particles were updated, are owned and were drawn, and how many targets are reported
 SUMS = 5  # and the next: mass, its sums of x and y, load and detected
 
@@ -45,7 +45,7 @@ def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: 
 @njit
 def _surroundings(
     corners: np.ndarray, table: np.ndarray, spans: np.ndarray, width: float, step: float
-) -> tuple[Limits, tuple[float, float, float]]:
+) -> tuple[BoxLimits, tuple[float, float, float]]:
     """A box around all cells and a disc (x, y, radius) around all footprints, m; of a single owner just its own."""
     x, y, radius = table[spans[0, 0], 0], table[spans[0, 0], 1], 0.0
     for k in range(len(spans)):
@@ -56,14 +56,14 @@ def _surroundings(
 
 
 @njit
-def _within(x: float, y: float, box: Limits, disc: tuple[float, float, float]) -> bool:
+def _within(x: float, y: float, box: BoxLimits, disc: tuple[float, float, float]) -> bool:
     """Whether a place lies in a box or in a disc."""
     dx, dy = x - disc[0], y - disc[1]
     return ((box[0] <= x) & (x <= box[2]) & (box[1] <= y) & (y <= box[3])) | (dx * dx + dy * dy <= disc[2] * disc[2])
 
 
 @njit
-def _candidates(said: tuple, others: tuple, box: Limits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _candidates(said: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the particles in gossips (states float32, ids, and rows that say how many each and their weight) and of others behind them
     (states, weights, ids): those in a box or in a disc, as places, ids and weights."""
     said_states, said_ids, table = said
@@ -91,7 +91,7 @@ def _candidates(said: tuple, others: tuple, box: Limits, disc: tuple) -> tuple[n
 
 
 @njit
-def _predict(said: tuple, others: tuple, births: tuple, box: Limits, disc: tuple, motion: tuple) -> tuple:
+def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
     """The candidates in ascending order of id and one step on, each id once, and the births behind them: x, y, states, weights, ids, and
     the number of those that are no births."""
     places, names, masses = _candidates(said, others, box, disc)
