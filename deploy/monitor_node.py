@@ -58,12 +58,12 @@ class Scorer(Node):
         self.on_told: Callable[[Told], None] = lambda told: None  # called with what came of an event, once it is known
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
         self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
-        self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, sections: None  # called when settings differ
+        self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, fields: None  # called when settings differ
         self.greeted: set[str] = set()  # who has been heard at all
         self.losses = Losses()
         self.pace = Pace(scenario)
         self._settings = agent_config(scenario).agreed()
-        self._differing: dict[str, tuple[str, ...]] = {}  # by name: the sections in which settings differ
+        self._differing: dict[str, tuple[str, ...]] = {}  # by name: the fields in which settings differ
         self._scenario = scenario
         self._area = scenario.arena.width * scenario.arena.height
         self._coverage = Coverage(scenario)

@@ -69,7 +69,7 @@ FULL: dict[str, Message] = {
         max_turn_rate=5.0,
         heard=("s2",),
         local=True,
-        settings={"arena": 2**32 - 1},
+        settings={"arena": {"width": 40.0}, "filter": {"seed": 7, "border": "cross"}, "birth": {"background": True}},
     ),
     "beacon": Beacon(
         sender="s1",
@@ -180,6 +180,9 @@ def is_of_type(value: Any, row: Row) -> bool:
         return type(value) is list and all(type(part) is str for part in value)
     if row.type == "map of texts to integers":
         return type(value) is dict and all(type(name) is str and type(count) is int for name, count in value.items())
+    if row.type == "map of sections":
+        settings = [setting for section in value.values() for setting in section.values()]
+        return all(type(setting) in (bool, int, float, str) for setting in settings)
     if row.type == "wedge or nil":
         return value is None or (
             list(value) == [part.field for part in SENSOR] and all(is_of_type(value[part.field], part) for part in SENSOR)
@@ -321,7 +324,7 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
     elif row.type == "list of texts" and most:
         assert refusal(kind, {**plain(kind), row.field: ["s1"] * (int(most[1]) + 1)}) in ("size", "shape")  # shape: the array is shorter
     else:
-        assert row.type in ("text", "integer", "boolean", "list of texts", "map of texts to integers", "wedge or nil")
+        assert row.type in ("text", "integer", "boolean", "list of texts", "map of texts to integers", "map of sections", "wedge or nil")
 
 
 @pytest.mark.parametrize("row", SENSOR, ids=lambda row: row.field)
@@ -341,6 +344,19 @@ def test_the_limits_of_a_wedge_are_those_of_the_page(row: Row) -> None:
         )
         == "format"
     )
+
+
+def test_the_limits_of_settings_are_those_of_the_page() -> None:
+    row = next(row for row in FIELDS["hello"] if row.field == "settings")
+    most, value_size, largest = (float(number) for number in re.findall(r"\d[\de+]*", row.limits))
+
+    def with_settings(settings: dict[str, Any]) -> str | None:
+        return refusal("hello", {**plain("hello"), "settings": settings})
+
+    assert with_settings({"a": {"b": "x" * int(most - 2)}}) is None and with_settings({"a": {"b": "x" * int(most - 1)}}) == "size"
+    full = {"x" * int(most - value_size - 1): {"b": 1.5}}
+    assert with_settings(full) is None and with_settings({**full, "a": {}}) == "size"
+    assert with_settings({"a": {"b": -largest}}) is None and with_settings({"a": {"b": math.nextafter(largest, math.inf)}}) == "range"
 
 
 def test_the_version_and_the_size_limit_of_the_page_are_those_of_the_code() -> None:
