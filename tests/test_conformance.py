@@ -4,6 +4,7 @@ Nothing of ours is used to read a message; the encoder writes it. A second group
 fields of the page against our decoder, so that the page cannot go stale.
 """
 
+import inspect
 import json
 import math
 import re
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 import msgpack
 import pytest
 
+from agents.neighbours import OWN, UNASKED, Neighbours
 from protocol.codec import decode, encode
 from protocol.fields import Malformed
 from protocol.keys import message_key
@@ -373,6 +375,12 @@ def test_the_keys_of_the_page_are_those_of_the_code() -> None:
     said = {key.replace("<run>", "demo").replace("<agent>", "s1").replace("<column>/<row>", "4/5") for key in rows if "/alive/" not in key}
     assert said == {message_key("demo", message) for message in FULL.values()}
     assert "covey/<run>/alive/<role>/<name>/<incarnation>" in rows
+
+
+def test_the_page_gives_every_reason_for_which_an_agent_refuses_a_gossip() -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", PAGE.partition("### When a gossip counts")[2].partition("\n## ")[0], re.MULTILINE)
+    source = inspect.getsource(Neighbours._judge).partition('"""')[2].partition('"""')[2]
+    assert set(listed) == {OWN, UNASKED, *re.findall(r'"(\w+)"', source)} and len(listed) == len(set(listed))
 
 
 def test_the_example_in_bytes_is_what_the_encoder_writes() -> None:

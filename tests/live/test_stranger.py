@@ -59,6 +59,23 @@ def test_a_stranger_takes_a_seat_keeps_what_the_others_believe_and_is_followed_b
     assert [score.mass / MASS for score in without] == pytest.approx([1.0] * len(without), abs=0.02)
 
 
+def test_when_a_peer_of_ours_dies_the_stranger_takes_its_part_of_the_cell_with_what_was_believed_there(covey: Covey) -> None:
+    (covey.folder / "three.toml").write_text(LEDGER.replace("L8", "L3"))
+    covey.start("up", "three.toml", "--run", "seat", "--lockstep", "--set", "run.pace=8", "--seconds", "1000", "--record", *PATIENT)
+    covey.running()
+    seat(covey, "240", "8", "1e-12")
+    settled = covey.wait(lambda data: rows(data).get("x1", {}).get("cell", 0.0) > 0.0)["swarm"]["tick"]
+    covey.wait(lambda data: data["swarm"]["tick"] > settled + 8)
+    assert covey.run("kill", "s2,s3")[0] == 0
+    killed = covey.wait(lambda data: not rows(data)["s2"]["alive"] and not rows(data)["s3"]["alive"])["swarm"]["tick"]
+    covey.wait(lambda data: data["swarm"]["tick"] > killed + 16)
+    assert covey.run("down")[0] == 0
+
+    scores = Journal(covey).after(killed + 6)
+    assert len(scores) >= 8 and max(score.hole for score in scores) <= 1e-6 and max(score.overlap for score in scores) <= 1e-6
+    assert [score.mass / MASS for score in scores] == pytest.approx([1.0] * len(scores), abs=0.02)
+
+
 def test_a_stranger_sees_targets_and_moves_to_where_the_others_say_they_are(covey: Covey) -> None:
     words = ("--run", "seat", "--lockstep", "--set", "run.pace=8", "--set", "team.composition=A1,B2", "--seconds", "1000", "--record")
     covey.start("up", "quick", *words, *PATIENT)

@@ -3,6 +3,8 @@
 import hashlib
 import json
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -97,3 +99,16 @@ def test_settings_that_are_too_many_or_no_plain_values_are_refused(settings: dic
 
 def test_settings_of_just_the_largest_size_are_taken() -> None:
     Hello(sender="s1", incarnation=1, settings={"a": {"b": "x" * (MAX_SETTINGS - 2)}}).check()
+
+
+def test_the_page_lists_just_the_settings_that_a_hello_says() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+    listed: dict[str, set[str]] = {}
+    section = ""
+    for line in page.partition("### Agreement")[2].partition("\n### ")[0].splitlines():
+        row = re.fullmatch(r"\|(?: `([\w.<>]+)`)? \| (`.+?`) \|.*", line)
+        if row:
+            section = row[1] or section
+            listed.setdefault(section, set()).update(re.findall(r"`(\w+)`", row[2]))
+    said = AgentConfig(sensors=MODEL).agreed()
+    assert listed == {name.replace("sensors.R", "sensors.<class>"): set(values) for name, values in said.items()}
