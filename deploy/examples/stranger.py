@@ -155,13 +155,13 @@ class Stranger:
                 self.close()
             until = min(self.greet_at, self.close_at) if self.open else self.greet_at
             with suppress(queue.Empty):
-                self.take(events.get(timeout=max(0.0, until - now)), now)
+                self.take(events.get(timeout=max(0.0, until - now)))
 
-    def take(self, sample: zenoh.Sample, now: float) -> None:
+    def take(self, sample: zenoh.Sample) -> None:
         """A token that comes or goes, a Hello, a gossip, or what my sensor has seen."""
-        _, _, kind, *rest = str(sample.key_expr).split("/")
+        (_, _, kind, *rest), now = str(sample.key_expr).split("/"), time.monotonic()
         if kind == "alive" and rest[1] != self.name:
-            self.greet_at, self.last[rest[1]] = now, self.tick
+            self.greet_at, _ = now, self.last.pop(rest[1], None)
             (self.alive.add if sample.kind == zenoh.SampleKind.PUT else self.alive.discard)((rest[1], int(rest[2])))
         elif kind == "alive" and int(rest[2]) > self.incarnation:
             raise SystemExit(3)  # a younger process has my name
@@ -193,7 +193,7 @@ class Stranger:
     def awaited(self) -> set[str]:
         """The peers whose gossip of this round is still to come: alive, and not silent for long."""
         oldest = self.tick - self.settings["timing"]["silent_rounds"]
-        return {name for name, _ in self.alive if self.last[name] >= oldest} - self.gossips.get(self.tick, {}).keys()
+        return {name for name, _ in self.alive if self.last.get(name, self.tick) >= oldest} - self.gossips.get(self.tick, {}).keys()
 
     def generators(self) -> list[Row]:
         """The generators of this round in the order of names: of each who lives and has a cell the newest gossip, if it is not too old."""

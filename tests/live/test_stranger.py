@@ -19,9 +19,9 @@ EXAMPLE = ROOT / "deploy" / "examples" / "stranger.py"
 
 
 def seat(covey: Covey, *words: str) -> subprocess.Popen[str]:
-    """The example as a process of its own, far from the source of ours, in the running swarm; it waits for all peers in every round."""
+    """The example as a process of its own in the running swarm, with its numbers: degrees, m, probability, s for which it waits."""
     run = Path(os.path.realpath(covey.runs / "latest")).name
-    program = [sys.executable, "-P", str(EXAMPLE), run, covey.seeds()[0], "x1", *words, "30"]
+    program = [sys.executable, "-P", str(EXAMPLE), run, covey.seeds()[0], "x1", *words]
     environment = {**os.environ, "COVEY_RUNS": str(covey.runs)}
     process = subprocess.Popen(program, cwd=covey.folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     covey.started.append(process)
@@ -33,7 +33,7 @@ def test_a_stranger_takes_a_seat_keeps_what_the_others_believe_and_is_followed_b
     (covey.folder / "three.toml").write_text(LEDGER.replace("L8", "L3"))
     covey.start("up", "three.toml", "--run", "seat", "--lockstep", "--set", "run.pace=8", "--seconds", "1000", "--record", *PATIENT)
     covey.running()
-    stranger = seat(covey, "240", "8", "1e-12")
+    stranger = seat(covey, "240", "8", "1e-12", "30")
     there = covey.wait(lambda data: rows(data).get("x1", {}).get("cell", 0.0) > 0.0)
     assert rows(there)["x1"]["state"] == "guest"
     settled = there["swarm"]["tick"]
@@ -63,7 +63,7 @@ def test_when_a_peer_of_ours_dies_the_stranger_takes_its_part_of_the_cell_with_w
     (covey.folder / "three.toml").write_text(LEDGER.replace("L8", "L3"))
     covey.start("up", "three.toml", "--run", "seat", "--lockstep", "--set", "run.pace=8", "--seconds", "1000", "--record", *PATIENT)
     covey.running()
-    seat(covey, "240", "8", "1e-12")
+    seat(covey, "240", "8", "1e-12", "30")
     settled = covey.wait(lambda data: rows(data).get("x1", {}).get("cell", 0.0) > 0.0)["swarm"]["tick"]
     covey.wait(lambda data: data["swarm"]["tick"] > settled + 8)
     assert covey.run("kill", "s2,s3")[0] == 0
@@ -76,11 +76,11 @@ def test_when_a_peer_of_ours_dies_the_stranger_takes_its_part_of_the_cell_with_w
     assert [score.mass / MASS for score in scores] == pytest.approx([1.0] * len(scores), abs=0.02)
 
 
-def test_a_stranger_sees_targets_and_moves_to_where_the_others_say_they_are(covey: Covey) -> None:
-    words = ("--run", "seat", "--lockstep", "--set", "run.pace=8", "--set", "team.composition=A1,B2", "--seconds", "1000", "--record")
-    covey.start("up", "quick", *words, *PATIENT)
+def test_in_real_time_a_stranger_moves_within_the_limits_and_cuts_the_diagram_of_the_others(covey: Covey) -> None:
+    words = ("--run", "seat", "--rate", "0.5", "--set", "team.composition=A1,B2", "--seconds", "1000", "--record")
+    covey.start("up", "quick", *words, "--set", "network.lease=30")
     covey.running()
-    seat(covey, "90", "8", "0.9")
+    seat(covey, "90", "8", "0.9", "0.4")
     there = covey.wait(lambda data: rows(data).get("x1", {}).get("cell", 0.0) > 0.0)
     settled = there["swarm"]["tick"]
     covey.wait(lambda data: data["swarm"]["tick"] > settled + 24)
@@ -94,4 +94,5 @@ def test_a_stranger_sees_targets_and_moves_to_where_the_others_say_they_are(cove
     assert all(math.hypot(*said.velocity) <= 2.0 + 1e-9 and abs(said.turn_rate) <= 5.0 for said in commands)
     estimates = [said for _, said in journal.said(Estimate) if said.tick >= settled and said.sender == "x1"]
     assert max(polygon_area(said.cell) for said in estimates) > 0.0
-    assert max(score.overlap for score in journal.after(settled + 2)) <= 1e-6
+    views = [{said.view for _, said in journal.said(Estimate) if said.tick == tick} for tick in range(settled + 2, settled + 24)]
+    assert sum(len(view) == 1 for view in views) >= 18, views  # the clock runs here, and a gossip may be late
