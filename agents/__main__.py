@@ -8,18 +8,18 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # numpy reads it when it is imported; its threads only cost here
 
 from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from protocol import process
 from protocol.settings import BadSetting
 
 
-def build(config: AgentConfig, name: str, incarnation: int, arithmetic: Arithmetic = PLAIN) -> Agent:
+def build(config: AgentConfig, name: str, incarnation: int, backend: Backend = PLAIN) -> Agent:
     """The agent of that name; raises BadSetting when nothing says which sensor it carries."""
     if name not in config.members:
         known = f"the roster has no such member; it has {', '.join(config.members)}" if config.members else "the file has no roster"
         raise BadSetting(f"--name {name}: {known}. --sensor CLASS says which sensor it carries")
-    return Agent(config, name, incarnation, arithmetic)
+    return Agent(config, name, incarnation, backend)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ from collections import Counter
 
 from agents import speech
 from agents.accord import Accord
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.backend import PLAIN
+from agents.backend import Backend as Arithmetic
 from agents.belief import start
 from agents.births import prior, prior_around, prior_size
 from agents.config import AgentConfig
@@ -17,7 +18,7 @@ from agents.greetings import SOON, Greetings
 from agents.lookout import Lookout
 from agents.neighbours import ACCEPTED, OWN, UNASKED, Neighbours
 from agents.particles import NONE
-from agents.round import Outcome, oneself, play
+from agents.round import RoundResult, context_of, run_round
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import QUIET, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
@@ -43,12 +44,12 @@ class Agent(Node):
         self.counters: Counter[str] = Counter()
         self.neighbours = Neighbours(config, name)
         self.tick = -1  # of the newest observation
-        self.self = oneself(config, name, self.sensor_class, arithmetic)
+        self.self = context_of(config, name, self.sensor_class, arithmetic)
         self.local = self.neighbours.local
         self.sees_all_tokens = not self.local
         self._lookout = Lookout(self.self, self.neighbours, incarnation) if self.local else None
         everywhere = NONE if self.local else prior(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena)
-        self.outcome = Outcome(start(everywhere, name), self.self.facts.capability)
+        self.outcome = RoundResult(start(everywhere, name), self.self.facts.capability)
         self._presence = Presence(name, ["world"] if self.local else [*config.others(name), "world"])
         self._world = 0  # incarnation of the world
         self._observation: Observation | None = None  # of the open round
@@ -158,7 +159,7 @@ class Agent(Node):
         nearby = lookout.surroundings(observation, self.outcome)
         config = self.config
         known = prior_around(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena, nearby)
-        self.outcome = Outcome(start(known, self.name), self.self.facts.capability)
+        self.outcome = RoundResult(start(known, self.name), self.self.facts.capability)
         return [*effects, *self._speak(observation, now)]
 
     def _on_gossips(self, batch: Batch, now: float) -> list[Effect]:
@@ -272,7 +273,7 @@ class Agent(Node):
         observation, gossip = self._observation, self._gossip
         assert observation is not None and gossip is not None
         heard = self.neighbours.fresh(self.tick)
-        self.outcome = play(self.self, self.outcome, self.neighbours, gossip, heard)
+        self.outcome = run_round(self.self, self.outcome, self.neighbours, gossip, heard)
         missing = self.neighbours.close(self.tick, newcomer=self._listening > 0)
         if self._listening:
             self._listen_on(len(heard), missing)

@@ -6,16 +6,18 @@ lands in exactly one cell, and the particles of a dead agent live on in the copi
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from agents.arithmetic import Arithmetic
+from agents.backend import Backend
 from agents.claims import NO_CLAIM, Claim, end_to_end, make_claim
-from agents.config import AgentConfig
 from agents.particles import NONE, Particles, canonical, join, select
+from agents.regions import RegionUpdate, predict
 from agents.step import Step
+from agents.tracker import Diagram, OwnedState, RegionInput
 from agents.words import Words, particles_of
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -24,29 +26,20 @@ MOST_COPIES = 6000  # a backstop against growth without bound: so many copies,
 MOST_TIMES = 4.0  # or so many times what a fresh draw of their mass would have
 
 
-class Share(NamedTuple):
-    """What one agent owned after a round: its claim, its particles, and the hash of the diagram that its cell was cut from."""
-
-    owner: str
-    claim: Claim
-    particles: Particles
-    view: int
-
-
-def share_of(gossip: Gossip) -> Share:
+def share_of(gossip: Gossip) -> OwnedState:
     """What a gossip says its sender owns."""
     names = gossip.claim_names
     claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
     particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids)
-    return Share(gossip.sender, claim, particles, gossip.view)
+    return OwnedState(gossip.sender, claim, particles, gossip.view)
 
 
 class Round(NamedTuple):
     """What a round knew of the particles outside the own cell, as far as copies are made of it."""
 
     step: Step
-    arithmetic: Arithmetic
-    told: Words | Particles  # everything that counted, one tick before
+    backend: Backend
+    received: Words | Particles  # everything that counted, one tick before
     polygon: np.ndarray  # the own cell
     claim: Claim
     horizon: float = math.inf  # m from the cell: copies farther away are given up
@@ -56,7 +49,7 @@ class Round(NamedTuple):
 class Copies:
     """What an agent holds of what others own, after a round.
 
-    `near` is what it corrected around its own cell. The rest is what it was told in that round, one step on: it is only computed
+    `near` is what it corrected around its own cell. The rest is what it received in that round, one step on: it is only computed
     when somebody falls silent, because fresh claims replace it otherwise.
     """
 
@@ -66,8 +59,8 @@ class Copies:
     def all(self) -> Particles:
         """Every copy, at the stamp of the belief."""
         if self.round is not None:
-            step, arithmetic, told, polygon, claim, horizon = self.round
-            copies = arithmetic.outlying(self.near, particles_of(told), polygon, claim, horizon, step)
+            step, backend, received, polygon, claim, horizon = self.round
+            copies = backend.remote_copies(self.near, particles_of(received), polygon, claim, horizon, step)
             self.near, self.round = worth_keeping(copies, step.config.filter.particles_per_target), None
         return self.near
 
@@ -87,43 +80,60 @@ class Belief:
     """An agent's belief after the round `stamp`: what it owns, and its copies of everything else."""
 
     stamp: int
-    mine: Share
+    mine: OwnedState
     copies: Copies
     everyone: frozenset[str] = frozenset()  # whose generators made the diagram that `mine` was cut from
-    acquainted: frozenset[str] | None = None  # of what others I knew then, if I hear but a part of all
-
-    def merge(self, words: Words, tick: int, arithmetic: Arithmetic, config: AgentConfig) -> Words | Particles:
-        """Everything at `stamp` that counts, given what all say in the round `tick`, myself included; an id may occur twice.
-
-        Copies count where no fresh claim lies. Where two claims overlap (the views differed), both count within `timing.overlap` m
-        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena; somebody
-        of whom I did not know has cut another one, whatever he says.
-        """
-        # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
-        strangers = set() if self.acquainted is None else words.everyone - self.acquainted - {self.mine.owner}
-        agreed = self.mine.view != 0 and words.claimed == (tick - 1, self.mine.view) and not strangers
-        if agreed and self.everyone and self.everyone <= words.everyone:
-            return words
-        shares = [share_of(gossip) for gossip in words.gossips if gossip.claim_tick == tick - 1 and gossip.sender != self.mine.owner]
-        shares.insert(0, self.mine)
-        claims = end_to_end([share.claim for share in shares])
-        views = [~share.view if share.owner in strangers else share.view for share in shares]
-        told, sizes = join([share.particles for share in shares]), [len(share.particles.ids) for share in shares]
-        kept = arithmetic.undisputed(told.states, sizes, claims, views, config.timing.overlap)
-        copies = self.copies.all()
-        free = arithmetic.unclaimed(copies.states, claims, config.arena)
-        return arithmetic.unite(told, kept, copies, free)
-
-    def awake(self, step: Step, arithmetic: Arithmetic) -> "Belief":
-        """This belief as a copy of the tick before `step.tick`, for an agent that missed rounds: nothing in it is claimed any more."""
-        if self.stamp >= step.tick - 1:
-            return self
-        particles = canonical(join([self.mine.particles, self.copies.all()]))
-        for missed in range(self.stamp + 1, step.tick):
-            particles = arithmetic.predict(particles, step._replace(tick=missed))
-        return Belief(step.tick - 1, Share(self.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
+    acquainted: frozenset[str] | None = None  # which others it knew then, if it hears only a part of all
 
 
 def start(prior: Particles, name: str) -> Belief:
     """The belief before the first round: everybody holds the prior, nobody owns anything."""
-    return Belief(stamp=-1, mine=Share(name, NO_CLAIM, NONE, 0), copies=Copies(prior))
+    return Belief(stamp=-1, mine=OwnedState(name, NO_CLAIM, NONE, 0), copies=Copies(prior))
+
+
+class ParticlePhd(NamedTuple):
+    """The particle PHD as a `Tracker`."""
+
+    backend: Backend
+
+    def predict(self, belief: Belief, step: Step) -> Belief:
+        """See `Tracker`: all particles become copies, and are moved by the keyed noise of the missed ticks."""
+        if belief.stamp >= step.tick - 1:
+            return belief
+        particles = canonical(join([belief.mine.particles, belief.copies.all()]))
+        for missed in range(belief.stamp + 1, step.tick):
+            particles = predict(particles, step._replace(tick=missed))
+        return Belief(step.tick - 1, OwnedState(belief.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
+
+    def merge(self, belief: Belief, table: Words, step: Step) -> Words | Particles:
+        """Everything at `belief.stamp` that counts, given all gossips of the tick, the own one included; an id may occur twice.
+
+        Copies count where no fresh claim lies. Where two claims overlap (the views differed), both count within `timing.overlap` m
+        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena; an
+        agent that was unknown has cut another one, no matter which view it states.
+        """
+        # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
+        strangers = set() if belief.acquainted is None else table.everyone - belief.acquainted - {belief.mine.owner}
+        last, config = step.tick - 1, step.config
+        agreed = belief.mine.view != 0 and table.claimed == (last, belief.mine.view) and not strangers
+        if agreed and belief.everyone and belief.everyone <= table.everyone:
+            return table
+        shares = [share_of(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
+        shares.insert(0, belief.mine)
+        claims = end_to_end([share.claim for share in shares])
+        views = [~share.view if share.owner in strangers else share.view for share in shares]
+        received, sizes = join([share.particles for share in shares]), [len(share.particles.ids) for share in shares]
+        kept = self.backend.resolve_conflicts(received.states, sizes, claims, views, config.timing.overlap)
+        copies = belief.copies.all()
+        free = self.backend.orphaned(copies.states, claims, config.arena)
+        return self.backend.merge(received, kept, copies, free)
+
+    def update(self, received: Words | Particles, table: Words, regions: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
+        """See `regions.update_regions`."""
+        return self.backend.update_regions(table, received, self.backend.background_births(step), regions, step)
+
+    def share(self, received: Words | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step) -> Belief:
+        """See `Tracker`: the drawn particles are owned; the copies are made of the rest when somebody falls silent."""
+        copies = Copies(update.updated, Round(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
+        mine = OwnedState(region.owner, region.claim, update.kept, diagram.view)
+        return Belief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)

@@ -93,16 +93,15 @@ def prior_around(
 def background_births(seed: int, tick: int, dt: float, settings: FilterSettings, birth: BirthSettings, arena: ArenaSettings) -> Particles:
     """New particles of `tick` over the whole arena, a pure function of (seed, tick).
 
-    Their mass is what flows in over the border when the density outside is `prior_density`: density x speed x perimeter / pi
-    per second. The share `border_share` starts on the border with headings inward (cosine law), the rest anywhere. Remembered,
-    because in virtual time every agent asks.
+    Their mass is the `inflow`. The share `border_share` starts on the border with headings inward (cosine law), the rest anywhere;
+    all of it anywhere when nothing crosses the border. Remembered, because in virtual time every agent asks.
     """
     mass, count = inflow(dt, settings, arena), birth.background_particles
     if not birth.background or mass <= 0.0:
         return NONE
     width, height = arena.width, arena.height
     ids = _numbered(key(seed, "background", tick), count)
-    on_border = np.arange(count) < birth.on_border
+    on_border = np.arange(count) < starting_on_border(settings, birth)
     along = uniform(scramble(ids, 1)) * (2.0 * (width + height))
     sideways = 2.0 * uniform(scramble(ids, 2)) - 1.0  # the sine of a cosine-law heading is uniform
     inward = np.sqrt(1.0 - sideways * sideways)
@@ -118,8 +117,24 @@ def background_births(seed: int, tick: int, dt: float, settings: FilterSettings,
 
 
 def inflow(dt: float, settings: FilterSettings, arena: ArenaSettings) -> float:
-    """Expected targets that cross the border inwards in `dt` s when the density outside is `prior_density`."""
+    """Expected targets that come in `dt` s when the density is `prior_density` and stays so.
+
+    They cross the border inwards: density x speed x perimeter / pi per second. Over a border that reflects nothing comes, and births
+    make up for those that die: what nobody sees keeps the mass of the prior.
+    """
+    if settings.border == "reflect":
+        return settings.prior_density * arena.width * arena.height * (1.0 - survival_probability(dt, settings))
     return settings.prior_density * settings.speed * 2.0 * (arena.width + arena.height) / math.pi * dt
+
+
+def survival_probability(dt: float, settings: FilterSettings) -> float:
+    """Probability that a target of mean lifetime `lifetime` s lives another dt s."""
+    return math.exp(-dt / settings.lifetime) if settings.lifetime > 0.0 else 1.0
+
+
+def starting_on_border(settings: FilterSettings, birth: BirthSettings) -> int:
+    """How many of the background births start on the border."""
+    return 0 if settings.border == "reflect" else birth.on_border
 
 
 def _numbered(salt: int, count: int) -> np.ndarray:
@@ -131,14 +146,22 @@ def _directions(bits: np.ndarray) -> np.ndarray:
     return DIRECTIONS[(bits >> np.uint64(52)).astype(np.int64)]
 
 
-def birth_density(particles: Particles, scan: Scan, birth: BirthSettings) -> np.ndarray:
-    """Density of unrepresented targets at each detection, per m^2: the local PHD density, clipped; (M,)."""
+def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth: BirthSettings) -> np.ndarray:
+    """Density of unrepresented targets at each detection, per m^2: the predicted PHD within `radius`, less what explains the detections
+    there, by its area; clipped. `explained` (M,): how far the PHD explains each detection, in targets; the densities are (M,)."""
     if not birth.measurement:
         return np.zeros(len(scan.detections))
-    near = squared_distances(particles.states, scan.detections) <= birth.radius * birth.radius
-    masses = column_sums(np.where(near, particles.weights[:, None], 0.0))
-    local = masses / (math.pi * birth.radius * birth.radius)
-    return np.minimum(np.maximum(local, birth.least_share * scan.clutter_density), birth.most_density)
+    radius2, near = birth.radius * birth.radius, squared_distances(predicted.states, scan.detections)
+    masses = column_sums(np.where(near <= radius2, predicted.weights[:, None], 0.0))
+    others = np.column_stack([scan.detections, scan.detections])
+    known = column_sums(np.where(squared_distances(others, scan.detections) <= radius2, explained[:, None], 0.0))
+    local = (masses - known) / (math.pi * birth.radius * birth.radius)
+    return np.minimum(np.maximum(local, least_density(scan.clutter_density, birth)), birth.most_density)
+
+
+def least_density(clutter_density: float, birth: BirthSettings) -> float:
+    """What a birth density is at least, per m^2: without clutter more than 0, with much of it no more than half the most."""
+    return max(birth.least_density, min(birth.least_share * clutter_density, 0.5 * birth.most_density))
 
 
 def measurement_births(

@@ -68,15 +68,6 @@ def apart(polygon: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
     return nearest, inside
 
 
-@cached
-def distances(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Twin of `geometry.distances`; points may have more than two columns."""
-    nearest, inside = apart(polygon, points[:, 0].copy(), points[:, 1].copy())
-    for n in range(len(points)):
-        nearest[n] = 0.0 if inside[n] else math.sqrt(nearest[n])
-    return nearest
-
-
 @njit
 def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.ndarray:
     """Of which points the `distance` is at most `width` m, (N,) bool."""
@@ -216,25 +207,18 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, t
 
 
 @cached
-def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `cells.cut`: corners (V, 2) in the world, and indices of the bounding generators; both empty for an empty cell."""
-    room = _room(len(radii), len(arena))
-    relative, size, bounding = _cut(index, points, radii, arena, touch, room)
-    corners = np.empty((size, 2))
-    for c in range(size):
-        corners[c, 0], corners[c, 1] = relative[c, 0] + points[index, 0], relative[c, 1] + points[index, 1]
-    return corners, room[2][:bounding].copy()
-
-
-@cached
-def cut_all(points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Every cell as by `cut`: corners and bounding generators, cell after cell, and where those of each begin (N + 1, 2)."""
-    number = len(radii)
-    room, starts = _room(number, len(arena)), np.zeros((number + 1, 2), np.int64)
+def cut_cells(
+    indices: np.ndarray, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Twin of `cells.cut_cells`: corners in the world (V, 2) and bounding generators, cell after cell, and where those of each begin
+    (K + 1, 2); an empty cell has neither."""
+    number = len(indices)
+    room, starts = _room(len(radii), len(arena)), np.zeros((number + 1, 2), np.int64)
     corners, bounds = np.empty((8 * number + 8, 2)), np.empty(10 * number + 10, np.int64)
-    for index in range(number):
+    for k in range(number):
+        index = indices[k]
         relative, size, bounding = _cut(index, points, radii, arena, touch, room)
-        first, bound = starts[index]
+        first, bound = starts[k]
         if first + size > len(corners):
             corners = np.concatenate((corners, np.empty((len(corners) + size, 2))))
         if bound + bounding > len(bounds):
@@ -242,7 +226,7 @@ def cut_all(points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: flo
         for c in range(size):
             corners[first + c, 0], corners[first + c, 1] = relative[c, 0] + points[index, 0], relative[c, 1] + points[index, 1]
         bounds[bound : bound + bounding] = room[2][:bounding]
-        starts[index + 1, 0], starts[index + 1, 1] = first + size, bound + bounding
+        starts[k + 1, 0], starts[k + 1, 1] = first + size, bound + bounding
     return corners[: starts[number, 0]], bounds[: starts[number, 1]], starts
 
 

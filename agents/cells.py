@@ -5,6 +5,7 @@ normal, and a cell need not hold its own generator.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -61,9 +62,9 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) ->
     return Cell(np.array(corners) + points[index], tuple(bounds))
 
 
-def cut_all(points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
-    """Every power cell of a diagram, as by `cut`."""
-    return [cut(index, points, radii, arena) for index in range(len(radii))]
+def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
+    """Some power cells of a diagram, as by `cut`."""
+    return [cut(index, points, radii, arena) for index in indices]
 
 
 def _bisectors(index: int, points: np.ndarray, radii: np.ndarray) -> tuple[list[int], list[float], list[list[float]]]:

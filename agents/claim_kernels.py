@@ -80,8 +80,8 @@ def _likely(x: np.ndarray, y: np.ndarray, generators: np.ndarray, places: np.nda
 
 
 @cached
-def unclaimed(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Twin of `claims.unclaimed`. It asks the nearest owner first: as a rule the point is in his cell; and all owners about the rest."""
+def orphaned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends: np.ndarray, width: float, height: float) -> np.ndarray:
+    """Twin of `claims.orphaned`. It asks the nearest owner first: as a rule the point is in his cell; and all owners about the rest."""
     free, starts = np.ones(len(points), dtype=np.bool_), _starts(ends)
     owners = np.nonzero(starts < ends)[0]
     rows = np.nonzero((points[:, 0] >= 0.0) & (points[:, 0] <= width) & (points[:, 1] >= 0.0) & (points[:, 1] <= height))[0]
@@ -122,10 +122,10 @@ def _depth(x: float, y: float, generators: np.ndarray, start: int, end: int) -> 
 
 
 @cached
-def undisputed(
+def resolve_conflicts(
     points: np.ndarray, sizes: np.ndarray, generators: np.ndarray, ends: np.ndarray, views: np.ndarray, overlap: float
 ) -> np.ndarray:
-    """Twin of `claims.undisputed`."""
+    """Twin of `claims.resolve_conflicts`."""
     number, keep, starts, begin = len(points), np.ones(len(points), dtype=np.bool_), _starts(ends), 0
     x, y, own, seen = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, views.dtype)
     for c in range(len(sizes)):

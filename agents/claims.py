@@ -76,7 +76,7 @@ def depths(points: np.ndarray, claim: Claim) -> np.ndarray:
     return ((distances[:, 1:] - distances[:, :1]) / (2.0 * np.maximum(spans, 1e-9))).min(axis=1)
 
 
-def unclaimed(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.ndarray:
+def orphaned(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.ndarray:
     """Which points (N, 2 or more columns) lie in none of the claimed cells: (N,) bool."""
     free = np.arange(len(points))
     for claim in claims.each:
@@ -86,7 +86,7 @@ def unclaimed(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.nd
     return found
 
 
-def undisputed(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
+def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
     """Which of the points (N, 2 or more columns) that the owners of claims state count, (N,) bool; the first `sizes[0]` are of the first.
 
     All do but those more than `overlap` m deep inside another claim of another view whose owner is nearer in power distance.

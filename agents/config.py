@@ -12,6 +12,7 @@ from protocol.messages import Agreed
 from protocol.settings import Common, NotNegative, Positive, Section, Seed, Share
 
 Particles = Annotated[int, msgspec.Meta(ge=1, le=8000)]
+Certainty = Annotated[float, msgspec.Meta(ge=0.0, le=0.999999)]
 Density = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]  # per m^2
 Distance = Annotated[float, msgspec.Meta(ge=0.1, le=1000.0)]  # m
 
@@ -31,6 +32,9 @@ class FilterSettings(Section, frozen=True, kw_only=True):
     most_particles: Particles = 2000  # per owner
     gate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 6.0  # the likelihood is cut at this many standard deviations
     halo: Positive = 6.0  # what is updated around the own cell, m
+    certainty: Certainty = 0.999  # how sure the filter may be that a target is there: a miss is weighed against that
+    vicinity: Distance = 3.0  # particles this close to each other may be one target, m
+    roughening: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.4  # width of a particle, in units of Silverman's rule
 
 
 class BirthSettings(Section, frozen=True, kw_only=True):
@@ -42,7 +46,8 @@ class BirthSettings(Section, frozen=True, kw_only=True):
     measurement: bool = True
     copies: Particles = 10  # particles per measurement birth
     radius: Distance = 4.0  # the local density is read within this distance, m
-    least_share: NotNegative = 0.25  # the density is at least this share of the clutter density
+    least_density: Density = 1.0e-5  # the density is at least this, per m^2,
+    least_share: NotNegative = 0.25  # and at least this share of the clutter density, but not of more than twice the most
     most_density: Density = 0.001  # and at most this, per m^2
 
     @property

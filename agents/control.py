@@ -98,7 +98,7 @@ def control_law(config: AgentConfig) -> ControlLaw:
         law = load_named(mode)()
     except (ValueError, ImportError, TypeError) as error:
         raise BadSetting(f"control.mode = {mode!r}: {error}") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise BadSetting(f"control.mode = {mode!r}: raised {type(error).__name__}: {error}") from error
     if not callable(getattr(law, "command", None)):
         raise BadSetting(f"control.mode = {mode!r}: the class needs a method command(situation)")

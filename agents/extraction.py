@@ -25,7 +25,7 @@ def estimate_targets(particles: Particles, settings: ExtractionSettings = Extrac
 
     masses = binned(particles.weights)
     east, north = binned(particles.weights * particles.states[:, 0]), binned(particles.weights * particles.states[:, 1])
-    blocks = _block_sums(masses, 2)
+    blocks = block_sums(masses, 2)
     found: list[tuple[float, float]] = []
     while True:
         row, column = divmod(int(blocks.argmax()), shape[1])
@@ -36,12 +36,12 @@ def estimate_targets(particles: Particles, settings: ExtractionSettings = Extrac
         found.append((_window_sum(east, *core, 1) / mass, _window_sum(north, *core, 1) / mass))
         _remove_one(masses, east, north, row, column, core)
         near = (slice(max(row - 6, 0), row + 7), slice(max(column - 6, 0), column + 7))
-        fresh = _block_sums(masses[near], 2)
+        fresh = block_sums(masses[near], 2)
         top, side = row - near[0].start, column - near[1].start
         blocks[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5] = fresh[max(top - 4, 0) : top + 5, max(side - 4, 0) : side + 5]
 
 
-def _block_sums(masses: np.ndarray, half: int) -> np.ndarray:
+def block_sums(masses: np.ndarray, half: int) -> np.ndarray:
     """Sums over the (2 half + 1)^2 block around each bin; the margin of `half` bins is 0 or incomplete."""
     rows = np.zeros_like(masses)
     for shift in range(-half, half + 1):

@@ -8,7 +8,7 @@ from agents.numba_cache import cached
 
 
 @cached
-def _block(masses: np.ndarray, row: int, column: int) -> float:
+def block(masses: np.ndarray, row: int, column: int) -> float:
     total = 0.0
     for c in range(column - 2, column + 3):
         line = 0.0
@@ -92,5 +92,5 @@ def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, thres
                 unit -= min(unit, mass)
         for peak in range(number):
             if abs(rows[peak] - row) <= 4 and abs(columns[peak] - column) <= 4:
-                blocks[peak] = _block(masses, rows[peak], columns[peak])
+                blocks[peak] = block(masses, rows[peak], columns[peak])
     return found[:targets]

@@ -59,17 +59,6 @@ def move_one(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: 
     return x, y, vx, vy, 0.0 <= x <= width and 0.0 <= y <= height
 
 
-@cached
-def predict(states: np.ndarray, weights: np.ndarray, ids: np.ndarray, motion: tuple) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `phd.predict`: new states (N, 4) and weights (N,)."""
-    moved, kept = np.empty_like(states), np.empty_like(weights)
-    for n in range(len(weights)):
-        x, y, vx, vy, inside = move_one(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
-        moved[n, 0], moved[n, 1], moved[n, 2], moved[n, 3] = x, y, vx, vy
-        kept[n] = weights[n] * motion[7] if inside else 0.0
-    return moved, kept
-
-
 @njit
 def blank(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States, weights and ids of so many particles, still to be written."""
@@ -148,7 +137,7 @@ def wedge(x: float, y: float, sensor: np.ndarray) -> float:
 
 @cached
 def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tuple[float, float]:
-    """Twin of the sums in `round`: mass in the footprint of a wedge, and that mass times p_d."""
+    """Twin of `regions.in_view`: mass in the footprint of a wedge, and that mass times p_d."""
     load = detected = 0.0
     for n in range(len(weights)):
         probability = wedge(states[n, 0], states[n, 1], sensor)
@@ -191,7 +180,7 @@ def resample(
 def take(
     states: np.ndarray, weights: np.ndarray, ids: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Twin of `arithmetic.take`."""
+    """Twin of `regions.take`."""
     chosen, count = np.empty(len(ids), np.int64), 0
     inside = owned(states, generators, first, width, height)
     for n in range(len(ids)):
@@ -209,7 +198,7 @@ def take(
 
 @cached
 def first_moments(states: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
-    """Twin of the sums of `round`: mass, and mass-weighted x and y, one after the other."""
+    """Twin of `regions.moments`: mass, and mass-weighted x and y, one after the other."""
     mass = east = north = 0.0
     for n in range(len(weights)):
         mass += weights[n]

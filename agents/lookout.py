@@ -18,9 +18,10 @@ from agents.interest import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
 from agents.neighbours import Neighbours
 from agents.peers import Peer
 from agents.places import EAST, RADIUS, spot_of
-from agents.round import HORIZON, Outcome, Self
+from agents.round import HORIZON, AgentContext, RoundResult
 from agents.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
 from protocol.agreement import whole
+from protocol.geometry import distances
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
@@ -42,14 +43,14 @@ LINGER = 4.0  # s of world time for which the gossip of somebody who is needed n
 class Lookout:
     """Whom one agent hears."""
 
-    def __init__(self, me: Self, neighbours: Neighbours, incarnation: int) -> None:
+    def __init__(self, me: AgentContext, neighbours: Neighbours, incarnation: int) -> None:
         config = me.config
         self._settings = whole(neighbours.settings)
         self.settled = False  # the first choice has been made and the others have had the time to make theirs
         self.due: float | None = None  # when to call `on_time`
         self._me, self._neighbours, self._incarnation = me, neighbours, incarnation
         self._tiling = Tiling(config.timing.tile, config.arena)
-        self._ground = Ground(me.arena, bounds_of(me.sensor, me.facts), JUMP + config.limits.speed * config.run.dt, me.arithmetic.distances)
+        self._ground = Ground(me.arena, bounds_of(me.sensor, me.facts), JUMP + config.limits.speed * config.run.dt, distances)
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE, LINGER))
         self._phase = key("beacon", me.name) % self._period
         self._young = 0  # until this tick the others may not know me
@@ -68,7 +69,7 @@ class Lookout:
 
     # ------------------------------------------------------------------ before the first word
 
-    def arrive(self, observation: Observation, outcome: Outcome, now: float) -> list[Effect]:
+    def arrive(self, observation: Observation, outcome: RoundResult, now: float) -> list[Effect]:
         """I have been told where I am: ask who else is there."""
         if self._box is not None:
             return []
@@ -79,7 +80,7 @@ class Lookout:
         self._said = question(self._mine(observation, outcome), tile)  # who has as many tiles around its own will hear it
         return [*self._listen(self._tiling.around(tile, FIRST)), self._said]
 
-    def on_time(self, observation: Observation, outcome: Outcome, now: float) -> list[Effect]:
+    def on_time(self, observation: Observation, outcome: RoundResult, now: float) -> list[Effect]:
         """The answers should have come."""
         overdue = now - self.due if self.due is not None else 0.0
         settle = min(max(SETTLE, BUSY * overdue), LONGEST)
@@ -105,7 +106,7 @@ class Lookout:
         self.settled, self.due = True, None
         return []
 
-    def surroundings(self, observation: Observation, outcome: Outcome) -> Rectangle:
+    def surroundings(self, observation: Observation, outcome: RoundResult) -> Rectangle:
         """Where I need particles in my first round: around the cell that I expect and around my sensor."""
         cell = self._first_cell(self._mine(observation, outcome), observation.tick)
         x, y = np.vstack([cell, [observation.pose[:2]]]).T
@@ -114,7 +115,8 @@ class Lookout:
 
     def _first_cell(self, mine: Beacon, tick: int) -> np.ndarray:
         generators = self._table(mine, tick)[:, EAST : RADIUS + 1]
-        return self._me.arithmetic.cut(len(generators) - 1, generators[:, :2].copy(), generators[:, 2].copy(), self._me.arena).polygon
+        points, radii = generators[:, :2].copy(), generators[:, 2].copy()
+        return self._me.backend.cut_cells([len(radii) - 1], points, radii, self._me.arena)[0].polygon
 
     def _table(self, mine: Beacon, tick: int) -> np.ndarray:
         """Where everybody is (`Places.table`), after those who are not there any more have been forgotten."""
@@ -162,7 +164,7 @@ class Lookout:
             self._ground = self._ground._replace(bounds=wider)
             self._neighbours.changed = True
 
-    def after(self, gossip: Gossip, outcome: Outcome) -> list[Effect]:
+    def after(self, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
         """At the end of a round: what follows from where I shall be in the next tick."""
         next_one = self._beacon(gossip.tick + 1, moved(gossip.pose, outcome.command, self._me.config), outcome.power_radius)
         return [*self._foretell(next_one, gossip), *self._turn(next_one, gossip, outcome)]
@@ -174,7 +176,7 @@ class Lookout:
         self._said = next_one
         return [next_one]
 
-    def _mine(self, observation: Observation, outcome: Outcome) -> Beacon:
+    def _mine(self, observation: Observation, outcome: RoundResult) -> Beacon:
         return self._beacon(observation.tick, observation.pose, outcome.power_radius)
 
     def _beacon(self, tick: int, pose: Pose, radius: float) -> Beacon:
@@ -201,7 +203,7 @@ class Lookout:
 
     # ------------------------------------------------------------------ the choice
 
-    def _turn(self, next_one: Beacon, gossip: Gossip, outcome: Outcome) -> list[Effect]:
+    def _turn(self, next_one: Beacon, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
         """Choose anew if it is time to."""
         if gossip.tick < self._chosen_at + self._between and not self._neighbours.changed and len(outcome.cell):
             return []  # an empty cell may appear anywhere, so who has none looks in every round
@@ -233,7 +235,7 @@ class Lookout:
 
     def _judge(self, cell: np.ndarray, mine: Beacon, tick: int) -> tuple[Choice, np.ndarray]:
         me, table = self._me, self._table(mine, tick)
-        return me.arithmetic.wanted(cell, mine.position, me.sensor.reach, me.config.filter.halo, table, self._ground), table
+        return me.backend.select_peers(cell, mine.position, me.sensor.reach, me.config.filter.halo, table, self._ground), table
 
     def _choose(self, choice: Choice, table: np.ndarray, tick: int) -> list[Effect]:
         self._neighbours.choose(table, choice)

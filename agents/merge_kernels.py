@@ -1,4 +1,4 @@
-"""Compiled merging: copies of what others own, and what counts of them and of what is told, each the twin of a numpy function.
+"""Compiled merging: copies of what others own, and what counts of them and of what is received, each the twin of a numpy function.
 
 Same rules as `kernels`.
 """
@@ -32,9 +32,9 @@ def _farther(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, halo: float, hor
 
 
 @cached
-def outlying(
+def remote_copies(
     near: tuple,
-    told: tuple,
+    received: tuple,
     polygon: np.ndarray,
     generators: np.ndarray,
     first: np.ndarray,
@@ -42,9 +42,9 @@ def outlying(
     horizon: float,
     motion: tuple,
 ) -> _Particles:
-    """Twin of `arithmetic.outlying`; `motion` is `fast.motion`."""
+    """Twin of `merge.remote_copies`; `motion` is `fast.motion`."""
     near_states, near_weights, near_ids = near
-    states, weights, ids = told
+    states, weights, ids = received
     width, height = motion[9], motion[10]
     found, found_weights, found_ids = blank(len(near_ids) + len(ids))
     mine, count = owned(near_states, generators, first, width, height), 0
@@ -75,30 +75,30 @@ def outlying(
 
 
 @cached
-def unite(told: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
-    """Twin of `arithmetic.unite`."""
-    told_states, told_weights, told_ids = told
+def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
+    """Twin of `merge.merge`."""
+    received_states, received_weights, received_ids = received
     states, weights, ids = copies
-    number = len(told_ids)
+    number = len(received_ids)
     rows, names, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
     for n in range(number):
-        rows[count], names[count] = n, told_ids[n]
+        rows[count], names[count] = n, received_ids[n]
         count += kept[n]
     for n in range(len(ids)):
         rows[count], names[count] = number + n, ids[n]
         count += free[n]
     names = names[:count]
     order, known = sort_by_id(names, np.arange(count)), 0
-    united, united_weights, united_ids = blank(count)
+    merged, merged_weights, merged_ids = blank(count)
     for rank in range(count):
         k = order[rank]
         if rank > 0 and names[k] == names[order[rank - 1]]:
             continue
         n = rows[k]
-        source, weight = (told_states, told_weights[n]) if n < number else (states, weights[n - number])
+        source, weight = (received_states, received_weights[n]) if n < number else (states, weights[n - number])
         at = n if n < number else n - number
         for axis in range(4):
-            united[known, axis] = source[at, axis]
-        united_weights[known], united_ids[known] = weight, names[k]
+            merged[known, axis] = source[at, axis]
+        merged_weights[known], merged_ids[known] = weight, names[k]
         known += 1
-    return united[:known], united_weights[:known], united_ids[:known]
+    return merged[:known], merged_weights[:known], merged_ids[:known]

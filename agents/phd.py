@@ -10,14 +10,16 @@ import math
 
 import numpy as np
 
-from agents.births import Scan, birth_density, measurement_births
+from agents.births import Scan, birth_density, measurement_births, survival_probability
 from agents.config import BirthSettings, FilterSettings
-from agents.extraction import estimate_targets
+from agents.extraction import block_sums, estimate_targets
 from agents.particles import NONE, WIRE, Particles, canonical, column_sums, join, squared_distances
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble
 
-__all__ = ["Particles", "estimate_targets", "predict", "resample", "update"]
+__all__ = ["Particles", "estimate_targets", "predict", "resample", "survival_probability", "update"]
+
+BINS = 3.0  # bins in the length `vicinity`: two bins to each side of its own are near a particle
 
 
 def predict(particles: Particles, tick: int, seed: int, dt: float, settings: FilterSettings, arena: ArenaSettings) -> Particles:
@@ -42,11 +44,6 @@ def predict(particles: Particles, tick: int, seed: int, dt: float, settings: Fil
     return Particles(np.column_stack([x, y, vx, vy]), np.where(inside, weights, 0.0), particles.ids)
 
 
-def survival_probability(dt: float, settings: FilterSettings) -> float:
-    """Probability that a target of mean lifetime `lifetime` s lives another dt s."""
-    return math.exp(-dt / settings.lifetime) if settings.lifetime > 0.0 else 1.0
-
-
 def _reflect(place: np.ndarray, speed: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
     low, high = place < 0.0, place > length
     mirrored = np.where(low, -place, np.where(high, 2.0 * length - place, place))
@@ -67,18 +64,28 @@ def exp_minus(values: np.ndarray) -> np.ndarray:
     return result
 
 
+def likelihood_noise(noise: float, settings: FilterSettings) -> float:
+    """Standard deviation of a detection about a particle, m: of the sensor, and of the place that a particle stands for.
+
+    `particles_per_target` particles of a cloud that is spread by `position_noise` in every step each stand for a Gaussian of that
+    spread times N^(-1/6), Silverman's rule in the plane, times `roughening`; without it an accurate sensor leaves but a few of them.
+    """
+    width = settings.roughening * settings.position_noise * settings.particles_per_target ** (-1.0 / 6.0)
+    return math.sqrt(noise * noise + width * width)
+
+
 def update(
     particles: Particles, scans: list[Scan], tick: int, seed: int, noise: float, settings: FilterSettings, birth: BirthSettings
 ) -> Particles:
     """The PHD after all scans of a tick, one after the other (iterated corrector), births appended in the order of detections.
 
-    For each scan with clutter density kappa: w <- w (1 - p_d) + sum over detections z of w p_d g(z) / (kappa + p_d(z) b(z) +
-    sum of w p_d g(z)), with g a Gaussian cut at `gate` standard deviations, and b(z) the density of targets not yet represented,
-    read from the predicted PHD within `radius` of z. The term p_d b(z) becomes `copies` new particles around z.
+    For each scan with clutter density kappa: w <- w m + sum over detections z of w p_d g(z) / (kappa + p_d(z) b(z) +
+    sum of w p_d g(z)), with m the factor of a miss (`missed`), g a Gaussian cut at `gate` standard deviations, and b(z) the density
+    of targets not yet represented. The term p_d b(z) becomes `copies` new particles around z.
     """
-    densities = [birth_density(particles, scan, birth) for scan in scans]
-    for scan, density in zip(scans, densities):
-        corrected, per_copy = correct(particles, scan, density, noise, settings, birth)
+    predicted = particles
+    for scan in scans:
+        corrected, per_copy = correct(particles, predicted, scan, noise, settings, birth)
         particles = Particles(particles.states, corrected, particles.ids)
         if birth.measurement and len(scan.detections):
             particles = join([particles, measurement_births(scan, per_copy, tick, seed, noise, settings, birth)])
@@ -86,25 +93,55 @@ def update(
 
 
 def correct(
-    particles: Particles, scan: Scan, density: np.ndarray, noise: float, settings: FilterSettings, birth: BirthSettings
+    particles: Particles, predicted: Particles, scan: Scan, noise: float, settings: FilterSettings, birth: BirthSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """The weights (N,) after one scan, and the weight of each copy of a measurement birth at each detection (M,)."""
     probability = scan.sensor.probability(particles.states[:, :2], scan.pose)
-    weights = particles.weights * (1.0 - probability)
-    if not len(scan.detections):
-        return weights, density
+    spread = likelihood_noise(noise, settings)
     squared = squared_distances(particles.states, scan.detections)
-    within = (squared <= (settings.gate * noise) ** 2) & (probability > 0.0)[:, None]
+    within = (squared <= (settings.gate * spread) ** 2) & (probability > 0.0)[:, None]
     rows, columns = np.nonzero(within)
-    likelihood = exp_minus(squared[rows, columns] * (0.5 / (noise * noise))) * (1.0 / (2.0 * math.pi * noise * noise))
+    likelihood = exp_minus(squared[rows, columns] * (0.5 / (spread * spread))) * (1.0 / (2.0 * math.pi * spread * spread))
     shares = np.zeros(within.shape)
     shares[rows, columns] = particles.weights[rows] * probability[rows] * likelihood
+    sums = column_sums(shares)
+    density = birth_density(predicted, scan, sums / _positive(scan.clutter_density + sums), birth)
     fresh = scan.sensor.probability(scan.detections, scan.pose) * density
-    norms = scan.clutter_density + fresh + column_sums(shares)
-    norms = np.where(norms > 0.0, norms, 1.0)
+    norms = _positive(scan.clutter_density + fresh + sums)
+    gained = np.zeros(len(particles.weights))
     for number in range(len(norms)):
-        weights = weights + shares[:, number] / norms[number]
-    return weights, fresh / norms / birth.copies
+        gained = gained + shares[:, number] / norms[number]
+    born = fresh / norms
+    return particles.weights * missed(particles, probability, gained, scan.detections, born, settings) + gained, born / birth.copies
+
+
+def _positive(values: np.ndarray) -> np.ndarray:
+    return np.where(values > 0.0, values, 1.0)
+
+
+def missed(
+    particles: Particles, probability: np.ndarray, gained: np.ndarray, detections: np.ndarray, born: np.ndarray, settings: FilterSettings
+) -> np.ndarray:
+    """The factors (N,) of the particles, should their targets have been missed: (r / M) (1 - p_d) / (1 - p_d min(r, c)), 1 out of view.
+
+    M is the mass in view near a particle, and r what the detections leave of it: M less what particles (`gained`, (N,)) and births
+    (`born`, (M,)) near it got of them. A target that is there with probability r, and is not seen, is there with probability
+    r (1 - p_d) / (1 - r p_d): by Bayes' rule for one target, where the PHD filter has r (1 - p_d), that of a Poisson number of them.
+    With little mass near both are the same. Near means within two bins of `vicinity` / 3; c is `certainty`.
+    """
+    side, seen = settings.vicinity / BINS, probability > 0.0
+    places = np.floor(np.vstack([particles.states[:, :2], detections]) / side).astype(np.int64)
+    if not len(particles.weights):
+        return np.ones(0)
+    left, low = places.min(axis=0) - 2
+    shape = tuple((places.max(axis=0) - (left, low) + 3)[::-1])
+    flat = (places[:, 1] - low) * shape[1] + (places[:, 0] - left)
+    own = flat[: len(gained)]
+    masses = block_sums(np.bincount(own, np.where(seen, particles.weights, 0.0), shape[0] * shape[1]).reshape(shape), 2).ravel()[own]
+    explained = block_sums(np.bincount(flat, np.concatenate([gained, born]), shape[0] * shape[1]).reshape(shape), 2).ravel()[own]
+    rest = np.maximum(masses - explained, 0.0)
+    factors = rest / _positive(masses) * ((1.0 - probability) / (1.0 - probability * np.minimum(rest, settings.certainty)))
+    return np.where(seen, factors, 1.0)
 
 
 def sample_size(mass: float, settings: FilterSettings) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from agents.capacity import place
 from agents.particles import NONE
-from agents.round import Outcome, Self
+from agents.round import AgentContext, RoundResult
 from protocol.fields import pack
 from protocol.messages import Agreed, Command, Estimate, Gossip, Hello, Observation
 from protocol.sensing import WedgeSensor
@@ -12,7 +12,7 @@ from protocol.sensing import WedgeSensor
 VERSION = "0.1.0"
 
 
-def hello(me: Self, incarnation: int, heard: tuple[str, ...], settings: Agreed) -> Hello:
+def hello(me: AgentContext, incarnation: int, heard: tuple[str, ...], settings: Agreed) -> Hello:
     """That I am here, with which sensor and settings, and whom I hear."""
     return Hello(
         sender=me.name,
@@ -28,7 +28,7 @@ def hello(me: Self, incarnation: int, heard: tuple[str, ...], settings: Agreed) 
     )
 
 
-def gossip(me: Self, incarnation: int, outcome: Outcome, observation: Observation, *, listening: bool) -> Gossip:
+def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
     """The gossip of a tick: my pose and scan, and what I own if my last round was the one before."""
     share = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1
@@ -53,13 +53,15 @@ def gossip(me: Self, incarnation: int, outcome: Outcome, observation: Observatio
     )
 
 
-def command(me: Self, incarnation: int, outcome: Outcome, tick: int) -> Command:
+def command(me: AgentContext, incarnation: int, outcome: RoundResult, tick: int) -> Command:
     """Where I drive after the round `tick`."""
     velocity, turn_rate = outcome.command
     return Command(sender=me.name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
 
 
-def estimate(me: Self, incarnation: int, outcome: Outcome, said: Gossip, counters: Mapping[str, int], seconds: float) -> Estimate:
+def estimate(
+    me: AgentContext, incarnation: int, outcome: RoundResult, said: Gossip, counters: Mapping[str, int], seconds: float
+) -> Estimate:
     """For whoever watches: what has come of the round in which I had `said` this, and which took so many s."""
     return Estimate(
         sender=me.name,

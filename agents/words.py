@@ -70,7 +70,7 @@ class Words:
         """`sensors`: of the senders; `diagram`: "power", "voronoi-cod" or "voronoi", which says what the generators are."""
         self.gossips, self.sensors, self.diagram = gossips, sensors, diagram
         self.names = tuple([gossip.sender for gossip in gossips])
-        self.chorus: Any = None  # who asked first for what all who hear this share, or what they share (`chorus`)
+        self.shared: Any = None  # what all agents of a process that hold this table compute alike (`shared_round`)
 
     @once
     def table(self) -> np.ndarray:
@@ -173,14 +173,15 @@ class Words:
         return Particles(states.astype(float), self.table[:, WEIGHT].repeat(self.table[:, PARTICLES].astype(np.int64)), ids)
 
     def scans(self) -> list[Scan]:
-        """The scans one by one, those of the silent left out."""
+        """The scans one by one, those of the silent left out, in the order in which they count: by ascending p_d, then by name."""
         found, ends = [], np.cumsum(self.table[:, DETECTIONS]).astype(np.int64)
         for gossip, announced, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
             if numbers[KIND] != SILENT:
                 detections = self.detections[end - np.int64(numbers[DETECTIONS]) : end]
                 order = np.arange(len(detections), dtype=np.uint64)
-                found.append(Scan(key("sensor", gossip.sender), announced.sensor, gossip.pose, detections, order, float(numbers[KAPPA])))
-        return found
+                scan = Scan(key("sensor", gossip.sender), announced.sensor, gossip.pose, detections, order, float(numbers[KAPPA]))
+                found.append((float(numbers[PROB]), scan))
+        return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 
 
 def particles_of(told: Words | Particles) -> Particles:
@@ -201,6 +202,11 @@ def side_by_side(gossips: list[Gossip], sensors: list[Announced], config: AgentC
     words = Words(gossips, sensors, diagram)
     _RECENT.append(words)
     return words
+
+
+def newest_table() -> Words:
+    """The last that was put side by side, for measurements."""
+    return _RECENT[-1]
 
 
 def forget() -> None:

@@ -1,1 +1,1 @@
-"""What is run: scenarios, supervisor, simulation, studies, recorder and monitor. May import everything."""
+"""What is run: the command line, live swarms, simulations, faults, scores, recordings, the page and studies. May import all rooms."""

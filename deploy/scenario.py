@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import tomli_w
 
 from agents.config import AgentConfig
 from protocol.settings import BadSetting, NotNegative, RunSettings, Section, Share, convert, read_toml, sensor_of
@@ -68,13 +69,13 @@ def agent_config(scenario: Scenario) -> AgentConfig:
     fields["filter"] = msgspec.structs.replace(scenario.filter, seed=seed)
     if scenario.timing.interest == "neighbours":
         fields["members"] = {}
-    if not scenario.network.encrypted:  # whom to admit is asked of certificates alone
+    if not scenario.network.encrypted:  # only certificates are checked against this list
         fields["network"] = msgspec.structs.replace(scenario.network, admit=())
     return AgentConfig(**fields)
 
 
 def filter_seed(run_seed: int) -> int:
-    """The seed that the agents share, a one-way hash of the run's: from it nobody computes target tracks or detections.
+    """The seed that the agents share: a one-way hash of the run's seed, which reveals neither target tracks nor detections.
 
     Small seeds can be guessed and tried out: a run whose agents are not trusted takes a random one below 2^63.
     """
@@ -153,6 +154,13 @@ def named(scenario: Scenario, run: str) -> Scenario:
     return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, name=run))
 
 
+def check_names(scenario: Scenario) -> None:
+    """Raise BadSetting for an agent that bears the name of another process."""
+    for name in ("world", "monitor", "supervisor"):
+        if name in scenario.members:
+            raise BadSetting(f"members.{name}: this name belongs to the {name}; call the agent otherwise")
+
+
 def _name_members(counts: dict[str, int]) -> dict[str, str]:
     classes = [sensor_class for sensor_class, number in counts.items() for _ in range(number)]
     return {f"s{number}": sensor_class for number, sensor_class in enumerate(classes, start=1)}
@@ -178,3 +186,23 @@ def parse_set(text: str) -> tuple[str, Any]:
         return dotted.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return dotted.strip(), value.strip()
+
+
+def toml_text(settings: msgspec.Struct | dict[str, Any]) -> str:
+    """The TOML file of a scenario, of a part of it, or of plain data; None stands for a setting that is left out."""
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(settings)))
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return [_without_none(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def toml_value(value: Any) -> str:
+    """A value on one line of TOML: lists in brackets, tables in braces."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{tomli_w.dumps({key: 0})[:-5]} = {toml_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return tomli_w.dumps({"value": value}).removeprefix("value = ").removesuffix("\n")

@@ -24,7 +24,7 @@ def fault_of(what: str) -> Iterator[None]:
         yield
     except BadSetting:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise BadSetting(f"{what} raised {type(error).__name__}: {' '.join(str(error).split())}") from error
 
 

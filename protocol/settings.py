@@ -98,7 +98,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
             sensor = load_named(self.model)(**self.parameters)
         except (ValueError, ImportError, TypeError):
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ValueError(f"{self.model} raised {type(error).__name__}: {error}") from error
         missing = [part for part in ("reach", "area", "probability", "footprint") if not hasattr(sensor, part)]
         if missing:
@@ -163,7 +163,7 @@ def load_named(name: str) -> Any:
         found = importlib.import_module(module)
     except ImportError:
         raise
-    except Exception as error:  # whatever a module does while it is imported
+    except (Exception, SystemExit) as error:  # whatever a module does while it is imported
         where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         raise ValueError(
             f"module {module} cannot be imported: {type(error).__name__}: {error.args[0] if error.args else ''}{where}"

@@ -10,8 +10,9 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +21,20 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "agents", "world", "deploy")
 MAY_IMPORT = {"protocol": {"protocol"}, "agents": {"agents", "protocol"}, "world": {"world", "protocol"}, "deploy": set(ROOMS)}
-ONLY_DEPLOY = {"cyclopts", "cryptography", "rich", "aiohttp", "matplotlib", "mcap", "pyarrow", "dask", "distributed", "rerun"}
+ONLY_DEPLOY = {
+    "cyclopts",
+    "cryptography",
+    "rich",
+    "aiohttp",
+    "matplotlib",
+    "mcap",
+    "prometheus_client",
+    "pyarrow",
+    "tomli_w",
+    "dask",
+    "distributed",
+    "rerun",
+}
 SHELL = {  # the files where time, sockets and threads live; all others are core
     "protocol/live.py",
     "protocol/process.py",
@@ -143,7 +157,7 @@ def star_and_relative_imports(source: Source) -> list[str]:
 
 
 def modules_named_in_strings(source: Source) -> list[str]:
-    """No text names a module of a room, for a wheel has it under another name; `deploy.modules.command` translates what it is given."""
+    """No text names a module of a room: a wheel has it under another name. `deploy.installation.command` translates its argument."""
     tree = ast.parse(source.text)
     translated = {
         id(node.args[0])
@@ -248,7 +262,7 @@ OFFENDERS: list[tuple[Rule, str, str]] = [
     (global_randomness_in_core, "agents/x.py", "from numpy.random import rand\n"),
     (star_and_relative_imports, "deploy/x.py", "from math import *\n"),
     (star_and_relative_imports, "world/x.py", "from .targets import Targets\n"),
-    (modules_named_in_strings, "deploy/x.py", "run([python, '-m', 'deploy.swarm.zygote'])\n"),
+    (modules_named_in_strings, "deploy/x.py", "run([python, '-m', 'deploy.live.zygote'])\n"),
     (modules_named_in_strings, "agents/x.py", "LAW = 'agents.pursuit:Pursuit'\n"),
     (too_long, "deploy/x.py", "x = 1\n" * (MOST_LINES + 1)),
     (no_module_docstring, "world/x.py", "x = 1\n"),
@@ -327,3 +341,119 @@ def test_the_world_process_loads_no_agent_and_the_protocol_room_loads_nobody() -
         "msgspec",
         "typing_extensions",
     }
+
+
+def real_imports(tree: ast.AST) -> Iterator[str]:
+    """Dotted names of what a file imports when it runs, anywhere in it: modules, and names taken from them."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            for other in node.orelse:
+                yield from real_imports(other)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        else:
+            yield from real_imports(node)
+
+
+def module_of(source: Source) -> str:
+    """The dotted name under which a file is imported in a checkout."""
+    dotted = source.path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    return dotted.removeprefix("deploy.interface.")
+
+
+def package_of(module: str) -> str:
+    """The part of deploy that a module belongs to: `deploy.cli` of `deploy.cli.commands.run`, and `covey` of the Python interface."""
+    return ".".join(module.split(".")[:2]) if module.startswith("deploy") else module.partition(".")[0]
+
+
+def import_graph(files: Sequence[Source]) -> dict[str, set[str]]:
+    """Which module imports which, of those that are among the files."""
+    known = {module_of(source) for source in files}
+    graph: dict[str, set[str]] = {}
+    for source in files:
+        names = [name for name in real_imports(ast.parse(source.text)) if name.partition(".")[0] in ("deploy", "covey")]
+        found = {name if name in known else name.rpartition(".")[0] for name in names}
+        graph[module_of(source)] = (found & known) - {module_of(source)}
+    return graph
+
+
+def packages_graph(graph: Mapping[str, set[str]]) -> dict[str, set[str]]:
+    """The same between the parts of deploy."""
+    found: dict[str, set[str]] = {}
+    for module, imported in graph.items():
+        own = package_of(module)
+        found.setdefault(own, set()).update({package_of(other) for other in imported} - {own})
+    return found
+
+
+def cycle_of(graph: Mapping[str, set[str]]) -> list[str]:
+    """A circle of imports; empty when there is none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def deploy_files() -> list[Source]:
+    """The files of deploy."""
+    return [source for source in sources() if source.room == "deploy"]
+
+
+def test_neither_packages_nor_modules_of_deploy_import_in_circles() -> None:
+    graph = import_graph(deploy_files())
+    assert len(packages_graph(graph)) > 12 and sum(map(len, packages_graph(graph).values())) > 40
+    assert cycle_of(packages_graph(graph)) == []
+    assert cycle_of(graph) == []
+
+
+def test_a_circle_of_packages_is_found_even_where_modules_have_none() -> None:
+    files = [
+        Source("deploy/a/one.py", "def f() -> None:\n    from deploy.b import two\n"),
+        Source("deploy/b/two.py", "x = 1\n"),
+        Source("deploy/b/three.py", "from deploy.a.four import x\n"),
+        Source("deploy/a/four.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from deploy.b import three\nx = 1\n"),
+    ]
+    graph = import_graph(files)
+    assert cycle_of(graph) == []
+    assert set(cycle_of(packages_graph(graph))) == {"deploy.a", "deploy.b"}
+
+
+def test_nothing_but_a_benchmark_imports_the_benchmarks() -> None:
+    graph = packages_graph(import_graph(deploy_files()))
+    assert [package for package, imported in graph.items() if "deploy.bench" in imported] == []
+    assert "deploy.simulation" in graph["deploy.bench"]
+
+
+TWO_MEANINGS = {  # type names with two definitions that wait for the rooms agents, protocol and world to rename one of them
+    "Box",
+    "Command",
+    "Motion",
+    "Name",
+    "Particles",
+    "Reception",
+    "Share",
+    "Together",
+    "Whole",
+}
+
+
+def defined_types(source: Source) -> set[str]:
+    """Classes of a file, and names in capitals and small letters that it gives to types."""
+    tree = ast.parse(source.text)
+    classes = {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+    targets = [node.targets[0] for node in tree.body if isinstance(node, ast.Assign)]
+    names = {target.id for target in targets if isinstance(target, ast.Name)}
+    return classes | {name for name in names if name[0].isupper() and not name.isupper()}
+
+
+def test_a_type_name_has_one_definition_in_the_project() -> None:
+    places: dict[str, list[str]] = {}
+    for source in sources():
+        for name in defined_types(source):
+            places.setdefault(name, []).append(source.path)
+    twice = {name: paths for name, paths in places.items() if len(paths) > 1}
+    assert {name: paths for name, paths in twice.items() if name not in TWO_MEANINGS} == {}
+    assert not TWO_MEANINGS - set(twice), "these have one definition by now: take them off the list"

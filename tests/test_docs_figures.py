@@ -16,10 +16,10 @@ import pytest
 from cyclopts import CycloptsError, MissingArgumentError
 
 from deploy.__main__ import app
-from deploy.commands import studying
-from deploy.commands.benching import BENCHES
-from deploy.commands.options import RunOptions
+from deploy.bench.__main__ import BENCHES
+from deploy.cli.options import RunOptions
 from deploy.scenario import FOLDER
+from deploy.studies.design import design_fields, design_with, dotted_options
 from deploy.studies.trials import check_method
 from protocol.settings import BadSetting
 
@@ -90,10 +90,10 @@ def complaint(words: tuple[str, ...]) -> str:
 def check_study(given: dict[str, object]) -> None:
     """Raise BadSetting where the study, its teams, its methods or its settings do not exist."""
     options = [given.get(name) for name in ("triple", "capacity", "dt", "seconds")]
-    fixed = studying.options_of(*options, given.get("settings") or [])  # type: ignore[arg-type]
+    fixed = dotted_options(*options, given.get("settings") or [])  # type: ignore[arg-type]
     if given["name"] != "robustness":
-        chosen = studying.given(*[given.get(name) for name in ("trials", "seed", "teams", "targets", "methods")])  # type: ignore[arg-type]
-        for method in studying.chosen(str(given["name"]), bool(given.get("quick")), chosen, fixed).methods:
+        chosen = design_fields(*[given.get(name) for name in ("trials", "seed", "teams", "targets", "methods")])  # type: ignore[arg-type]
+        for method in design_with(str(given["name"]), bool(given.get("quick")), chosen, fixed).methods:
             check_method(method)
 
 

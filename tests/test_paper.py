@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.arithmetic import in_view, moments
 from agents.births import Scan, prior
 from agents.capacity import centroid_of_detection, detecting_capability, power_radius, unused_capacity
 from agents.cells import power_cell
@@ -21,8 +20,9 @@ from agents.config import BirthSettings, CapacitySettings, FilterSettings
 from agents.control import STAND, Lloyd, Situation, approach
 from agents.particles import NONE, Particles
 from agents.phd import resample, update
+from agents.regions import in_view, moments
 from deploy.scenario import TeamSettings, resolve, team_counts
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from protocol.geometry import EMPTY, distances, polygon_area, polygon_centroid, rectangle
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, LimitSettings

@@ -46,7 +46,7 @@ def build_motion(settings: TargetSettings, dt: float, seed: int) -> Motion:
         motion = load_named(settings.motion)(settings, dt, seed)
     except (ValueError, ImportError, TypeError) as error:
         raise BadSetting(f"targets.motion = {settings.motion!r}: {error}; should be constant-speed or module:Class") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise BadSetting(f"targets.motion = {settings.motion!r}: raised {type(error).__name__}: {error}") from error
     if not hasattr(motion, "move"):
         raise BadSetting(f"targets.motion = {settings.motion!r}: has no method move (see world.targets.Motion)")

@@ -70,7 +70,7 @@ class Browser:
 
 @contextmanager
 def browser(url: str) -> Iterator[Browser]:
-    """Chromium that looks at a page. As root it gives itself precedence over all others, so then it runs as nobody."""
+    """Chromium with a page open. As root it would raise its own priority, so it runs as the user nobody then."""
     from playwright.sync_api import sync_playwright  # an extra: `pip install covey[test]`
 
     program = next((found for name in NAMES if (found := shutil.which(name))), None)
@@ -99,7 +99,7 @@ def browser(url: str) -> Iterator[Browser]:
 
 
 def _endpoint(process: "subprocess.Popen[str]") -> str:
-    """Where it can be told what to do, as it says itself."""
+    """The DevTools endpoint that it prints."""
     assert process.stderr is not None
     for line in process.stderr:
         if line.startswith("DevTools listening on "):

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from agents.neighbours import Neighbours
-from agents.round import Outcome, Self
+from agents.round import AgentContext, RoundResult
 from deploy.scenario import Scenario
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol import codec
 from protocol.keys import all_of, message_key, order
 from protocol.messages import Gossip, Truth
@@ -14,22 +14,22 @@ from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
 
 
 class Captured(NamedTuple):
-    """One round of one agent: all that `agents.round.play` takes."""
+    """One round of one agent: all that `agents.round.run_round` takes."""
 
-    me: Self
-    last: Outcome
+    me: AgentContext
+    last: RoundResult
     neighbours: Neighbours
     mine: Gossip
     heard: dict[str, Gossip]
 
 
 @dataclass
-class Ear(Node):
+class GossipCollector(Node):
     """A Node that keeps the gossip of one tick."""
 
     run: str
     tick: int
-    name: str = "ear"
+    name: str = "collector"
     role: str = "recorder"
     incarnation: int = 1
     gossips: dict[str, Gossip] = field(default_factory=dict)
@@ -48,9 +48,9 @@ class Ear(Node):
 
 def capture(scenario: Scenario, tick: int) -> list[Captured]:
     """The rounds of `tick` of all agents of a run without faults."""
-    simulation, lasts = Simulation(scenario), dict[str, Outcome]()
-    ear = Ear(scenario.run.name, tick)
-    simulation.bus.add(ear)
+    simulation, lasts = Simulation(scenario), dict[str, RoundResult]()
+    collector = GossipCollector(scenario.run.name, tick)
+    simulation.bus.add(collector)
 
     def on_truth(truth: Truth) -> None:
         if truth.tick == tick:
@@ -59,11 +59,11 @@ def capture(scenario: Scenario, tick: int) -> list[Captured]:
     simulation.on_truth = on_truth
     while not simulation.done and all(agent.tick <= tick for agent in simulation.agents.values()):
         simulation.bus.step()
-    names = sorted(ear.gossips, key=order)
+    names = sorted(collector.gossips, key=order)
     rounds = []
     for name, agent in simulation.agents.items():
-        heard = {other: ear.gossips[other] for other in names if other != name and other in agent.neighbours.peers}
-        rounds.append(Captured(agent.self, lasts[name], agent.neighbours, ear.gossips[name], heard))
+        heard = {other: collector.gossips[other] for other in names if other != name and other in agent.neighbours.peers}
+        rounds.append(Captured(agent.self, lasts[name], agent.neighbours, collector.gossips[name], heard))
     return rounds
 
 

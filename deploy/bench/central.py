@@ -6,14 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.arithmetic import Arithmetic
-from agents.births import background_births, prior
+from agents import extraction_kernels, kernels, phd
+from agents.backend import Backend
+from agents.births import prior, sensor_row
 from agents.capacity import SensorFacts, place, power_radius, unused_capacity
 from agents.cells import Cell
-from agents.claims import Claim
+from agents.claims import NO_CLAIM, Claim
 from agents.control import Lloyd, Situation
 from agents.particles import NONE, Particles, join
 from agents.step import Step
+from agents.tracker import RegionInput
 from agents.words import Announced, Words, announced
 from deploy.scenario import Scenario, agent_config, world_config
 from protocol.fields import pack
@@ -21,6 +23,7 @@ from protocol.geometry import rectangle
 from protocol.messages import Command, Gossip
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
+from protocol.streams import key
 from world.bodies import Bodies, start_pose
 from world.detector import Detector, sightings
 from world.score import errors
@@ -39,8 +42,8 @@ class Member(NamedTuple):
 class Central:
     """One run; `tick` plays a tick and returns its OSPA, m."""
 
-    def __init__(self, scenario: Scenario, arithmetic: Arithmetic) -> None:
-        self._scenario, self._arithmetic = scenario, arithmetic
+    def __init__(self, scenario: Scenario, backend: Backend) -> None:
+        self._scenario, self._backend = scenario, backend
         config, self._config = world_config(scenario), agent_config(scenario)
         run, arena = scenario.run, scenario.arena
         sensors = {name: sensor_of(scenario, sensor_class) for name, sensor_class in scenario.members.items()}
@@ -58,22 +61,23 @@ class Central:
 
     def tick(self) -> float:
         """Detect, predict, correct, divide, draw, drive."""
-        scenario, arithmetic, step = self._scenario, self._arithmetic, Step(self._config, self._tick)
+        scenario, backend, step = self._scenario, self._backend, Step(self._config, self._tick)
         words = self._scans()
-        run = scenario.run
-        born = background_births(self._config.dice, self._tick, run.dt, scenario.filter, scenario.birth, scenario.arena)
-        near, _ = arithmetic.gather(self._particles, born, self._corners, (0.0, 0.0), 0.0, step)
-        updated = arithmetic.update(near, words, self._corners, step)
+        first = self._team[0]
+        everywhere = RegionInput("", 0, first.sensor, self._bodies.poses[first.name], self._corners, NO_CLAIM)
+        updated = backend.update_regions(words, self._particles, backend.background_births(step), [everywhere], step)[0].updated
         points, radii = words.points, words.radii
         owned, commands = [], {}
-        cells = arithmetic.cut_all(points, radii, self._corners)
+        cells = backend.cut_cells(range(len(radii)), points, radii, self._corners)
         for index, (member, cell) in enumerate(zip(self._team, cells)):
-            own = arithmetic.take(updated, _claim(cell, points, radii), scenario.arena)
+            claim = _claim(cell, points, radii)
+            own = Particles(*kernels.take(*updated, claim.generators, claim.first, scenario.arena.width, scenario.arena.height))
             commands[member.name] = self._command(member, cell, own)
-            owned.append(arithmetic.resample(own, member.name, step))
+            owned.append(_drawn(own, member.name, step))
             self._unused[index] = self._capacity(member, updated)
         self._particles = join(owned) if owned else NONE
-        estimates = arithmetic.estimate_targets(updated, scenario.extraction)
+        settings = scenario.extraction
+        estimates = extraction_kernels.estimate_targets(updated.states, updated.weights, settings.bin, settings.threshold)
         score, _ = errors(self._targets.positions, estimates)
         self._bodies.move(commands)
         self._targets.step()
@@ -101,12 +105,13 @@ class Central:
         return Words(said, [member.announced for member in self._team], "power")
 
     def _capacity(self, member: Member, updated: Particles) -> float:
-        load, detected = self._arithmetic.in_view(updated, member.sensor, self._bodies.poses[member.name])
+        eye: np.ndarray = np.array(sensor_row(member.sensor, self._bodies.poses[member.name]))  # type: ignore[arg-type]
+        load, detected = kernels.in_view(updated.states, updated.weights, eye)
         return unused_capacity(member.facts.capability, detected, load, self._scenario.capacity)
 
     def _command(self, member: Member, cell: Cell, own: Particles) -> Command:
         scenario, pose = self._scenario, self._bodies.poses[member.name]
-        mass, east, north = self._arithmetic.moments(own)
+        mass, east, north = kernels.first_moments(own.states, own.weights)
         velocity, turn_rate = self._law.command(
             Situation(
                 name=member.name,
@@ -133,8 +138,19 @@ def _claim(cell: Cell, points: np.ndarray, radii: np.ndarray) -> Claim:
     return Claim(tuple(map(str, cell.bounds)), generators, bounds < bounds[0] if len(bounds) else np.empty(0, dtype=bool))
 
 
-def play(scenario: Scenario, arithmetic: Arithmetic) -> float:
+def _drawn(own: Particles, owner: str, step: Step) -> Particles:
+    """Compiled `phd.resample`."""
+    filters, tick = step.config.filter, step.tick
+    mass = kernels.first_moments(own.states, own.weights)[0]
+    if mass <= 0.0:
+        return NONE
+    count, salt = phd.sample_size(mass, filters), np.uint64(key(filters.seed, "split", tick))
+    states, ids = kernels.resample(*own, mass, count, phd.sample_offset(filters.seed, owner, tick), salt)  # type: ignore[arg-type]
+    return Particles(states, np.full(len(ids), mass / count), ids)
+
+
+def play(scenario: Scenario, backend: Backend) -> float:
     """Mean OSPA, m, of the last 80 % of a run."""
-    central = Central(scenario, arithmetic)
+    central = Central(scenario, backend)
     scores = [central.tick() for _ in range(scenario.run.ticks)]
     return math.fsum(scores[len(scores) // 5 :]) / max(1, len(scores) - len(scores) // 5)

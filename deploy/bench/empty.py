@@ -1,20 +1,26 @@
-"""Empty rounds: agents that say as much as real ones and compute nothing. What `covey bench live` compares the live swarm with.
+"""Empty rounds: agents that say as much as real ones and compute nothing. `covey bench live` compares the live swarm with them.
 
-A zygote whose environment names them (`COVEY_ROUNDS=empty`) forks agents that play them. Bodies drive small circles, so that whom an
-agent must hear changes as it does in a real run.
+`python -m deploy.bench.empty up ...` is the command `covey up ...` with a zygote that forks such agents. Bodies drive small circles, so
+that the set of neighbours changes as it does in a real run.
 """
 
 import math
+import sys
 from typing import Any
 
 import numpy as np
 
 from agents import agent
-from agents.belief import Belief, Copies, Share
+from agents.belief import Belief, Copies
 from agents.claims import make_claim
 from agents.neighbours import Neighbours
 from agents.particles import NONE, Particles
-from agents.round import Outcome, Self
+from agents.round import AgentContext, RoundResult
+from agents.tracker import OwnedState
+from deploy import __main__ as command_line
+from deploy.installation import command
+from deploy.live import zygote
+from deploy.live.warmup import warm
 from protocol.geometry import rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -26,12 +32,22 @@ SPEED, TURN_RATE = 1.0, 0.2  # m/s, rad/s: circles of 5 m
 
 
 def install() -> None:
-    """From now on the agents of this process play empty rounds."""
+    """Let the agents of this process play empty rounds from now on, with the same modules in memory as real ones."""
+    warm()
     module: Any = agent
-    module.play = play
+    module.run_round = play
 
 
-def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> Outcome:
+def main() -> None:
+    """Be the zygote when the only argument is a descriptor, else the command line that starts such a zygote."""
+    if len(sys.argv) == 2 and sys.argv[1].isdecimal():
+        zygote.main(install)
+        return
+    zygote.PROGRAM = command("deploy.bench.empty")
+    command_line.main()
+
+
+def play(me: AgentContext, last: RoundResult, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
     """The outcome of a round in which nothing was computed."""
     config = me.config
     names = (me.name, *list(heard)[:BOUNDS])
@@ -40,10 +56,10 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
     count = round(PARTICLES / everybody)
     states = np.tile(np.array([*mine.cod, 1.0, 1.0]), (count, 1))
     owned = Particles(states, np.full(count, 1.0 / count), np.arange(1, count + 1, dtype=np.uint64))
-    share = Share(me.name, make_claim(names, bounds, tuple(order(name) for name in names)), owned, VIEW)
+    share = OwnedState(me.name, make_claim(names, bounds, tuple(order(name) for name in names)), owned, VIEW)
     side = math.sqrt(config.arena.width * config.arena.height / everybody)
     angle = TURN_RATE * mine.tick * config.run.dt
-    return Outcome(
+    return RoundResult(
         belief=Belief(mine.tick, share, Copies(NONE), frozenset((*heard, me.name))),
         unused=last.unused,
         mass=1.0,
@@ -51,3 +67,7 @@ def play(me: Self, last: Outcome, neighbours: Neighbours, mine: Gossip, heard: d
         targets=np.array([mine.cod]),
         command=((SPEED * math.cos(angle), SPEED * math.sin(angle)), TURN_RATE),
     )
+
+
+if __name__ == "__main__":
+    main()

@@ -21,14 +21,14 @@ from pathlib import Path
 import aiohttp
 
 from deploy.bench.browser import Browser, browser, parent
-from deploy.bench.processes import TEAMS, Mark, Swarm, cpu_of, swarm
-from deploy.bench.timing import Row, cpu_seconds, median_seconds
-from deploy.modules import ROOT, command, environment
-from deploy.monitor.frames import frame
-from deploy.monitor.picture import Picture
-from deploy.monitor_node import Scorer
-from deploy.records.recorder import Recorder
-from deploy.records.recording import Entry, Recording, event_of
+from deploy.bench.processes import TEAMS, Swarm, SwarmReading, cpu_of, swarm
+from deploy.bench.timing import BenchRow, cpu_seconds, median_seconds
+from deploy.installation import ROOT, command, environment
+from deploy.page.frames import frame
+from deploy.page.picture import Picture
+from deploy.recording.recorder import Recorder
+from deploy.recording.recording import RecordedEntry, Recording, event_of
+from deploy.scoring.scorer import Scorer
 from protocol.endpoints import free_port
 from protocol.node import Event
 from protocol.settings import BadSetting
@@ -43,19 +43,19 @@ COUNTED = 8  # chunks of a recording whose messages are counted
 MEASURED = 10.0  # wall s of each speed
 
 
-def measure(pairs: int = PAIRS, agents: int = AGENTS) -> list[Row]:
+def measure(pairs: int = PAIRS, agents: int = AGENTS) -> list[BenchRow]:
     """A row for every run, the order turned round from one time to the next, and last what each viewer costs in the median."""
-    rows: list[Row] = []
+    rows: list[BenchRow] = []
     for turn in range(pairs):
         rows += [run(viewer, agents) for viewer in (VIEWERS if turn % 2 == 0 else VIEWERS[::-1])]
     return [*rows, *compare(rows)]
 
 
-def compare(rows: list[Row]) -> list[Row]:
-    """How much more or less each viewer makes of it than nobody, %, in the median of the turns."""
+def compare(rows: list[BenchRow]) -> list[BenchRow]:
+    """The difference that each viewer makes to the run without one, %, in the median of the turns."""
     found = []
     for viewer in VIEWERS[1:]:
-        row: Row = {"what": f"{viewer} against {VIEWERS[0]}, %"}
+        row: BenchRow = {"what": f"{viewer} against {VIEWERS[0]}, %"}
         for name in ("ticks per s", "agents and world, ms per tick", "monitor, ms per tick"):
             with_it, without = ([one[name] for one in rows if one["what"] == what] for what in (viewer, VIEWERS[0]))
             row[name] = 100.0 * (statistics.median(a / b for a, b in zip(with_it, without)) - 1.0)
@@ -63,7 +63,7 @@ def compare(rows: list[Row]) -> list[Row]:
     return found
 
 
-def run(viewer: str, agents: int = AGENTS) -> Row:
+def run(viewer: str, agents: int = AGENTS) -> BenchRow:
     """One run in lockstep: the rate over some ticks, and the CPU that they took."""
     port = free_port()
     url = f"http://127.0.0.1:{port}/"
@@ -87,7 +87,7 @@ def run(viewer: str, agents: int = AGENTS) -> Row:
     }
 
 
-def _reach(running: Swarm, tick: int) -> Mark:
+def _reach(running: Swarm, tick: int) -> SwarmReading:
     """Where the run stands once it has come to a tick."""
     while (mark := running.mark()).tick < tick:
         time.sleep(LOOK)
@@ -96,7 +96,7 @@ def _reach(running: Swarm, tick: int) -> Mark:
 
 @contextmanager
 def _looking(viewer: str, url: str) -> Iterator[Browser | None]:
-    """One who looks at the page, if anybody is to; the browser if it is one."""
+    """A viewer of the page, if one is wanted; yields the browser if it is one."""
     if viewer == VIEWERS[2]:
         with browser(url) as chromium:
             chromium.until("window.covey && covey.frame")
@@ -124,7 +124,7 @@ def _frames(viewer: str, url: str) -> float:
     return next(float(line.split()[-1]) for line in lines if line.startswith("covey_page_frames_total"))
 
 
-def replay(recording: Path | None = None) -> list[Row]:
+def replay(recording: Path | None = None) -> list[BenchRow]:
     """A recording (of `REPLAYED` s and more) in Chromium at 10 ticks/s and at ten times its speed; by default a simulated one."""
     with tempfile.TemporaryDirectory() as folder:
         if recording is None:
@@ -145,18 +145,18 @@ def replay(recording: Path | None = None) -> list[Row]:
             process.communicate()
 
 
-def costs(recording: Recording, folder: Path) -> list[Row]:
+def costs(recording: Recording, folder: Path) -> list[BenchRow]:
     """CPU of what a monitor does with a message: decode, score, note for the page, record; and of a frame and a greeting."""
     entries = list(recording.entries(0, COUNTED))
     heard = list(map(event_of, entries))
     scorer, picture, recorder = Scorer(recording.scenario), Picture(recording.scenario), Recorder(folder / "costs.mcap", recording.scenario)
-    parts: dict[str, Callable[[Entry, Event], object]] = {
+    parts: dict[str, Callable[[RecordedEntry, Event], object]] = {
         "decode": lambda entry, event: event_of(entry),
         "score": lambda entry, event: scorer.handle(event, 0.0),
         "note for the page": lambda entry, event: picture.see(event, 0.0),
         "record": lambda entry, event: recorder.see(event, 0.0),
     }
-    rows: list[Row] = []
+    rows: list[BenchRow] = []
     for name, part in parts.items():
         spent = cpu_seconds(lambda part=part: [part(*both) for both in zip(entries, heard)])  # type: ignore[misc]
         rows.append({"what": name, "us per message": 1e6 * spent / len(heard)})
@@ -165,7 +165,7 @@ def costs(recording: Recording, folder: Path) -> list[Row]:
     return [*rows, {"what": "draw up a frame", "ms": 1e3 * frames, "kB": len(frame(picture, scorer.scores[-2], {})) / 1e3}]
 
 
-def _play(chromium: Browser, server: int, speed: float, seconds: float) -> Row:
+def _play(chromium: Browser, server: int, speed: float, seconds: float) -> BenchRow:
     """One speed from the beginning on, for some s of the wall clock."""
     chromium.ask(f"[{{seek: 0}}, {{speed: {speed}}}, {{play: true}}].forEach(covey.send)")
     time.sleep(1.0)

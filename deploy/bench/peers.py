@@ -5,9 +5,9 @@ import importlib.util
 import numpy as np
 import shapely
 
-from agents.arithmetic import PLAIN
-from deploy.bench.timing import Row, median_seconds
-from deploy.simulate import compiled
+from agents.backend import PLAIN
+from deploy.bench.timing import BenchRow, median_seconds
+from deploy.simulation import compiled
 from protocol.geometry import rectangle
 
 
@@ -34,14 +34,14 @@ def by_shapely(points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list
     return cells
 
 
-def measure() -> list[Row]:
+def measure() -> list[BenchRow]:
     """Milliseconds of CPU, and how many times faster ours are."""
-    rows: list[Row] = []
+    rows: list[BenchRow] = []
     for count, side in ((48, 100.0), (1000, 456.0)):
         points, radii = generators(count, side)
         arena = rectangle(side, side)
-        ours = median_seconds(lambda p=points, r=radii, a=arena: compiled().cut_all(p, r, a))  # type: ignore[misc]
-        plain = median_seconds(lambda p=points, r=radii, a=arena: PLAIN.cut_all(p, r, a), batches=1)  # type: ignore[misc]
+        ours = median_seconds(lambda p=points, r=radii, a=arena: compiled().cut_cells(range(len(r)), p, r, a))  # type: ignore[misc]
+        plain = median_seconds(lambda p=points, r=radii, a=arena: PLAIN.cut_cells(range(len(r)), p, r, a), batches=1)  # type: ignore[misc]
         row = {"what": f"all {count} power cells", "ours, ms": 1000.0 * ours, "plain numpy, ms": 1000.0 * plain}
         if count <= 48:
             theirs = median_seconds(lambda p=points, r=radii, a=arena: by_shapely(p, r, a), batches=1)  # type: ignore[misc]

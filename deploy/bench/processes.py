@@ -14,10 +14,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy import modules
-from deploy.bench.timing import Row
-from deploy.swarm.control import ControlClient
-from deploy.swarm.rundir import RunDirectory
+from deploy import installation
+from deploy.bench.timing import BenchRow
+from deploy.live.control import ControlClient
+from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
 PAGE_TOTAL = "Pss:"
@@ -27,7 +27,7 @@ TEAMS = {16: "A4,B12", 48: "5", 96: "A12,C48,D36", 200: "A25,C100,D75"}
 SETTLE, WINDOW = 0.2, 10.0  # wall s: before anything is measured, for each agent, and then
 
 
-class Mark(NamedTuple):
+class SwarmReading(NamedTuple):
     """Where a run stands: wall time s, tick, CPU time of world and agents s, rounds that agents skipped and that were late."""
 
     at: float
@@ -61,21 +61,21 @@ class Swarm:
         data: dict[str, Any] = self._client.ask("status")["data"]
         return data
 
-    def mark(self) -> Mark:
+    def mark(self) -> SwarmReading:
         """Where it stands now."""
         data = self.status()
         spent = sum(cpu_of(row["pid"]) for row in data["processes"] if row["pid"])
-        return Mark(time.monotonic(), data["swarm"]["tick"], spent, sum(row.get("skipped", 0) for row in data["processes"]))
+        return SwarmReading(time.monotonic(), data["swarm"]["tick"], spent, sum(row.get("skipped", 0) for row in data["processes"]))
 
     def memory(self) -> float:
         """Proportional set size of all agents, MB."""
         return sum(pss(row["pid"]) for row in self.status()["processes"] if row["pid"] and row["name"] != "world") / 1024.0
 
-    def end(self) -> Row:
+    def end(self) -> BenchRow:
         """Take it down; its result."""
         self._client.ask("down")
         output, _ = self._process.communicate(timeout=START_SECONDS)
-        result: Row = json.loads(output.splitlines()[-1])
+        result: BenchRow = json.loads(output.splitlines()[-1])
         return result
 
     def deliveries(self, rounds: int) -> float:
@@ -94,10 +94,14 @@ def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False) -> 
     before = os.environ.get("COVEY_RUNS")
     with tempfile.TemporaryDirectory() as folder:
         os.environ["COVEY_RUNS"] = folder
-        command = [*modules.command("deploy"), "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
-        environment = {**modules.environment(), "COVEY_ROUNDS": "empty" if empty else ""}
+        program = installation.command("deploy.bench.empty") if empty else installation.command("deploy")
+        command = [*program, "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
         process = subprocess.Popen(
-            [*command, "--seconds", "1000000", *words], cwd=modules.ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            [*command, "--seconds", "1000000", *words],
+            cwd=installation.ROOT,
+            env=installation.environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
         )
         begun = time.monotonic()
         try:
@@ -114,7 +118,7 @@ def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False) -> 
                 os.environ["COVEY_RUNS"] = before
 
 
-def run(agents: int, spawn: str, settings: tuple[str, ...] = (), *, empty: bool = False, window: float = WINDOW) -> Row:
+def run(agents: int, spawn: str, settings: tuple[str, ...] = (), *, empty: bool = False, window: float = WINDOW) -> BenchRow:
     """One lockstep run: s from `covey up` to the first closed round, ticks per s, CPU per tick, messages, memory."""
     words = ["--lockstep", *[word for setting in settings for word in ("--set", setting)]]
     with swarm(agents, spawn, words, empty=empty) as running:
@@ -143,14 +147,14 @@ def run(agents: int, spawn: str, settings: tuple[str, ...] = (), *, empty: bool 
 ROUTER, NEIGHBOURS = ("network.mode=client",), ("timing.interest=neighbours",)
 
 
-def start() -> Iterator[Row]:
+def start() -> Iterator[BenchRow]:
     """From `covey up` to the first closed round, and memory, with both ways to start, and behind a router."""
     for agents in (16, 48):
         for spawn, settings in (("zygote", ()), ("zygote", ROUTER), ("exec", ())):
             yield run(agents, spawn, settings, window=2.0)
 
 
-def live(agents: tuple[int, ...] = (16, 48, 96)) -> Iterator[Row]:
+def live(agents: tuple[int, ...] = (16, 48, 96)) -> Iterator[BenchRow]:
     """Lockstep rates, each after the same swarm with empty rounds, and the ratio of the two, by rate and by CPU."""
     for number in agents:
         for settings in _choices(number):
@@ -161,18 +165,18 @@ def live(agents: tuple[int, ...] = (16, 48, 96)) -> Iterator[Row]:
 
 
 def _choices(agents: int) -> list[tuple[str, ...]]:
-    """Everybody linked to everybody or all to a router; and who hears whom. More than 48 are never linked to everybody."""
+    """Full mesh or router, and the interest; more than 48 agents never form a full mesh."""
     everybody: list[tuple[str, ...]] = [(), ROUTER] if agents <= 48 else [ROUTER]
     return everybody if agents < 48 else [*everybody, (*NEIGHBOURS, *ROUTER)]
 
 
-def realtime(agents: int = 48, seconds: float = 60.0) -> Iterator[Row]:
+def realtime(agents: int = 48, seconds: float = 60.0) -> Iterator[BenchRow]:
     """At 4 Hz for so long, behind a router and linked to everybody: rounds that were skipped, and the CPU that agents and world use."""
     for settings in (ROUTER, ()):
         yield _in_real_time(agents, seconds, settings)
 
 
-def _in_real_time(agents: int, seconds: float, settings: tuple[str, ...]) -> Row:
+def _in_real_time(agents: int, seconds: float, settings: tuple[str, ...]) -> BenchRow:
     words = [word for setting in settings for word in ("--set", setting)]
     with swarm(agents, "zygote", words) as running:
         time.sleep(SETTLE * agents)

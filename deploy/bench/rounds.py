@@ -5,13 +5,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from agents.arithmetic import Arithmetic, in_steps
+from agents.backend import Backend
+from agents.belief import ParticlePhd
 from agents.inbox import RoundInbox
 from agents.neighbours import Neighbours
-from agents.round import play
-from agents.words import announced, forget, side_by_side
+from agents.round import run_round
+from agents.words import announced, forget, newest_table, side_by_side
 from deploy.bench.capture import Captured, capture, cold
-from deploy.bench.timing import Row, cpu_seconds, median_seconds
+from deploy.bench.timing import BenchRow, cpu_seconds, median_seconds
 from deploy.scenario import Scenario, resolve
 from protocol import codec
 from protocol.keys import message_key
@@ -32,8 +33,8 @@ def scenario_of(team: str, seconds: float = 60.0) -> Scenario:
     return resolve("efficacy", {**options, "arena.width": side, "arena.height": side})
 
 
-def recorded(arithmetic: Arithmetic, calls: dict[str, list[Call]]) -> Arithmetic:
-    """The arithmetic, noting every call and its arguments."""
+def recorded(backend: Backend, calls: dict[str, list[Call]]) -> Backend:
+    """The backend, noting every call and its arguments."""
 
     def noting(name: str, function: Any) -> Callable[..., Any]:
         def noted(*arguments: Any) -> Any:
@@ -42,8 +43,8 @@ def recorded(arithmetic: Arithmetic, calls: dict[str, list[Call]]) -> Arithmetic
 
         return noted
 
-    functions: dict[str, Any] = {name: noting(name, function) for name, function in arithmetic._asdict().items() if callable(function)}
-    return arithmetic._replace(**functions)
+    functions: dict[str, Any] = {name: noting(name, function) for name, function in backend._asdict().items() if callable(function)}
+    return backend._replace(**functions)
 
 
 def read(captured: Captured) -> None:
@@ -75,36 +76,37 @@ def per_round(rounds: list[Captured], work: Work, first: Work | None = None) -> 
 def whole(captured: Captured) -> None:
     """One round, from the accepted gossips to the outcome."""
     forget()
-    play(*captured)
+    run_round(*captured)
+
+
+def lay(captured: Captured) -> None:
+    """Play a round, so that all gossips lie side by side, and forget that anybody has asked for what they share."""
+    whole(captured)
+    newest_table().shared = None
 
 
 def again(captured: Captured) -> None:
     """The round of one for whom another has laid the gossips side by side, as in a simulation."""
-    play(*captured)
+    run_round(*captured)
 
 
-def phases(rounds: list[Captured]) -> Row:
-    """Milliseconds of CPU per round of one agent, in the median over rounds: the whole, its phases, and what lies between them; then
-    the steps of the phase `refresh` one by one, in the mean."""
+def phases(rounds: list[Captured]) -> BenchRow:
+    """Milliseconds of CPU per round of one agent, in the median over rounds: the whole, its phases, and what lies between them."""
     play_it = per_round(rounds, whole)
-    shared = per_round(rounds, again, first=whole)
+    shared = per_round(rounds, again, first=lay)
     parts = {"read": per_round(rounds, read)}
     calls: dict[str, list[Call]] = {}
-    steps: dict[str, list[Call]] = {}
     for captured in cold(rounds):
         read(captured)
-        arithmetic, noted = captured.me.arithmetic, recorded(captured.me.arithmetic, steps)
-        play(*captured._replace(me=captured.me._replace(arithmetic=recorded(arithmetic, calls))))
-        play(*captured._replace(me=captured.me._replace(arithmetic=noted._replace(refresh=partial(in_steps, noted)))))
-    for name in ("cut", "refresh"):
+        noted = recorded(captured.me.backend, calls)
+        run_round(*captured._replace(me=captured.me._replace(backend=noted, tracker=ParticlePhd(noted))))
+    for name in ("cut_cells", "update_regions"):
         parts[name] = statistics.median(median_seconds(partial(function, *arguments)) for function, arguments in calls[name])
-    each = {name: median_seconds(lambda called=called: [f(*a) for f, a in called]) / len(rounds) for name, called in steps.items()}  # type: ignore[misc]
     row = {"play": play_it, "play, shared": shared, **parts, "between": play_it - sum(parts.values())}
-    row |= {f"step {name}": seconds for name, seconds in each.items() if name != "cut"}
     return {name: 1000.0 * seconds for name, seconds in row.items()}
 
 
-def wire(rounds: list[Captured]) -> Row:
+def wire(rounds: list[Captured]) -> BenchRow:
     """Milliseconds of CPU per round for encoding the own gossip and decoding those that were heard."""
     run = rounds[0].me.config.run.name
     mine = [captured.mine for captured in rounds]
@@ -115,7 +117,7 @@ def wire(rounds: list[Captured]) -> Row:
     return {"heard": heard, "encode": 1000.0 * encode, "decode": 1000.0 * decode * heard, "decode one": 1000.0 * decode}
 
 
-def from_bytes(rounds: list[Captured]) -> Row:
+def from_bytes(rounds: list[Captured]) -> BenchRow:
     """Milliseconds of CPU per round from the bytes of what was heard to the outcome, and how much of it goes by until all is accepted."""
     whole_times, accepted = [], []
     for captured in cold(rounds):
@@ -131,14 +133,14 @@ def from_bytes(rounds: list[Captured]) -> Row:
 
         def round_of(captured: Captured = captured, accept: Callable[[], None] = accept) -> None:
             accept()
-            play(*captured._replace(heard=captured.neighbours.fresh(captured.mine.tick)))
+            run_round(*captured._replace(heard=captured.neighbours.fresh(captured.mine.tick)))
 
         accepted.append(median_seconds(accept))
         whole_times.append(median_seconds(round_of))
     return {"bytes to accepted": 1000.0 * statistics.median(accepted), "bytes to outcome": 1000.0 * statistics.median(whole_times)}
 
 
-def measure(teams: list[str] | None = None, tick: int = 60) -> list[Row]:
+def measure(teams: list[str] | None = None, tick: int = 60) -> list[BenchRow]:
     """One row per team: ms of CPU per agent-round, each gossip decoded and predicted by the agent itself."""
     rows = []
     for team in teams or list(TEAMS):
@@ -147,7 +149,7 @@ def measure(teams: list[str] | None = None, tick: int = 60) -> list[Row]:
     return rows
 
 
-def codec_rows() -> list[Row]:
+def codec_rows() -> list[BenchRow]:
     """Microseconds of CPU per message of a real round, and its bytes."""
     rounds = capture(scenario_of("5"), 60)
     run = rounds[0].me.config.run.name

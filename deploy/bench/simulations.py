@@ -12,15 +12,15 @@ import numpy as np
 
 from agents.agent import Agent
 from deploy.bench import central
-from deploy.bench.timing import Row, in_turns
+from deploy.bench.timing import BenchRow, in_turns
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation, compiled
+from deploy.simulation import Simulation, compiled
 from protocol.messages import Truth
 from protocol.node import Effect, Event
 
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
 INSIDE = 60.0  # m from every edge of the arena: who is farther from them is counted apart
-ALIKE = range(26, 34)  # gossips: who hears so many is timed apart
+ALIKE = range(26, 34)  # gossips: agents that hear so many are timed apart
 SETTLED, END = 26, 34  # ticks of a growing crowd: those between them are measured
 MOST_SEEDS = 20
 
@@ -42,7 +42,7 @@ def figure_4(seconds: float) -> Scenario:
     return resolve("efficacy", {"team.composition": "4", "run.dt": 0.5, "run.seconds": seconds})
 
 
-def simulate(seconds: float = 60.0, turns: int = 3) -> Iterator[Row]:
+def simulate(seconds: float = 60.0, turns: int = 3) -> Iterator[BenchRow]:
     """Simulated seconds per second of CPU: all heard, a tenth of the messages between agents lost, and the central filter without agents
     and messages. They take turns, so that all meet the machine in the same mood; medians."""
     scenario, arithmetic = figure_4(seconds), compiled()
@@ -84,7 +84,7 @@ def crowd(agents: int, interest: str, ticks: int, seed: int = 1) -> Scenario:
     return resolve("efficacy", options)
 
 
-def scale(sizes: tuple[int, ...] = (48, 200, 400, 1000, 5000), enough: int = 1000) -> Iterator[Row]:
+def scale(sizes: tuple[int, ...] = (48, 200, 400, 1000, 5000), enough: int = 1000) -> Iterator[BenchRow]:
     """Per agent-round at constant density, once all have chosen their neighbours and whoever was heard of at the start only has been
     forgotten: CPU, deliveries, messages, bytes, peers listened to. Of small swarms several are played, to measure `enough` agents.
 
@@ -116,11 +116,11 @@ class _Sums:
     heard: int = 0  # the rest is of the last tick, of all agents
     known: int = 0
     certified: int = 0
-    alike: list[float] = field(default_factory=list)  # CPU of the rounds of those who hear about the same number, s
-    inside: list[int] = field(default_factory=list)  # how many those hear who are far from every edge
+    alike: list[float] = field(default_factory=list)  # CPU of the rounds of agents that hear about the same number, s
+    inside: list[int] = field(default_factory=list)  # gossips heard by agents far from every edge
 
 
-def _steady(scenarios: list[Scenario], interest: str) -> Row:
+def _steady(scenarios: list[Scenario], interest: str) -> BenchRow:
     """Swarms of one size, one after the other."""
     sums = _Sums()
     for scenario in scenarios:

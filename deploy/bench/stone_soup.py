@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from agents.arithmetic import Arithmetic
-from agents.births import background_births
+from agents import phd
+from agents.backend import Backend
+from agents.claims import NO_CLAIM
 from agents.particles import Particles
 from agents.step import Step
+from agents.tracker import RegionInput
 from agents.words import Words, announced
-from deploy.bench.timing import Row, median_seconds
+from deploy.bench.timing import BenchRow, median_seconds
 from deploy.scenario import agent_config, resolve
 from protocol.fields import pack
 from protocol.geometry import rectangle
@@ -30,7 +32,7 @@ def _points(count: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).random((count, 2)) * SIDE
 
 
-def our_scan(arithmetic: Arithmetic) -> Any:
+def our_scan(backend: Backend) -> Any:
     """A call that plays one scan of the whole arena with one sensor that sees all of it."""
     scenario = resolve("convergence", {"team.composition": "L1", "sensors.L": WIDE})
     sensor, step, corners = sensor_of(scenario, "L"), Step(agent_config(scenario), 1), rectangle(SIDE, SIDE)
@@ -41,10 +43,11 @@ def our_scan(arithmetic: Arithmetic) -> Any:
     states = np.hstack([_points(PARTICLES, 1), np.ones((PARTICLES, 2))])
     particles = Particles(states, np.full(PARTICLES, DETECTIONS / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
 
+    region = RegionInput("s1", 0, sensor, pose, corners, NO_CLAIM)
+
     def scan() -> Particles:
-        born = background_births(step.config.dice, 1, scenario.run.dt, scenario.filter, scenario.birth, scenario.arena)
-        near, _ = arithmetic.gather(particles, born, corners, (0.0, 0.0), 0.0, step)
-        return arithmetic.resample(arithmetic.update(near, words, corners, step), "s1", step)
+        [found] = backend.update_regions(words, particles, backend.background_births(step), [region], step)
+        return phd.resample(found.updated, "s1", step.tick, step.config.filter.seed, step.config.filter)
 
     assert len(scan().ids) >= PARTICLES // 4
     return scan
@@ -93,7 +96,7 @@ def their_scan() -> Any:
     detections = [Detection(point.reshape(2, 1), timestamp=later, measurement_model=sensor) for point in _points(DETECTIONS, 2)]
 
     def scan() -> Any:
-        prior = ParticleState(states, log_weight=weights, timestamp=start)  # a new one, for predictions are cached
+        prior = ParticleState(states, log_weight=weights, timestamp=start)  # a new one: predictions are cached
         prediction = predictor.predict(prior, timestamp=later)
         seen = [SingleHypothesis(prediction, detection) for detection in detections]
         return updater.update(MultipleHypothesis([SingleHypothesis(prediction, MissedDetection(timestamp=later)), *seen]))
@@ -115,14 +118,14 @@ def their_ospa() -> Any:
     return lambda: metric.compute_OSPA_distance(first, second)
 
 
-def measure(arithmetic: Arithmetic) -> list[Row]:
+def measure(backend: Backend) -> list[BenchRow]:
     """Milliseconds of CPU, and how many times faster ours are."""
     one, other = _points(TARGETS, 4), _points(TARGETS, 5)
     pairs = [
-        (f"particle PHD scan, {PARTICLES} particles, {DETECTIONS} detections", our_scan(arithmetic), their_scan()),
+        (f"particle PHD scan, {PARTICLES} particles, {DETECTIONS} detections", our_scan(backend), their_scan()),
         (f"OSPA, {TARGETS} against {TARGETS}", lambda: ospa(one, other), their_ospa()),
     ]
-    rows: list[Row] = []
+    rows: list[BenchRow] = []
     for what, ours, theirs in pairs:
         mine = 1000.0 * median_seconds(lambda call=ours: [call() for _ in range(REPEATS)]) / REPEATS  # type: ignore[misc]
         foreign = 1000.0 * median_seconds(theirs)

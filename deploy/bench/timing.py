@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-Row = dict[str, Any]
+BenchRow = dict[str, Any]
 
 
 def cpu_seconds(work: Callable[[], object]) -> float:
@@ -33,7 +33,7 @@ def in_turns(kinds: Mapping[str, Callable[[], object]], turns: int) -> dict[str,
     return found
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[BenchRow]) -> str:
     """Rows as a text table, columns in the order in which they first occur."""
     columns = list(dict.fromkeys(column for row in rows for column in row))
     lines = [columns, *([_text(row.get(column, "")) for column in columns] for row in rows)]

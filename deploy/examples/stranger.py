@@ -28,8 +28,8 @@ WIRE, WORD, GOLDEN = 2, (1 << 64) - 1, 0x9E3779B97F4A7C15
 NOTHING = {"claim_tick": 0, "claim_names": [], "claim": b"", "view": 0, "weight": 0.0, "states": b"", "ids": b"", "listening": False}
 ZENOH = '{mode: "peer", connect: {endpoints: ["%s"], timeout_ms: -1, exit_on_failure: false}, listen: {endpoints: ["tcp/127.0.0.1:0"]}, '
 ZENOH += 'scouting: {multicast: {enabled: false}, gossip: {autoconnect_strategy: {peer: {to_peer: "greater-zid"}}}}}'
-Message = dict[str, Any]
-Row = tuple[Any, ...]  # a place, a particle or a generator
+Map = dict[str, Any]
+Entry = tuple[Any, ...]  # a place, a particle or a generator
 
 
 def scramble(word: int, salt: int) -> int:
@@ -55,18 +55,18 @@ def order(name: str) -> tuple[int, str]:
     return len(name), name
 
 
-def pack(form: str, rows: list[Row]) -> bytes:
+def pack(form: str, rows: list[Entry]) -> bytes:
     """An array, row by row."""
     return b"".join(struct.pack(form, *row) for row in rows)
 
 
-def owns(claim: list[Row], x: float, y: float) -> bool:
+def owns(claim: list[Entry], x: float, y: float) -> bool:
     """Whether a place belongs to the owner of a claim: its power distance is the least, on a tie its name is the earliest."""
     ranks = [((x - px) * (x - px) + (y - py) * (y - py) - radius * radius, order(name)) for name, px, py, radius in claim]
     return bool(ranks) and min(ranks) is ranks[0]
 
 
-def power_cell(own: Row, others: list[Row], corners: list[Row]) -> tuple[list[Row], list[Row]]:
+def power_cell(own: Entry, others: list[Entry], corners: list[Entry]) -> tuple[list[Entry], list[Entry]]:
     """What is left of an arena when each bisector has cut off its part: the corners of the cell, and the claim that states it."""
     bisectors = []
     for other in others:
@@ -77,7 +77,7 @@ def power_cell(own: Row, others: list[Row], corners: list[Row]) -> tuple[list[Ro
         nx, ny, limit = (other[1] - own[1]) / span, (other[2] - own[2]) / span, (span**2 + own[3] ** 2 - other[3] ** 2) / (2.0 * span)
         bisectors.append((nx, ny, limit, other))
         beyond = [(x - own[1]) * nx + (y - own[2]) * ny - limit for x, y in corners]
-        clipped: list[Row] = []
+        clipped: list[Entry] = []
         for here, (x, y) in enumerate(corners):
             (px, py), before, after = corners[here - 1], beyond[here - 1], beyond[here]
             share = before / (before - after) if before * after < 0.0 else 0.0
@@ -88,7 +88,7 @@ def power_cell(own: Row, others: list[Row], corners: list[Row]) -> tuple[list[Ro
     return (corners, [own, *touching]) if len(corners) > 2 else ([], [])
 
 
-def move(particles: list[Row], tick: int, settings: Message) -> list[Row]:
+def move(particles: list[Entry], tick: int, settings: Map) -> list[Entry]:
     """The particles one tick later, at `tick`; those that leave the arena are dropped."""
     model, dt, sides = settings["filter"], settings["run"]["dt"], (settings["arena"]["width"], settings["arena"]["height"])
     turn, *axes = (key(model["seed"], purpose, tick) for purpose in ("turn", "east", "north"))
@@ -107,7 +107,7 @@ def move(particles: list[Row], tick: int, settings: Message) -> list[Row]:
     return moved
 
 
-def draw(particles: list[Row], model: Message) -> list[Row]:
+def draw(particles: list[Entry], model: Map) -> list[Entry]:
     """Particles of one weight and the same mass, with new ids in ascending order: a systematic draw."""
     sums = list(itertools.accumulate(particle[4] for particle in particles))
     if not sums or not sums[-1]:
@@ -127,13 +127,13 @@ class Stranger:
         half, self.sensor = math.radians(degrees) / 2.0, {"angle": math.radians(degrees), "radius": radius, "prob_detection": prob}
         self.ahead, self.capability = 2.0 * radius * math.sin(half) / (3.0 * half), prob * half * radius**2  # from sensor to COD; D
         self.alive, self.last = set[tuple[str, int]](), dict[str, int]()  # tokens; the tick of the newest gossip of each peer
-        self.greeted, self.settings = dict[str, float](), Message()  # when the newest Hello of each came; what all Hellos say
-        self.gossips: dict[int, dict[str, Message]] = {}  # by tick and name
-        self.seen, self.open = Message(tick=-1), Message()  # the newest observation; my gossip while its round is open
+        self.greeted, self.settings = dict[str, float](), Map()  # when the newest Hello of each came; what all Hellos say
+        self.gossips: dict[int, dict[str, Map]] = {}  # by tick and name
+        self.seen, self.open = Map(tick=-1), Map()  # the newest observation; my gossip while its round is open
         self.tick, self.listening, self.close_at, self.greet_at = -1, True, 0.0, 0.0
-        self.diagram, self.copies, self.owned = set[str](), list[Row](), NOTHING  # of the last round
+        self.diagram, self.copies, self.owned = set[str](), list[Entry](), NOTHING  # of the last round
 
-    def say(self, kind: str, fields: Message) -> Message:
+    def say(self, kind: str, fields: Map) -> Map:
         """Publish a message."""
         said = {"type": kind, "sender": self.name, "incarnation": self.incarnation, "wire": WIRE, **fields}
         self.session.put(f"covey/{self.run}/{kind}/{self.name}", msgpack.packb(said), congestion_control=zenoh.CongestionControl.DROP)
@@ -165,7 +165,7 @@ class Stranger:
             (self.alive.add if sample.kind == zenoh.SampleKind.PUT else self.alive.discard)((rest[1], int(rest[2])))
         elif kind == "alive" and int(rest[2]) > self.incarnation:
             raise SystemExit(3)  # a younger process has my name
-        said = msgpack.unpackb(sample.payload.to_bytes()) if kind != "alive" else Message(sender=self.name)
+        said = msgpack.unpackb(sample.payload.to_bytes()) if kind != "alive" else Map(sender=self.name)
         sender = said["sender"]
         if sender == self.name or said["wire"] != WIRE:
             return
@@ -179,7 +179,7 @@ class Stranger:
         if self.seen["tick"] > self.tick and {"filter", "arena"} <= self.settings.keys():  # an agent and the world have said theirs
             self.speak(self.seen, now)
 
-    def speak(self, seen: Message, now: float) -> None:
+    def speak(self, seen: Map, now: float) -> None:
         """Open the round of an observation with my gossip; one that is still open is over."""
         if self.open:
             self.close()
@@ -195,7 +195,7 @@ class Stranger:
         oldest = self.tick - self.settings["timing"]["silent_rounds"]
         return {name for name, _ in self.alive if self.last.get(name, self.tick) >= oldest} - self.gossips.get(self.tick, {}).keys()
 
-    def generators(self) -> list[Row]:
+    def generators(self) -> list[Entry]:
         """The generators of this round in the order of names: of each who lives and has a cell the newest gossip, if it is not too old."""
         said, names = {} if self.listening else {self.name: self.open}, {name for name, _ in self.alive}
         for tick in sorted(self.gossips.keys() & range(self.tick - self.settings["timing"]["silent_rounds"], self.tick + 1)):
@@ -209,7 +209,7 @@ class Stranger:
         """Play the open round: move all particles, cut the cell, keep what lies in it, and drive there."""
         mine, settings, names = self.open, self.settings, {name for name, _ in self.alive}
         heard = {name: gossip for name, gossip in self.gossips.get(self.tick, {}).items() if name in names} | {self.name: mine}
-        fresh, told = [gossip for gossip in heard.values() if gossip["claim_tick"] == self.tick - 1], dict[int, Row]()
+        fresh, told = [gossip for gossip in heard.values() if gossip["claim_tick"] == self.tick - 1], dict[int, Entry]()
         for gossip in fresh:
             rows = zip(struct.iter_unpack("<4f", gossip["states"]), struct.iter_unpack("<Q", gossip["ids"]))
             told |= {number: (*state, gossip["weight"], number) for state, (number,) in rows}
@@ -234,7 +234,7 @@ class Stranger:
         self.listening = self.listening and (self.tick == 0 or bool(self.awaited()))
         self.gossips = {tick: said for tick, said in self.gossips.items() if tick >= self.tick - settings["timing"]["silent_rounds"]}
 
-    def drive(self, mine: Message, places: list[Row]) -> None:
+    def drive(self, mine: Map, places: list[Entry]) -> None:
         """Send the COD to the middle of some places, and turn the sensor there, within the limits; without places stand still."""
         limits, dt, (x, y), pose = self.settings["limits"], self.settings["run"]["dt"], mine["cod"], mine["pose"]
         east, north = (sum(place[axis] for place in places) / len(places) if places else mine["cod"][axis] for axis in (0, 1))

@@ -19,8 +19,8 @@ from protocol.process import die_with_parent
 from protocol.settings import BadSetting
 
 TICK = 0.25  # s between two looks at what is running
-Rows = Generator[list[tuple[int, Row]], None, None]
-Play = Callable[..., Row]  # of a trial and, where it is asked how far it is, a function that is told the share of its ticks
+FinishedTrials = Generator[list[tuple[int, Row]], None, None]
+Play = Callable[..., Row]  # of a trial and a function that takes the share of finished ticks
 
 
 class Job(Protocol):
@@ -39,8 +39,8 @@ class Job(Protocol):
 Numbered = tuple[int, Job]
 
 
-class Shares(Protocol):
-    """How far each trial is, 0 to 1; one place for all processes."""
+class SharedProgress(Protocol):
+    """The progress of each trial, 0 to 1, shared by all processes."""
 
     def __getitem__(self, number: int, /) -> float:
         """Of one trial."""
@@ -56,7 +56,7 @@ class TrialFailed(Exception):
     """A trial ended with an error; the text says which and how."""
 
 
-def _start_worker(shares: Shares) -> None:
+def _start_worker(shares: SharedProgress) -> None:
     global _shares
     _shares = shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the study, which ends its workers
@@ -70,8 +70,8 @@ def _work(play: Play, number: int, trial: Job) -> Row:
     return play(trial, tell)
 
 
-def on_this_machine(trials: Sequence[Numbered], workers: int, shares: Shares, play: Play = run_trial) -> Rows:
-    """What has finished since the last look, every `TICK` s; `shares` tells how far each running trial is."""
+def on_this_machine(trials: Sequence[Numbered], workers: int, shares: SharedProgress, play: Play = run_trial) -> FinishedTrials:
+    """The rows that have finished since the last step, every `TICK` s; `shares` holds the progress of each running trial."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, _start_worker, (shares,))
     try:
@@ -92,14 +92,14 @@ def _harvest(future: "Future[Row]", number: int, trial: Job) -> tuple[int, Row]:
         raise TrialFailed(f"{trial.command()}: {type(error).__name__}: {error}") from error
 
 
-def shared_shares(count: int) -> Shares:
-    """Room for how far each trial is."""
-    shares: Shares = multiprocessing.get_context("spawn").Array("d", max(1, count))
+def shared_progress(count: int) -> SharedProgress:
+    """Shared memory for the progress of all trials."""
+    shares: SharedProgress = multiprocessing.get_context("spawn").Array("d", max(1, count))
     return shares
 
 
-def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_trial) -> Rows:
-    """What has finished since the last look; the workers of the scheduler at `address` need Covey on their path."""
+def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_trial) -> FinishedTrials:
+    """The rows that have finished since the last step; the workers of the scheduler at `address` need Covey on their path."""
     try:
         from distributed import Client
     except ImportError:
@@ -115,7 +115,7 @@ def on_a_cluster(trials: Sequence[Numbered], address: str, play: Play = run_tria
             client.close(timeout=2)
 
 
-def _from_cluster(client: Any, trials: Sequence[Numbered], play: Play) -> Rows:
+def _from_cluster(client: Any, trials: Sequence[Numbered], play: Play) -> FinishedTrials:
     futures = {client.submit(play, trial, key=f"covey-{trial.key()}"): (number, trial) for number, trial in trials}
     try:
         while futures:

@@ -1,4 +1,4 @@
-"""Paired comparisons: what a method gains over another on the same seeds, and how sure that is."""
+"""Paired comparisons: the gain of a method over another on the same seeds, and its significance."""
 
 from collections.abc import Sequence
 from statistics import mean, median

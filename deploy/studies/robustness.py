@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from deploy.chaos.faults import Schedule
+from deploy.faults.faults import Schedule
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from deploy.studies.trials import CORE, Row, source_hash
 from protocol.settings import BadSetting
 
@@ -80,7 +80,7 @@ class Bout(msgspec.Struct, frozen=True, kw_only=True):
 
 def code() -> str:
     """A hash of the source that decides what a bout gives."""
-    return source_hash((*CORE, "deploy/chaos", "deploy/studies/robustness.py"))
+    return source_hash((*CORE, "deploy/faults", "deploy/studies/robustness.py"))
 
 
 def plan(trials: int, seed: int, at: float, seconds: float, options: dict[str, Any]) -> list[Bout]:

@@ -7,22 +7,30 @@ with it target tracks, starts and every die of the detectors.
 import hashlib
 import json
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from deploy.result import Result
 from deploy.scenario import Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.scoring.result import Result
+from deploy.simulation import Simulation
 from protocol.settings import BadSetting
 
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
-CORE = ("protocol", "agents", "world", "deploy/simulate.py", "deploy/scenario.py", "deploy/monitor_node.py", "deploy/scores.py")
-LEFT_OUT = ("wall_s", "bytes", "kills", "missing", "events", "pace", "exit_code")  # of a result: what another machine changes, and lists
+CORE = ("protocol", "agents", "world", "deploy/simulation.py", "deploy/scenario.py", "deploy/scoring/scorer.py", "deploy/scoring/scores.py")
+LEFT_OUT = (
+    "wall_s",
+    "bytes",
+    "kills",
+    "missing",
+    "events",
+    "tick_rate",
+    "exit_code",
+)  # of a result: what another machine changes, and lists
 FLAGS = {  # options of `covey simulate`
     "run.seed": "--seed",
     "team.composition": "--team",
@@ -135,3 +143,8 @@ def cost(scenario: Scenario) -> float:
     """How long a trial takes, in units of its own: every agent plays every round and hears every other."""
     agents = len(scenario.members)
     return scenario.run.ticks * agents * (1.0 + agents / 60.0)
+
+
+def methods_of(rows: Sequence[Row]) -> list[str]:
+    """The methods that occur, in the order of METHODS."""
+    return [name for name in METHODS if any(row["method"] == name for row in rows)]

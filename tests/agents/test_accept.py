@@ -144,7 +144,7 @@ def test_how_gossips_are_cut_into_batches_changes_nothing(seed: int) -> None:
 def test_every_gossip_that_is_heard_passes_the_one_accept(monkeypatch: pytest.MonkeyPatch) -> None:
     """In a calm run, a lossy one and a watched one, whether messages come in batches or one by one."""
     from deploy.scenario import FaultSettings
-    from deploy.simulate import Simulation
+    from deploy.simulation import Simulation
 
     real, passed = Neighbours.accept, [0]
 

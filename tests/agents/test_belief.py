@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from agents.arithmetic import PLAIN
-from agents.belief import MOST_COPIES, Belief, Copies, Round, Share, share_of, start, worth_keeping
+from agents.backend import PLAIN
+from agents.belief import MOST_COPIES, Belief, Copies, ParticlePhd, Round, share_of, start, worth_keeping
 from agents.claims import NO_CLAIM, make_claim
 from agents.config import AgentConfig, TimingSettings
 from agents.particles import NONE, Particles, canonical, join
+from agents.regions import predict
 from agents.step import Step
+from agents.tracker import OwnedState
 from agents.words import Words, particles_of
 from protocol.fields import pack
 from protocol.keys import order
@@ -18,6 +20,7 @@ from tests.agents.side_by_side import table
 
 ARENA = ArenaSettings(width=100.0, height=100.0)
 CONFIG = AgentConfig(arena=ARENA, timing=TimingSettings(overlap=3.0))
+TRACKER = ParticlePhd(PLAIN)
 HALVES = {"s1": (30.0, 50.0, 0.0), "s2": (70.0, 50.0, 0.0)}  # two generators, cut at x = 50
 
 
@@ -28,14 +31,14 @@ def particles(*rows: tuple[int, float, float]) -> Particles:
     return Particles(states, table[:, 2], table[:, 0].astype(np.uint64))
 
 
-def share(owner: str, held: Particles, generators: dict[str, tuple[float, float, float]] = HALVES, view: int = 7) -> Share:
+def share(owner: str, held: Particles, generators: dict[str, tuple[float, float, float]] = HALVES, view: int = 7) -> OwnedState:
     """What `owner` owns in the diagram of some generators."""
     names = (owner, *(name for name in generators if name != owner))
     table = np.array([generators[name] for name in names])
-    return Share(owner, make_claim(names, table, tuple(map(order, names))), held, view)
+    return OwnedState(owner, make_claim(names, table, tuple(map(order, names))), held, view)
 
 
-def words(belief: Belief, shares: list[Share], tick: int = 5) -> Words:
+def words(belief: Belief, shares: list[OwnedState], tick: int = 5) -> Words:
     """What all say in a tick whose claims and particles these are."""
     said = []
     for held in sorted([belief.mine, *shares], key=lambda held: order(held.owner)):
@@ -59,9 +62,9 @@ def words(belief: Belief, shares: list[Share], tick: int = 5) -> Words:
     return table(said, config=CONFIG)
 
 
-def merged(belief: Belief, shares: list[Share]) -> list[int]:
+def merged(belief: Belief, shares: list[OwnedState]) -> list[int]:
     """Ids of everything that counts, ascending."""
-    return canonical(particles_of(belief.merge(words(belief, shares), 5, PLAIN, CONFIG))).ids.tolist()
+    return canonical(particles_of(TRACKER.merge(belief, words(belief, shares), Step(CONFIG, 5)))).ids.tolist()
 
 
 def test_fresh_claims_replace_the_copies_that_lie_in_them() -> None:
@@ -134,7 +137,7 @@ def test_copies_of_what_was_told_are_moved_on_but_for_those_that_were_corrected(
     copies = Copies(particles((3, 53.0, 0.2)), Round(step, PLAIN, told, cell, NO_CLAIM))
     held = copies.all()
     assert held.ids.tolist() == [3, 2]
-    assert held.states[1, 0] == PLAIN.predict(told, step).states[0, 0]
+    assert held.states[1, 0] == predict(told, step).states[0, 0]
     assert copies.all() is held
 
 
@@ -158,17 +161,17 @@ def test_of_too_many_copies_the_lightest_are_given_up() -> None:
 def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> None:
     own, copies = particles((1, 20.0, 0.1)), particles((2, 80.0, 0.2))
     asleep = Belief(4, share("s1", own), Copies(copies), frozenset({"s1"}))
-    awake = asleep.awake(Step(CONFIG, 8), PLAIN)
+    awake = TRACKER.predict(asleep, Step(CONFIG, 8))
     expected = canonical(join([own, copies]))
     for tick in (5, 6, 7):
-        expected = PLAIN.predict(expected, Step(CONFIG, tick))
+        expected = predict(expected, Step(CONFIG, tick))
     assert awake.stamp == 7 and awake.mine.claim.names == ()
     assert (awake.copies.all().states == expected.states).all() and (awake.copies.all().weights == expected.weights).all()
 
 
 def test_who_missed_nothing_is_not_woken() -> None:
     belief = Belief(4, share("s1", NONE), Copies(NONE), frozenset({"s1"}))
-    assert belief.awake(Step(CONFIG, 5), PLAIN) is belief
+    assert TRACKER.predict(belief, Step(CONFIG, 5)) is belief
 
 
 def test_at_the_start_everybody_holds_the_prior_and_nobody_owns_anything() -> None:

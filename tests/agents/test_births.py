@@ -46,6 +46,17 @@ def test_background_births_bring_what_flows_in_over_the_border() -> None:
     assert len(background_births(1, 3, 0.5, FILTER, BirthSettings(background=False), ARENA).ids) == 0
 
 
+def test_in_a_closed_arena_as_many_are_born_as_die_and_none_on_the_border() -> None:
+    closed = FilterSettings(border="reflect", lifetime=20.0)
+    births = background_births(1, 3, 0.5, closed, BirthSettings(background_particles=500), ARENA)
+    assert births.weights.sum() == pytest.approx(0.001 * 6000.0 * (1.0 - math.exp(-0.5 / 20.0)))
+    assert ((births.states[:, :2] > 0.0) & (births.states[:, :2] < [100.0, 60.0])).all()
+    counts = np.histogram(births.states[:, 0], bins=5, range=(0, 100))[0]
+    assert np.abs(counts - 100).max() < 4.5 * math.sqrt(80.0)
+    immortal = FilterSettings(border="reflect", lifetime=0.0)
+    assert len(background_births(1, 3, 0.5, immortal, BIRTH, ARENA).ids) == 0
+
+
 def test_nine_tenths_are_born_on_the_border_with_headings_inward_by_the_cosine_law() -> None:
     parts = [background_births(2, tick, 0.5, FILTER, BirthSettings(background_particles=1000), ARENA) for tick in range(8)]
     states = np.concatenate([part.states for part in parts])
@@ -88,15 +99,31 @@ def test_the_birth_density_is_the_local_density_within_its_limits(mass: float, c
     particles = Particles(
         np.column_stack([places, np.zeros((count, 2))]), np.full(count, mass / max(count, 1)), np.arange(count, dtype=np.uint64)
     )
-    found = birth_density(particles, scan([(50.0, 30.0)]), BIRTH)[0]
+    found = birth_density(particles, scan([(50.0, 30.0)]), np.zeros(1), BIRTH)[0]
     local = mass / (math.pi * 16.0) if count else 0.0
     assert found == pytest.approx(min(max(local, 0.25 * 3e-4), 0.001))
 
 
+def test_what_explains_a_detection_is_no_target_without_particles() -> None:
+    """A sure target within 4 m of two detections, one of which it explains for .98: what is left is .02, over 16 pi m^2."""
+    sure = Particles(np.array([[50.0, 30.0, 0.0, 0.0]]), np.array([1.0]), np.array([1], dtype=np.uint64))
+    places = scan([(50.0, 30.0), (53.0, 30.0), (58.0, 30.0)])
+    found = birth_density(sure, places, np.array([0.98, 0.0, 0.0]), BIRTH)
+    assert found == pytest.approx([0.02 / (16.0 * math.pi), 0.02 / (16.0 * math.pi), 0.25 * 3e-4])
+
+
+@pytest.mark.parametrize(
+    ("clutter_density", "least"), [(0.0, 1e-5), (1e-9, 1e-5), (4e-4, 1e-4), (1.0, 5e-4)], ids=["none", "hardly any", "usual", "much"]
+)
+def test_the_least_birth_density_follows_the_clutter_within_limits(clutter_density: float, least: float) -> None:
+    quiet = scan([(50.0, 30.0)])._replace(clutter_density=clutter_density)
+    assert birth_density(NONE, quiet, np.zeros(1), BIRTH) == pytest.approx([least], rel=1e-12)
+
+
 def test_birth_densities_without_particles_detections_or_births() -> None:
-    assert birth_density(NONE, scan([(50.0, 30.0)]), BIRTH).tolist() == [0.25 * 3e-4]
-    assert birth_density(NONE, scan([]), BIRTH).shape == (0,)
-    assert birth_density(NONE, scan([(50.0, 30.0)]), BirthSettings(measurement=False)).tolist() == [0.0]
+    assert birth_density(NONE, scan([(50.0, 30.0)]), np.zeros(1), BIRTH).tolist() == [0.25 * 3e-4]
+    assert birth_density(NONE, scan([]), np.zeros(0), BIRTH).shape == (0,)
+    assert birth_density(NONE, scan([(50.0, 30.0)]), np.zeros(1), BirthSettings(measurement=False)).tolist() == [0.0]
 
 
 def test_directions_are_unit_vectors_all_around() -> None:

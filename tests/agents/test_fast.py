@@ -1,34 +1,37 @@
-"""The compiled arithmetic is the plain one to the last bit: every function of `Arithmetic`, on random and on empty inputs."""
+"""The compiled backend is the plain one to the last bit: every function of `Backend`, on random and on empty inputs."""
 
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agents.arithmetic import PLAIN, Arithmetic, Parts, Task
-from agents.cells import NO_CELL
-from agents.claims import end_to_end, make_claim
+from agents.backend import PLAIN, Backend
+from agents.cells import NO_CELL, Cell, cut
+from agents.claims import end_to_end, make_claim, owned
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings
+from agents.extraction import estimate_targets
 from agents.interest import Ground
 from agents.particles import NONE, Particles, join, select
 from agents.step import Step
 from agents.tiles import Bounds
+from agents.tracker import RegionInput
 from agents.words import Words
 from protocol.fields import pack
-from protocol.geometry import EMPTY, rectangle
+from protocol.geometry import EMPTY, distances, rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 from protocol.streams import scramble
-from tests.agents.side_by_side import table
+from tests.agents.side_by_side import table as table_of
 
 fast = pytest.importorskip("agents.fast")
-FAST, said = fast.FAST, fast.said_near
+from agents import claim_kernels, extraction_kernels, kernels  # noqa: E402
+
+FAST = fast.FAST
 SIDE = 40.0
 ARENA, BOX = ArenaSettings(width=SIDE, height=SIDE), rectangle(SIDE, SIDE)
 seeds = st.integers(0, 2**32 - 1)
@@ -45,7 +48,7 @@ def bits(value: Any) -> Any:
 
 
 def assert_same(function: str, *arguments: Any) -> None:
-    """Both arithmetics give the same bits."""
+    """Both backends give the same bits."""
     plain, fast = getattr(PLAIN, function)(*arguments), getattr(FAST, function)(*arguments)
     assert bits(plain) == bits(fast), f"{function}: {plain} != {fast}"
 
@@ -105,7 +108,7 @@ def words(rng: np.random.Generator, particles: Particles, width: float = math.in
         )
         said.append(gossip)
         sensors.append(sensor)
-    return table(said, sensors=sensors)
+    return table_of(said, sensors=sensors)
 
 
 def step(seed: int = 3, tick: int = 7, **filters: Any) -> Step:
@@ -114,29 +117,34 @@ def step(seed: int = 3, tick: int = 7, **filters: Any) -> Step:
 
 def test_every_function_is_compared_here() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
-    others = [name for name in Arithmetic._fields if name != "reader"]  # that is what test_calm is about
+    others = Backend._fields
     assert [name for name in others if f'assert_same("{name}"' not in text] == []
+
+
+def test_a_backend_has_at_most_eight_functions() -> None:
+    assert len(Backend._fields) <= 8
 
 
 @given(seeds, st.integers(1, 14))
 @some
-def test_cut(seed: int, count: int) -> None:
+def test_cut_cells(seed: int, count: int) -> None:
     points, radii = diagram(np.random.default_rng(seed), count)
-    for index in range(count):
-        assert_same("cut", index, points, radii, BOX)
-    assert_same("cut_all", points, radii, BOX)
+    for indices in (range(count), [count - 1], [], [0, 0]):
+        assert_same("cut_cells", indices, points, radii, BOX)
 
 
 @given(seeds, st.integers(1, 14), st.integers(0, 50))
 @some
 def test_owned(seed: int, count: int, places: int) -> None:
+    """Which points a claim holds, the claim of nobody too."""
     rng = np.random.default_rng(seed)
     points, radii = diagram(rng, count)
     order = rng.permutation(count).tolist()
-    claim = make_claim(tuple(map(str, order)), np.column_stack([points, radii])[order], tuple((number, "") for number in order))
     where = np.vstack([rng.random((places, 2)) * 44.0 - 2.0, np.round(rng.random((places, 2)) * SIDE)])
-    assert_same("owned", where, claim, ARENA)
-    assert_same("owned", np.column_stack([where, where]), make_claim((), np.empty((0, 3)), ()) if count == 1 else claim, ARENA)
+    for names in (order, []):
+        claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[names], tuple((number, "") for number in names))
+        compiled = claim_kernels.owned(where, claim.generators, claim.first, SIDE, SIDE)
+        assert bits(owned(where, claim, ARENA)) == bits(compiled)
 
 
 @given(seeds, st.integers(1, 14), st.integers(0, 50))
@@ -151,12 +159,12 @@ def test_what_claims_together_leave_and_dispute(seed: int, count: int, places: i
         names = [owner, *others] if rng.random() < 0.9 else []
         claims.append(make_claim(tuple(map(str, names)), table[names], tuple((name, "") for name in names)))
     where = np.vstack([rng.random((places, 4)) * 44.0 - 2.0, np.round(rng.random((places, 4)) * SIDE)])
-    assert_same("unclaimed", where, end_to_end(claims), ARENA)
+    assert_same("orphaned", where, end_to_end(claims), ARENA)
     sizes = rng.multinomial(len(where), [1.0 / count] * count)
     sizes = [int(size) if claim.names else 0 for size, claim in zip(sizes, claims)]
     views = rng.integers(-2, 2, count).tolist()
     for overlap in (0.0, 3.0):
-        assert_same("undisputed", where[: sum(sizes)], sizes, end_to_end(claims), views, overlap)
+        assert_same("resolve_conflicts", where[: sum(sizes)], sizes, end_to_end(claims), views, overlap)
 
 
 @given(seeds, st.integers(1, 14), st.integers(0, 60), st.sampled_from([0.0, 5.0, math.inf]))
@@ -164,16 +172,16 @@ def test_what_claims_together_leave_and_dispute(seed: int, count: int, places: i
 def test_copies_after_a_round_and_what_counts_of_them(seed: int, count: int, number: int, horizon: float) -> None:
     rng = np.random.default_rng(seed)
     points, radii = diagram(rng, count)
-    cell = PLAIN.cut(0, points, radii, BOX)
+    cell = cut(0, points, radii, BOX)
     names = cell.bounds
     claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[list(names)], tuple((name, "") for name in names))
     near, told = cloud(rng, number), cloud(rng, int(rng.integers(0, 60)))
     mixed = join([told, select(near, rng.random(number) < 0.5)])
     for border in ("cross", "reflect"):
         for polygon in (cell.polygon, EMPTY):
-            assert_same("outlying", near, mixed, polygon, claim, horizon, step(border=border))
-    assert_same("unite", mixed, rng.random(len(mixed.ids)) < 0.8, near, rng.random(number) < 0.3)
-    assert_same("unite", NONE, np.empty(0, dtype=bool), near, np.zeros(number, dtype=bool))
+            assert_same("remote_copies", near, mixed, polygon, claim, horizon, step(border=border))
+    assert_same("merge", mixed, rng.random(len(mixed.ids)) < 0.8, near, rng.random(number) < 0.3)
+    assert_same("merge", NONE, np.empty(0, dtype=bool), near, np.zeros(number, dtype=bool))
 
 
 @given(seeds, st.integers(0, 300), st.sampled_from(["hashes", "few", "numbers", "ends"]))
@@ -189,17 +197,7 @@ def test_ids_are_sorted_whether_or_not_they_are_hashes(seed: int, count: int, ki
         ids = np.where(rng.random(count) < 0.5, np.uint64(0), np.uint64(2**64 - 1))
     for chosen in (rng.permutation(count), np.argsort(ids, kind="stable")):
         wanted = chosen[np.argsort(ids[chosen], kind="stable")]
-        assert fast.kernels.sort_by_id(ids, chosen.copy()).tolist() == wanted.tolist()
-
-
-@given(seeds, st.integers(1, 10), st.integers(0, 50))
-@some
-def test_distances(seed: int, count: int, places: int) -> None:
-    rng = np.random.default_rng(seed)
-    points, radii = diagram(rng, count)
-    where = rng.random((places, 4)) * 60.0 - 10.0
-    assert_same("distances", PLAIN.cut(0, points, radii, BOX).polygon, where)
-    assert_same("distances", EMPTY, where)
+        assert kernels.sort_by_id(ids, chosen.copy()).tolist() == wanted.tolist()
 
 
 @given(seeds, st.integers(1, 200), st.floats(0.0, 1.0), st.booleans())
@@ -207,55 +205,7 @@ def test_distances(seed: int, count: int, places: int) -> None:
 def test_births(seed: int, count: int, share: float, wanted: bool) -> None:
     birth = BirthSettings(background_particles=count, border_share=share, background=wanted)
     run, filters, arena = RunSettings(dt=0.5), FilterSettings(seed=seed), ArenaSettings(width=SIDE, height=2.0 * SIDE)
-    assert_same("births", Step(AgentConfig(run=run, filter=filters, arena=arena, birth=birth), seed % 1000))
-
-
-@given(seeds, st.integers(0, 60), st.sampled_from(["cross", "reflect"]), st.floats(0.0, 2.0))
-@some
-def test_predict(seed: int, count: int, border: str, noise: float) -> None:
-    motion = step(5, seed % 1000, border=border, heading_noise=noise, position_noise=noise / 3.0)
-    assert_same("predict", cloud(np.random.default_rng(seed), count), motion)
-
-
-@given(seeds, st.integers(0, 150), st.booleans(), st.sampled_from([0.1, 0.25, 1.0]))
-@some
-def test_update(seed: int, count: int, births: bool, noise: float) -> None:
-    rng = np.random.default_rng(seed)
-    particles = cloud(rng, count)
-    config = AgentConfig(arena=ARENA, birth=BirthSettings(measurement=births), detection=DetectionSettings(noise=noise))
-    assert_same("update", particles, words(rng, particles), BOX[[0, 1, 2]] * 0.5, Step(config, 7))
-
-
-@given(seeds, st.integers(0, 4), st.integers(0, 40), st.integers(0, 20))
-@some
-def test_gather(seed: int, parts: int, count: int, births: int) -> None:
-    """Several sets that share ids, as gossips and copies do."""
-    rng = np.random.default_rng(seed)
-    whole = cloud(rng, count)
-    together = join([select(whole, rng.random(count) < 0.6) for _ in range(parts)])
-    points, radii = diagram(rng, 5)
-    polygon = PLAIN.cut(0, points, radii, BOX).polygon
-    eye, reach = pose(rng)[:2], float(rng.random() * 20.0)
-    assert_same("gather", together, cloud(rng, births), polygon, eye, reach, step())
-    assert_same("gather", together, NONE, EMPTY, eye, reach, step(seed))
-
-
-@given(seeds, st.integers(1, 8), st.integers(0, 60))
-@some
-def test_take(seed: int, count: int, size: int) -> None:
-    rng = np.random.default_rng(seed)
-    points, radii = diagram(rng, count)
-    claim = make_claim(tuple(map(str, range(count))), np.column_stack([points, radii]), tuple((number, "") for number in range(count)))
-    particles = cloud(rng, size)
-    shuffled = select(particles, rng.integers(0, size, size) if size else np.empty(0, dtype=int))
-    assert_same("take", shuffled, claim, ARENA)
-    assert_same("take", shuffled, make_claim((), np.empty((0, 3)), ()) if count == 1 else claim, ARENA)
-
-
-@given(seeds, st.integers(0, 200), st.floats(0.0, 1.0))
-@some
-def test_resample(seed: int, count: int, weight: float) -> None:
-    assert_same("resample", cloud(np.random.default_rng(seed), count, weight), "s12", step(3, seed % 1000))
+    assert_same("background_births", Step(AgentConfig(run=run, filter=filters, arena=arena, birth=birth), seed % 1000))
 
 
 @given(seeds, st.integers(0, 200), st.floats(0.0, 3.0), st.sampled_from([0.5, 1.0, 2.0]), st.sampled_from([0.1, 0.5, 0.9]), st.booleans())
@@ -265,71 +215,75 @@ def test_estimate_targets(seed: int, count: int, weight: float, size: float, thr
     particles = cloud(np.random.default_rng(seed), count, weight)
     if crowded:
         particles.states[:, :2] *= 0.1
-    assert_same("estimate_targets", particles, ExtractionSettings(bin=size, threshold=threshold))
+    found = extraction_kernels.estimate_targets(particles.states, particles.weights, size, threshold) if count else np.empty((0, 2))
+    assert bits(estimate_targets(particles, ExtractionSettings(bin=size, threshold=threshold))) == bits(found)
 
 
-@given(seeds, st.integers(0, 200), st.sampled_from(sorted(SENSOR_CLASSES)))
-@some
-def test_moments_and_in_view(seed: int, count: int, name: str) -> None:
+class Case(NamedTuple):
+    """The arguments of `update_regions`."""
+
+    table: Words
+    received: Words | Particles
+    births: Particles
+    regions: list[RegionInput]
+    step: Step
+
+
+def settings_of(rng: np.random.Generator, tick: int, interest: str) -> Step:
+    """Settings of every kind that a region's update reads."""
+    noise, turn = float(rng.choice([0.1, 0.25, 1.0])), float(rng.random())
+    border: Any = str(rng.choice(["cross", "reflect"]))
+    config = AgentConfig(
+        run=RunSettings(dt=0.5),
+        arena=ARENA,
+        filter=FilterSettings(seed=3, border=border, heading_noise=turn, position_noise=turn / 3.0),
+        birth=BirthSettings(measurement=bool(rng.random() < 0.7)),
+        detection=DetectionSettings(noise=noise),
+        extraction=ExtractionSettings(bin=float(rng.choice([0.5, 1.0, 2.0])), threshold=float(rng.choice([0.1, 0.5, 0.9]))),
+        timing=TimingSettings(interest=interest),  # type: ignore[arg-type]
+    )
+    return Step(config, tick)
+
+
+def regions_of(rng: np.random.Generator, table: Words, owners: int) -> list[RegionInput]:
+    """Cells and claims of some of those who speak, some of them empty."""
+    points, radii = diagram(rng, max(owners, int(rng.integers(1, 9))))
+    generators, found = np.column_stack([points, radii]), []
+    for place in rng.permutation(len(table.names))[:owners].tolist():
+        cell = cut(place % len(radii), points, radii, BOX) if rng.random() < 0.9 else NO_CELL
+        claim = make_claim(tuple(map(str, cell.bounds)), generators[list(cell.bounds)], tuple((number, "") for number in cell.bounds))
+        gossip = table.gossips[place]
+        found.append(RegionInput(gossip.sender, place, table.sensors[place].sensor, gossip.pose, cell.polygon, claim))
+    return found
+
+
+def case(seed: int, size: int, owners: int, in_table: bool, interest: str, others: int = 0) -> Case:
+    """A round of some owners with particles from gossips or from elsewhere; so many sensors are no wedges."""
     rng = np.random.default_rng(seed)
-    particles = cloud(rng, count)
-    assert_same("moments", particles)
-    assert_same("in_view", particles, SENSOR_CLASSES[name], pose(rng))
+    whole, now = cloud(rng, size), settings_of(rng, seed % 1000, interest)
+    if now.config.filter.border == "reflect":  # nothing is ever outside, from where it could be mirrored far inwards
+        np.clip(whole.states[:, :2], 0.0, SIDE, out=whole.states[:, :2])
+    table = words(rng, whole, 12.0 if interest == "all" else 6.0)
+    carried = [_Disc() if place < others else each.sensor for place, each in enumerate(table.sensors)]
+    table = table_of(table.gossips, sensors=carried)
+    shared = join([select(whole, rng.random(size) < 0.6) for _ in range(int(rng.integers(1, 4)))])  # ids twice, as after a merge
+    born, regions = cloud(rng, 12), regions_of(rng, table, owners)
+    return Case(table, table if in_table else shared, born, regions, now)
 
 
-def task(seed: int, size: int, count: int, kind: str, in_words: bool, interest: Literal["all", "neighbours"]) -> Task | None:
-    """A round with particles from gossips or from elsewhere, with a cell ("power") or without one; None if nobody says anything."""
-    rng = np.random.default_rng(seed)
-    said = words(rng, cloud(rng, size), math.inf if interest == "all" else 6.0)
-    if not said.names:
-        return None
-    points, radii = diagram(rng, count)
-    cell = PLAIN.cut(0, points, radii, BOX) if kind == "power" else NO_CELL
-    bounds = list(cell.bounds)
-    claim = make_claim(tuple(map(str, bounds)), np.column_stack([points, radii])[bounds], tuple((number, "") for number in bounds))
-    mine = said.gossips[int(rng.integers(len(said.gossips)))]
-    told = said if in_words else cloud(rng, size, 0.3)
-    born, now = cloud(rng, 12), step(3, seed % 1000)
-    now = now._replace(config=msgspec.structs.replace(now.config, timing=TimingSettings(interest=interest)))
-    sensor = said.sensors[said.gossips.index(mine)].sensor
-    return Task(mine.sender, sensor, mine.pose, told, said, born, cell.polygon, claim, now)
-
-
-@given(
-    seeds,
-    st.integers(0, 150),
-    st.integers(1, 8),
-    st.sampled_from(["power", "none"]),
-    st.booleans(),
-    st.sampled_from(["all", "neighbours"]),
-)
-@settings(max_examples=120)
-def test_refresh(seed: int, size: int, count: int, kind: str, in_words: bool, interest: Literal["all", "neighbours"]) -> None:
-    """All steps at once."""
-    found = task(seed, size, count, kind, in_words, interest)
-    if found is not None:
-        assert_same("refresh", found)
+@given(seeds, st.integers(0, 150), st.integers(0, 5), st.booleans(), st.sampled_from(["all", "neighbours"]), st.integers(0, 2))
+@settings(max_examples=250)
+def test_update_regions(seed: int, size: int, owners: int, in_table: bool, interest: str, others: int) -> None:
+    """All steps at once, of no owner, of one and of several, with sensors of both kinds."""
+    assert_same("update_regions", *case(seed, size, owners, in_table, interest, others))
 
 
 @given(seeds, st.integers(0, 150), st.booleans())
-@settings(max_examples=80)
-def test_refresh_all(seed: int, size: int, wedges: bool) -> None:
-    """All owners in one call: as each by itself."""
-    rng = np.random.default_rng(seed)
-    said = words(rng, cloud(rng, size), 12.0)
-    points, radii = diagram(rng, max(1, len(said.names)))
-    cells = PLAIN.cut_all(points, radii, BOX)[: len(said.names)]
-    generators = np.column_stack([points, radii])
-    claims = [
-        make_claim(tuple(map(str, cell.bounds)), generators[list(cell.bounds)], tuple((number, "") for number in cell.bounds))
-        for cell in cells
-    ]
-    if not wedges and said.gossips:
-        gossips = [msgspec.structs.replace(said.gossips[0], scanned=True), *said.gossips[1:]]
-        said = table(gossips, sensors=[_Disc(), *[each.sensor for each in said.sensors[1:]]])
-    now = step(3, seed % 1000)
-    now = now._replace(config=msgspec.structs.replace(now.config, timing=TimingSettings(interest="all")))
-    assert_same("refresh_all", said, cloud(rng, 12), Parts(cells, claims), now)
+@some
+def test_what_is_computed_for_several_owners_is_what_each_computes_alone(seed: int, size: int, in_table: bool) -> None:
+    together = case(seed, size, 5, in_table, "all")
+    alone = [FAST.update_regions(*together._replace(regions=[region]))[0] for region in together.regions]
+    assert bits(FAST.update_regions(*together)) == bits(alone)
 
 
 class _Disc:
@@ -344,23 +298,42 @@ class _Disc:
         return EMPTY
 
 
-def test_who_hears_a_part_reads_no_gossip_of_what_is_far() -> None:
-    found = [task(seed, 150, 8, "power", True, "neighbours") for seed in range(40)]
-    read = [len(said(one.told, one.polygon, one)[2]) for one in found if one is not None and isinstance(one.told, Words)]
-    assert 0 < sum(read) < 0.9 * sum(len(one.words.names) for one in found if one is not None)
+def test_regions_that_only_wedges_look_at_are_computed_by_the_compiled_loops_in_a_mixed_team(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disc sees 9 m far from 5 m east, and the halo is 6 m: of the cells, which begin at 0, 17.5 and 34 m, it reaches two."""
+    compiled, calls = fast.region_kernels.update_regions, []
+    monkeypatch.setattr(fast.region_kernels, "update_regions", lambda *given: calls.append(1) or compiled(*given))
+    said = [
+        Gossip(sender=f"s{n}", incarnation=1, tick=7, pose=(x, 20.0, 0.0), cod=(x, 20.0), power_radius=0.0, unused=0.0)
+        for n, x in enumerate((5.0, 30.0, 38.0))
+    ]
+    table = table_of(said, sensors=(_Disc(), SENSOR_CLASSES["A"], SENSOR_CLASSES["C"]))
+    generators = np.array([[5.0, 20.0, 0.0], [30.0, 20.0, 0.0], [38.0, 20.0, 0.0]])
+    regions = []
+    for place, cell in enumerate(cells_of(generators)):
+        bounds = list(cell.bounds)
+        claim = make_claim(tuple(map(str, bounds)), generators[bounds], tuple((number, "") for number in bounds))
+        regions.append(RegionInput(f"s{place}", place, table.sensors[place].sensor, said[place].pose, cell.polygon, claim))
+    assert_same("update_regions", table, cloud(np.random.default_rng(1), 100), NONE, regions, step())
+    assert len(calls) == 1
+
+
+def test_an_agent_that_hears_a_part_reads_no_gossip_of_what_is_far() -> None:
+    found = [case(seed, 150, 1, True, "neighbours") for seed in range(40)]
+    read = [len(fast.said_near(one.table, one.regions[0], one.step)[2]) for one in found if one.regions]
+    assert 0 < sum(read) < 0.9 * sum(len(one.table.names) for one in found if one.regions)
+
+
+def cells_of(generators: np.ndarray) -> list[Cell]:
+    return PLAIN.cut_cells(range(len(generators)), generators[:, :2].copy(), generators[:, 2].copy(), BOX)
 
 
 def test_nothing_at_all() -> None:
-    assert_same("predict", NONE, step())
-    assert_same("gather", NONE, NONE, BOX, (0.0, 0.0), 5.0, step())
-    assert_same("update", NONE, table([]), BOX, step())
-    assert_same("update", NONE, table([]), EMPTY, step())
-    assert_same("take", NONE, make_claim((), np.empty((0, 3)), ()), ARENA)
-    assert_same("resample", NONE, "s1", step())
-    assert_same("estimate_targets", NONE)
-    assert_same("moments", NONE)
-    assert_same("in_view", NONE, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0))
-    assert_same("distances", BOX, np.empty((0, 2)))
+    nobody = table_of([])
+    for polygon in (BOX, EMPTY):
+        region = RegionInput("s1", 0, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0), polygon, make_claim((), np.empty((0, 3)), ()))
+        assert_same("update_regions", nobody, NONE, NONE, [region], step())
+    assert_same("update_regions", nobody, NONE, NONE, [], step())
+    assert_same("merge", NONE, np.empty(0, dtype=bool), NONE, np.empty(0, dtype=bool))
 
 
 @given(seeds, st.integers(0, 90))
@@ -373,8 +346,7 @@ def test_whom_to_hear(seed: int, others: int) -> None:
     points *= rng.random() * side / SIDE + 0.2
     places = np.column_stack([points + rng.normal(0.0, 5.0, points.shape), rng.choice([5.0, 8.0, 25.0], others + 1)])
     table = np.column_stack([places, points, radii])
-    cell = PLAIN.cut(others, points, radii, rectangle(side, side)).polygon
-    for arithmetic in (PLAIN, FAST):
-        ground = Ground(rectangle(side, side), Bounds(25.0, 7.0, 20.0), 5.0, arithmetic.distances)
-        x, y, reach = places[-1].tolist()
-        assert_same("wanted", cell, (x, y), reach, 6.0, table, ground)
+    cell = cut(others, points, radii, rectangle(side, side)).polygon
+    ground = Ground(rectangle(side, side), Bounds(25.0, 7.0, 20.0), 5.0, distances)
+    x, y, reach = places[-1].tolist()
+    assert_same("select_peers", cell, (x, y), reach, 6.0, table, ground)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.hearsay import Hearsay, LeftBehind
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.fields import pack
 from protocol.messages import Gossip, Truth
 from protocol.presence import FIRST_REST, PATIENCE

@@ -123,7 +123,7 @@ def test_old_loops_are_removed_but_the_newest(tmp_path: Path, monkeypatch: pytes
 def test_compiled_loops_are_made_of_nothing_but_what_their_folder_is_named_after() -> None:
     sources = {path for pattern in SOURCES for path in ROOT.glob(pattern)}
     compiled = [path for path in sources if path.match("*kernels.py")]
-    assert len(compiled) > 10
+    assert len(compiled) == len(list((ROOT / "agents").glob("*kernels.py"))) >= 9
     for path in compiled:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in ("agents", "protocol"):

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, ControlSettings, FilterSettings, PartitionSettings, TimingSettings
-from deploy.simulate import compiled
+from deploy.simulation import compiled
 from protocol.messages import Command, Estimate, Gossip, Message, Observation
 from protocol.node import received
 from protocol.settings import ArenaSettings, LimitSettings, RunSettings, SensorSettings
@@ -27,7 +27,7 @@ EMPTY = {"filter": FilterSettings(prior_density=0.0), "birth": BirthSettings(mea
 ARITHMETICS = pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
 
 
-def play(arithmetic: Arithmetic = PLAIN, ticks: int = 1, **sections: Any) -> list[Message]:
+def play(arithmetic: Backend = PLAIN, ticks: int = 1, **sections: Any) -> list[Message]:
     """What one agent says in some ticks in which it sees nothing and its body stands still."""
     config = AgentConfig(
         run=RunSettings(dt=DT, clock="lockstep"),
@@ -61,7 +61,7 @@ def test_it_says_its_cod_and_the_power_radius_of_all_its_capability() -> None:
 
 @ARITHMETICS
 @pytest.mark.parametrize("mode", ["literal", "expected", "static", "saturating"])
-def test_the_unused_capacity_is_that_of_the_mode_and_is_said_in_the_next_gossip(arithmetic: Arithmetic, mode: Any) -> None:
+def test_the_unused_capacity_is_that_of_the_mode_and_is_said_in_the_next_gossip(arithmetic: Backend, mode: Any) -> None:
     """p_d is constant, so that the integral of p_d v is p_d times the load (11)."""
     said = play(arithmetic, 2, capacity=CapacitySettings(mode=mode, limit=3.0), filter=FilterSettings(prior_density=0.01))
     first, gossip = next(message for message in said if isinstance(message, Estimate)), last(said, Gossip)
@@ -77,9 +77,10 @@ def test_the_unused_capacity_is_that_of_the_mode_and_is_said_in_the_next_gossip(
 
 
 def test_the_first_load_is_what_an_empty_scan_leaves_of_the_prior() -> None:
-    """v (1 - p_d) over the wedge; the particles are a random sample, of which 2000 lie in view."""
-    said = play(filter=FilterSettings(prior_density=0.1, particles_per_target=500, position_noise=0.0, speed=1e-6))
-    assert last(said, Estimate).load == pytest.approx(0.1 * HALF * RADIUS**2 * (1.0 - PROBABILITY), rel=0.05)
+    """v (1 - p_d) / (1 - p_d r) over the wedge, r = 0.0025 targets in 25 m^2; the particles are a random sample of 2000 in view."""
+    said = play(filter=FilterSettings(prior_density=1e-4, particles_per_target=500000, position_noise=0.0, speed=1e-6))
+    left = (1.0 - PROBABILITY) / (1.0 - PROBABILITY * 25e-4)
+    assert last(said, Estimate).load == pytest.approx(1e-4 * HALF * RADIUS**2 * left, rel=0.05)
 
 
 @pytest.mark.parametrize(("kind", "driven"), [("power", COD), ("voronoi-cod", COD), ("voronoi", POSE[:2])])

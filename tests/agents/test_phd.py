@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import convolve2d
 
 from agents.births import Scan
 from agents.config import BirthSettings, FilterSettings
 from agents.particles import NONE, Particles, select, total
-from agents.phd import exp_minus, predict, resample, sample_size, survival_probability, update
+from agents.phd import exp_minus, likelihood_noise, predict, resample, sample_size, survival_probability, update
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import ArenaSettings
 from protocol.streams import scramble
 
 ARENA = ArenaSettings(width=40.0, height=40.0)
 FILTER = FilterSettings()
+POINTS = FilterSettings(roughening=0.0)  # a particle stands for its own place alone
 NO_BIRTH = BirthSettings(measurement=False)
 NOISE = 0.25
 DISC = WedgeSensor(2.0 * math.pi, 10.0, 0.8)
@@ -38,29 +40,33 @@ def scan(detections: list[tuple[float, float]], pose: Pose = (20.0, 20.0, 0.0), 
     return Scan(salt, sensor, pose, points, np.arange(len(points), dtype=np.uint64), 0.1 / sensor.area)
 
 
-def correct(particles: Particles, scans: list[Scan], birth: BirthSettings = NO_BIRTH) -> Particles:
+def correct(particles: Particles, scans: list[Scan], birth: BirthSettings = NO_BIRTH, settings: FilterSettings = POINTS) -> Particles:
     """The PHD after all scans of tick 5."""
-    return update(particles, scans, 5, 1, NOISE, FILTER, birth)
+    return update(particles, scans, 5, 1, NOISE, settings, birth)
 
 
 def test_a_gaussian_prior_is_corrected_as_the_closed_form_says() -> None:
-    """Prior m N(mu, P) with p_d constant around it: one detection z leaves m (1 - p_d) N(mu, P) + L / (kappa + L) N(mu', P'),
-    with L = p_d m N(z; mu, P + R), mu' = mu + P / (P + R) (z - mu), P' = P R / (P + R) per axis (Kalman)."""
-    spread, mass, mean, seen = 0.5, 0.7, np.array([20.0, 21.0]), np.array([20.3, 20.8])
+    """Prior m N(mu, P) with p_d constant around it, all of it one target: one detection z leaves n N(mu, P) + f N(mu', P') with
+    f = L / (kappa + L), L = p_d m N(z; mu, P + R), mu' = mu + P / (P + R) (z - mu), P' = P R / (P + R) per axis (Kalman), and
+    n = r (1 - p_d) / (1 - r p_d), r = m - f (Bernoulli)."""
+    spread, mass, mean, seen = 0.5, 0.7, np.array([20.0, 21.0]), np.array([21.5, 19.5])
     axis = (np.arange(201) - 100) * 0.03  # +-6 standard deviations
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     weights = np.exp(-0.5 * (grid**2).sum(axis=1) / spread**2)
     weights *= mass / weights.sum()
     states = np.column_stack([grid + mean, np.zeros_like(grid)])
-    after = correct(Particles(states, weights, np.arange(len(grid), dtype=np.uint64)), [scan([tuple(seen)])])
+    one_target = FilterSettings(vicinity=100.0, roughening=0.0)
+    after = correct(Particles(states, weights, np.arange(len(grid), dtype=np.uint64)), [scan([tuple(seen)])], settings=one_target)
     total = spread**2 + NOISE**2
     likelihood = 0.8 * mass * math.exp(-0.5 * float(((seen - mean) ** 2).sum()) / total) / (2.0 * math.pi * total)
     found = likelihood / (0.1 / DISC.area + likelihood)
-    assert after.weights.sum() == pytest.approx(0.2 * mass + found, rel=1e-6)
+    missed = 0.2 * (mass - found) / (1.0 - 0.8 * (mass - found))
+    assert 0.1 < found < 0.6  # so that something is missed
+    assert after.weights.sum() == pytest.approx(missed + found, rel=1e-6)
     new_mean = mean + spread**2 / total * (seen - mean)
-    expected = (0.2 * mass * mean + found * new_mean) / (0.2 * mass + found)
+    expected = (missed * mean + found * new_mean) / (missed + found)
     assert after.weights @ after.states[:, :2] / after.weights.sum() == pytest.approx(expected, abs=1e-6)
-    second = 0.2 * mass * (spread**2 + (mean - expected) ** 2) + found * (spread**2 * NOISE**2 / total + (new_mean - expected) ** 2)
+    second = missed * (spread**2 + (mean - expected) ** 2) + found * (spread**2 * NOISE**2 / total + (new_mean - expected) ** 2)
     variance = after.weights @ (after.states[:, :2] - expected) ** 2
     assert variance == pytest.approx(second, rel=1e-4)
 
@@ -77,11 +83,15 @@ def test_particles_agree_with_a_dense_grid_filter() -> None:
         apart = grid - one.pose[:2]
         ranges, bearings = np.hypot(*apart.T), np.arctan2(apart[:, 1], apart[:, 0]) - one.pose[2]
         probability = one.sensor.prob_detection * ((ranges <= one.sensor.reach) & (np.abs(bearings) <= one.sensor.angle / 2.0))
-        corrected = phd * (1.0 - probability)
+        corrected = np.zeros_like(phd)
         for detection in one.detections:
             share = phd * probability * np.exp(-0.5 * ((grid - detection) ** 2).sum(axis=1) / NOISE**2) / (2.0 * math.pi * NOISE**2)
             corrected += share / (one.clutter_density + share.sum() * 0.01)
-        phd = corrected
+        mass, left = (near_by(grid, values * 0.01) for values in (np.where(probability > 0.0, phd, 0.0), corrected))
+        rest = np.maximum(mass - left, 0.0)
+        kept = np.where(mass > 0.0, rest / np.where(mass > 0.0, mass, 1.0), 0.0)
+        missed = kept * (1.0 - probability) / (1.0 - probability * np.minimum(rest, POINTS.certainty))
+        phd = phd * np.where(probability > 0.0, missed, 1.0) + corrected
     square, offset = np.divmod(np.arange(160000), 100)  # 100 particles in each square of 1 m, each at random in its tenth
     corners = np.column_stack([square % 40 + offset % 10 / 10.0, square // 40 + offset // 10 / 10.0])
     states = np.column_stack([corners + 0.1 * rng.random((160000, 2)), np.zeros((160000, 2))])
@@ -93,35 +103,56 @@ def test_particles_agree_with_a_dense_grid_filter() -> None:
     assert oracle.max() > 0.8  # there was something to find
 
 
+def near_by(grid: np.ndarray, masses: np.ndarray) -> np.ndarray:
+    """The sums of masses (G,) over the 5 x 5 squares of 1 m around each place of a grid (G, 2) in 40 x 40 m."""
+    squares = np.histogram2d(*grid.T, bins=40, range=[[0, 40], [0, 40]], weights=masses)[0]
+    sums = convolve2d(squares, np.ones((5, 5)), mode="same")
+    columns, rows = np.floor(grid).astype(int).T
+    return np.asarray(sums[columns, rows])
+
+
 @given(seeds, st.integers(0, 60), st.lists(st.tuples(st.floats(8.0, 32.0), st.floats(8.0, 32.0)), max_size=4), st.booleans())
 @settings(max_examples=60)
 def test_mass_balance_of_a_scan(seed: int, count: int, places: list[tuple[float, float]], births: bool) -> None:
-    """Mass after = what was out of view or missed + 1 - kappa / normaliser for every detection; no detection makes more than one."""
-    before, one = cloud(seed, count), scan(places)
+    """Mass after = what was out of view + 1 - kappa / normaliser for every detection, which makes no more than one.
+
+    The sensor misses nothing, so that nothing is left of what is in view and not detected.
+    """
+    before, one = cloud(seed, count), scan(places, sensor=WedgeSensor(2.0 * math.pi, 10.0, 1.0))
     birth = BirthSettings(measurement=births)
     after = correct(before, [one], birth)
     probability = one.sensor.probability(before.states[:, :2], one.pose)
     found = after.weights.sum() - (before.weights * (1.0 - probability)).sum()
     assert -1e-9 <= found <= len(places) + 1e-9
-    normalisers = []
-    for place in one.detections:
-        squared = ((before.states[:, :2] - place) ** 2).sum(axis=1)
-        density = np.exp(-squared / (2 * NOISE**2)) / (2 * math.pi * NOISE**2) * (squared <= (6 * NOISE) ** 2)
+    normalisers, squares = [], [((before.states[:, :2] - place) ** 2).sum(axis=1) for place in one.detections]
+    densities = [np.exp(-squared / (2 * NOISE**2)) / (2 * math.pi * NOISE**2) * (squared <= (6 * NOISE) ** 2) for squared in squares]
+    evidence = [(before.weights * probability * density).sum() for density in densities]
+    for place, squared, found_here in zip(one.detections, squares, evidence):
         fresh = 0.0
         if births:
-            local = before.weights[squared <= 16.0].sum() / (math.pi * 16.0)
-            seen = 0.8 if math.dist(place, (20.0, 20.0)) <= 10.0 else 0.0
+            mutual = ((one.detections - place) ** 2).sum(axis=1) <= 16.0
+            known = sum(other / (one.clutter_density + other) for other, close in zip(evidence, mutual) if close)
+            local = (before.weights[squared <= 16.0].sum() - known) / (math.pi * 16.0)
+            seen = 1.0 if math.dist(place, (20.0, 20.0)) <= 10.0 else 0.0
             fresh = seen * min(max(local, 0.25 * one.clutter_density), 0.001)
-        normalisers.append(one.clutter_density + fresh + (before.weights * probability * density).sum())
+        normalisers.append(one.clutter_density + fresh + found_here)
     assert found == pytest.approx(sum(1.0 - one.clutter_density / norm for norm in normalisers), abs=1e-9)
 
 
 def test_an_empty_scan_is_information() -> None:
-    before = cloud(4, 200)
-    after = correct(before, [scan([])])
-    inside = np.hypot(before.states[:, 0] - 20.0, before.states[:, 1] - 20.0) <= 10.0
-    assert (after.weights == np.where(inside, before.weights * (1.0 - 0.8), before.weights)).all()
-    assert 0 < inside.sum() < 200
+    """Of a target that is there with probability r a miss leaves r (1 - p_d) / (1 - r p_d), of many far apart each its own."""
+    places, masses = [(15.5, 20.5), (20.5, 26.5), (20.5, 14.5), (26.5, 20.5), (31.5, 20.5)], np.array([0.001, 0.3, 0.9, 4.0, 0.7])
+    after = correct(Particles(np.hstack([places, np.zeros((5, 2))]), masses, np.arange(5, dtype=np.uint64)), [scan([])])
+    sure = np.minimum(masses[:4], POINTS.certainty)
+    assert after.weights[:4] == pytest.approx(masses[:4] * 0.2 / (1.0 - 0.8 * sure), rel=1e-12)
+    assert after.weights[0] == pytest.approx(0.0002, rel=1e-3)  # as in the PHD filter, where there is little
+    assert after.weights[4] == 0.7  # out of view
+
+
+def test_the_width_of_a_particle_follows_silvermans_rule_for_a_step_of_noise() -> None:
+    """h = .4 N^(-1/6) s in the plane, N = 75 particles a target, s = .1 m in each step: .0195 m beside a noise of .05 m."""
+    assert likelihood_noise(0.05, FILTER) == pytest.approx(math.hypot(0.05, 0.4 * 0.1 * 75.0 ** (-1.0 / 6.0)), rel=1e-12)
+    assert likelihood_noise(0.05, POINTS) == 0.05
 
 
 def test_scans_of_separate_footprints_commute() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from agents.arithmetic import PLAIN
+from agents.backend import PLAIN
 from agents.config import (
     AgentConfig,
     BirthSettings,
@@ -18,7 +18,7 @@ from agents.config import (
     TimingSettings,
 )
 from deploy.scenario import resolve
-from deploy.simulate import Simulation, compiled
+from deploy.simulation import Simulation, compiled
 from protocol.node import Event, messages_of
 from tests.golden.fields import digest, values_of
 from tests.swarm.scene import fault
@@ -48,13 +48,17 @@ CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the 
     "filter.most_particles": 60,
     "filter.gate": 2.0,
     "filter.halo": 1.0,
+    "filter.certainty": 0.5,
+    "filter.vicinity": 1.0,
+    "filter.roughening": 2.0,
     "birth.border_share": 0.2,
     "birth.background_particles": 25,
     "birth.background": False,
     "birth.measurement": False,
     "birth.copies": 5,
     "birth.radius": 1.0,
-    "birth.least_share": 2.0,
+    "birth.least_density": 0.0008,
+    "birth.least_share": 0.001,
     "birth.most_density": 0.0001,
     "capacity.mode": "expected",
     "capacity.limit": 1.0,

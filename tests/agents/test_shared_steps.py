@@ -1,22 +1,24 @@
-"""Steps of a round that both arithmetics share a definition of: what they must give, not only that they agree."""
+"""Steps of a round that both backends share a definition of: what they must give, not only that they agree."""
 
 import math
 
 import numpy as np
 import pytest
 
-from agents.arithmetic import PLAIN, Arithmetic, Task
+from agents.backend import PLAIN, Backend
 from agents.births import Scan, measurement_births
 from agents.cells import cut
-from agents.claims import make_claim
+from agents.claims import end_to_end, make_claim
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
 from agents.particles import NONE, Particles
 from agents.phd import sample_offset
 from agents.places import NOBODY
+from agents.regions import RegionUpdate
 from agents.round import _claim
 from agents.step import Step
+from agents.tracker import RegionInput
 from agents.words import KAPPA, Words
-from deploy.simulate import compiled
+from deploy.simulation import compiled
 from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.keys import order
@@ -26,7 +28,7 @@ from protocol.settings import ArenaSettings, DetectionSettings
 from protocol.streams import key
 from tests.agents.side_by_side import table
 
-BOTH = pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
+BOTH = pytest.mark.parametrize("backend", [PLAIN, compiled()], ids=["plain", "compiled"])
 SENSOR = WedgeSensor(math.pi, 20.0, 0.9)
 POSE = (10.0, 30.0, 0.0)
 CONFIG = AgentConfig(
@@ -61,41 +63,86 @@ def table_of(gossips: list[Gossip]) -> Words:
     return table(gossips, SENSOR, CONFIG)
 
 
-def task(told: Particles, words: Words, polygon: np.ndarray) -> Task:
+def updated(backend: Backend, received: Particles, table: Words, polygon: np.ndarray) -> RegionUpdate:
+    """What s1 with this cell makes of some particles."""
     claim = make_claim(("s1",), np.array([[10.0, 30.0, 0.0]]), (order("s1"),))
-    return Task("s1", SENSOR, POSE, told, words, NONE, polygon, claim, Step(CONFIG, 5))
+    return backend.update_regions(table, received, NONE, [RegionInput("s1", 0, SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
 
 
 @BOTH
-def test_the_load_counts_what_lies_in_the_footprint_far_from_the_cell_too(arithmetic: Arithmetic) -> None:
+def test_the_load_counts_what_lies_in_the_footprint_far_from_the_cell_too(backend: Backend) -> None:
     """The cell ends at x = 12 m and its halo at 18 m; of what lies beyond nobody else's scan is applied here."""
     cell = rectangle(12.0, 60.0)
     told = particles((11.0, 30.0, 0.2), (25.0, 30.0, 0.4), (25.0, 55.0, 0.8), (5.0, 30.0, 1.6))  # in the cell, far, out of reach, behind
-    found = arithmetic.refresh(task(told, table_of([said("s1", POSE)]), cell))
-    assert found.load == pytest.approx(0.2 * (1.0 - 0.9) + 0.4)
+    found = updated(backend, told, table_of([said("s1", POSE)]), cell)
+    assert found.load == pytest.approx(0.2 * (1.0 - 0.9) / (1.0 - 0.9 * 0.2) + 0.4)
     assert found.detected == pytest.approx(0.9 * found.load)
     assert sorted(found.updated.ids.tolist()) == [1, 4]
 
 
 @BOTH
-def test_a_detection_shares_its_unit_of_mass_between_a_particle_and_clutter(arithmetic: Arithmetic) -> None:
-    """w (1 - p) + w p g / (kappa + w p g), g = exp(-d^2 / (2 s^2)) / (2 pi s^2), kappa = clutter / area."""
-    weight, apart, noise, probability = 0.3, 0.6, 0.5, 0.9
+def test_a_detection_shares_its_unit_of_mass_between_a_particle_and_clutter(backend: Backend) -> None:
+    """r (1 - p) / (1 - r p) + f, f = w p g / (kappa + w p g), r = w - f, g = exp(-d^2 / (2 s^2)) / (2 pi s^2), kappa = clutter / area."""
+    weight, apart, noise, probability = 0.3, 1.65, 0.5, 0.9
     words = table_of([said("s1", POSE, (20.0 + apart, 30.0))])
-    found = arithmetic.refresh(task(particles((20.0, 30.0, weight)), words, rectangle(60.0, 60.0)))
+    found = updated(backend, particles((20.0, 30.0, weight)), words, rectangle(60.0, 60.0))
     kappa = 2.0 / (math.pi * 20.0**2 / 2.0)
     likelihood = math.exp(-(apart**2) / (2.0 * noise**2)) / (2.0 * math.pi * noise**2)
     seen = weight * probability * likelihood
-    assert found.updated.weights.tolist() == pytest.approx([weight * (1.0 - probability) + seen / (kappa + seen)], rel=1e-5)
+    share = seen / (kappa + seen)
+    rest = weight - share
+    assert 0.05 < share < 0.25
+    after = rest * (1.0 - probability) / (1.0 - probability * rest) + share
+    assert found.updated.weights.tolist() == pytest.approx([after], rel=1e-5)
 
 
 @BOTH
-def test_beyond_the_gate_a_detection_says_nothing_of_a_particle(arithmetic: Arithmetic) -> None:
+def test_a_miss_is_weighed_against_what_may_be_one_target(backend: Backend) -> None:
+    """Two particles within reach of each other's squares are one target of .6 or of .2 + .9, which is no more than certain; a third far
+    off is another; what is out of view is not missed."""
+    words = table_of([said("s1", POSE)])
+    places = (20.5, 30.5, 0.2), (22.5, 30.5, 0.4), (20.5, 40.5, 0.2), (20.5, 38.5, 0.9), (25.5, 20.5, 0.3), (5.0, 30.0, 0.5)
+    found = updated(backend, particles(*places), words, rectangle(60.0, 60.0))
+    factors = [0.1 / (1.0 - 0.9 * rest) for rest in (0.6, 0.6, CONFIG.filter.certainty, CONFIG.filter.certainty, 0.3)]
+    expected = [weight * factor for (_, _, weight), factor in zip(places, [*factors, 1.0])]
+    assert found.updated.weights.tolist() == pytest.approx(expected, rel=1e-12)
+
+
+@BOTH
+def test_what_a_detection_accounts_for_is_not_missed_too(backend: Backend) -> None:
+    """A sure target that is detected has its unit of mass and no more, where the PHD filter leaves it 2 - p_d."""
+    words = table_of([said("s1", POSE, (20.0, 30.0))])
+    found = updated(backend, particles((20.0, 30.0, 1.0)), words, rectangle(60.0, 60.0))
+    kappa = 2.0 / (math.pi * 20.0**2 / 2.0)
+    share = 0.9 / (2.0 * math.pi * 0.25) / (kappa + 0.9 / (2.0 * math.pi * 0.25))
+    assert found.mass == pytest.approx(share + (1.0 - share) * 0.1 / (1.0 - 0.9 * (1.0 - share)), rel=1e-12)
+    assert 0.99 < found.mass < 1.0
+
+
+@BOTH
+def test_the_eye_that_sees_least_is_heard_first_whatever_its_name(backend: Backend) -> None:
+    told = particles((20.0, 30.0, 0.8), (20.7, 30.0, 0.3))
+    scans = (("bad", 0.5, (20.1, 30.0)), ("good", 0.95, (20.5, 30.0)))
+    after = []
+    for names in (("s1", "s2"), ("s2", "s1")):
+        gossips = []
+        for name, (_, probability, place) in zip(names, scans):
+            gossips.append((said(name, POSE, place), WedgeSensor(math.pi, 20.0, probability)))
+        gossips.sort(key=lambda one: one[0].sender)
+        words = table([gossip for gossip, _ in gossips], config=CONFIG, sensors=[sensor for _, sensor in gossips])
+        assert [scan.sensor.probability(np.array([[20.0, 30.0]]), POSE)[0] for scan in words.scans()] == [0.5, 0.95]
+        after.append(updated(backend, told, words, rectangle(60.0, 60.0)).updated.weights.tolist())
+    assert after[0] == after[1]
+
+
+@BOTH
+def test_beyond_the_gate_a_detection_says_nothing_of_a_particle(backend: Backend) -> None:
     """6 standard deviations of 0.5 m."""
     for apart, is_near in ((2.99, True), (3.01, False)):
         words = table_of([said("s1", POSE, (20.0 + apart, 30.0))])
-        found = arithmetic.refresh(task(particles((20.0, 30.0, 0.3)), words, rectangle(60.0, 60.0)))
-        assert (found.updated.weights[0] > 0.3 * (1.0 - 0.9) + 1e-12) == is_near
+        found = updated(backend, particles((20.0, 30.0, 0.3)), words, rectangle(60.0, 60.0))
+        unseen = 0.3 * (1.0 - 0.9) / (1.0 - 0.9 * 0.3)
+        assert (found.updated.weights[0] != pytest.approx(unseen, rel=1e-12)) == is_near
 
 
 def test_clutter_density_is_the_expected_clutter_over_the_area() -> None:
@@ -108,13 +155,13 @@ def test_clutter_density_is_the_expected_clutter_over_the_area() -> None:
 
 
 @BOTH
-def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told(arithmetic: Arithmetic) -> None:
+def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told(backend: Backend) -> None:
     told, copies = particles((1.0, 1.0, 0.1), (2.0, 2.0, 0.2), (3.0, 3.0, 0.3)), particles((9.0, 9.0, 0.9), (8.0, 8.0, 0.8))
-    united = arithmetic.unite(told, np.array([True, False, True]), copies, np.array([True, True]))
+    united = backend.merge(told, np.array([True, False, True]), copies, np.array([True, True]))
     assert united.ids.tolist() == [1, 2, 3] and united.weights.tolist() == [0.1, 0.8, 0.3]
     twice = particles((1.0, 1.0, 0.1), (2.0, 2.0, 0.2))
     twice = Particles(twice.states, twice.weights, np.array([7, 7], dtype=np.uint64))
-    assert arithmetic.unite(twice, np.array([True, True]), NONE, np.array([], dtype=bool)).weights.tolist() == [0.1]
+    assert backend.merge(twice, np.array([True, True]), NONE, np.array([], dtype=bool)).weights.tolist() == [0.1]
 
 
 @pytest.mark.parametrize("name", ["s1", "s2", "s10"])
@@ -129,12 +176,12 @@ def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(n
 
 
 @BOTH
-def test_a_point_on_a_border_belongs_to_the_first_name_alone(arithmetic: Arithmetic) -> None:
+def test_a_point_on_a_border_belongs_to_the_first_name_alone(backend: Backend) -> None:
     generators = np.array([[10.0, 10.0, 0.0], [30.0, 10.0, 0.0]])
     first = make_claim(("s1", "s2"), generators, (order("s1"), order("s2")))
     second = make_claim(("s2", "s1"), generators[::-1].copy(), (order("s2"), order("s1")))
-    between = np.array([[20.0, 25.0]])
-    assert [arithmetic.owned(between, claim, CONFIG.arena).tolist() for claim in (first, second)] == [[True], [False]]
+    between = np.array([[20.0, 25.0, 0.0, 0.0]])
+    assert [backend.orphaned(between, end_to_end([claim]), CONFIG.arena).tolist() for claim in (first, second)] == [[False], [True]]
 
 
 @pytest.mark.parametrize(
@@ -152,9 +199,9 @@ def test_every_owner_draws_with_a_die_of_its_own_in_every_tick() -> None:
 
 
 @BOTH
-def test_background_births_have_the_speed_of_all_particles(arithmetic: Arithmetic) -> None:
+def test_background_births_have_the_speed_of_all_particles(backend: Backend) -> None:
     config = AgentConfig(filter=FilterSettings(speed=1.5), birth=BirthSettings(background_particles=200, border_share=0.5))
-    born = arithmetic.births(Step(config, 5))
+    born = backend.background_births(Step(config, 5))
     assert len(born.ids) == 200
     assert np.hypot(born.states[:, 2], born.states[:, 3]) == pytest.approx(np.full(200, 1.5), rel=1e-12)
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.arithmetic import PLAIN
-from agents.belief import Belief, Copies
+from agents.backend import PLAIN
+from agents.belief import Belief, Copies, ParticlePhd
 from agents.capacity import sensor_facts
 from agents.cells import cut
 from agents.config import AgentConfig
@@ -15,7 +15,7 @@ from agents.control import Lloyd
 from agents.particles import NONE
 from agents.peers import plausible
 from agents.places import Far
-from agents.round import Self, _claim, _fields, _own_cell
+from agents.round import AgentContext, _claim, _fields, _own_cell
 from agents.words import Words, announced
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
@@ -26,7 +26,7 @@ from tests.agents.test_belief import merged, particles, share
 CONFIG = AgentConfig()
 ARENA = rectangle(100.0, 100.0)
 SENSOR = SENSOR_CLASSES["A"]  # sees 8 m far
-ME = Self("s1", SENSOR, sensor_facts(SENSOR), Lloyd(), PLAIN, CONFIG, ARENA)
+ME = AgentContext("s1", SENSOR, sensor_facts(SENSOR), Lloyd(), PLAIN, ParticlePhd(PLAIN), CONFIG, ARENA)
 
 
 def said(name: str, x: float, y: float) -> Gossip:
@@ -53,7 +53,7 @@ def test_only_sensors_that_reach_the_region_around_the_cell_are_fields() -> None
     for x, number in ((53.9, 2), (54.1, 1)):
         words = table([said("s1", 20.0, 50.0), said("s2", x, 50.0)])
         cell = cut(0, np.array([[20.0, 50.0], [60.0, 50.0]]), np.zeros(2), ARENA)
-        assert len(_fields(ME, cell, words)) == number
+        assert len(_fields(ME, cell.polygon, words)) == number
 
 
 def test_the_claim_of_a_stranger_never_agrees_with_mine_whatever_view_it_states() -> None:

@@ -2,14 +2,15 @@
 
 import pytest
 
-from agents.round import play
+from agents.round import run_round
+from deploy.__main__ import app
 from deploy.bench import central
+from deploy.bench.__main__ import bench
 from deploy.bench.capture import capture, cold
 from deploy.bench.simulations import scale
 from deploy.bench.timing import in_turns, median_seconds, table
-from deploy.commands.benching import bench
 from deploy.scenario import Scenario, resolve
-from deploy.simulate import compiled, simulate
+from deploy.simulation import compiled, simulate
 from protocol.settings import BadSetting
 
 
@@ -27,7 +28,7 @@ def test_a_captured_round_replays_to_the_command_that_was_given() -> None:
     rounds = capture(small(), 20)
     assert len(rounds) == 7
     for captured, again in zip(rounds, cold(rounds)):
-        assert play(*captured).command == play(*again).command
+        assert run_round(*captured).command == run_round(*again).command
 
 
 def test_a_table_has_the_columns_of_all_rows() -> None:
@@ -64,3 +65,18 @@ def test_only_real_time_is_measured_for_so_long() -> None:
 def test_an_unknown_benchmark_is_refused_by_name() -> None:
     with pytest.raises(BadSetting, match="bench 'speed': should be one of round, simulate"):
         bench("speed", False)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("nix", "bench 'nix': should be one of round, simulate"),
+        ("round --seconds 3", "--seconds 3: is for `bench realtime`, from 1 to 86400"),
+    ],
+)
+def test_the_command_runs_the_program_and_passes_on_its_complaint_and_its_exit_code(
+    words: str, line: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    code = app(["bench", *words.split()], exit_on_error=False, result_action="return_value")
+    told = capfd.readouterr().err
+    assert code == 2 and told.startswith(f"covey: {line}") and told.count("\n") == 1

@@ -6,14 +6,14 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from deploy.commands.board import Board
-from deploy.commands.keyboard import KEY, NAMES
+from deploy.cli.terminal import KEY, NAMES
+from deploy.cli.watch import WatchScreen
 from protocol.settings import BadSetting
 
 SWARM = {
     "time": 3.0, "ospa": 0.5, "gospa": 1.0, "in_view": 2, "targets": 3, "hole": 0.0, "overlap": 0.0,
     "arena": (25.0, 25.0), "places": [], "estimates": [],
-    "pace": {"ticks_per_s": None, "asked_per_s": None, "skipped": 0, "late": 0, "advice": ""},
+    "tick_rate": {"ticks_per_s": None, "asked_per_s": None, "skipped": 0, "late": 0, "advice": ""},
 }  # fmt: skip
 
 
@@ -27,7 +27,7 @@ def status(*rows: dict[str, Any]) -> dict[str, Any]:
     return {"run": "r", "scenario": "quick", "endpoint": "tcp/127.0.0.1:7447", "swarm": SWARM, "processes": list(rows)}
 
 
-def drawn(board: Board, data: dict[str, Any], width: int, height: int = 40) -> list[str]:
+def drawn(board: WatchScreen, data: dict[str, Any], width: int, height: int = 40) -> list[str]:
     """The lines of a picture in a terminal of that size."""
     console = Console(file=io.StringIO(), width=width, height=height)
     console.print(board.picture(data, console, keys=True))
@@ -50,7 +50,7 @@ class Supervisor:
 
 @pytest.mark.parametrize("width", [24, 30, 40, 60, 80, 100, 160])
 def test_a_picture_is_never_wider_than_the_terminal_and_name_and_state_stay(width: int) -> None:
-    lines = drawn(Board(Supervisor()), status(row("world"), row("s10"), row("s11", "paused")), width)
+    lines = drawn(WatchScreen(Supervisor()), status(row("world"), row("s10"), row("s11", "paused")), width)
     assert max(map(len, lines)) <= width
     shown = "\n".join(lines)
     assert all(word in shown for word in ("name", "state", "s10", "running", "paused"))
@@ -58,14 +58,14 @@ def test_a_picture_is_never_wider_than_the_terminal_and_name_and_state_stay(widt
 
 def test_the_narrower_the_terminal_the_fewer_columns_and_what_matters_least_goes_first() -> None:
     data = status(row("world"), row("s1"))
-    heads = [next(line.split() for line in drawn(Board(Supervisor()), data, width) if "state" in line) for width in (100, 60, 30, 20)]
+    heads = [next(line.split() for line in drawn(WatchScreen(Supervisor()), data, width) if "state" in line) for width in (100, 60, 30, 20)]
     assert heads[0] == ["name", "class", "state", "pid", "inc", "tick", "cell", "%", "mass", "targets", "round", "ms", "skipped", "late"]
     assert [len(head) for head in heads] == sorted((len(head) for head in heads), reverse=True)
     assert "inc" not in heads[1] and "mass" in heads[1] and heads[3] == ["name", "state"]
 
 
 def test_in_a_low_terminal_the_rows_around_the_chosen_one_are_shown() -> None:
-    board = Board(Supervisor())
+    board = WatchScreen(Supervisor())
     data = status(*(row(f"s{number}") for number in range(1, 49)))
     for _ in range(40):
         board.press("down", data["processes"])
@@ -76,7 +76,7 @@ def test_in_a_low_terminal_the_rows_around_the_chosen_one_are_shown() -> None:
 
 def test_arrows_choose_and_letters_act_on_the_chosen_one() -> None:
     asked = Supervisor()
-    board, rows = Board(asked), [row("world"), row("s1"), row("s2", "paused"), row("s3", "dead"), row("s9")]
+    board, rows = WatchScreen(asked), [row("world"), row("s1"), row("s2", "paused"), row("s3", "dead"), row("s9")]
     assert board.press("k", rows) and board.note == "choose a process with the arrow keys first" and not asked.asked
     for key in ("down", "down", "k", "p", "down", "p", "down", "r", "x"):
         assert board.press(key, rows)

@@ -3,10 +3,10 @@
 import msgspec
 import numpy as np
 
-from deploy.chronicle import Chronicle, View, names_of, shares
-from deploy.result import Told
 from deploy.scenario import FaultSettings, resolve
-from deploy.simulate import simulate
+from deploy.scoring.chronicle import Chronicle, ScoredTick, names_of, shares
+from deploy.scoring.result import EventReport
+from deploy.simulation import simulate
 
 
 def box(west: float, south: float, east: float, north: float) -> np.ndarray:
@@ -21,10 +21,10 @@ def view(
     overlap: float = 0.0,
     targets: tuple[tuple[float, float], ...] = (),
     estimates: tuple[tuple[float, float], ...] = (),
-) -> View:
+) -> ScoredTick:
     """Four ticks a second; targets are numbered from 1 on."""
     places, told = (np.array(points, dtype=float).reshape(-1, 2) for points in (targets, estimates))
-    return View(tick, 0.25 * tick, cells, np.arange(1, len(places) + 1), places, told, hole, overlap)
+    return ScoredTick(tick, 0.25 * tick, cells, np.arange(1, len(places) + 1), places, told, hole, overlap)
 
 
 BEFORE = {"s1": box(0, 0, 10, 10), "s2": box(10, 0, 20, 10), "s3": box(20, 0, 30, 10)}
@@ -32,7 +32,7 @@ AFTER = {"s1": box(0, 0, 16, 10), "s3": box(16, 0, 30, 10)}
 IN_S2, IN_S1 = ((12.0, 5.0), (18.0, 5.0)), (5.0, 5.0)
 
 
-def play(chronicle: Chronicle, views: list[View]) -> list[Told]:
+def play(chronicle: Chronicle, views: list[ScoredTick]) -> list[EventReport]:
     return [told for one in views for told in chronicle.see(one)]
 
 
@@ -43,7 +43,7 @@ def test_a_death_says_who_took_how_much_and_when_and_that_no_target_was_lost() -
     opened = [view(100, AFTER), view(101, AFTER, hole=0.1, targets=IN_S2), view(102, AFTER, targets=IN_S2)]
     assert play(chronicle, opened) == []
     told = play(chronicle, [view(tick, AFTER, targets=IN_S2, estimates=IN_S2) for tick in range(103, 120)])
-    assert told == [Told(27.5, "s2", "s2 died: s1 (60 %) and s3 (40 %) took its cell within 2 ticks; no target lost")]
+    assert told == [EventReport(27.5, "s2", "s2 died: s1 (60 %) and s3 (40 %) took its cell within 2 ticks; no target lost")]
 
 
 def test_a_target_that_is_tracked_no_more_when_the_cells_have_settled_is_lost_and_one_elsewhere_is_not_counted() -> None:
@@ -97,7 +97,7 @@ def test_a_return_is_told_when_the_agent_owns_a_cell_and_overtakes_what_was_open
     chronicle.see(view(101, AFTER))
     chronicle.regain("s2", 102)
     told = play(chronicle, [view(102, BEFORE), view(103, AFTER), view(104, {**AFTER, "s2": np.empty((0, 2))}), view(105, BEFORE)])
-    assert told == [Told(26.25, "s2", "s2 is back: it owns a cell again after 3 ticks")]
+    assert told == [EventReport(26.25, "s2", "s2 is back: it owns a cell again after 3 ticks")]
 
 
 def test_a_cut_is_told_when_both_sides_cover_the_arena_and_a_healing_when_the_cells_tile_it() -> None:

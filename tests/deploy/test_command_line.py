@@ -1,18 +1,21 @@
-"""The command line: groups, examples, versions, completion in a real bash, and several names at once."""
+"""The command line: groups, examples, versions, completion in real shells, and several names at once."""
 
 import os
+import pty
+import select
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from cyclopts import App
 
 from deploy.__main__ import app
-from deploy.commands.acting import meant
-from deploy.commands.app import SET_UP
-from deploy.result import VERSION
+from deploy.cli.app import SET_UP
+from deploy.cli.control import selection
+from deploy.installation import VERSION
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).parents[2]
@@ -68,7 +71,7 @@ def test_version_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_several_names_may_follow_each_other(names: tuple[str, ...], random: int | None, text: str) -> None:
-    assert meant("kill", names, random, None) == text
+    assert selection("kill", names, random, None) == text
 
 
 @pytest.mark.parametrize(
@@ -81,14 +84,20 @@ def test_several_names_may_follow_each_other(names: tuple[str, ...], random: int
 )
 def test_who_is_meant_must_be_clear(names: tuple[str, ...], random: int | None, complaint: str) -> None:
     with pytest.raises(BadSetting, match=complaint):
-        meant("kill", names, random, None)
+        selection("kill", names, random, None)
+
+
+def program_in(folder: Path) -> Path:
+    """The command as a program of this name in a folder."""
+    program = folder / "covey"
+    program.write_text(f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -P -m deploy "$@"\n')
+    program.chmod(0o755)
+    return program
 
 
 def offered(words: list[str], folder: Path) -> list[str]:
     """What a real bash offers after these words, the last of them not finished, in a folder."""
-    program = folder / "covey"
-    program.write_text(f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -P -m deploy "$@"\n')
-    program.chmod(0o755)
+    program = program_in(folder)
     quoted = " ".join(f"'{word}'" for word in [str(program), *words])
     script = (
         f'source <({program} completion bash)\nCOMP_WORDS=({quoted})\nCOMP_CWORD={len(words)}\n_covey\nprintf "%s\\n" "${{COMPREPLY[@]}}"\n'
@@ -112,6 +121,53 @@ def test_a_real_bash_completes_commands_options_scenarios_files_runs_agents_and_
     assert offered(["down", "--run", ""], tmp_path) == ["hunt"]
     assert offered(["kill", "s"], tmp_path) == ["s1", "s2"]
     assert offered(["up", "--set", "run.see"], tmp_path) == ["run.seed="]
+
+
+@pytest.mark.skipif(shutil.which("fish") is None, reason="no fish here")
+def test_a_real_fish_completes_commands_options_scenarios_and_settings(tmp_path: Path) -> None:
+    program = program_in(tmp_path)
+    lines = ("covey ki", "covey simulate --partition voronoi-", "covey up qu", "covey up --set run.see", "covey study rob")
+    asked = "; ".join(f"complete -C '{line}'" for line in lines)
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "HOME": str(tmp_path)}
+    command = ["fish", "--no-config", "-c", f"{program} completion fish | source; {asked}"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
+    assert [line.partition("\t")[0] for line in done.stdout.splitlines()] == ["kill", "voronoi-cod", "quick", "run.seed=", "robustness"]
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="no zsh here")
+@pytest.mark.parametrize("way", ["sourced", "kept in a folder of $fpath"])
+def test_a_real_zsh_completes_commands_options_and_scenarios(way: str, tmp_path: Path) -> None:
+    program = program_in(tmp_path)
+    begin = "autoload -Uz compinit; compinit -u -D"
+    if way == "sourced":
+        begin += f"; source <({program} completion zsh)"
+    else:
+        (tmp_path / "_covey").write_bytes(subprocess.run([program, "completion", "zsh"], capture_output=True, check=True).stdout)
+        begin = f"fpath=({tmp_path} $fpath); {begin}"
+    wanted = {"covey sim": "covey simulate", "covey simulate --partition voronoi-": "voronoi-cod", "covey up qui": "covey up quick"}
+    keyboard, screen = pty.openpty()
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "HOME": str(tmp_path), "TERM": "xterm", "COLUMNS": "200"}
+    zsh = subprocess.Popen(
+        ["zsh", "-f", "-i"], cwd=tmp_path, env=environment, stdin=screen, stdout=screen, stderr=screen, start_new_session=True
+    )
+    try:
+        os.write(keyboard, f"{begin}; print re''ady\n".encode())
+        until(keyboard, "ready")
+        for typed, completed in wanted.items():
+            os.write(keyboard, b"\x15" + typed.encode() + b"\t")  # after Ctrl-U: the line is empty
+            until(keyboard, completed)
+    finally:
+        zsh.kill()
+        zsh.wait()
+
+
+def until(keyboard: int, text: str) -> None:
+    """Read what a terminal shows until a text has come."""
+    shown, end = "", time.monotonic() + 60.0
+    while text not in shown:
+        assert time.monotonic() < end, f"never shown: {text}; {shown}"
+        if select.select([keyboard], [], [], 1.0)[0]:
+            shown += os.read(keyboard, 65536).decode(errors="replace")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -9,7 +9,7 @@ import pytest
 from agents.capacity import sensor_facts
 from covey.examples.sensors import DATA, RangeFalling, SampledGrid
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from protocol.geometry import polygon_area
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting

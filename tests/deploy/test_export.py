@@ -13,16 +13,17 @@ from mcap.reader import make_reader
 from PIL import Image
 from pyarrow import csv, parquet
 
-from deploy.commands import keeping
-from deploy.figures import Ways, pictures, write_animation, write_figure
-from deploy.onlookers import Onlookers, open_recorder
-from deploy.records.export import messages, tables, write_tables
-from deploy.records.foxglove import SCENE_SCHEMA, write_foxglove
-from deploy.records.recorder import Recorder
-from deploy.records.recording import Recording, find_recording
-from deploy.records.to_rerun import write_rerun
+from deploy.cli import figures, recordings
+from deploy.plots.run_figures import Trajectories, pictures, write_animation, write_figure
+from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
+from deploy.recording.moments import messages
+from deploy.recording.observers import Observers, open_recorder
+from deploy.recording.recorder import Recorder
+from deploy.recording.recording import Recording, find_recording
+from deploy.recording.rerun_file import write_rerun
+from deploy.recording.tables import tables, write_tables
 from deploy.scenario import FaultSettings, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.messages import Truth
 from protocol.settings import BadSetting
 
@@ -35,7 +36,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     scenario = resolve("quick", {"run.seconds": 5.0})
     simulation = Simulation(msgspec.structs.replace(scenario, faults=(FaultSettings(at=3.0, verb="kill", who="s2"),)))
     path = tmp_path_factory.mktemp("export") / "recording.mcap"
-    Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     simulation.run()
     return simulation, Recording(path)
 
@@ -133,7 +134,7 @@ def test_the_drawing_is_never_taken_for_the_recording(run: Run) -> None:
 
 
 def test_figures_are_drawn_tick_by_tick_from_what_had_been_heard(run: Run) -> None:
-    ways = Ways()
+    ways = Trajectories()
     ticks = []
     for picture in pictures(run[1]):
         assert picture.shown is not None
@@ -166,10 +167,10 @@ def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: 
 @pytest.mark.parametrize(
     ("option", "command"),
     [
-        ("--out", lambda file, place: keeping.export(file, "csv", place)),
-        ("--out", lambda file, place: keeping.export(file, "foxglove", place)),
-        ("--into", lambda file, place: keeping.figures(file, place, False)),
-        ("--csv", lambda file, place: keeping.score(file, place, False)),
+        ("--out", lambda file, place: recordings.export(file, "csv", place)),
+        ("--out", lambda file, place: recordings.export(file, "foxglove", place)),
+        ("--into", lambda file, place: figures.draw_run(file, place, False)),
+        ("--csv", lambda file, place: recordings.score(file, place, False)),
     ],
 )
 def test_a_place_that_cannot_be_written_to_is_named(run: Run, tmp_path: Path, option: str, command: Callable[[str, Path], int]) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.chaos.faults import REFUSED, Action, Schedule, check_faults, choose
+from deploy.faults.faults import REFUSED, Action, Schedule, check_faults, choose
 from deploy.scenario import FaultSettings
 from protocol.settings import BadSetting
 from protocol.streams import stream

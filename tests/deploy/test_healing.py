@@ -1,7 +1,7 @@
 """After `heal` nothing is left of what was done to the links."""
 
-from deploy.chaos.faults import Action
-from deploy.chaos.links import Links
+from deploy.faults.faults import Action
+from deploy.faults.links import Links
 
 NAMES = ["s1", "s2", "s3"]
 

@@ -1,21 +1,25 @@
 """`import covey`: what it gives is what the command gives, and what is wrong is said in one line."""
 
+import inspect
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 
 import covey
 from covey import plugged
-from deploy.chaos.faults import check_faults
+from deploy.cli.options import RunOptions
+from deploy.faults.faults import check_faults
 from deploy.scenario import resolve
-from deploy.simulate import simulate
-from deploy.studies.study import plan
+from deploy.simulation import simulate
+from deploy.studies.design import plan
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,6 +43,25 @@ class Ring:
     def footprint(self, pose: covey.Pose) -> np.ndarray:
         turns = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
         return np.column_stack([pose[0] + self.reach * np.cos(turns), pose[1] + self.reach * np.sin(turns)])
+
+
+PROCESSES_ONLY = {
+    "run",
+    "lockstep",
+    "spawn",
+    "strict",
+    "insecure",
+    "keys",
+    "json",
+}  # options of runs with processes, and of the printed result
+
+
+def test_the_options_of_the_interface_are_those_of_the_command_line() -> None:
+    scenario, simulate_ = (inspect.signature(function).parameters for function in (covey.scenario, covey.simulate))
+    assert {**simulate_} == {**scenario, "progress": simulate_["progress"]}
+    assert scenario.keys() - {"name", "sensors"} == {option.name for option in fields(RunOptions)} - PROCESSES_ONLY
+    hints = get_type_hints(RunOptions)
+    assert hints["partition"] == scenario["partition"].annotation and hints["capacity"] == scenario["capacity"].annotation
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +88,7 @@ def test_a_run_is_that_of_the_simulation_and_its_arrays_are_the_series_behind_th
 
 
 def test_bodies_stand_where_the_arrays_say(run: covey.Run) -> None:
-    from deploy.simulate import Simulation
+    from deploy.simulation import Simulation
 
     simulation = Simulation(run.scenario)
     seen = {}
@@ -166,10 +189,10 @@ def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None
 
 def plan_of(options: dict[str, object]) -> list[object]:
     """The trials that the command plans for these options."""
-    from deploy.commands import studying
+    from deploy.studies.design import design_fields, design_with
 
-    given = studying.given(1, None, None, None, "power,static")
-    return list(plan(studying.chosen("convergence", False, given, {"run.seconds": 2.0})))
+    given = design_fields(1, None, None, None, "power,static")
+    return list(plan(design_with("convergence", False, given, {"run.seconds": 2.0})))
 
 
 def test_tables_need_their_packages_and_say_so(run: covey.Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.commands.figuring import figures
+from deploy.cli.figures import draw_study
 from deploy.studies.paired import compare, groups_of
-from deploy.studies.study import read_results
+from deploy.studies.results import read_results
 from deploy.studies.trials import Row
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,7 +29,7 @@ def test_it_is_small_and_holds_every_combination_of_figure_4(rows: list[Row]) ->
 
 
 def test_figure_4_is_drawn_from_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert figures(KEPT, tmp_path) == 0
+    assert draw_study(KEPT, tmp_path) == 0
     assert {path.name for path in tmp_path.iterdir()} == {"figure4.pdf", "figure4.png", "paired.pdf", "paired.png"}
     assert (tmp_path / "figure4.png").read_bytes().startswith(b"\x89PNG") and (tmp_path / "figure4.png").stat().st_size > 10_000
 

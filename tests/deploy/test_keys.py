@@ -11,8 +11,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from deploy.commands.keys import keys
-from deploy.swarm.keys import make_keys
+from deploy.cli.keys import keys
+from deploy.live.certificates import make_keys
 from protocol.settings import BadSetting
 
 

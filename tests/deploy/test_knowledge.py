@@ -8,10 +8,10 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig
+from deploy.live.processes import Child
 from deploy.scenario import Scenario, agent_config, filter_seed, resolve, world_config
-from deploy.simulate import Simulation
-from deploy.swarm.processes import Child
-from deploy.swarm.rundir import RunDirectory
+from deploy.simulation import Simulation
+from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting, load
 
 MAY_KNOW = {"arena", "birth", "capacity", "control", "detection", "extraction", "filter", "limits", "members", "network", "partition"}

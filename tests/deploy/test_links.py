@@ -1,7 +1,7 @@
 """The links of a swarm: who hears whom after each verb."""
 
-from deploy.chaos.faults import Action
-from deploy.chaos.links import Links, describe
+from deploy.faults.faults import Action
+from deploy.faults.links import Links, describe
 
 TEAM = ["s1", "s2", "s3", "s4"]
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.commands.ended import ps_all
-from deploy.commands.logs import Tails, logs
-from deploy.swarm.rundir import RunDirectory
+from deploy.cli.logs import LogTails, logs
+from deploy.cli.process_list import ps_all
+from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
 
@@ -52,7 +52,7 @@ def test_one_process_the_last_lines_and_the_raw_lines(run: RunDirectory, capsys:
 
 
 def test_what_is_written_later_is_read_later_and_half_a_line_waits_for_its_end(run: RunDirectory) -> None:
-    tails = Tails(run)
+    tails = LogTails(run)
     assert len(tails.read()) == 5
     whole = line(50.0, "s2", "a newcomer")
     with run.log("s2").open("w") as log:

@@ -4,10 +4,10 @@ import json
 import re
 from pathlib import Path
 
-from deploy.metrics import PageFigures, prometheus_text
-from deploy.monitor.picture import Picture
+from deploy.page.metrics import PageFigures, metrics_page
+from deploy.page.picture import Picture
 from deploy.scenario import resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.node import Rejected
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,7 +38,7 @@ def test_every_family_is_announced_once_before_its_samples() -> None:
     simulation, picture = played(10)
     kind_of: dict[str, str] = {}
     family = ""
-    for line in prometheus_text(picture, simulation.scorer.scores[-1], PageFigures()).splitlines():
+    for line in metrics_page(picture, simulation.scorer.scores[-1], PageFigures()).decode().splitlines():
         if line.startswith("# TYPE "):
             _, _, family, kind = line.split()
             assert family not in kind_of
@@ -52,39 +52,39 @@ def test_every_family_is_announced_once_before_its_samples() -> None:
 def test_numbers_are_those_of_score_and_picture() -> None:
     simulation, picture = played(10)
     score = simulation.scorer.scores[-1]
-    found = samples(prometheus_text(picture, score, PageFigures(clients=2, dropped=5)))
+    found = samples(metrics_page(picture, score, PageFigures(clients=2, dropped=5)).decode())
     run = 'run="covey"'
     assert found["covey_ospa_meters", run] == score.ospa
     assert found["covey_agents", run + ',state="alive"'] == 6
-    assert found["covey_agent_up", run + ',agent="s3"'] == 1
+    assert found["covey_agent_up", 'agent="s3",' + run] == 1
     assert found["covey_messages_total", run] == picture.messages > 100
     assert found["covey_page_frames_dropped_total", run] == 5
     estimate = picture.agents["s3"].estimate
     assert estimate is not None
-    assert found["covey_agent_rounds_total", run + ',agent="s3"'] == estimate.counters["rounds"]
+    assert found["covey_agent_rounds_total", 'agent="s3",' + run] == estimate.counters["rounds"]
 
 
 def test_names_from_outside_cannot_break_a_line() -> None:
     _, picture = played(1)
     picture.see(Rejected('a"b\\c\nd', "format"), 0.0)
-    found = samples(prometheus_text(picture, None, PageFigures()))
-    assert found["covey_rejected_total", 'run="covey",sender="a\\"b\\\\c\\nd",reason="format"'] == 1
+    found = samples(metrics_page(picture, None, PageFigures()).decode())
+    assert found["covey_rejected_total", 'reason="format",run="covey",sender="a\\"b\\\\c\\nd"'] == 1
     assert not any(name == "covey_ospa_meters" for name, _ in found)
 
 
 def test_the_dashboard_asks_for_nothing_that_is_not_exported() -> None:
-    board = json.loads((ROOT / "deploy" / "grafana.json").read_text(encoding="utf-8"))
+    board = json.loads((ROOT / "deploy" / "page" / "grafana.json").read_text(encoding="utf-8"))
     asked = {name for panel in board["panels"] for target in panel["targets"] for name in re.findall(r"covey_[a-z_]+", target["expr"])}
     simulation, picture = played(10)
     picture.see(Rejected("s1", "format"), 0.0)
-    exported = {name for name, _ in samples(prometheus_text(picture, simulation.scorer.scores[-1], PageFigures()))}
+    exported = {name for name, _ in samples(metrics_page(picture, simulation.scorer.scores[-1], PageFigures()).decode())}
     counted_when_it_happens = {f"covey_agent_{name}_total" for name in ("late", "missing", "skipped", "rejected")}
     assert len(asked) > 15
     assert asked <= exported | counted_when_it_happens
 
 
 def test_the_dashboard_is_one_that_grafana_lays_out_as_it_stands() -> None:
-    board = json.loads((ROOT / "deploy" / "grafana.json").read_text(encoding="utf-8"))
+    board = json.loads((ROOT / "deploy" / "page" / "grafana.json").read_text(encoding="utf-8"))
     assert board["schemaVersion"] >= 36  # data sources by uid
     assert {"title", "uid", "time", "templating", "annotations", "panels"} <= set(board)
     names = {variable["name"] for variable in board["templating"]["list"]}

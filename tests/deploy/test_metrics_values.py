@@ -1,8 +1,8 @@
 """Every figure of a score stands under its own name in the metrics, and an agent that has gone is down."""
 
-from deploy.metrics import PageFigures, prometheus_text
-from deploy.monitor.picture import Picture
-from deploy.scores import Score
+from deploy.page.metrics import PageFigures, metrics_page
+from deploy.page.picture import Picture
+from deploy.scoring.scores import Score
 from protocol.node import Alive, Gone
 from tests.deploy.test_metrics import played, samples
 
@@ -20,7 +20,7 @@ FIGURES = {
 
 def test_no_figure_of_the_score_stands_under_the_name_of_another() -> None:
     score = Score(tick=3, time=0.75, ospa=1.25, gospa=2.25, targets=30, in_view=21, estimated=27, mass=28.5, hole=0.125, overlap=0.0625)
-    found = samples(prometheus_text(Picture(played(1)[0].scenario), score, PageFigures()))
+    found = samples(metrics_page(Picture(played(1)[0].scenario), score, PageFigures()).decode())
     assert {name: found[f"covey_{name}", 'run="covey"'] for name in FIGURES} == FIGURES
 
 
@@ -28,5 +28,5 @@ def test_an_agent_is_up_for_as_long_as_its_token() -> None:
     picture, up = Picture(played(1)[0].scenario), []
     for event in (Alive("agent", "s3", 1), Gone("agent", "s3", 1)):
         picture.see(event, 0.0)
-        up.append(samples(prometheus_text(picture, None, PageFigures()))["covey_agent_up", 'run="covey",agent="s3"'])
+        up.append(samples(metrics_page(picture, None, PageFigures()).decode())["covey_agent_up", 'agent="s3",run="covey"'])
     assert up == [1.0, 0.0]

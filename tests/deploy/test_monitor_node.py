@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.commands.display import process_cells
-from deploy.monitor_node import Scorer, hole_and_overlap
+from deploy.cli.display import process_cells
 from deploy.scenario import Scenario, agent_config, resolve
+from deploy.scoring.scorer import Scorer, hole_and_overlap
 from protocol.fields import pack
 from protocol.geometry import polygon_area
 from protocol.messages import Agreed, Estimate, Gossip, Hello, Truth

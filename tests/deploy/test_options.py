@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.commands.options import RunOptions, parse_kill
+from deploy.cli.options import RunOptions, parse_kill
 from deploy.scenario import FaultSettings
 from protocol.settings import BadSetting
 

@@ -12,14 +12,14 @@ import msgspec
 import pytest
 
 from deploy.__main__ import app
-from deploy.monitor.picture import Picture
-from deploy.monitor.server import Address, Client, PageServer, address_of
-from deploy.monitor.source import LiveSource
-from deploy.monitor_node import Score, Scorer
-from deploy.onlookers import Onlookers
+from deploy.page.picture import Picture
+from deploy.page.server import Address, Client, PageServer, address_of
+from deploy.page.source import LiveSource
+from deploy.recording.observers import Observers
 from deploy.scenario import resolve
-from deploy.simulate import Simulation
-from deploy.swarm.rundir import RunDirectory
+from deploy.scoring.scorer import Score, Scorer
+from deploy.simulation import Simulation
+from deploy.storage.run_directory import RunDirectory
 from protocol.endpoints import free_port
 from protocol.node import Gone
 from protocol.settings import BadSetting
@@ -157,7 +157,7 @@ def test_the_page_its_parts_the_moment_one_agent_and_the_metrics_can_be_fetched(
 
 
 def test_the_page_loads_nothing_from_elsewhere() -> None:
-    from deploy.monitor.server import STATIC
+    from deploy.page.server import STATIC
 
     texts = {file.name: file.read_text(encoding="utf-8") for file in STATIC.iterdir() if file.suffix in (".html", ".css", ".js")}
     assert {"index.html", "page.css", "main.js"} <= set(texts)
@@ -255,7 +255,7 @@ def watched(ticks: int) -> tuple[Simulation, PageServer]:
     """A simulation of 12 ticks with a page beside it, played for some of them."""
     simulation = Simulation(resolve("quick", {"run.seconds": 3.0, "run.dt": 0.25, "team.composition": "3E"}))
     server = PageServer(LiveSource(simulation.scorer, Picture(simulation.scenario), None), Address("127.0.0.1", 0, True))
-    Onlookers(simulation.scorer, None, server)
+    Observers(simulation.scorer, None, server)
     while simulation.scorer.truth is None or simulation.scorer.truth.tick < ticks - 1:
         simulation.bus.step()
     simulation.bus.step(simulation.bus.now)
@@ -301,7 +301,7 @@ def test_a_frame_says_that_the_run_is_over_and_how_fast_it_went() -> None:
         try:
             async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws") as ws:
                 first = await frame_of(ws)
-                assert "over" not in first and first["pace"][1:] == [None, 0, 0]
+                assert "over" not in first and first["tick_rate"][1:] == [None, 0, 0]
                 simulation.scorer.finish(simulation.bus.now)
                 assert (await frame_of(ws))["over"] is True
                 async with session.get(f"{url}api/frame") as answer:

@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from deploy.monitor.frames import belief, density_grid, frame, greeting, moment
-from deploy.monitor.picture import Picture, silent_after
+from deploy.page.frames import belief, density_grid, frame, greeting, moment
+from deploy.page.picture import Picture, silent_after
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.fields import pack
 from protocol.messages import Gossip, Hello, Message, Truth
 from protocol.node import Alive, Gone, Rejected, received
@@ -86,6 +86,16 @@ def test_an_agent_is_silent_when_its_peers_would_give_it_up_and_heard_again_with
     picture.see(received(gossip(15)), 0.0)
     picture.see(received(truth(16)), 0.0)
     assert kinds(picture) == [("silent", "s1"), ("heard", "s1")]
+
+
+def test_a_watcher_that_hears_the_words_of_all_too_late_takes_nobody_for_silent() -> None:
+    both = (Alive("agent", "s1", 1), Alive("agent", "s2", 1))
+    words = [msgspec.structs.replace(gossip(10), sender=name) for name in ("s1", "s2")]
+    picture = shown(*both, truth(10), *words, *(truth(tick) for tick in range(11, 20)))
+    assert [known.state for known in picture.agents.values()][:2] == ["alive", "alive"]
+    picture.see(received(gossip(19)), 0.0)
+    picture.see(received(truth(20)), 0.0)
+    assert kinds(picture) == [("silent", "s2")]
 
 
 def test_in_real_time_a_second_of_silence_is_allowed_at_any_rate() -> None:

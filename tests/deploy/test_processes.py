@@ -2,12 +2,15 @@
 
 import json
 import signal
+import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
-from deploy.swarm.processes import Child, endpoints, process_rows
-from deploy.swarm.rundir import RunDirectory
+from deploy.live.processes import Child, is_stopped, process_rows
+from deploy.live.seeds import endpoints
+from deploy.storage.run_directory import RunDirectory
 
 
 @pytest.fixture
@@ -24,13 +27,13 @@ def line(**fields: str) -> str:
 
 def test_the_last_words_of_a_process_are_its_complaint_or_the_last_line_of_its_exception(child: Child) -> None:
     log = child.directory.log("s2")
-    assert child.last_words() == ""
+    assert child.last_log_line() == ""
     log.write_text(line(message="joined") + "\n" + line(message="the end", exception="Traceback:\n  a.py\nZeroDivisionError: no way\n"))
-    assert child.last_words() == "ZeroDivisionError: no way"
+    assert child.last_log_line() == "ZeroDivisionError: no way"
     log.write_text(line(message="joined") + "\n")
-    assert child.last_words() == "joined"
+    assert child.last_log_line() == "joined"
     log.write_text("agents: --name s9: no such member\n" + line(message="joined") + "\n")
-    assert child.last_words() == "agents: --name s9: no such member"
+    assert child.last_log_line() == "agents: --name s9: no such member"
 
 
 @pytest.mark.parametrize(
@@ -40,6 +43,34 @@ def test_the_last_words_of_a_process_are_its_complaint_or_the_last_line_of_its_e
 def test_an_exception_and_a_crash_are_the_processs_own_and_a_kill_is_not(child: Child, code: int | None, crashed: bool) -> None:
     child.returncode = code
     assert child.crashed == crashed
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc here")
+def test_a_process_that_is_stopped_or_let_go_on_from_outside_is_noticed_once(child: Child) -> None:
+    process = child.process = subprocess.Popen(["sleep", "1000"], stdin=subprocess.PIPE)
+    try:
+        assert child.look() == ""
+        process.send_signal(signal.SIGSTOP)
+        until_stopped(process.pid, True)
+        assert (child.look(), child.paused, child.look()) == ("pause", True, "")
+        process.send_signal(signal.SIGCONT)
+        until_stopped(process.pid, False)
+        assert (child.look(), child.paused, child.look()) == ("resume", False, "")
+        child.send(signal.SIGSTOP)  # an order, not from outside
+        until_stopped(process.pid, True)
+        assert (child.look(), child.paused) == ("", True)
+        child.send(signal.SIGCONT)
+        assert (child.look(), child.paused) == ("", False)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def until_stopped(pid: int, wanted: bool) -> None:
+    end = time.monotonic() + 60.0
+    while is_stopped(pid) != wanted:
+        assert time.monotonic() < end
+        time.sleep(0.005)
 
 
 def test_every_process_has_a_row_with_what_is_known_of_it_and_living_guests_follow(child: Child) -> None:

@@ -13,13 +13,13 @@ from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
-from deploy.onlookers import Onlookers, open_recorder, recording_path
-from deploy.records.recorder import CHUNK_SECONDS, Recorder, message_schema
-from deploy.records.recording import Recording, event_of, find_recording
-from deploy.records.rescore import difference, rescore, write_scores
-from deploy.result import Fault, Result
+from deploy.recording.observers import Observers, open_recorder, recording_path
+from deploy.recording.recorder import CHUNK_SECONDS, Recorder, message_schema
+from deploy.recording.recording import Recording, event_of, find_recording
+from deploy.recording.rescore import difference, rescore, write_scores
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.scoring.result import Fault, Result
+from deploy.simulation import Simulation
 from protocol.keys import message_key
 from protocol.messages import KINDS, Command, Truth
 from protocol.node import Alive, Gone, Received, Rejected, received
@@ -39,7 +39,7 @@ def command(tick: int) -> Command:
 
 def recorded_run(path: Path, of: Scenario) -> tuple[Simulation, Result]:
     simulation = Simulation(of)
-    Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     return simulation, simulation.run()
 
 
@@ -296,7 +296,7 @@ def test_record_names_an_mcap_file_or_means_the_run_directory(tmp_path: Path) ->
 
 def test_an_onlooker_that_fails_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:
     simulation = Simulation(scenario())
-    onlookers = Onlookers(simulation.scorer, None)
+    onlookers = Observers(simulation.scorer, None)
     heard: list[object] = []
 
     def faulty(event: object, now: float) -> None:

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from deploy.records.recorder import Recorder
-from deploy.records.recording import Recording
+from deploy.recording.recorder import Recorder
+from deploy.recording.recording import Recording
 from deploy.scenario import resolve
 from protocol import codec
 from protocol.messages import Command, Message, Truth

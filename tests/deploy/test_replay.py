@@ -7,12 +7,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from deploy.monitor.frames import moment
-from deploy.onlookers import Onlookers, open_recorder
-from deploy.records.recording import Recording
-from deploy.records.replay import ReplayNode, ReplaySource
+from deploy.page.frames import moment
+from deploy.recording.observers import Observers, open_recorder
+from deploy.recording.recording import Recording
+from deploy.recording.replay import ReplayNode, ReplaySource
 from deploy.scenario import FaultSettings, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.messages import Command, Message
 from protocol.node import Started, Timer
 from protocol.settings import BadSetting
@@ -24,7 +24,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Simulation, Recording
     scenario = resolve("quick", {"run.seconds": 20.0})
     simulation = Simulation(msgspec.structs.replace(scenario, faults=(FaultSettings(at=10.0, verb="kill", who="s2"),)))
     path = tmp_path_factory.mktemp("replay") / "a.mcap"
-    Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     simulation.run()
     return simulation, Recording(path)
 
@@ -99,7 +99,7 @@ def test_playing_through_a_death_does_not_write_the_time_line_twice(run: tuple[S
 def test_a_cut_between_agents_and_its_end_stand_on_the_time_line_of_a_replay(tmp_path: Path) -> None:
     faults = (FaultSettings(at=3.0, verb="partition", who="s1,s2", seconds=2.0), FaultSettings(at=4.0, verb="kill", who="s6"))
     simulation = Simulation(msgspec.structs.replace(resolve("quick", {"run.seconds": 8.0}), faults=faults))
-    Onlookers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
+    Observers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
     simulation.run()
     replay = ReplaySource(Recording(tmp_path / "a.mcap"))
     replay.scan(60.0)

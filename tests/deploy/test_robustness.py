@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.commands import robust
+from deploy.cli import robustness as robustness_command
+from deploy.plots.robustness_figure import mosaic
 from deploy.scenario import resolve
 from deploy.studies import robustness
 from deploy.studies.robustness import FRESH, LEVELS, NONE, Bout, Curve, line, plan, play, recovery, summary, table
-from deploy.studies.robustness_figure import mosaic
 from protocol.settings import BadSetting
 
 SMALL = {"team.composition": "A2,B4", "arena.width": 25.0, "arena.height": 25.0, "targets.count": 3, "run.dt": 0.5}
@@ -82,9 +82,9 @@ def test_a_study_that_was_stopped_goes_on_and_writes_tables_and_a_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(robustness, "LEVELS", {"kill": (0.5,), "loss": (0.5,), "delay": (), "partition": (3.0,)})
-    monkeypatch.setattr(robust, "QUICK", {"at": 5.0, "seconds": 46.0, "trials": 1})
+    monkeypatch.setattr(robustness_command, "QUICK", {"at": 5.0, "seconds": 46.0, "trials": 1})
     monkeypatch.setattr(robustness, "SETTLED", 20.0)
-    assert robust.study(True, None, 3, None, SMALL, tmp_path, 2, None, True) == 0
+    assert robustness_command.run_robustness_study(True, None, 3, None, SMALL, tmp_path, 2, None, True) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert (found["study"], found["bouts"]) == ("robustness", 5)
     assert [(cell["kind"], cell["level"]) for cell in found["cells"]] == [("none", 0.0), ("kill", 0.5), ("loss", 0.5), ("partition", 3.0)]
@@ -96,7 +96,7 @@ def test_a_study_that_was_stopped_goes_on_and_writes_tables_and_a_figure(
 
     kept = first["trials.jsonl"].splitlines(keepends=True)
     (tmp_path / "trials.jsonl").write_bytes(b"".join(kept[:3]) + kept[3][:100])  # as if killed in the middle of a line
-    assert robust.study(True, None, 3, None, SMALL, tmp_path, 1, None, False) == 0
+    assert robustness_command.run_robustness_study(True, None, 3, None, SMALL, tmp_path, 1, None, False) == 0
     assert "3 of them done already" in capsys.readouterr().out
     again = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != "trials.jsonl"}
     assert again == {name: data for name, data in first.items() if name != "trials.jsonl"}
@@ -105,14 +105,19 @@ def test_a_study_that_was_stopped_goes_on_and_writes_tables_and_a_figure(
 @pytest.mark.parametrize(("targets", "methods"), [("30,40", None), (None, "power")])
 def test_what_the_study_does_not_know_is_refused(targets: str | None, methods: str | None) -> None:
     with pytest.raises(BadSetting):
-        robust.settings_of(None, targets, methods)
+        robustness_command.settings_of(None, targets, methods)
 
 
 def test_faults_can_be_chosen_and_bring_their_references() -> None:
-    assert robust.kinds_of(None) == (NONE, *LEVELS, FRESH)
-    assert robust.kinds_of("kill") == (NONE, "kill", FRESH) and robust.kinds_of("loss, delay") == (NONE, "loss", "delay")
+    assert robustness_command.kinds_of(None) == (NONE, *LEVELS, FRESH)
+    assert robustness_command.kinds_of("kill") == (NONE, "kill", FRESH)
+    assert robustness_command.kinds_of("loss, delay") == (
+        NONE,
+        "loss",
+        "delay",
+    )
     with pytest.raises(BadSetting, match="--faults flood: should be one or more of kill, loss, delay, partition"):
-        robust.kinds_of("flood")
+        robustness_command.kinds_of("flood")
 
 
 def test_the_figure_has_panels_for_the_faults_that_were_played() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import Scenario, resolve
-from deploy.swarm.rundir import RunDirectory, find_running, running_runs, runs_folder
+from deploy.storage.run_directory import RunDirectory, find_running, running_runs, runs_folder
 from protocol.settings import BadSetting, load
 
 

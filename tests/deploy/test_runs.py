@@ -1,4 +1,4 @@
-"""Kept runs: every run has a directory of its own, a name means one run, and what is removed was asked for."""
+"""KeptRun runs: every run has a directory of its own, a name means one run, and what is removed was asked for."""
 
 import json
 import os
@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from deploy.__main__ import app
-from deploy.commands.runs import rm, runs
-from deploy.commands.simulating import simulate_here
-from deploy.records.recording import find_recording
+from deploy.cli.runs import rm, runs
+from deploy.cli.simulate import simulate_here
+from deploy.recording.recording import find_recording
 from deploy.scenario import resolve
-from deploy.swarm.rundir import LATEST, RunDirectory, find_running, running_runs, runs_folder
-from deploy.swarm.runs import age_of, find_run, kept_runs, link_latest, take
+from deploy.storage.kept_runs import age_of, find_run, kept_runs, link_latest, new_run_directory
+from deploy.storage.run_directory import LATEST, RunDirectory, find_running, running_runs, runs_folder
 from protocol.keys import NAME
 from protocol.settings import BadSetting
 
@@ -26,9 +26,11 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def play(wish: str | None = None, *, seed: int = 1, ended: bool = True, recorded: bool = False, code: int = 0, age: float = 0.0) -> str:
+def play(
+    requested_name: str | None = None, *, seed: int = 1, ended: bool = True, recorded: bool = False, code: int = 0, age: float = 0.0
+) -> str:
     """A run as it lies in its folder afterwards; its name."""
-    directory, lock = take(wish, "quick")
+    directory, lock = new_run_directory(requested_name, "quick")
     directory.write_config(resolve("quick", {"run.seed": seed}))
     link_latest(directory)
     if ended:
@@ -48,7 +50,7 @@ def test_runs_that_nobody_names_are_numbered_by_date_and_scenario() -> None:
 
 def test_a_scenario_of_any_path_gives_a_name_that_fits_into_a_key() -> None:
     for scenario in ("my runs/ä b#1.toml", "x" * 300, ".toml"):
-        directory, lock = take(None, scenario)
+        directory, lock = new_run_directory(None, scenario)
         os.close(lock)
         assert NAME.match(directory.name)
         assert directory.path.parent == runs_folder()
@@ -73,23 +75,23 @@ def test_a_folder_with_anything_in_it_is_no_place_for_a_run() -> None:
 
 
 def test_what_a_start_that_failed_has_left_is_used_again() -> None:
-    directory, lock = take("hunt", "quick")
+    directory, lock = new_run_directory("hunt", "quick")
     directory.log("zygote").write_text("no memory")
     directory.output.write_text("no memory")
     directory.page.write_text("http://127.0.0.1:1/")
     os.close(lock)
-    directory, lock = take("hunt", "quick")
+    directory, lock = new_run_directory("hunt", "quick")
     os.close(lock)
     assert directory.name == "hunt"
     assert list(directory.logs.iterdir()) == []
 
 
 def test_a_name_whose_run_is_running_is_refused_and_two_unnamed_starts_at_once_get_two_names() -> None:
-    _, lock = take("hunt", "quick")
+    _, lock = new_run_directory("hunt", "quick")
     with pytest.raises(BadSetting, match=r"--run hunt: .*covey down --run hunt"):
-        take("hunt", "quick")
+        new_run_directory("hunt", "quick")
     os.close(lock)
-    held = [take(None, "quick") for _ in range(2)]
+    held = [new_run_directory(None, "quick") for _ in range(2)]
     link_latest(held[1][0])
     assert find_running(LATEST).name == held[1][0].name
     assert [directory.name for directory, _ in held] == [f"{TODAY}-quick-1", f"{TODAY}-quick-2"]
@@ -100,7 +102,7 @@ def test_a_name_whose_run_is_running_is_refused_and_two_unnamed_starts_at_once_g
 @pytest.mark.parametrize("name", ["latest", "..", ".", "a/b", "", "x" * 65, "a b"])
 def test_a_name_that_is_no_folder_or_no_part_of_a_key_is_refused(name: str) -> None:
     with pytest.raises(BadSetting, match="--run"):
-        take(name, "quick")
+        new_run_directory(name, "quick")
 
 
 def test_latest_is_the_run_that_began_last_wherever_a_run_is_named() -> None:
@@ -136,7 +138,7 @@ def test_the_list_says_what_became_of_each_run(capsys: pytest.CaptureFixture[str
     play("ended", seed=1, recorded=True, age=30.0)
     play("killed", seed=2, ended=False, age=20.0)
     play("stopped", seed=3, code=130, age=10.0)
-    directory, lock = take("going", "quick")
+    directory, lock = new_run_directory("going", "quick")
     directory.write_config(resolve("quick", {"run.seed": 4}), simulated=True)
     assert runs(as_json=True) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
@@ -151,7 +153,7 @@ def test_the_list_says_what_became_of_each_run(capsys: pytest.CaptureFixture[str
 
 
 def test_a_running_simulation_is_no_swarm_that_could_be_asked() -> None:
-    directory, lock = take("virtual", "quick")
+    directory, lock = new_run_directory("virtual", "quick")
     directory.write_config(resolve("quick"), simulated=True)
     assert directory.is_running()
     assert running_runs() == []
@@ -162,7 +164,7 @@ def test_a_running_simulation_is_no_swarm_that_could_be_asked() -> None:
 
 def test_a_running_run_is_not_removed_and_then_nothing_is() -> None:
     play("one")
-    _, lock = take("two", "quick")
+    _, lock = new_run_directory("two", "quick")
     RunDirectory("two").write_config(resolve("quick"))
     with pytest.raises(BadSetting, match="two: the run is running"):
         rm(["one", "two"], False, None, False)

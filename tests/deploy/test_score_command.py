@@ -6,17 +6,17 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from deploy.commands.keeping import score
-from deploy.onlookers import Onlookers, open_recorder
+from deploy.cli.recordings import score
+from deploy.recording.observers import Observers, open_recorder
 from deploy.scenario import resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 
 
 def test_the_score_of_a_recording_is_worked_out_anew_and_not_read_from_the_result_beside_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     simulation = Simulation(resolve("quick", {"run.seconds": 4.0}))
-    Onlookers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
+    Observers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
     true = simulation.run()
     forged = msgspec.structs.replace(true, steady_ospa=true.steady_ospa + 1.25, mean_gospa=true.mean_gospa - 3.0)
     (tmp_path / "result.json").write_text(forged.to_json(), encoding="utf-8")

@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from deploy.monitor_node import Scorer
 from deploy.scenario import Scenario
+from deploy.scoring.scorer import Scorer
 from protocol.messages import Gossip
 from protocol.node import received
 from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, scenario, started, truth

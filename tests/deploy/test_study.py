@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.studies.study import STUDIES, Design, Folder, design, methods_of, plan, read_results
-from deploy.studies.trials import Row
+from deploy.studies.design import STUDIES, Design, design, plan
+from deploy.studies.results import StudyFolder, read_results
+from deploy.studies.trials import Row, methods_of
 from protocol.settings import BadSetting
 
 
@@ -47,7 +48,7 @@ def test_what_cannot_be_run_is_refused_before_anything_runs() -> None:
 
 
 def test_a_torn_line_is_cut_off_and_the_rest_counts(tmp_path: Path) -> None:
-    folder = Folder(tmp_path / "study")
+    folder = StudyFolder(tmp_path / "study")
     with folder.claimed():
         folder.add(row(1))
         folder.add(row(2))
@@ -59,20 +60,20 @@ def test_a_torn_line_is_cut_off_and_the_rest_counts(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_held_by_one_study(tmp_path: Path) -> None:
-    with Folder(tmp_path).claimed(), pytest.raises(BadSetting, match="a study is running there"), Folder(tmp_path).claimed():
+    with StudyFolder(tmp_path).claimed(), pytest.raises(BadSetting, match="a study is running there"), StudyFolder(tmp_path).claimed():
         pass
-    with Folder(tmp_path).claimed():
+    with StudyFolder(tmp_path).claimed():
         pass
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(BadSetting, match=r"--into .*file/study"), Folder(tmp_path / "file" / "study").claimed():
+    with pytest.raises(BadSetting, match=r"--into .*file/study"), StudyFolder(tmp_path / "file" / "study").claimed():
         pass
 
 
 def test_tables_do_not_tell_how_long_a_trial_took(tmp_path: Path) -> None:
-    first, second = Folder(tmp_path / "a"), Folder(tmp_path / "b")
+    first, second = StudyFolder(tmp_path / "a"), StudyFolder(tmp_path / "b")
     for folder, slowness in ((first, 1.0), (second, 7.0)):
         with folder.claimed():
             folder.publish([{**row(1), "wall_s": slowness}, {**row(2), "wall_s": slowness}])
@@ -81,7 +82,7 @@ def test_tables_do_not_tell_how_long_a_trial_took(tmp_path: Path) -> None:
 
 
 def test_results_are_read_back_from_either_file_or_the_folder(tmp_path: Path) -> None:
-    folder = Folder(tmp_path)
+    folder = StudyFolder(tmp_path)
     rows = [row(1, sensors="{}", control="lloyd"), row(2, "voronoi", 2.5, sensors="{}", control="lloyd")]
     folder.path.mkdir(exist_ok=True)
     folder.publish(rows)

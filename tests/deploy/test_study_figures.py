@@ -5,9 +5,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pytest
 
-from deploy.commands.figuring import figures_of_study, is_study
-from deploy.studies.study import Folder
-from deploy.studies.study_figures import boxes, differences, draw, level_of
+from deploy.cli.figures import draw_study, is_study
+from deploy.plots.study_figures import boxes, differences, draw, level_of
+from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row
 from protocol.settings import BadSetting
 
@@ -75,16 +75,16 @@ def test_one_method_alone_has_nothing_to_be_paired_with(tmp_path: Path) -> None:
 
 
 def test_figures_go_into_the_folder_of_the_study_or_where_one_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = Folder(tmp_path / "study")
+    folder = StudyFolder(tmp_path / "study")
     with folder.claimed():
         folder.publish(rows())
     assert is_study(folder.path) and is_study(folder.csv) and not is_study(tmp_path)
-    assert figures_of_study(folder.path, None) == 0
+    assert draw_study(folder.path, None) == 0
     assert (folder.path / "figure4.png").exists() and "figure4.pdf" in capsys.readouterr().out
-    assert figures_of_study(folder.parquet, tmp_path / "else") == 0
+    assert draw_study(folder.parquet, tmp_path / "else") == 0
     assert (tmp_path / "else" / "paired.pdf").exists()
 
 
 def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadSetting, match=r"results\.parquet"):
-        figures_of_study(tmp_path, None)
+        draw_study(tmp_path, None)

@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
-from deploy.commands import studying
-from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_shares
-from deploy.studies.study import Design, Folder
+from deploy.cli.study import run_study
+from deploy.cli.study_progress import RemainingWork, remaining, words
+from deploy.studies.design import Design, design_fields, design_with, dotted_options
+from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_progress
+from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Trial, run_trial
 from protocol.settings import BadSetting
 
@@ -23,7 +25,7 @@ def run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., dic
     """Run a study into a folder of its own with two workers; its JSON line."""
 
     def go(found: Design = SMALL, into: str = "study") -> dict[str, Any]:
-        assert studying.study(found, tmp_path / into, 2, None, as_json=True) == 0
+        assert run_study(found, tmp_path / into, 2, None, as_json=True) == 0
         result: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
         return result
 
@@ -37,14 +39,14 @@ def test_a_study_that_was_cut_short_goes_on_and_ends_with_the_same_table(run: Ca
     (tmp_path / "again" / "trials.jsonl").write_text(lines[2] + lines[0] + lines[1][:40])  # two rows and a torn one
     again = run(into="again")
     assert {**again, "folder": ""} == {**whole, "folder": ""} and whole["trials"] == 4
-    assert Folder(tmp_path / "again").csv.read_bytes() == Folder(tmp_path / "study").csv.read_bytes()
+    assert StudyFolder(tmp_path / "again").csv.read_bytes() == StudyFolder(tmp_path / "study").csv.read_bytes()
     kept = (tmp_path / "again" / "trials.jsonl").read_text().splitlines(keepends=True)
     assert kept[:2] == [lines[2], lines[0]] and len(kept) == 4  # nothing was run twice
 
 
 def test_workers_give_the_rows_that_this_process_gives(run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     run()
-    rows = Folder(tmp_path / "study").finished()
+    rows = StudyFolder(tmp_path / "study").finished()
     trial = Trial(scenario="quick", seed=100, team="A2,B4", targets=3, method="voronoi", options=SMALL.options)
     assert {**rows[trial.key()], "wall_s": 0} == {**run_trial(trial), "wall_s": 0}
 
@@ -59,7 +61,7 @@ def test_rows_of_another_program_are_not_mixed_in(run: Callable[..., dict[str, A
 def test_a_trial_that_fails_names_its_command() -> None:
     bad = Trial(scenario="quick", seed=1, team="A1", targets=3, method="power", options={"targets.motion": "nowhere:Motion"})
     with pytest.raises(TrialFailed, match=r"covey simulate quick .*nowhere"):
-        list(on_this_machine([(0, bad)], 1, shared_shares(1)))
+        list(on_this_machine([(0, bad)], 1, shared_progress(1)))
 
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:
@@ -73,13 +75,13 @@ def test_a_cluster_gives_the_same_table(run: Callable[..., dict[str, Any]], tmp_
     run()
     workers = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "host": "127.0.0.1"}
     with distributed.LocalCluster(**workers) as cluster:
-        assert studying.study(SMALL, tmp_path / "cluster", 2, cluster.scheduler_address, as_json=True) == 0
-    assert Folder(tmp_path / "cluster").csv.read_bytes() == Folder(tmp_path / "study").csv.read_bytes()
+        assert run_study(SMALL, tmp_path / "cluster", 2, cluster.scheduler_address, as_json=True) == 0
+    assert StudyFolder(tmp_path / "cluster").csv.read_bytes() == StudyFolder(tmp_path / "study").csv.read_bytes()
 
 
 def test_options_become_fields_and_settings() -> None:
-    given = studying.given(3, 200, "2,20E+4H", "30, 40", "power,voronoi,power")
-    found = studying.chosen("efficacy", False, given, studying.options_of("BCD", None, 0.5, None, ["detection.clutter=0.2"]))
+    given = design_fields(3, 200, "2,20E+4H", "30, 40", "power,voronoi,power")
+    found = design_with("efficacy", False, given, dotted_options("BCD", None, 0.5, None, ["detection.clutter=0.2"]))
     assert (found.trials, found.first_seed, found.teams, found.targets) == (3, 200, ("2", "20E+4H"), (30, 40))
     assert found.methods == ("power", "voronoi")
     assert found.options == {"team.triple": "BCD", "run.dt": 0.5, "detection.clutter": 0.2}
@@ -91,17 +93,17 @@ def test_options_become_fields_and_settings() -> None:
 )
 def test_options_that_make_no_sense_are_named(trials: int | None, seed: int | None, targets: str | None, complaint: str) -> None:
     with pytest.raises(BadSetting, match=complaint):
-        studying.given(trials, seed, None, targets, None)
+        design_fields(trials, seed, None, targets, None)
 
 
 def test_what_is_left_is_what_was_done_at_the_same_speed() -> None:
-    assert studying.remaining(0.25, 60.0) == pytest.approx(180.0)
+    assert remaining(0.25, 60.0) == pytest.approx(180.0)
 
 
 def test_the_share_that_is_done_counts_running_trials_by_their_cost() -> None:
     """Four trials of equal cost: one done before this start, one finished, one half way, one open."""
     trials = [Trial(scenario="quick", seed=seed, team="A1", targets=3, method="power") for seed in range(4)]
-    ahead = studying.Ahead(trials, list(enumerate(trials))[1:], [0.0, 0.0, 0.5, 0.0])
+    ahead = RemainingWork(trials, list(enumerate(trials))[1:], [0.0, 0.0, 0.5, 0.0])
     ahead.finish(1)
     assert ahead.finished == 2 and ahead.running() == 1
     assert ahead.share() == pytest.approx(1.5 / 3.0)
@@ -109,4 +111,4 @@ def test_the_share_that_is_done_counts_running_trials_by_their_cost() -> None:
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (44.1, "45 s"), (100.0, "2 min"), (3600.0, "60 min"), (12000.0, "3 h 20 min")])
 def test_durations_in_words(seconds: float, text: str) -> None:
-    assert studying.words(seconds) == text
+    assert words(seconds) == text

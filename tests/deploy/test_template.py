@@ -6,9 +6,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from deploy.commands.scenarios import init
+from deploy.cli.scenario_file import init
+from deploy.cli.template import dotted_names, template
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.template import dotted_names, template
 from protocol.settings import BadSetting, SensorSettings
 
 SETTING = re.compile(r"^# (\w+) = (.*?)(?:  +# .*)?$", re.MULTILINE)

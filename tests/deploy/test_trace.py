@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from deploy.records.trace import Trace, check_trace
-from deploy.result import Result
+from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import FaultSettings, resolve
-from deploy.simulate import Simulation
+from deploy.scoring.result import Result
+from deploy.simulation import Simulation
 from protocol.settings import BadSetting
 
 

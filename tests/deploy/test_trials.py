@@ -7,7 +7,7 @@ import pytest
 
 from agents.control import control_law
 from deploy.scenario import parse_set, resolve
-from deploy.simulate import Simulation, simulate
+from deploy.simulation import Simulation, simulate
 from deploy.studies.trials import FLAGS, METHODS, Trial, check_method, cost, fingerprint, run_trial
 from protocol.messages import Truth
 from protocol.settings import BadSetting

@@ -13,7 +13,7 @@ from agents.update_kernels import update
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
 import sys
-from deploy.swarm.warm import warm
+from deploy.live.warmup import warm
 
 def compiled():
     modules = [module for name, module in sys.modules.items() if name.startswith("agents.")]
@@ -22,7 +22,7 @@ def compiled():
 
 warm()
 before = compiled()
-from deploy.simulate import compiled as fast
+from deploy.simulation import compiled as fast
 from tests.swarm.scene import fault, ledger, tracking, watch
 struck = (fault(1.0, "drop", "100%", 0.3, seconds=2.0), fault(3.0, "slow", "s2", 0.6, seconds=2.0), fault(5.0, "kill", "s3", seconds=2.0))
 struck += (fault(7.0, "pause", "s4", seconds=2.0), fault(9.0, "partition", "50%", seconds=3.0))
@@ -46,18 +46,18 @@ def test_after_warming_up_no_fault_makes_anybody_compile() -> None:
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core compiles by itself")
 def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    program = "from deploy.swarm import warm; warm.warm(); import resource; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime)"
+    program = "from deploy.live import warm; warm.warm(); import resource; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime)"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=880, check=False)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 5.0  # s of the second process
-    program = "from agents.fast import FAST; from deploy.swarm import warm; warm.warm(); print(warm.compiled_before())"
-    program += "; from agents.round_kernels import refresh; print(sum(refresh.stats.cache_misses.values()))"
+    program = "from agents.fast import FAST; from deploy.live import warm; warm.warm(); print(warm.compiled_before())"
+    program += "; from agents.region_kernels import update_regions; print(sum(update_regions.stats.cache_misses.values()))"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=110, check=False)
     assert done.stdout.split() == ["True", "0"], done.stderr
 
 
 def test_who_warms_up_while_another_does_waits_for_it() -> None:
-    program = "from deploy.swarm.warm import warm; print('begins', flush=True); warm(); print('warm')"
+    program = "from deploy.live.warmup import warm; print('begins', flush=True); warm(); print('warm')"
     held = os.open(update.stats.cache_path, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
     try:

@@ -6,8 +6,9 @@ from collections.abc import Callable
 import pytest
 import zenoh
 
-from deploy.field import swarm_map
-from deploy.watching import LOOK, SILENCE, Heard, Listener, Rates, block, expression, fields, kinds, lies_in, plain_line
+from deploy.cli.listener import LOOK, SILENCE, KeyedPayload, Listener, Rates, expression, kinds, lies_in
+from deploy.cli.message_text import block, fields, plain_line
+from deploy.cli.terminal_map import swarm_map
 from protocol import codec
 from protocol.messages import Command, Truth
 from protocol.node import Alive, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, received
@@ -39,14 +40,14 @@ def test_what_is_no_key_expression_is_refused(text: str) -> None:
         expression(text, "r")
 
 
-def listener(go_on: Callable[[Heard, float], bool], seconds: float | None = None) -> Listener:
+def listener(go_on: Callable[[KeyedPayload, float], bool], seconds: float | None = None) -> Listener:
     return Listener("r", "echo-1", "covey/r/**", go_on, seconds)
 
 
 def test_a_listener_hands_on_what_is_ours_and_what_is_not_and_stops_on_demand() -> None:
-    heard: list[Heard] = []
+    heard: list[KeyedPayload] = []
 
-    def on_heard(one: Heard, now: float) -> bool:
+    def on_heard(one: KeyedPayload, now: float) -> bool:
         heard.append(one)
         return len(heard) < 2
 
@@ -55,8 +56,8 @@ def test_a_listener_hands_on_what_is_ours_and_what_is_not_and_stops_on_demand() 
     assert node.deadline() is None
     assert node.handle(received(COMMAND), 1.0) == []
     assert node.handle(Rejected("x", "key", "covey/r/strange/x", b"\x01"), 2.0) == [Stop(0, "enough")]
-    assert heard[0] == Heard("covey/r/command/s1", codec.encode(COMMAND), COMMAND, "")
-    assert heard[1] == Heard("covey/r/strange/x", b"\x01", None, "key")
+    assert heard[0] == KeyedPayload("covey/r/command/s1", codec.encode(COMMAND), COMMAND, "")
+    assert heard[1] == KeyedPayload("covey/r/strange/x", b"\x01", None, "key")
 
 
 def test_a_listener_stops_when_its_time_is_up_and_knows_who_is_there() -> None:
@@ -68,8 +69,8 @@ def test_a_listener_stops_when_its_time_is_up_and_knows_who_is_there() -> None:
     assert node.tokens == {("agent", "s1", 4)}
 
 
-def silent(wanted: str, heard: list[Heard], told: list[list[str]]) -> Listener:
-    def on_heard(one: Heard, now: float) -> bool:
+def silent(wanted: str, heard: list[KeyedPayload], told: list[list[str]]) -> Listener:
+    def on_heard(one: KeyedPayload, now: float) -> bool:
         heard.append(one)
         return True
 
@@ -77,7 +78,7 @@ def silent(wanted: str, heard: list[Heard], told: list[list[str]]) -> Listener:
 
 
 def test_after_a_silence_a_listener_looks_where_something_is_said_tells_it_once_and_listens_on() -> None:
-    heard: list[Heard] = []
+    heard: list[KeyedPayload] = []
     told: list[list[str]] = []
     node = silent("covey/r/nothing", heard, told)
     assert node.handle(Started(), 1.0) == [Subscribe("covey/r/nothing")]
@@ -93,7 +94,7 @@ def test_after_a_silence_a_listener_looks_where_something_is_said_tells_it_once_
 
 
 def test_what_is_wanted_and_comes_while_it_looks_is_handed_on_and_nothing_is_told() -> None:
-    heard: list[Heard] = []
+    heard: list[KeyedPayload] = []
     told: list[list[str]] = []
     node = silent("covey/r/command/*", heard, told)
     node.handle(Started(), 0.0)
@@ -130,22 +131,22 @@ def test_keys_are_named_by_kind() -> None:
 
 def test_a_known_message_is_printed_as_json_with_its_arrays_spelled_out() -> None:
     truth = Truth(sender="world", incarnation=1, tick=3, time=0.75, bodies=("s1",), poses_bytes=bytes(24))
-    line = json.loads(plain_line(Heard("covey/r/truth", b"", truth, "")))
+    line = json.loads(plain_line(KeyedPayload("covey/r/truth", b"", truth, "")))
     assert (line["key"], line["type"], line["tick"]) == ("covey/r/truth", "truth", 3)
     assert (line["poses"], line["targets"]) == ([[0.0, 0.0, 0.0]], [])
     assert "poses_bytes" not in line
 
 
 def test_an_unknown_message_is_printed_raw_and_unpacked_where_it_is_msgpack() -> None:
-    line = json.loads(plain_line(Heard("a/b", b"\x81\xa1x\x05", None, "key")))
+    line = json.loads(plain_line(KeyedPayload("a/b", b"\x81\xa1x\x05", None, "key")))
     assert (line["unknown"], line["bytes"], line["raw"], line["msgpack"]) == ("key", 4, "81a17805", {"x": 5})
-    assert "msgpack" not in json.loads(plain_line(Heard("a/b", b"\xc1\xff", None, "key")))
-    assert "c1 ff" in block(Heard("a/b", b"\xc1\xff", None, "format"))
+    assert "msgpack" not in json.loads(plain_line(KeyedPayload("a/b", b"\xc1\xff", None, "key")))
+    assert "c1 ff" in block(KeyedPayload("a/b", b"\xc1\xff", None, "format"))
 
 
 def test_long_arrays_are_cut_in_a_terminal() -> None:
     text = block(
-        Heard("k", b"", Truth(sender="world", incarnation=1, tick=3, time=0.75, ids_bytes=bytes(80), targets_bytes=bytes(160)), "")
+        KeyedPayload("k", b"", Truth(sender="world", incarnation=1, tick=3, time=0.75, ids_bytes=bytes(80), targets_bytes=bytes(160)), "")
     )
     assert "10 rows: 0, 0, 0, 0, 0, 0, ..." in text
     assert fields(COMMAND)["velocity"] == (1.0, 2.0)
@@ -154,8 +155,8 @@ def test_long_arrays_are_cut_in_a_terminal() -> None:
 def test_rates_are_messages_per_second_the_longest_gap_and_the_mean_size() -> None:
     rates = Rates()
     for now in (0.0, 0.5, 1.0, 2.0):
-        assert rates.note(Heard("covey/r/gossip/s10", b"1234", None, ""), now)
-    rates.note(Heard("covey/r/gossip/s9", b"12", None, ""), 2.0)
+        assert rates.note(KeyedPayload("covey/r/gossip/s10", b"1234", None, ""), now)
+    rates.note(KeyedPayload("covey/r/gossip/s9", b"12", None, ""), 2.0)
     assert rates.rows() == [("covey/r/gossip/s9", None, None, 2.0), ("covey/r/gossip/s10", 1.5, 1.0, 4.0)]
 
 

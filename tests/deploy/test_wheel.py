@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BUILD = "import sys; from setuptools.build_meta import build_wheel; build_wheel(sys.argv[1])"
 PARTS = ("pyproject.toml", "README.md", "LICENSE", *ROOMS)
 STRANGER = "class Runner: ...\n"  # what the folder `agents` of site-packages holds when openai-agents is installed
-WARM = "from covey.deploy.swarm.warm import warm; warm()"
+WARM = "from covey.deploy.live.warmup import warm; warm()"
 BOTH = "import agents, covey, covey.agents.agent; assert agents.Runner; print(covey.__file__)"
 
 

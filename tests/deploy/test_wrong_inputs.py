@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from deploy.__main__ import app
-from deploy.commands.last_net import caught
-from deploy.commands.options import RunOptions
+from deploy.cli.errors import guarded
+from deploy.cli.options import RunOptions
 from protocol.sensing import Pose
 
 ROOT = Path(__file__).parents[2]
@@ -114,6 +114,20 @@ class NoCamera:
 
     def __init__(self, *_: Any) -> None:
         raise KeyError("no camera")
+
+
+class Leaves:
+    """It ends the program, or would."""
+
+    def __init__(self, *_: Any) -> None:
+        sys.exit(0)
+
+
+class LaterLeaves:
+    def command(self, situation: Any) -> Any:
+        if situation.tick == 2:
+            sys.exit(3)
+        return (0.0, 0.0), 0.0
 
 
 class Says:
@@ -232,6 +246,7 @@ TYPED = [
     ("simulate member.toml", 2, "members = 'a b': should be 1 to 64 letters"),
     ("simulate class.toml", 2, "sensor class 'Q' does not exist"),
     ("check open.toml", 2, "leaves this machine without TLS"),
+    ("simulate quick --seconds 5 --kill world@2", 2, "a simulation has no process to strike whose name is world"),
     ("check world.toml", 2, "members.world: this name belongs to the world"),
     ("config quick --seed 1.5", 2, "--seed: 1.5 is no whole number"),
     ("ps", 2, "no run is running in"),
@@ -265,8 +280,6 @@ TYPED = [
     ("study efficacy --faults kill", 2, "--faults kill: an option of the robustness study alone"),
     ("study robustness --methods power", 2, "--methods power: not an option"),
     ("study robustness --faults rain", 2, "--faults rain: should be one or more of kill"),
-    ("bench nix", 2, "bench 'nix': should be one of round"),
-    ("bench round --seconds 3", 2, "--seconds 3: is for `bench realtime`"),
     ("fuzz --seeds 0", 2, "--seeds 0"),
     ("init mine", 2, "mine: should be a file that ends in .toml"),
     ("init empty.toml", 2, "empty.toml: exists and is left as it is"),
@@ -301,6 +314,10 @@ PLUGGED = [
     ("sensor", "NoCamera", "NoCamera raised KeyError: 'no camera'"),
     ("sensor", "Says", "Says lacks reach, area, probability, footprint"),
     ("sensor", "Missing", "has no Missing"),
+    ("sensor", "Leaves", "Leaves raised SystemExit: 0"),
+    ("control", "Leaves", "raised SystemExit: 0"),
+    ("motion", "Leaves", "raised SystemExit: 0"),
+    ("control", "LaterLeaves", "LaterLeaves.command raised SystemExit: 3"),
     ("control", "Says", "Says.command returned 'forward': should be ((vx, vy), turn_rate)"),
     ("control", "NanLaw", "NanLaw.command returned ((nan, 0.0), 0.0)"),
     ("control", "Flat", "Flat.command returned (1.0, 0.0, 0.5)"),
@@ -348,7 +365,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def typed(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str]]:
     """Exit code and lines of complaint of a command in this process, but for the line of the first one that compiles."""
-    code = caught(lambda: app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0)
+    code = guarded(lambda: app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     lines = capsys.readouterr().err.splitlines()
     return code, [line for line in lines if not line.startswith("covey: compiling")]
 
@@ -372,6 +389,17 @@ def test_a_class_of_the_users_own_that_answers_wrongly_is_named_in_one_line(
     complaints = [line for line in complaints if line.startswith("covey: ")]
     assert len(complaints) == 1 and part in complaints[0] and name in complaints[0], complaints
     assert found == 2
+
+
+@pytest.mark.parametrize("setting", ["sensors.X.model", "control.mode", "targets.motion"])
+def test_a_module_that_ends_the_program_while_it_is_imported_is_one_line(
+    setting: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "leaving.py").write_text("import sys\nsys.exit(0)\n")
+    team = ["--team", "2X"] if "X" in setting else []
+    found, complaints = typed(["simulate", "quick", "--seconds", "3", *team, "--set", f"{setting}=leaving:Any"], capsys)
+    assert found == 2
+    assert len(complaints) == 1 and "module leaving cannot be imported: SystemExit: 0" in complaints[0], complaints
 
 
 def test_the_classes_that_have_no_fault_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

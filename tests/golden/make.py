@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from tests.golden.cases import CASES, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of, ospa_scenario
 from tests.golden.fields import FIELDS, digest
 from tests.golden.kept import OSPA, read, write, write_ospa

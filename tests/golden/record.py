@@ -7,8 +7,8 @@ import gc
 import string
 from typing import NamedTuple
 
-from agents.arithmetic import Arithmetic
-from deploy.simulate import Simulation, rare_collections
+from agents.backend import Backend
+from deploy.simulation import Simulation, rare_collections
 from protocol.keys import order
 from protocol.node import Event, messages_of
 from tests.golden.cases import TICKS, Case
@@ -27,7 +27,7 @@ class Record(NamedTuple):
     agents: list[str]
 
 
-def play(case: Case, *, arithmetic: Arithmetic | None = None, tapped: bool = False, batches: bool = True) -> list[Said]:
+def play(case: Case, *, arithmetic: Backend | None = None, tapped: bool = False, batches: bool = True) -> list[Said]:
     """What was said in each tick of a case; `tapped`: the bus is watched, as by the fuzzer; `batches` false: it delivers one by one."""
     said: list[Said] = [{} for _ in range(TICKS)]
 

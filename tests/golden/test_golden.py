@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from agents.arithmetic import PLAIN
+from agents.backend import PLAIN
 from tests.golden.cases import CASES, INTERESTS, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of
 from tests.golden.fields import FIELDS
 from tests.golden.kept import FOLDER, read, read_ospa
@@ -23,7 +23,10 @@ QUICK = [  # some ten seconds
     "anisotropic-neighbours/lockstep/1",
 ]
 SHORT = case_of("20E10G-all/deaths/1")
-RUNS = [(partition, seed) for partition in PARTITIONS for seed in OSPA_SEEDS]
+NIGHTLY = pytest.mark.nightly  # continuous integration plays two seeds of everything
+RUNS = [pytest.param(partition, seed, marks=NIGHTLY if seed > 2 else ()) for partition in PARTITIONS for seed in OSPA_SEEDS]
+OTHERS = [pytest.param(case, id=str(case), marks=NIGHTLY if case.seed > 2 else ()) for case in CASES if str(case) not in QUICK]
+KINDS = [pytest.param(case, id=str(case), marks=NIGHTLY if case.swarm != "20E10G" else ()) for case in CASES if case.seed == 1]
 
 
 @pytest.mark.parametrize("case", [case_of(name) for name in QUICK], ids=str)
@@ -32,7 +35,7 @@ def test_some_runs_are_those_of_the_golden_record(case: Case) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", [case for case in CASES if str(case) not in QUICK], ids=str)
+@pytest.mark.parametrize("case", OTHERS)
 def test_all_runs_are_those_of_the_golden_record(case: Case) -> None:
     assert not (message := check(case)), message
 
@@ -50,7 +53,7 @@ def test_a_bus_that_delivers_one_by_one_gives_the_same_record(interest: str) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", [case for case in CASES if case.seed == 1], ids=str)
+@pytest.mark.parametrize("case", KINDS)
 def test_every_kind_of_case_gives_the_same_record_when_watched_and_one_by_one(case: Case) -> None:
     assert difference(read(case), play(case, tapped=True)) == ""
     assert difference(read(case), play(case, tapped=True, batches=False)) == ""

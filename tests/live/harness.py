@@ -18,11 +18,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from deploy.monitor_node import Score
-from deploy.records.recording import Recording, event_of
-from deploy.records.rescore import rescore
-from deploy.swarm.control import ControlClient
-from deploy.swarm.rundir import find_running
+from deploy.live.control import ControlClient
+from deploy.recording.recording import Recording, event_of
+from deploy.recording.rescore import rescore
+from deploy.scoring.scorer import Score
+from deploy.storage.run_directory import find_running
 from protocol.messages import Message
 from protocol.node import Alive, Event, Gone, messages_of
 from protocol.settings import BadSetting
@@ -130,7 +130,7 @@ class Covey:
             if data is not None and condition(data):
                 return data
             time.sleep(0.05)
-        raise AssertionError(f"not reached: {data}; {self.last_words()}")
+        raise AssertionError(f"not reached: {data}; {self.last_log_line()}")
 
     def running(self) -> dict[str, Any]:
         """The status once all processes run and the world's time has begun."""
@@ -169,7 +169,7 @@ class Covey:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 
-    def last_words(self, run: str = "latest") -> str:
+    def last_log_line(self, run: str = "latest") -> str:
         """The end of every log, for whoever must find out why a test failed."""
         logs = sorted((self.runs / run / "logs").glob("*.jsonl"))
         return "\n".join(f"{log.stem}: {log.read_text(errors='replace')[-300:]}" for log in logs)

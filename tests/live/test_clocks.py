@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from tests.live.harness import PATIENT, Covey
 
 COMPILER = shutil.which("cc")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.swarm.control import Answer, ControlClient, ControlServer
-from deploy.swarm.rundir import RunDirectory
+from deploy.live.control import Answer, ControlClient, ControlServer
+from deploy.storage.run_directory import RunDirectory
 
 
 def test_a_client_that_is_still_connected_when_the_run_ends_is_no_error(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from tests.live.harness import PATIENT, Covey
 
 pytestmark = pytest.mark.live
@@ -37,7 +37,7 @@ def kill_supervisor(covey: Covey, moment: float | None) -> float:
 
 
 def test_nobody_survives_a_supervisor_that_is_killed_while_it_starts_or_runs_and_its_socket_is_swept(covey: Covey) -> None:
-    for moment in (None, 0.5, 1.5, 2.5):
+    for moment in (None, 1.0):
         kill_supervisor(covey, moment)
     left = sockets()
     covey.start(*FEW)
@@ -50,11 +50,12 @@ def test_nobody_survives_a_supervisor_that_is_killed_while_it_starts_or_runs_and
 @pytest.mark.slow
 @pytest.mark.alone
 @pytest.mark.timeout(1800)
-def test_a_hundred_killed_supervisors_leave_no_orphan(covey: Covey) -> None:
+@pytest.mark.parametrize("number", [10, pytest.param(100, marks=pytest.mark.nightly)])
+def test_many_killed_supervisors_leave_no_orphan(covey: Covey, number: int) -> None:
     dice = random.Random(1)
-    took = sorted(kill_supervisor(covey, dice.uniform(0.0, 5.0)) for _ in range(100))
-    print(f"all gone after {took[50]:.3f} s in the median, {took[-1]:.3f} s at most")
-    assert took[50] <= 1.0  # those that were still importing when it happened take as long as that takes
+    took = sorted(kill_supervisor(covey, dice.uniform(0.0, 5.0)) for _ in range(number))
+    print(f"all gone after {took[number // 2]:.3f} s in the median, {took[-1]:.3f} s at most")
+    assert took[number // 2] <= 1.0  # those that were still importing when it happened take as long as that takes
 
 
 def end_by(covey: Covey, numbers: list[signal.Signals], code: int) -> float:
@@ -74,7 +75,7 @@ def end_by(covey: Covey, numbers: list[signal.Signals], code: int) -> float:
 ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal.SIGINT], 130)]
 
 
-@pytest.mark.parametrize(("numbers", "code"), ENDS, ids=["Ctrl-C", "TERM", "Ctrl-C twice"])
+@pytest.mark.parametrize(("numbers", "code"), [ENDS[0], *(pytest.param(*end, marks=pytest.mark.slow) for end in ENDS[1:])])
 def test_a_signal_ends_everybody_within_three_seconds(covey: Covey, numbers: list[signal.Signals], code: int) -> None:
     assert end_by(covey, numbers, code) <= GONE
 
@@ -89,6 +90,7 @@ def test_twenty_of_twenty_runs_are_gone_in_three_seconds(covey: Covey, numbers: 
     assert took[-1] <= GONE
 
 
+@pytest.mark.slow
 def test_a_paused_agent_ends_with_the_others(covey: Covey) -> None:
     supervisor = covey.start(*FEW)
     covey.running()
@@ -99,6 +101,7 @@ def test_a_paused_agent_ends_with_the_others(covey: Covey) -> None:
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
 def test_a_killed_zygote_takes_its_agents_along_and_they_can_be_started_again(covey: Covey) -> None:
     """The price of the fast start: with `--spawn exec` there is no such process."""
     covey.start(*FEW)
@@ -116,25 +119,26 @@ def test_a_killed_zygote_takes_its_agents_along_and_they_can_be_started_again(co
 def test_two_runs_on_one_machine_do_not_hear_each_other(covey: Covey) -> None:
     seeds = (3, 4)
     runs = [
-        covey.start("up", "quick", "--lockstep", "--seconds", "60", "--seed", str(seed), "--run", f"r{seed}", "--json", *PATIENT)
+        covey.start("up", "quick", "--lockstep", "--seconds", "15", "--seed", str(seed), "--run", f"r{seed}", "--json", *PATIENT)
         for seed in seeds
     ]
     for seed, process in zip(seeds, runs):
         output, complaints = process.communicate(timeout=300)
         assert process.returncode == 0, complaints
         result = json.loads(output.splitlines()[-1])
-        assert result["transcript"] == simulate(resolve("quick", {"run.seconds": 60.0, "run.seed": seed})).transcript
+        assert result["transcript"] == simulate(resolve("quick", {"run.seconds": 15.0, "run.seed": seed})).transcript
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
 def test_two_runs_of_one_name_in_two_folders_do_not_hear_each_other(covey: Covey, tmp_path: Path) -> None:
     other = Covey(tmp_path / "other")
-    runs = [(where, where.start("up", "quick", "--lockstep", "--seconds", "60", "--json", *PATIENT)) for where in (covey, other)]
+    runs = [(where, where.start("up", "quick", "--lockstep", "--seconds", "15", "--json", *PATIENT)) for where in (covey, other)]
     try:
         for where, process in runs:
             output, complaints = process.communicate(timeout=300)
             assert process.returncode == 0, complaints
-            assert json.loads(output.splitlines()[-1])["transcript"] == simulate(resolve("quick", {"run.seconds": 60.0})).transcript
+            assert json.loads(output.splitlines()[-1])["transcript"] == simulate(resolve("quick", {"run.seconds": 15.0})).transcript
             where.wait_until_gone()
     finally:
         other.kill_all()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.records.recording import Recording
+from deploy.recording.recording import Recording
 from tests.live.harness import Covey, Journal
 
 pytestmark = pytest.mark.live

@@ -102,7 +102,7 @@ def test_no_agent_process_is_given_a_word_of_the_worlds(covey: Covey, interest: 
         if row["name"] != "world":
             known = [Path(f"/proc/{row['pid']}/{file}").read_bytes().decode() for file in ("cmdline", "environ")]
             known += [(covey.runs / "latest" / name).read_text() for name in ("agents.toml", f"logs/{row['name']}.jsonl")]
-            assert str(covey.runs / "latest" / "agents.toml") in known[0] or "deploy.swarm.zygote" in known[0]
+            assert str(covey.runs / "latest" / "agents.toml") in known[0] or "deploy.live.zygote" in known[0]
             assert not [secret for secret in secrets for text in known if secret in text]
     assert covey.run("down")[0] == 0
     covey.wait_until_gone()

@@ -61,7 +61,8 @@ WORLD = {"a": "tcp/10.213.1.254:7440", "b": "tcp/10.213.2.254:7441"}  # where th
 SEEDS = {"a": "tcp/10.213.1.1:7442", "b": "tcp/10.213.2.1:7443"}  # where the first agent of each side listens
 OBSERVER = """
 import sys, time
-from deploy.watching import Listener, plain_line
+from deploy.cli.listener import Listener
+    from deploy.cli.message_text import plain_line
 from protocol import live
 from protocol.settings import NetworkSettings
 def heard(what, now):

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.records.recording import Recording
+from deploy.recording.recording import Recording
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from tests.live.harness import PATIENT, Covey
 
 pytestmark = [pytest.mark.live, pytest.mark.slow]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from deploy.records.recording import Recording, event_of
+from deploy.recording.recording import Recording, event_of
 from protocol.messages import Estimate, Truth
 from protocol.node import Received
 from tests.live.harness import ROOT, Covey, rows
@@ -33,7 +33,7 @@ BUSY = 5.0  # times the limits that the page promises: other tests run beside th
 
 SLOW = """
 import sys, time
-if "deploy.swarm.zygote" in sys.orig_argv:
+if "deploy.live.zygote" in sys.orig_argv:
     time.sleep(20.0)
 """
 

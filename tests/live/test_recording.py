@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.records.recording import Recording, event_of
+from deploy.recording.recording import Recording, event_of
 from protocol.messages import Truth
 from protocol.node import Received, messages_of
 from tests.live.harness import BOUND, Covey

@@ -15,7 +15,7 @@ import urllib.request
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from tests.live.harness import BOUND, PATIENT, ROOT, Covey, rows
 
 pytestmark = pytest.mark.live
@@ -78,14 +78,18 @@ def address_in(text: str) -> str:
     return text.split("page: ")[1].split()[0]
 
 
+@pytest.mark.slow
 def test_the_pace_of_a_lockstep_run_changes_no_bit_of_it(covey: Covey) -> None:
     result = covey.result("up", "quick", "--lockstep", "--seconds", "10", "--set", "run.pace=5", *PATIENT)
     assert result["transcript"] == simulate(resolve("quick", {"run.seconds": 10.0})).transcript
-    assert result["pace"]["asked_per_s"] == 5.0 / result["dt"]
-    assert result["pace"]["ticks_per_s"] <= 1.05 * result["pace"]["asked_per_s"]
+    assert result["tick_rate"]["asked_per_s"] == 5.0 / result["dt"]
+    assert result["tick_rate"]["ticks_per_s"] <= 1.05 * result["tick_rate"]["asked_per_s"]
 
 
-@pytest.mark.parametrize(("key", "number"), [(b"\r", None), (b"\x03", None), (b"", signal.SIGTERM)], ids=["Enter", "Ctrl-C", "TERM"])
+ENDS = [(b"\r", None), pytest.param(b"\x03", None, marks=pytest.mark.slow), pytest.param(b"", signal.SIGTERM, marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize(("key", "number"), ENDS, ids=["Enter", "Ctrl-C", "TERM"])
 def test_in_a_terminal_the_end_of_a_demo_stays_with_its_page_until_a_key(covey: Covey, key: bytes, number: signal.Signals | None) -> None:
     terminal = Terminal(covey, "demo", "--fast", "--team", "A4", "--seconds", "10", "--page", "0")
     shown = terminal.read("until Enter or Ctrl-C")
@@ -106,6 +110,7 @@ def test_without_a_terminal_a_demo_ends_by_itself(covey: Covey) -> None:
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
 def test_open_opens_the_browser_that_the_user_has_and_says_so_where_there_is_none(covey: Covey) -> None:
     browser = covey.folder / "browser"
     browser.write_text(f"#!/bin/sh\necho $1 > {covey.folder}/opened\n")
@@ -119,6 +124,7 @@ def test_open_opens_the_browser_that_the_user_has_and_says_so_where_there_is_non
     assert f"--open: no display here to open a browser on; open {address_in(output)} by hand" in output
 
 
+@pytest.mark.slow
 def test_a_detached_run_says_where_its_page_is(covey: Covey) -> None:
     code, output, _ = covey.run("up", *FEW, "--detach", "--page", "0")
     assert code == 0
@@ -139,6 +145,7 @@ def test_a_run_that_ctrl_c_stops_prints_its_table_and_where_it_is_kept(covey: Co
     assert json.loads((covey.runs / "hunt" / "result.json").read_text())["exit_code"] == 130
 
 
+@pytest.mark.slow
 def test_a_world_that_dies_is_said_with_the_command_that_helps(covey: Covey) -> None:
     supervisor = covey.start("up", *FEW, "--run", "hunt")
     os.kill(rows(covey.running())["world"]["pid"], signal.SIGKILL)
@@ -146,8 +153,44 @@ def test_a_world_that_dies_is_said_with_the_command_that_helps(covey: Covey) -> 
     assert covey.run("restart", "world", "--run", "hunt")[0] == 0
     assert covey.run("down")[0] == 0
     output, _ = supervisor.communicate(timeout=BOUND)
-    assert "world died: killed by SIGKILL; the swarm stands still until `covey restart world --run hunt`" in output
+    assert "world died: killed by SIGKILL; the swarm stands still until `covey restart world --run hunt`, after 60 s" in output
     assert supervisor.returncode == 0
+
+
+HURRY = """
+import sys
+if "up" in sys.orig_argv:
+    from deploy.live import supervisor
+    supervisor.WORLD_SECONDS = 2.0
+"""
+
+
+@pytest.mark.slow
+def test_without_a_terminal_a_run_whose_world_nobody_restarts_ends_with_1(covey: Covey) -> None:
+    (covey.folder / "sitecustomize.py").write_text(HURRY)
+    supervisor = covey.start("up", *FEW, "--run", "hunt", variables={"PYTHONPATH": f"{covey.folder}:{ROOT}"})
+    os.kill(rows(covey.running())["world"]["pid"], signal.SIGKILL)
+    output, complaints = supervisor.communicate(timeout=BOUND)
+    assert (supervisor.returncode, complaints) == (1, "")
+    assert "until `covey restart world --run hunt`, after 2 s without it the run ends" in output
+    assert "the world has been dead for 2 s and nobody has restarted it: the run ends" in output
+    assert "OSPA, mean / steady / final" in output
+    covey.wait_until_gone()
+
+
+@pytest.mark.slow
+def test_an_agent_that_is_stopped_from_outside_is_paused_and_goes_on_when_it_is_let(covey: Covey) -> None:
+    supervisor = covey.start("up", *FEW)
+    pid = rows(covey.running())["s1"]["pid"]
+    os.kill(pid, signal.SIGSTOP)
+    data = covey.wait(lambda data: not rows(data)["s1"]["alive"])  # its token is lost after the lease
+    assert (rows(data)["s1"]["state"], rows(data)["s1"]["paused"]) == ("paused", True)
+    os.kill(pid, signal.SIGCONT)
+    covey.wait(lambda data: rows(data)["s1"]["state"] == "running" and rows(data)["s1"]["alive"])
+    assert covey.run("down")[0] == 0
+    output, _ = supervisor.communicate(timeout=BOUND)
+    assert "s1 has been stopped from outside; `covey resume s1` lets it go on" in output
+    assert "s1 goes on, told from outside" in output and "died" not in output
 
 
 LAW = "import os\nclass Bad:\n    def command(self, situation):\n        if situation.tick == 9 and situation.name == 's2':\n"
@@ -155,6 +198,7 @@ GOOD = "        return (0.0, 0.0), 0.0\n"
 BAD = ("up", "quick", "--lockstep", "--team", "A3", "--seconds", "10", "--set", "control.mode=mine:Bad")
 
 
+@pytest.mark.slow
 def test_a_class_of_the_users_that_raises_in_the_middle_of_a_run_ends_it_with_one_line_and_2(covey: Covey) -> None:
     (covey.folder / "mine.py").write_text(LAW + "            raise ZeroDivisionError('no way')\n" + GOOD)
     code, _, complaints = covey.run(*BAD)
@@ -172,6 +216,7 @@ def test_an_agent_that_crashes_says_its_last_line_and_the_run_goes_on_and_ends_w
     assert json.loads(covey.run("runs", "--json")[1])[0]["state"] == "ended"
 
 
+@pytest.mark.slow
 def test_a_paused_agent_is_paused_everywhere_and_the_dead_own_no_cell(covey: Covey) -> None:
     supervisor = covey.start("up", *FEW, "--page", "0", "--record")
     assert supervisor.stdout is not None
@@ -196,14 +241,15 @@ def test_a_paused_agent_is_paused_everywhere_and_the_dead_own_no_cell(covey: Cov
     assert [kill["name"] for kill in covey.result("score", "latest")["kills"]] == ["s2"]
 
 
+@pytest.mark.slow
 def test_a_machine_that_is_too_small_is_said_in_the_terminal_in_ps_and_in_the_result(covey: Covey) -> None:
     """Six agents that are asked for 4000 rounds a second each: no machine is large enough."""
     supervisor = covey.start("up", "quick", "--rate", "1000", "--seconds", "100000")
-    covey.wait(lambda data: data["swarm"]["pace"]["advice"] != "")
+    covey.wait(lambda data: data["swarm"]["tick_rate"]["advice"] != "")
     assert "this machine is too small for 6 agents at rate 1000" in " ".join(covey.run("ps")[1].split())
     assert covey.run("down")[0] == 0
     output, _ = supervisor.communicate(timeout=BOUND)
     first, later = output.index("6 agents at 4000 ticks/s will be late"), output.index("this machine is too small for 6 agents")
     assert first < later
-    pace = json.loads((covey.runs / "latest" / "result.json").read_text())["pace"]
-    assert pace["asked_per_s"] == 4000.0 and pace["ticks_per_s"] < 4000.0 and "--rate" in pace["advice"]
+    rate = json.loads((covey.runs / "latest" / "result.json").read_text())["tick_rate"]
+    assert rate["asked_per_s"] == 4000.0 and rate["ticks_per_s"] < 4000.0 and "--rate" in rate["advice"]

@@ -11,9 +11,9 @@ import msgspec
 import pytest
 import zenoh
 
+from deploy.live.certificates import make_keys
 from deploy.scenario import resolve
-from deploy.simulate import simulate
-from deploy.swarm.keys import make_keys
+from deploy.simulation import simulate
 from protocol import codec, keys, live
 from protocol.endpoints import free_port
 from protocol.messages import Command, Gossip, Hello, Message, Truth

@@ -22,6 +22,7 @@ def test_no_process_survives_a_killed_supervisor_not_even_a_paused_one(covey: Co
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
 def test_a_reader_who_stops_reading_holds_up_neither_the_run_nor_an_order(covey: Covey) -> None:
     """As under a held terminal or a stopped pager: the pipe of the supervisor's output is full from the start."""
     reading, writing = os.pipe()

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import simulate
+from deploy.simulation import simulate
 from protocol import keys, live
 from protocol.settings import NetworkSettings
 from tests.live.harness import PATIENT, Covey, rows
@@ -27,6 +27,7 @@ def test_sixteen_processes_in_lockstep_follow_the_simulation_to_the_last_bit(cov
     assert result["kills"] == []
 
 
+@pytest.mark.slow
 def test_the_cells_of_the_rest_cover_the_arena_again_after_one_and_after_five_deaths(covey: Covey) -> None:
     words = ("--seconds", "30", "--kill", "1@4", "--kill", "5@8", *PATIENT)
     result = covey.result("up", "convergence", "--lockstep", *words)
@@ -59,7 +60,7 @@ def test_in_real_time_a_dead_body_stands_still_and_a_restarted_agent_finds_it_th
 
 
 def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> None:
-    supervisor = covey.start("up", "quick", "--run", "covey", "--lockstep", "--json", "--seconds", "60", *PATIENT)
+    supervisor = covey.start("up", "quick", "--run", "covey", "--lockstep", "--json", "--seconds", "30", *PATIENT)
 
     async def vandal() -> int:
         config = covey.folder / "runs" / "latest" / "run.toml"
@@ -82,7 +83,7 @@ def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> Non
     thrown = asyncio.run(vandal())
     assert supervisor.stdout is not None
     result = json.loads(supervisor.stdout.read().splitlines()[-1])
-    simulated = simulate(resolve("quick", {"run.seconds": 60.0}))
+    simulated = simulate(resolve("quick", {"run.seconds": 30.0}))
     assert thrown > 100
     assert result["transcript"] == simulated.transcript
     logs = list((covey.folder / "runs" / "latest" / "logs").glob("s*.jsonl"))

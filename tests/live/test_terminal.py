@@ -74,6 +74,7 @@ def test_keys_act_on_the_chosen_process_and_however_watch_ends_the_terminal_is_a
     assert watch.ended() == 0 and "the run has ended" in watch.text
 
 
+@pytest.mark.slow
 def test_ctrl_z_gives_the_terminal_back_and_takes_it_again(covey: Covey) -> None:
     covey.start(*FEW)
     covey.running()

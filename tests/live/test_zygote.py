@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.swarm.processes import child_environment
-from deploy.swarm.zygote import Forked, Zygote
+from deploy.live.processes import child_environment
+from deploy.live.zygote import Forked, Zygote
 
 pytestmark = pytest.mark.live
 

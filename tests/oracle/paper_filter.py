@@ -1,7 +1,7 @@
 """The particle PHD filter of sections II-C and IV with dice of its own: motion, births, misses, clutter, iterated corrector, redraw.
 
 It is central: one PHD of the whole arena, corrected with the scans of all sensors. Settings are those that a run has recorded, as a
-plain dictionary. What the paper leaves open is read as docs/paper.md says.
+plain dictionary. What the paper leaves open is read as docs/paper.md says, and so is the one rule that is not the paper's, that of a miss.
 """
 
 import math
@@ -43,15 +43,41 @@ class Scan(NamedTuple):
 
 
 def public_order(scans: list[Scan]) -> list[Scan]:
-    """The order in which the corrector takes the scans of a tick (docs/protocol.md): shorter names first, then by their bytes."""
-    return sorted(scans, key=lambda scan: (len(scan.name), scan.name.encode()))
+    """The order in which the corrector takes the scans of a tick (docs/paper.md): by ascending p_d, then shorter names, then bytes."""
+    return sorted(scans, key=lambda scan: (scan.wedge.prob, len(scan.name), scan.name.encode()))
 
 
-def birth_density(predicted: Phd, scan: Scan, birth: Settings) -> np.ndarray:
-    """Density b of targets not yet represented at each detection, per m^2: that of the predicted PHD nearby, within bounds; (M,)."""
-    near = _apart(predicted, scan.detections) <= birth["radius"]
-    density = predicted.weights @ near / (math.pi * birth["radius"] ** 2)
-    return np.clip(density, birth["least_share"] * scan.clutter_density, None).clip(None, birth["most_density"])
+def birth_density(predicted: Phd, scan: Scan, evidence: np.ndarray, birth: Settings) -> np.ndarray:
+    """Density b of targets not yet represented at each detection, per m^2, within bounds; (M,).
+
+    It is that of the predicted PHD nearby, less one target for each detection nearby as far as the PHD accounts for it: `evidence` (M,)
+    is the PHD's density of detections, which competes with kappa alone.
+    """
+    kappa, most, reach = scan.clutter_density, birth["most_density"], birth["radius"]
+    accounted = np.divide(evidence, kappa + evidence, out=np.zeros_like(evidence), where=evidence > 0.0)
+    mutual = np.hypot(*(scan.detections[:, None] - scan.detections[None]).transpose(2, 0, 1)) <= reach
+    targets = predicted.weights @ (_apart(predicted, scan.detections) <= reach) - accounted @ mutual
+    least = max(birth["least_density"], min(birth["least_share"] * kappa, most / 2.0))
+    return np.clip(targets / (math.pi * reach**2), least, None).clip(None, most)
+
+
+def missed(phd: Phd, seen: np.ndarray, claimed: np.ndarray, scan: Scan, born: np.ndarray, motion: Settings) -> np.ndarray:
+    """The mass (N,) that each particle keeps if its target was not detected.
+
+    Of the mass M in view in the 5 x 5 squares of a third of the vicinity around a particle, r = M - (what detections are accounted for
+    there, `claimed` by particles and `born`) is left. A Bernoulli target that is there with r and is missed with q is there afterwards with
+    r q / (1 - r + r q), and that is shared out among the particles as their mass was. The probability r of no more than `certainty` counts.
+    """
+    side, view = motion["vicinity"] / 3.0, seen > 0.0
+    squares, index = np.unique(np.floor(np.vstack([phd.states[:, :2], scan.detections]) / side), axis=0, return_inverse=True)
+    columns, rows = squares.T
+    around = (np.abs(columns[:, None] - columns) <= 2.0) & (np.abs(rows[:, None] - rows) <= 2.0)
+    own, number = index.ravel()[: len(seen)], len(squares)
+    mass = (around @ np.bincount(own[view], phd.weights[view], number))[own]
+    left = np.clip(mass - (around @ np.bincount(index.ravel(), np.concatenate([claimed, born]), number))[own], 0.0, None)
+    miss, sure = 1.0 - seen, np.minimum(left, motion["certainty"])
+    kept = np.divide(left, mass, out=np.zeros(len(mass)), where=mass > 0.0) * miss / (1.0 - sure + sure * miss)
+    return phd.weights * np.where(view, kept, 1.0)
 
 
 def predict(phd: Phd, settings: Settings, dice: np.random.Generator) -> Phd:
@@ -64,8 +90,7 @@ def predict(phd: Phd, settings: Settings, dice: np.random.Generator) -> Phd:
     if motion["border"] == "reflect":
         velocity = np.where((place < 0.0) | (place > sides), -velocity, velocity)
         place = np.where(place < 0.0, -place, np.where(place > sides, 2.0 * sides - place, place))
-    survival = math.exp(-dt / motion["lifetime"]) if motion["lifetime"] > 0.0 else 1.0
-    weights = np.where(((place >= 0.0) & (place <= sides)).all(axis=1), survival * phd.weights, 0.0)
+    weights = np.where(((place >= 0.0) & (place <= sides)).all(axis=1), _survival(settings) * phd.weights, 0.0)
     return Phd(np.hstack([place, velocity]), weights)
 
 
@@ -78,14 +103,20 @@ def prior(count: int, settings: Settings, dice: np.random.Generator) -> Phd:
 
 
 def background(settings: Settings, dice: np.random.Generator) -> Phd:
-    """What enters in one step: density x speed x perimeter / pi per second, most of it on the border, inward by the cosine law."""
+    """What enters in one step: density x speed x perimeter / pi per second, most of it on the border, inward by the cosine law.
+
+    Nothing enters a closed arena, and there as many are born anywhere as die.
+    """
     width, height = settings["arena"]["width"], settings["arena"]["height"]
     motion, birth = settings["filter"], settings["birth"]
     if not birth["background"]:
         return NOTHING
     count = birth["background_particles"]
     mass = motion["prior_density"] * motion["speed"] * 2.0 * (width + height) / math.pi * settings["run"]["dt"]
-    on_border = np.arange(count) < round(birth["border_share"] * count)
+    closed = motion["border"] == "reflect"
+    if closed:
+        mass = motion["prior_density"] * width * height * (1.0 - _survival(settings))
+    on_border = np.arange(count) < (0 if closed else round(birth["border_share"] * count))
     side = dice.choice(4, size=count, p=np.array([width, height, width, height]) / (2.0 * (width + height)))
     share, inward = dice.uniform(size=count), np.array([0.5, 1.0, 1.5, 2.0])[side] * math.pi
     x = np.select([side % 2 == 0, side == 1], [share * width, width], 0.0)
@@ -97,26 +128,30 @@ def background(settings: Settings, dice: np.random.Generator) -> Phd:
 
 
 def correct(predicted: Phd, scans: list[Scan], settings: Settings, dice: np.random.Generator) -> Phd:
-    """The PHD after all scans of a tick, one after the other: w (1 - p_d) + sum over z of w p_d g / (kappa + p_d b + sum of w p_d g).
+    """The PHD after all scans of a tick, one after the other: what is `missed` + sum over z of w p_d g / (kappa + p_d b + sum of w p_d g).
 
-    g is a Gaussian cut at `filter.gate` standard deviations; the share p_d b of a detection becomes new particles around it.
+    g is a Gaussian cut at `filter.gate` standard deviations, those of the noise and of the place that a particle stands for; the share
+    p_d b of a detection becomes new particles around it.
     """
-    sigma, copies = settings["detection"]["noise"], settings["birth"]["copies"]
+    motion, noise, copies = settings["filter"], settings["detection"]["noise"], settings["birth"]["copies"]
+    sigma = math.hypot(noise, motion["roughening"] * motion["position_noise"] / motion["particles_per_target"] ** (1.0 / 6.0))
     phd = predicted
     for scan in public_order(scans):
         seen = scan.wedge.prob * sees(scan.wedge, scan.pose, phd.states[:, :2])
         apart = _apart(phd, scan.detections)
-        likelihood = np.where(apart <= settings["filter"]["gate"] * sigma, (norm.pdf(apart / sigma) / sigma) * (norm.pdf(0.0) / sigma), 0.0)
+        likelihood = np.where(apart <= motion["gate"] * sigma, (norm.pdf(apart / sigma) / sigma) * (norm.pdf(0.0) / sigma), 0.0)
         shares = (phd.weights * seen)[:, None] * likelihood
         fresh = np.zeros(len(scan.detections))
         if settings["birth"]["measurement"]:
-            fresh = scan.wedge.prob * sees(scan.wedge, scan.pose, scan.detections) * birth_density(predicted, scan, settings["birth"])
+            density = birth_density(predicted, scan, shares.sum(axis=0), settings["birth"])
+            fresh = scan.wedge.prob * sees(scan.wedge, scan.pose, scan.detections) * density
         explained = scan.clutter_density + fresh + shares.sum(axis=0)
         explained[explained == 0.0] = 1.0
-        phd = Phd(phd.states, phd.weights * (1.0 - seen) + (shares / explained).sum(axis=1))
+        claimed = (shares / explained).sum(axis=1)
+        phd = Phd(phd.states, missed(phd, seen, claimed, scan, fresh / explained, motion) + claimed)
         if settings["birth"]["measurement"]:
             count = copies * len(fresh)
-            places = np.repeat(scan.detections, copies, axis=0) + sigma * dice.normal(size=(count, 2))
+            places = np.repeat(scan.detections, copies, axis=0) + noise * dice.normal(size=(count, 2))
             phd += Phd(np.hstack([places, _any_way(count, settings, dice)]), np.repeat(fresh / explained / copies, copies))
     return phd
 
@@ -150,6 +185,12 @@ class PaperFilter:
         phd = within(correct(predicted, scans, self.settings, self.dice), self.settings)
         self.phd = redraw(phd, max(1, round(self._per_target * phd.mass())), self.dice)
         return phd
+
+
+def _survival(settings: Settings) -> float:
+    """Of one step."""
+    lifetime = settings["filter"]["lifetime"]
+    return math.exp(-settings["run"]["dt"] / lifetime) if lifetime > 0.0 else 1.0
 
 
 def _any_way(count: int, settings: Settings, dice: np.random.Generator) -> np.ndarray:

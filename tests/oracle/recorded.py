@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from deploy.onlookers import Onlookers, open_recorder
-from deploy.records.recording import Recording
+from deploy.recording.observers import Observers, open_recorder
+from deploy.recording.recording import Recording
 from deploy.scenario import resolve
-from deploy.scores import Score
-from deploy.simulate import Simulation
+from deploy.scoring.scores import Score
+from deploy.simulation import Simulation
 from tests.oracle.said import Tick, ticks_of
 
 
@@ -29,7 +29,7 @@ def recorded(*options: tuple[str, Any]) -> Recorded:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         simulation = Simulation(resolve("efficacy", dict(options)))
-        Onlookers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+        Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
         simulation.run()
         recording = Recording(path)
         ticks = ticks_of([(entry.key, entry.payload) for entry in recording.entries()])

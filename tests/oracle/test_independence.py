@@ -33,7 +33,7 @@ def test_the_rule_finds_offenders() -> None:
     offenders = [
         "agents.capacity",
         "world.score",
-        "deploy.simulate",
+        "deploy.simulation",
         "protocol.sensing",
         "protocol.geometry",
         "tests.oracle.recorded",

@@ -3,31 +3,31 @@
 `MUTANTS` names with each seeds that notice it quickly, found by trying 1 to 100.
 """
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from agents import speech
-from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic, in_steps
-from agents.config import AgentConfig
+from agents import regions, speech
+from agents import round as rounds
+from agents.backend import PLAIN
+from agents.inbox import RoundInbox
 from agents.neighbours import Neighbours, Peer
 from agents.particles import Particles, select
-from agents.round import Outcome, Self
-from deploy.chaos import fuzz
-from deploy.chaos.fuzz import Case
+from agents.regions import RegionUpdate
+from agents.round import AgentContext, RoundResult
+from agents.step import Step
+from agents.tracker import RegionInput
+from agents.words import WEIGHT, Words
+from deploy.verify import fuzz
+from deploy.verify.fuzz import Case
 from protocol.messages import Gossip, Observation
+from protocol.node import Batch
 from protocol.streams import key, scramble
 
 Mutant = Callable[[Case, pytest.MonkeyPatch], str | None]  # plays a case with the rule left out
-
-
-def in_its_steps(changed: Arithmetic) -> Arithmetic:
-    """An arithmetic whose rounds take its own steps."""
-    return changed._replace(refresh=partial(in_steps, changed))
 
 
 def sorted_only(particles: Particles) -> Particles:
@@ -36,33 +36,40 @@ def sorted_only(particles: Particles) -> Particles:
 
 def no_dedupe_by_id(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     """Acts in cases with `timing.overlap` alone: else one of two claims counts where they meet, and no id is told twice."""
-    for module in ("agents.belief", "agents.arithmetic", "agents.phd"):
+    for module in ("agents.belief", "agents.merge", "agents.regions", "agents.phd"):
         patch.setattr(f"{module}.canonical", sorted_only)
     return fuzz.play(case, arithmetic=PLAIN)
 
 
 def no_keyed_noise(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    calls = iter(range(10**9))
+    calls, right = iter(range(10**9)), regions.predict
 
-    def gather(particles, births, polygon, eye, reach, step):  # type: ignore[no-untyped-def]
+    def predict(particles: Particles, step: Step) -> Particles:
         filters = msgspec.structs.replace(step.config.filter, seed=next(calls))
-        config = msgspec.structs.replace(step.config, filter=filters)
-        return PLAIN.gather(particles, births, polygon, eye, reach, step._replace(config=config))
+        return right(particles, step._replace(config=msgspec.structs.replace(step.config, filter=filters)))
 
-    return fuzz.play(case, arithmetic=in_its_steps(PLAIN._replace(gather=gather)))
+    patch.setattr(regions, "predict", predict)
+    return fuzz.play(case, arithmetic=PLAIN)
 
 
 def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    def build(config: AgentConfig, name: str, incarnation: int, arithmetic: Arithmetic, sensor_class: str) -> Agent:
-        def update(particles, words, polygon, step):  # type: ignore[no-untyped-def]
-            updated = PLAIN.update(particles, words, polygon, step)
-            salt = key(config.filter.seed, "birth", step.tick, key("sensor", name))
-            mine = scramble(np.arange(10000, dtype=np.uint64), salt)
-            return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
+    right, owners = regions.correct, [""]
 
-        return Agent(config, name, incarnation, in_its_steps(PLAIN._replace(update=update)), sensor_class)
+    def correct(particles: Particles, table: Words, polygon: np.ndarray, step: Step) -> Particles:
+        updated = right(particles, table, polygon, step)
+        salt = key(step.config.filter.seed, "birth", step.tick, key("sensor", owners[-1]))
+        mine = scramble(np.arange(10000, dtype=np.uint64), salt)
+        return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
 
-    return fuzz.play(case, build=build)
+    def update_regions(table: Words, received: Any, births: Particles, each: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
+        found = []
+        for region in each:
+            owners.append(region.owner)
+            found += PLAIN.update_regions(table, received, births, [region], step)
+        return found
+
+    patch.setattr(regions, "correct", correct)
+    return fuzz.play(case, arithmetic=PLAIN._replace(update_regions=update_regions))
 
 
 def timing(case: Case, **changes: int) -> Case:
@@ -101,16 +108,16 @@ def old_incarnation_kept(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    def undisputed(points, *claims):  # type: ignore[no-untyped-def]
+    def resolve_conflicts(points: np.ndarray, *others: Any) -> np.ndarray:
         return np.ones(len(points), dtype=bool)
 
-    return fuzz.play(case, arithmetic=in_its_steps(PLAIN._replace(undisputed=undisputed)))
+    return fuzz.play(case, arithmetic=PLAIN._replace(resolve_conflicts=resolve_conflicts))
 
 
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = speech.gossip
 
-    def gossip(me: Self, incarnation: int, outcome: Outcome, observation: Observation, *, listening: bool) -> Gossip:
+    def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
         outcome.belief.stamp = observation.tick - 1
         return right(me, incarnation, outcome, observation, listening=listening)
 
@@ -118,7 +125,78 @@ def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     return fuzz.play(case)
 
 
+def row_of_another_sender(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    """A gossip is kept under the name of somebody else who has spoken of the tick."""
+
+    def put(self: RoundInbox, gossip: Gossip) -> None:
+        gossips = self.rounds.setdefault(gossip.tick, {})
+        gossips[next(iter(gossips), gossip.sender) if gossip.tick % 7 == 3 else gossip.sender] = gossip
+
+    patch.setattr(RoundInbox, "put", put)
+    return fuzz.play(case)
+
+
+def stale_tick_accepted(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    right = Neighbours._judge
+
+    def judge(self: Neighbours, gossip: Gossip, fits: bool) -> str:
+        reason = right(self, gossip, fits)
+        return "" if reason == "stale" else reason
+
+    patch.setattr(Neighbours, "_judge", judge)
+    return fuzz.play(case)
+
+
+def incarnation_not_compared(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    right = Neighbours._judge
+
+    def judge(self: Neighbours, gossip: Gossip, fits: bool) -> str:
+        peer = self.circle.get(gossip.sender)
+        changed = gossip if peer is None else msgspec.structs.replace(gossip, incarnation=peer.incarnation)
+        return right(self, changed, fits)
+
+    patch.setattr(Neighbours, "_judge", judge)
+    return fuzz.play(case)
+
+
+def mask_off_by_one(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    """The last row of every batch of three or more is dropped, though it counts as heard."""
+    right = RoundInbox.put
+    rows = [0]
+
+    def accept(self: Neighbours, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
+        rows[0] = len(batch) - start if len(batch) >= 3 else 0
+        return accept_all(self, batch, start, tick, awaited)
+
+    def put(self: RoundInbox, gossip: Gossip) -> None:
+        rows[0] -= 1
+        if rows[0] != 0:
+            right(self, gossip)
+
+    accept_all = Neighbours.accept
+    patch.setattr(Neighbours, "accept", accept)
+    patch.setattr(RoundInbox, "put", put)
+    return fuzz.play(case)
+
+
+def listener_changes_the_shared_table(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    right = rounds.side_by_side
+
+    def side_by_side(*arguments: Any) -> Words:
+        words = right(*arguments)
+        words.table[:, WEIGHT] *= 0.99
+        return words
+
+    patch.setattr(rounds, "side_by_side", side_by_side)
+    return fuzz.play(case)
+
+
 MUTANTS: dict[Mutant, tuple[int, ...]] = {
+    row_of_another_sender: (1, 2),
+    stale_tick_accepted: (8, 9),
+    incarnation_not_compared: (1, 9),
+    mask_off_by_one: (1, 2),
+    listener_changes_the_shared_table: (1, 2),
     no_dedupe_by_id: (10, 13, 15),
     no_keyed_noise: (3, 1),
     births_by_the_owner_only: (1, 5),

@@ -3,12 +3,13 @@
 from dataclasses import dataclass, field
 
 from agents.agent import Agent
-from agents.arithmetic import PLAIN, Arithmetic
+from agents.backend import PLAIN, Backend
 from agents.claims import Claim
+from agents.extraction import estimate_targets
 from agents.particles import Particles
-from deploy.chaos.oracle import Distance, Oracle, distance, united
 from deploy.scenario import Scenario
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
+from deploy.verify.central_filter import CentralFilter, ParticleDifference, particle_difference, united
 from protocol.keys import all_of
 from protocol.messages import Gossip, Truth
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
@@ -49,9 +50,10 @@ class Beside:
     """A virtual run with the central filter beside it; `run` plays it."""
 
     scenario: Scenario
-    arithmetic: Arithmetic = PLAIN
+    arithmetic: Backend = PLAIN
+    use_codec: bool = True
     link: Link | None = None
-    distances: list[Distance] = field(default_factory=list)  # of the agents' own particles from the filter's, after each tick
+    distances: list[ParticleDifference] = field(default_factory=list)  # of the agents' own particles from the filter's, after each tick
     swarm: list[float] = field(default_factory=list)  # OSPA of what the agents report, m, by tick
     central: list[float] = field(default_factory=list)  # OSPA of what is extracted from the whole filter at once, m, by tick
 
@@ -63,13 +65,13 @@ class Beside:
         agents = simulation.agents
         heard: list[Truth] = []
         prior = next(iter(agents.values())).outcome.belief.copies.all()
-        oracle = Oracle(simulation.scenario, prior, arithmetic=self.arithmetic)
+        oracle = CentralFilter(simulation.scenario, prior, backend=self.arithmetic)
 
         def after(truth: Truth) -> None:
             particles, claims = owned_by_all(agents, truth.tick)
             oracle.play(ear.gossips.pop(truth.tick), claims)
-            self.distances.append(distance(united(particles), oracle.particles))
-            estimates = self.arithmetic.estimate_targets(oracle.updated, self.scenario.extraction)
+            self.distances.append(particle_difference(united(particles), oracle.particles))
+            estimates = estimate_targets(oracle.updated, self.scenario.extraction)
             self.central.append(ospa(truth.targets, estimates))
 
         def on_truth(truth: Truth) -> None:
@@ -84,6 +86,6 @@ class Beside:
         return self
 
 
-def compare(scenario: Scenario, *, arithmetic: Arithmetic = PLAIN, link: Link | None = None) -> list[Distance]:
+def compare(scenario: Scenario, *, arithmetic: Backend = PLAIN, link: Link | None = None) -> list[ParticleDifference]:
     """The distance of the swarm from the oracle after every tick of a run."""
     return Beside(scenario, arithmetic, link).run().distances

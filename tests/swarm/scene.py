@@ -7,10 +7,10 @@ from typing import Any, Literal
 import msgspec
 
 from agents.agent import Agent
-from agents.arithmetic import Arithmetic
-from deploy.result import Result
+from agents.backend import Backend
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.scoring.result import Result
+from deploy.simulation import Simulation
 from protocol.keys import all_of
 from protocol.messages import Estimate
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
@@ -83,7 +83,8 @@ class Watched:
 def watch(
     scenario: Scenario,
     *,
-    arithmetic: Arithmetic | None = None,
+    use_codec: bool = True,
+    arithmetic: Backend | None = None,
     clock: Literal["lockstep", "realtime"] = "lockstep",
     at_tick: Callable[[int, Simulation], None] = lambda tick, simulation: None,
 ) -> Watched:

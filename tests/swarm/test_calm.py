@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.keys import matches
 from tests.swarm.scene import BLIND, fault, ledger, tracking, watch
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from deploy.scenario import resolve
-from deploy.simulate import compiled
+from deploy.simulation import compiled
 from tests.swarm.oracle import Beside
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.messages import Gossip
 from protocol.node import Stop, received
 from tests.swarm.scene import Watched, fault, ledger, tracking, watch

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from agents.arithmetic import PLAIN, Arithmetic, Refreshed
-from deploy.simulate import Simulation, compiled
+from agents.backend import PLAIN, Backend
+from agents.regions import RegionUpdate
+from deploy.simulation import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,19 +52,21 @@ def test_taking_what_comes_in_an_instant_together_changes_nothing(interest: str)
 
 
 @pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
-def test_what_all_work_out_together_changes_nothing(arithmetic: Arithmetic, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_all_work_out_together_changes_nothing(arithmetic: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
     """A round of all who hear the same in one call, and everybody by himself."""
     calls = []
 
-    def refresh_all(*task: Any) -> list[Refreshed]:
-        calls.append(len(task[0].names))
-        return arithmetic.refresh_all(*task)
+    def update_regions(*task: Any) -> list[RegionUpdate]:
+        calls.append(len(task[3]))
+        return arithmetic.update_regions(*task)
 
-    counted = arithmetic._replace(refresh_all=refresh_all)
+    counted = arithmetic._replace(update_regions=update_regions)
     together = transcript(arithmetic=counted)
-    assert len(calls) > 10 and max(calls) > 5
-    monkeypatch.setattr("agents.round.chorus_of", lambda *asked: None)
+    assert sum(count > 1 for count in calls) > 10 and max(calls) > 5
+    calls.clear()
+    monkeypatch.setattr("agents.round.shared_round", lambda *asked: None)
     assert transcript(arithmetic=counted) == together
+    assert set(calls) == {1}
 
 
 def test_compiled_loops_change_nothing() -> None:
@@ -72,9 +75,7 @@ def test_compiled_loops_change_nothing() -> None:
 
 
 def test_the_order_of_hashes_changes_nothing() -> None:
-    program = (
-        "from tests.swarm.test_determinism import transcript; from agents.arithmetic import PLAIN; print(transcript(arithmetic=PLAIN))"
-    )
+    program = "from tests.swarm.test_determinism import transcript; from agents.backend import PLAIN; print(transcript(arithmetic=PLAIN))"
     seen = set()
     for hash_seed in ("0", "1", "4711"):
         environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}

@@ -8,7 +8,7 @@ import pytest
 from agents.neighbours import LOCAL_VIEW
 from deploy.bench.simulations import crowd
 from deploy.scenario import FaultSettings, Scenario, resolve
-from deploy.simulate import Simulation
+from deploy.simulation import Simulation
 from protocol.geometry import polygon_area, polygon_centroid
 from protocol.keys import all_of
 from protocol.messages import Beacon, Estimate

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from agents.arithmetic import PLAIN
+from agents.backend import PLAIN
 from agents.particles import Particles
-from deploy.chaos.oracle import distance
 from deploy.scenario import Scenario, resolve
-from deploy.simulate import compiled
+from deploy.simulation import compiled
+from deploy.verify.central_filter import particle_difference
 from tests.swarm.oracle import compare
 
 
@@ -54,5 +54,5 @@ def test_the_distance_counts_what_differs() -> None:
     moved = states.copy()
     moved[1, 0] += 1.0
     other = Particles(moved, np.array([0.5, 0.25, 0.5]), np.array([1, 5, 8], dtype=np.uint64))
-    assert distance(one, one).exact
-    assert distance(one, other) == (2, 1, 0.25, 0.25)
+    assert particle_difference(one, one).exact
+    assert particle_difference(one, other) == (2, 1, 0.25, 0.25)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from agents.control import STAND, Command, ControlLaw, Situation, approach
     from covey.runs import Run, load, scenario, simulate
     from covey.studies import Study, load_study, study
-    from deploy.result import VERSION as __version__
+    from deploy.installation import VERSION as __version__
     from deploy.scenario import Scenario
     from protocol.sensing import Pose, SensorModel, WedgeSensor
     from protocol.settings import BadSetting
@@ -52,7 +52,7 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'covey' has no attribute {name!r}")
     if name == "__version__":
-        from deploy.result import VERSION
+        from deploy.installation import VERSION
 
         found = VERSION
     elif name in _SENSING:

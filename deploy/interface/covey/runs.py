@@ -11,11 +11,10 @@ import numpy as np
 
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
 from covey.plugged import name_of
-from deploy.commands.options import RunOptions
-from deploy.result import Result
-from deploy.scenario import Scenario
-from deploy.scores import Score
-from deploy.toml_text import toml_text
+from deploy.cli.options import RunOptions
+from deploy.scenario import Scenario, toml_text, toml_value
+from deploy.scoring.result import Result
+from deploy.scoring.scores import Score
 from protocol.messages import Truth
 from protocol.settings import BadSetting
 
@@ -73,7 +72,7 @@ def scenario(
     loss, delay
         Share of the messages between agents that is lost, and how many s they are late.
     rate
-        The world waits for nobody, and so many world seconds pass in a second; default: it waits for every agent.
+        World seconds per second, without waiting for late agents; default: the world waits for every agent.
     settings
         Any setting by its dotted name, such as {"detection.clutter": 0.5}.
     """
@@ -93,16 +92,19 @@ def scenario(
         delay=delay,
         lockstep=rate is None,
         rate=rate,
-        settings=[f"{key}={_toml_value(value)}" for key, value in {**named, **(settings or {})}.items()],
+        settings=[
+            f"{key}={toml_value(value.item() if isinstance(value, np.generic) else value)}"
+            for key, value in {**named, **(settings or {})}.items()
+        ],
     )
     if not isinstance(name, Scenario):
         return options.scenario(str(name))
     return _lay_over(name, options)
 
 
-def _toml_value(value: Any) -> str:
-    """A value as TOML writes it inside a list, where a table is in braces."""
-    return toml_text({"value": [[value]]}).removeprefix("value = [[").removesuffix("]]\n")
+def _plain(value: Any) -> Any:
+    """A numpy scalar as Python's own number; another value as it is."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _lay_over(found: Scenario, options: RunOptions) -> Scenario:
@@ -218,8 +220,8 @@ def simulate(
 
     `progress` is called with the share of the ticks that are done. Raises BadSetting naming what is wrong.
     """
-    from deploy.simulate import Simulation
-    from deploy.swarm.warm import announce
+    from deploy.live.warmup import announce
+    from deploy.simulation import Simulation
 
     found = scenario(
         name,
@@ -253,9 +255,9 @@ def simulate(
 
 def load(name: str | Path) -> Run:
     """A recorded run: the name of a run, its directory, or a recording (.mcap); scored again from what was heard."""
-    from deploy.monitor_node import Scorer
-    from deploy.records.recording import Recording, find_recording
-    from deploy.records.rescore import rescore_slowly
+    from deploy.recording.recording import Recording, find_recording
+    from deploy.recording.rescore import rescore_slowly
+    from deploy.scoring.scorer import Scorer
 
     recording = Recording(find_recording(str(name)))
     scorer = Scorer(recording.scenario)

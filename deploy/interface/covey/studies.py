@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from covey.columns import Columns, columns_of, to_arrow, to_pandas
+from deploy.studies.design import plan
 from deploy.studies.paired import Summary, groups_of, summarise
-from deploy.studies.study import Folder, methods_of, plan, read_results
+from deploy.studies.results import StudyFolder, read_results
+from deploy.studies.trials import methods_of
 from protocol.settings import BadSetting
 
 if TYPE_CHECKING:
@@ -86,21 +88,23 @@ def study(
     workers
         Processes; default: one for each core.
     """
-    from deploy.commands import studying
-    from deploy.extras import need
+    from deploy.cli.study import default_folder
+    from deploy.cli.study_progress import console_of, run_open_trials
+    from deploy.installation import need_study_packages
+    from deploy.studies.design import design_fields, design_with, dotted_options
     from deploy.studies.trials import run_trial
 
-    need("covey.study")
+    need_study_packages("covey.study")
     if name == "robustness":
         raise BadSetting("study 'robustness': run it with the command covey study robustness")
     joined = [None if values is None else ",".join(map(str, values)) for values in (teams, targets, methods)]
-    given = studying.given(trials, seed, *joined)
-    options = {**studying.options_of(triple, capacity, dt, seconds, []), **(settings or {})}
-    found = studying.chosen(name, quick, given, options)
-    folder = Folder(Path(into) if into is not None else studying.default_folder(name, quick))
+    given = design_fields(trials, seed, *joined)
+    options = {**dotted_options(triple, capacity, dt, seconds, []), **(settings or {})}
+    found = design_with(name, quick, given, options)
+    folder = StudyFolder(Path(into) if into is not None else default_folder(name, quick))
     with folder.claimed():
-        console = studying.console_of(as_json=True)
-        rows = studying.play_open(found.scenario, folder, plan(found), workers, None, console, run_trial)
+        console = console_of(as_json=True)
+        rows = run_open_trials(found.scenario, folder, plan(found), workers, None, console, run_trial)
         folder.publish(rows)
     return Study(folder.path, tuple(rows))
 

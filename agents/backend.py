@@ -1,0 +1,48 @@
+"""The backend: what a round computes per particle or per corner, in plain numpy or compiled, with equal bits.
+
+An agent is given one backend when it is made. `PLAIN` is the reference; `fast.FAST` holds the compiled twins.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from agents import cells, claims, regions
+from agents.births import background_births
+from agents.cells import Cell
+from agents.interest import Choice, wanted
+from agents.merge import merge, remote_copies
+from agents.particles import Particles
+from agents.step import Step
+
+
+class Backend(NamedTuple):
+    """The functions that have a compiled twin."""
+
+    cut_cells: Callable[..., list[Cell]]
+    background_births: Callable[[Step], Particles]
+    update_regions: Callable[..., list[regions.RegionUpdate]]
+    resolve_conflicts: Callable[..., np.ndarray]
+    orphaned: Callable[..., np.ndarray]
+    remote_copies: Callable[..., Particles]
+    merge: Callable[..., Particles]
+    select_peers: Callable[..., Choice]
+
+
+def births_of(step: Step) -> Particles:
+    """The new particles of the background (`births.background_births`)."""
+    config = step.config
+    return background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
+
+
+PLAIN = Backend(
+    cut_cells=cells.cut_cells,
+    background_births=births_of,
+    update_regions=regions.update_regions,
+    resolve_conflicts=claims.resolve_conflicts,
+    orphaned=claims.orphaned,
+    remote_copies=remote_copies,
+    merge=merge,
+    select_peers=wanted,
+)

@@ -1,1 +1,0 @@
-"""Faults: verbs, links that fail, the fuzzer, what must hold all the time, and the exact oracle."""

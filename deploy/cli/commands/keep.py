@@ -1,0 +1,93 @@
+"""Commands on what is kept of runs: names, options and help."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from deploy.cli import completion
+from deploy.cli.app import KEEP, PageAddress, RecordingName, RunName, app
+from deploy.cli.options import FLAG
+
+
+@app.command(group=KEEP, help_epilogue="Example: covey runs")
+def runs(*, json: Annotated[bool, FLAG] = False) -> int:
+    """The runs that are kept, the newest first.
+
+    Scenario, seed, when, state, steady OSPA and size of the recording.
+    """
+    from deploy.cli import runs
+
+    return runs.runs(json)
+
+
+@app.command(group=KEEP, help_epilogue="Example: covey rm hunt hunt-2\n         covey rm --older-than 7d")
+def rm(
+    *names: Annotated[str, Parameter(completer=completion.recordings)],
+    all: Annotated[bool, FLAG] = False,
+    older_than: str | None = None,
+    yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative="")] = False,
+) -> int:
+    """Remove kept runs: by name, all ended ones, or the old ones.
+
+    Running ones are refused. --older-than takes 30m, 12h, 7d or 2w. --all and --older-than ask first; where there is no terminal they
+    need -y.
+    """
+    from deploy.cli import runs
+
+    return runs.rm(names, all, older_than, yes)
+
+
+@app.command(group=KEEP, help_epilogue="Example: covey record hunt.mcap")
+def record(file: Path | None = None, /, *, run: RunName = None) -> int:
+    """Record a running swarm from outside.
+
+    Until Ctrl-C or its end; without a file into its run directory.
+    """
+    from deploy.cli import listen
+
+    return listen.record(file, run)
+
+
+@app.command(group=KEEP, help_epilogue="Example: covey replay hunt --speed 4")
+def replay(recording: RecordingName, /, *, page: PageAddress = True, speed: float = 1.0, publish: Annotated[bool, FLAG] = False) -> int:
+    """Play a recording on the page: play, pause, scrub, speed.
+
+    --publish: also under the same keys.
+    """
+    from deploy.cli import recordings
+
+    return recordings.replay(recording, page, speed, publish)
+
+
+@app.command(group=KEEP, help_epilogue="Example: covey score hunt --csv ticks.csv")
+def score(recording: RecordingName, /, *, csv: Path | None = None, json: Annotated[bool, FLAG] = False) -> int:
+    """OSPA, GOSPA and the rest from a recording alone."""
+    from deploy.cli import recordings
+
+    return recordings.score(recording, csv, json)
+
+
+@app.command(group=KEEP, help_epilogue="Example: covey export hunt --to foxglove")
+def export(recording: RecordingName, /, *, to: Literal["csv", "parquet", "foxglove", "rerun"] = "csv", out: Path | None = None) -> int:
+    """A recording as tables, or as a file for Foxglove or Rerun.
+
+    foxglove: an MCAP file that it draws; rerun needs the package rerun-sdk.
+    """
+    from deploy.cli import recordings
+
+    return recordings.export(recording, to, out)
+
+
+@app.command(group=KEEP, help_epilogue="Example: covey figures hunt --animate\n         covey figures runs/study-efficacy")
+def figures(what: RecordingName, /, *, into: Path | None = None, animate: Annotated[bool, FLAG] = False) -> int:
+    """Figures for a paper, of a recorded run or of a study: PDF and PNG.
+
+    Of a run: start, end, trajectories; a moving picture with --animate.
+    """
+    from deploy.installation import need_study_packages
+
+    need_study_packages("figures")
+    from deploy.cli import figures
+
+    return figures.draw(what, into, animate)

@@ -1,0 +1,66 @@
+"""Commands that run a scenario: names, options and help."""
+
+from dataclasses import replace
+from typing import Annotated, Literal
+
+from deploy.cli.app import RUN, OpenPage, Options, PageAddress, RecordFile, ScenarioName, TraceFile, app
+from deploy.cli.options import FLAG, DisplayOptions, RunOptions
+
+DEMO_PACE = 2.5  # world seconds per second: the 200 s of the demo take 80 s
+
+
+@app.command(group=RUN, help_epilogue="Example: covey demo --seed 3")
+def demo(
+    *,
+    page: PageAddress = True,
+    open: OpenPage = False,
+    fast: Annotated[bool, FLAG] = False,
+    record: RecordFile = False,
+    options: Options = RunOptions(),
+) -> int:
+    """Watch a swarm work: 16 agents, 8 targets, 3 deaths at mid-run, a table.
+
+    At a pace that the eye can follow (80 s), or --fast. In a terminal the page stays until Enter or Ctrl-C.
+    """
+    from deploy.cli import start
+
+    paced = not fast and not options.lockstep and options.rate is None
+    settings = [f"run.pace={DEMO_PACE}", *options.settings] if paced else options.settings
+    chosen = replace(options, lockstep=options.lockstep or options.rate is None, settings=settings)
+    resolved = chosen.scenario("convergence")
+    start.demo(
+        resolved, chosen.requested_name(resolved), DisplayOptions(options.json, record, page or open, open, stays=True), options.spawn
+    )
+
+
+@app.command(group=RUN, help_epilogue="Example: covey up efficacy --team 3 --rate 2 --page")
+def up(
+    scenario: ScenarioName = "convergence",
+    /,
+    *,
+    detach: Annotated[bool, FLAG] = False,
+    page: PageAddress = False,
+    open: OpenPage = False,
+    record: RecordFile = False,
+    options: Options = RunOptions(),
+) -> int:
+    """Run a scenario with real processes."""
+    from deploy.cli import start
+
+    resolved = options.scenario(scenario)
+    start.up(resolved, options.requested_name(resolved), detach, DisplayOptions(options.json, record, page or open, open), options.spawn)
+
+
+@app.command(group=RUN, help_epilogue="Example: covey simulate efficacy --kill 30%@300 --seed 7 --json")
+def simulate(
+    scenario: ScenarioName = "convergence", /, *, record: RecordFile = False, trace: TraceFile = None, options: Options = RunOptions()
+) -> int:
+    """Run the same nodes in one process, in virtual time.
+
+    With --rate the world waits for nobody, as on a clock. The result is printed, and kept as a run only with --run NAME or --record.
+    """
+    from deploy.cli.simulate import simulate_here
+
+    clock: Literal["lockstep", "realtime"] = "lockstep" if options.rate is None or options.lockstep else "realtime"
+    resolved = options.scenario(scenario)
+    return simulate_here(resolved, options.requested_name(resolved), options.json, record, trace, clock)

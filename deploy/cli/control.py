@@ -1,0 +1,42 @@
+"""`kill`, `pause`, `resume`, `restart`, `partition`, `heal`, `drop`, `delay` and `down`: requests to the supervisor of a running swarm."""
+
+import time
+from typing import Any
+
+from deploy.live.control import ControlClient
+from deploy.storage.run_directory import find_running
+from protocol.settings import BadSetting
+
+DOWN_SECONDS = 20.0
+
+
+def selection(verb: str, names: tuple[str, ...], random: int | None, otherwise: str | None) -> str:
+    """The selected agents as one text: names, a share or a number; `otherwise` without any of these. Raises BadSetting."""
+    if not names and random is None and otherwise is None:
+        raise BadSetting(f"{verb}: nobody is named; give names such as s3, a number such as 4, or a share such as 30%")
+    if random is not None and names:
+        raise BadSetting(f"--random {random}: draws agents; {' '.join(names)} names them: give one of both")
+    drawn = [name for name in names if name.isdecimal() or name.endswith("%")]
+    if drawn and len(names) > 1:
+        raise BadSetting(f"{' '.join(names)}: should be names, or one number or share such as {drawn[0]}")
+    return str(random) if random is not None else ",".join(names) or str(otherwise)
+
+
+def send(verb: str, who: str, run: str | None, value: float | None = None, options: dict[str, Any] | None = None) -> int:
+    """Send a request to the supervisor of a run and print its answer."""
+    client = ControlClient(find_running(run))
+    print(client.ask(verb, who, value, options)["ok"])
+    return 0
+
+
+def down(run: str | None) -> int:
+    """End a run and wait until it has ended."""
+    directory = find_running(run)
+    ControlClient(directory).ask("down")
+    end = time.monotonic() + DOWN_SECONDS
+    while directory.is_running():
+        if time.monotonic() > end:
+            raise BadSetting(f"--run {directory.name}: still running after {DOWN_SECONDS:g} s")
+        time.sleep(0.05)
+    print(f"run {directory.name} is down")
+    return 0

@@ -1,0 +1,156 @@
+"""Progress for people: a live panel in a terminal, plain lines elsewhere."""
+
+import os
+import select
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+if TYPE_CHECKING:  # they bring scipy and shapely, which `ps` has no use for
+    from deploy.scoring.result import Result
+    from deploy.scoring.scorer import Status
+
+PLAIN_PERIOD = 5.0  # s between two plain lines
+LIVE_PERIOD = 0.25  # s between two pictures of the panel
+
+
+class Display:
+    """Shows the status of one run while it runs; use as a context. With `to_stderr` standard output stays free for the result.
+
+    What cannot be written at once is left out: neither a pipe that nobody reads nor a terminal that is held (Ctrl-S) may hold up the run.
+    """
+
+    def __init__(self, title: str = "", to_stderr: bool = False) -> None:
+        self._title = title
+        self._console = Console(stderr=to_stderr, highlight=False)
+        self._live = Live(console=self._console, auto_refresh=False, transient=True) if self._console.is_terminal else None
+        self._period = LIVE_PERIOD if self._live else PLAIN_PERIOD
+        self._shown_at = -self._period
+
+    def __enter__(self) -> "Display":
+        if self._live:
+            self._live.start()
+        if self._title:
+            self.event(self._title)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Take the panel off the screen; lines may still follow."""
+        if self._live:
+            self._live.stop()
+
+    def event(self, text: str) -> None:
+        """One line that stays; nothing for an empty text."""
+        if text and self._is_ready():
+            self._console.print(text, markup=False, soft_wrap=True)
+            sys.stdout.flush()
+
+    def status(self, status: "Status") -> None:
+        """The newest figures, in place of the last ones."""
+        if time.monotonic() - self._shown_at < self._period or not self._is_ready():
+            return
+        self._shown_at = time.monotonic()
+        if self._live:
+            self._live.update(status_table(status), refresh=True)
+        else:
+            self.event(status_line(status))
+
+    def _is_ready(self) -> bool:
+        """Whether some lines can be written without waiting for a reader."""
+        try:
+            return bool(select.select([], [self._console.file], [], 0.0)[1])
+        except (OSError, ValueError):  # no descriptor, so nothing to wait for
+            return True
+
+
+def status_line(status: "Status") -> str:
+    """The figures of a swarm in one line."""
+    alive = sum(agent.alive and not agent.paused for agent in status.agents)
+    if status.tick < 0:
+        return f"starting: {status.waiting or f'{alive} of {len(status.agents)} agents alive'}"
+    share = 100.0 * (status.tick + 1) / status.ticks
+    paused = sum(agent.paused for agent in status.agents)
+    living = f"alive {alive}/{len(status.agents)}" + (f", {paused} paused" if paused else "")
+    return f"{share:3.0f} %  {swarm_line(msgspec.to_builtins(status))}  {living}"
+
+
+def swarm_line(swarm: dict[str, Any]) -> str:
+    """Time and scores of a swarm."""
+    scores = f"OSPA {swarm['ospa']:5.2f} m  GOSPA {swarm['gospa']:5.1f} m  in view {swarm['in_view']}/{swarm['targets']}"
+    cells = f"hole {100.0 * swarm['hole']:.2f} %  overlap {100.0 * swarm['overlap']:.2f} %"
+    return f"t {swarm['time']:7.2f} s  {scores}  {cells}  {tick_rate_words(swarm['tick_rate'])}".rstrip()
+
+
+def tick_rate_words(tick_rate: dict[str, Any]) -> str:
+    """`7.1 of 8 ticks/s, 3 rounds skipped, 1 late`; zeros are left out."""
+    speed = "" if tick_rate["ticks_per_s"] is None else f"{tick_rate['ticks_per_s']:.1f}"
+    asked = f" of {tick_rate['asked_per_s']:g}" if speed and tick_rate["asked_per_s"] is not None else ""
+    counts = [
+        f"{tick_rate['skipped']} rounds skipped" if tick_rate["skipped"] else "",
+        f"{tick_rate['late']} late" if tick_rate["late"] else "",
+    ]
+    return ", ".join(filter(None, [f"{speed}{asked} ticks/s" if speed else "", *counts]))
+
+
+def status_table(status: "Status") -> Table:
+    """The figures of a swarm, and one row of blocks for its agents."""
+    table = Table.grid(padding=(0, 2))
+    table.add_row(status_line(status))
+    absent = "dim" if status.tick < 0 else "red strike"
+    table.add_row(" ".join(f"[{'yellow' if one.paused else 'green' if one.alive else absent}]{one.name}[/]" for one in status.agents))
+    if status.tick_rate.advice:
+        table.add_row(f"[yellow]{status.tick_rate.advice}[/]")
+    return table
+
+
+def result_table(result: "Result", title: str) -> Table:
+    """The result of a run."""
+    table = Table(title=title, show_header=False, title_justify="left")
+    for what, how_much in result.rows():
+        table.add_row(what, how_much)
+    return table
+
+
+def process_table(data: dict[str, Any]) -> Table:
+    """Every process of a running swarm."""
+    title = f"{data['run']} ({data['scenario']})  {swarm_line(data['swarm'])}"
+    caption = "\n".join(filter(None, [f"subscribe at {data['endpoint']}", data["swarm"]["tick_rate"]["advice"]]))
+    table = Table(title=title, title_justify="left", box=None, caption=caption, caption_justify="left")
+    for head in ("name", "class", "state", "pid", "inc", "tick", "cell %", "mass", "targets", "round ms", "skipped", "late"):
+        table.add_column(head, justify="left" if head in ("name", "class", "state") else "right", no_wrap=True)
+    for row in data["processes"]:
+        table.add_row(*process_cells(row), style="" if row["state"] == "running" else "red" if row["state"] == "dead" else "yellow")
+    return table
+
+
+def process_cells(row: dict[str, Any]) -> list[str]:
+    """The cells of one process; a dead one shows how and when it ended."""
+    state = row["state"]
+    if state == "dead":
+        when = f" at {time.strftime('%H:%M:%S', time.localtime(row['ended_at']))}" if row["ended_at"] else ""
+        state = f"dead: {row['end']}{when}" if row["end"] else "not started"
+    if row.get("differs") and state != "dead":
+        state = f"{row['state']}, refused: other {', '.join(row['differs'])}"
+    figures = [""] * 7
+    if "tick" in row and row["tick"] >= 0:
+        owns = [f"{100.0 * row['cell']:.1f}", f"{row['mass']:.2f}", str(row["targets"])] if row["alive"] else ["", "", ""]
+        figures = [str(row["tick"]), *owns, f"{row['round_ms']:.1f}", str(row["skipped"]), str(row["late"])]
+    return [row["name"], row["class"], state, str(row["pid"] or ""), str(row["incarnation"]), *figures]
+
+
+def show_result(result: "Result", path: Path | None, as_json: bool) -> None:
+    """The result as a table, or as the last line of standard output."""
+    console = Console(stderr=as_json, highlight=False)
+    where = f"; kept in {os.path.relpath(path)}" if path else ""
+    console.print(result_table(result, f"{result.scenario}, seed {result.seed}: {result.agents} agents{where}"))
+    if as_json:
+        print(result.to_json())

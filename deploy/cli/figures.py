@@ -1,0 +1,40 @@
+"""`figures`: draw a recorded run or a study."""
+
+from pathlib import Path
+
+from deploy.cli.errors import writing
+from deploy.recording.recording import Recording, find_recording
+
+
+def draw(what: str, into: Path | None, animate: bool) -> int:
+    """Draw what a name or path stands for: a study, or else a recorded run."""
+    return draw_study(Path(what), into) if is_study(Path(what)) else draw_run(what, into, animate)
+
+
+def is_study(path: Path) -> bool:
+    """Whether a path is a study's: its folder, or one of its tables."""
+    return path.suffix in (".parquet", ".csv") or any((path / name).exists() for name in ("trials.jsonl", "results.parquet", "results.csv"))
+
+
+def draw_study(path: Path, into: Path | None) -> int:
+    """Figures 4 or 5 and the paired differences of a study, as PDF and PNG, in its folder unless another is named."""
+    from deploy.plots import study_figures  # loads matplotlib
+    from deploy.studies.results import read_results
+
+    for file in study_figures.draw(read_results(path), into or (path if path.is_dir() else path.parent)):
+        print(file)
+    return 0
+
+
+def draw_run(name: str, out: Path | None, animate: bool) -> int:
+    """Draw the figures of one run."""
+    from deploy.plots.run_figures import write_animation, write_figure  # loads matplotlib
+
+    recording = Recording(find_recording(name))
+    folder = out or recording.path.parent / "figures"
+    with writing("--into", folder):
+        for file in write_figure(recording, folder):
+            print(file)
+        if animate:
+            print(write_animation(recording, folder))
+    return 0

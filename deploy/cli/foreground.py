@@ -1,0 +1,77 @@
+"""What is seen of a run with real processes from its first second to its result."""
+
+import asyncio
+import logging
+import os
+import sys
+from typing import NoReturn
+
+from deploy.cli.display import Display, show_result
+from deploy.cli.options import DisplayOptions
+from deploy.cli.terminal import is_at_terminal, open_browser, until_key
+from deploy.live.supervisor import EXIT_CRASHED, Supervisor
+from deploy.live.zygote import Zygote
+from deploy.page.picture import Picture
+from deploy.page.server import PageServer, address_of
+from deploy.page.source import LiveSource
+from deploy.recording.observers import Observers, open_recorder, recording_path
+from deploy.scenario import Scenario
+from deploy.scoring.tick_rate import too_small
+from deploy.storage.run_directory import RunDirectory
+from protocol.process import JsonLines, leave
+from protocol.settings import BadSetting
+
+
+def run_in_foreground(
+    scenario: Scenario, directory: RunDirectory, lock: int, zygote: Zygote | None, title: str, showing: DisplayOptions
+) -> NoReturn:
+    """Supervise the run whose folder is claimed (`lock`), show its progress and its result, and end this process with the exit code."""
+    handler = logging.FileHandler(directory.log("supervisor"))
+    handler.setFormatter(JsonLines(scenario.run.name, "supervisor"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    logging.raiseExceptions = False  # a log on a full disk neither ends the run nor prints a traceback
+    with Display(to_stderr=showing.json) as display:
+        try:
+            supervisor = Supervisor(scenario, directory, display.event, display.status, zygote, is_at_terminal())
+        except BadSetting:
+            if zygote is not None:
+                zygote.close()
+            raise
+        server, address = page_of(supervisor, showing.page), ""
+        if server is not None:
+            address = server.bind()
+            directory.page.write_text(address + "\n", encoding="utf-8")
+            display.event(f"page: {address}")
+            if showing.open:
+                display.event(open_browser(address))
+        display.event(title)
+        display.event(too_small(scenario))
+        path = recording_path(showing.record, directory.path)
+        recorder = open_recorder(path, supervisor.scenario) if path else None
+        stays = showing.stays and not showing.json and server is not None and is_at_terminal()
+
+        async def work() -> int:
+            async with Observers(supervisor.scorer, recorder, server):
+                code = await supervisor.run()
+                os.close(lock)
+                display.close()
+                if recorder is not None and recorder.stopped:
+                    display.event(f"{path}: {recorder.stopped}; the recording ended early, {recorder.lost} messages are not in it")
+                if supervisor.result is not None:
+                    show_result(supervisor.result, directory.path, showing.json)
+                if stays and code in (0, EXIT_CRASHED):
+                    display.event(f"the page stays at {address} until Enter or Ctrl-C")
+                    await until_key()
+                return code
+
+        code = asyncio.run(work())
+    sys.stdout.flush()  # raises when there is no room for it
+    leave(code)
+
+
+def page_of(supervisor: Supervisor, page: bool | str) -> PageServer | None:
+    """The page of a run; None when none is wanted."""
+    address = address_of(page)
+    if address is None:
+        return None
+    return PageServer(LiveSource(supervisor.scorer, Picture(supervisor.scenario), supervisor.directory), address)

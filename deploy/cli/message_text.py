@@ -1,0 +1,48 @@
+"""Messages as text: JSON lines for programs, blocks for people."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from deploy.cli.listener import KeyedPayload
+from protocol.messages import Message
+
+
+def fields(message: Message) -> dict[str, Any]:
+    """A message for people: its fields by name, arrays as lists of rows."""
+    found: dict[str, Any] = {"type": type(message).__struct_config__.tag}
+    for name in message.__struct_fields__:
+        value = getattr(message, name.removesuffix("_bytes"))
+        found[name.removesuffix("_bytes")] = value.tolist() if isinstance(value, np.ndarray) else msgspec.to_builtins(value)
+    return found
+
+
+def plain_line(heard: KeyedPayload) -> str:
+    """One line of JSON: the key with the message, or with the raw bytes and the reason why they do not decode."""
+    if heard.message is not None:
+        return msgspec.json.encode({"key": heard.key, **fields(heard.message)}).decode()
+    raw: dict[str, Any] = {"key": heard.key, "unknown": heard.reason, "bytes": len(heard.payload), "raw": heard.payload[:256].hex()}
+    try:
+        raw["msgpack"] = msgspec.to_builtins(msgspec.msgpack.decode(heard.payload), builtin_types=(bytes,), str_keys=True)
+        return msgspec.json.encode(raw).decode()
+    except (msgspec.MsgspecError, ValueError, TypeError, RecursionError, UnicodeError):
+        raw.pop("msgpack", None)
+        return msgspec.json.encode(raw).decode()
+
+
+def block(heard: KeyedPayload, most: int = 6) -> str:
+    """Several lines for a terminal: the key, then field by field, long arrays by their first rows."""
+    if heard.message is None:
+        return f"{heard.key}\n  {heard.reason}, {len(heard.payload)} bytes: {heard.payload[:64].hex(' ')}"
+    return "\n".join([heard.key, *(f"  {name:14} {_short(value, most)}" for name, value in fields(heard.message).items())])
+
+
+def _short(value: Any, most: int) -> str:
+    if isinstance(value, list | tuple) and len(value) > most:
+        return f"{len(value)} rows: {', '.join(_short(item, most) for item in value[:most])}, ..."
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_short(item, most) for item in value) + "]"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)

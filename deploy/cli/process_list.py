@@ -1,0 +1,83 @@
+"""`ps`: the processes of a running swarm; with -a of all running swarms of this folder, and the runs that have ended."""
+
+import json
+import os
+import re
+import sys
+import time
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from deploy.cli.display import process_table
+from deploy.cli.logs import LogTails, kept_runs
+from deploy.live.control import ControlClient
+from deploy.storage.run_directory import RunDirectory, find_running, running_runs
+from protocol.settings import BadSetting, read_toml
+
+PLAIN_WIDTH = 160  # columns where there is no terminal
+DEATH = re.compile(r"^(\S+) ended: (.*)$")
+
+
+def ps(run: str | None, as_json: bool, everything: bool = False) -> int:
+    """All processes of a running swarm; with `everything` of all running swarms of this folder, and the runs that have ended."""
+    if everything:
+        return ps_all(run, as_json)
+    data = ControlClient(find_running(run)).ask("status")["data"]
+    if as_json:
+        print(json.dumps(data))
+    else:
+        Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH).print(process_table(data))
+    return 0
+
+
+def ps_all(run: str | None, as_json: bool) -> int:
+    """Print the running swarms as `ps` does, and below them what has ended."""
+    if run is not None:
+        raise BadSetting(f"--run {run}: -a shows all runs; leave one of both out")
+    running = running_runs()
+    names = {directory.name for directory in running}
+    data = [ControlClient(directory).ask("status")["data"] for directory in running]
+    gone = [ended_run(directory) for directory in kept_runs() if directory.name not in names]
+    if as_json:
+        print(json.dumps({"running": data, "ended": gone}))
+        return 0
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+    for one in data:
+        console.print(process_table(one))
+    if gone:
+        console.print(ended_table(gone))
+    if not data and not gone:
+        console.print("no run has been started here")
+    return 0
+
+
+def ended_run(directory: RunDirectory) -> dict[str, Any]:
+    """Facts about a run that has ended: its scenario, its end, its dead processes, and its result file."""
+    try:
+        config = read_toml(directory.config)
+    except BadSetting:  # it ended before it wrote its configuration
+        config = {}
+    entries = LogTails(directory, ("supervisor",)).read()
+    deaths = [match for entry in entries if (match := DEATH.match(str(entry.fields.get("message", "")))) and match[1] != "world"]
+    return {
+        "run": directory.name,
+        "scenario": config.get("run", {}).get("scenario", ""),
+        "agents": len(config.get("members", {})),
+        "ended_at": entries[-1].time if entries else directory.logs.stat().st_mtime,
+        "deaths": [{"name": match[1], "end": match[2]} for match in deaths],
+        "result": os.path.relpath(directory.result) if directory.result.exists() else None,
+    }
+
+
+def ended_table(runs: list[dict[str, Any]]) -> Table:
+    """The runs that have ended, one a line."""
+    table = Table(title="ended", title_justify="left", box=None)
+    for head in ("run", "scenario", "agents", "ended", "died before", "result"):
+        table.add_column(head, justify="right" if head == "agents" else "left")
+    for run in runs:
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run["ended_at"]))
+        died = ", ".join(f"{death['name']} ({death['end']})" for death in run["deaths"])
+        table.add_row(run["run"], run["scenario"], str(run["agents"]), when, died or "-", run["result"] or "none")
+    return table

@@ -1,0 +1,121 @@
+"""`score`, `export` and `replay`: commands on recordings."""
+
+import asyncio
+import contextlib
+import logging
+import os
+import shutil
+import signal
+from collections import deque
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+
+from deploy.cli.display import result_table
+from deploy.cli.errors import writing
+from deploy.installation import need_study_packages
+from deploy.page.server import PageServer, address_of
+from deploy.recording.recording import DRAWING, Recording, find_recording
+from deploy.recording.replay import ReplayNode, ReplaySource
+from deploy.recording.rescore import difference, rescore, write_scores
+from deploy.storage.kept_runs import new_run_directory
+from protocol.endpoints import free_port
+from protocol.live import Driver
+from protocol.settings import NetworkSettings
+
+
+def score(name: str, csv: Path | None, as_json: bool) -> int:
+    """Score a recording, and compare with the result of the run itself where that exists."""
+    recording = Recording(find_recording(name))
+    console = Console(stderr=as_json, highlight=False)
+    scorer = rescore(recording)
+    result = scorer.result(recording.wall_seconds)
+    whole = "" if recording.is_whole else "; the recorder was cut off, scored is what it had written"
+    console.print(result_table(result, f"{recording.path}: {result.scenario}, seed {result.seed}, {result.agents} agents{whole}"))
+    apart = difference(recording.path, result)
+    if apart is not None:
+        console.print(f"largest difference to the figures of the run itself: {apart:.3g}")
+    if csv is not None:
+        with writing("--csv", csv):
+            write_scores(csv, scorer.scores)
+        console.print(f"{len(scorer.scores)} ticks in {csv}")
+    if as_json:
+        print(result.to_json())
+    return 0
+
+
+def export(name: str, form: str, out: Path | None) -> int:
+    """Write a recording in the form of other tools."""
+    need_study_packages("export")
+    from deploy.recording.foxglove import write_foxglove
+    from deploy.recording.tables import write_tables  # these load slowly
+
+    recording = Recording(find_recording(name))
+    if form == "rerun":
+        from deploy.recording.rerun_file import write_rerun
+
+        file = out or recording.path.with_suffix(".rrd")
+        with writing("--out", file):
+            ticks = write_rerun(recording, file)
+        print(f"{ticks} ticks in {file}; look at it with: rerun {file}")
+        return 0
+    if form == "foxglove":
+        file = out or recording.path.with_suffix(DRAWING)
+        with writing("--out", file):
+            scenes = write_foxglove(recording, file)
+        print(f"{scenes} scenes in {file}")
+        return 0
+    folder = out or recording.path.parent / form
+    with writing("--out", folder):
+        files = write_tables(recording, folder, form)
+    print("\n".join(map(str, files)))
+    return 0
+
+
+def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
+    """Play a recording on the page, and on Zenoh too if asked, until Ctrl-C."""
+    recording = Recording(find_recording(name))
+    address = address_of(page or True)
+    assert address is not None
+    server = PageServer(ReplaySource(recording, speed), address)
+    print(f"page: {server.bind()}", flush=True)
+    cut = "" if recording.is_whole else " (the recorder was cut off: shown is what it had written)"
+    print(f"{recording.path}: {recording.scenario.run.scenario}, {recording.seconds:g} s{cut}; Ctrl-C ends it", flush=True)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(_play(server, recording, publish))
+    return 0
+
+
+async def _play(server: PageServer, recording: Recording, publish: bool) -> None:
+    loop, over = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, over.set)
+    await server.open()
+    try:
+        if publish:
+            await _say_again(server, recording, over)
+        else:
+            await over.wait()
+    finally:
+        await server.close()
+
+
+async def _say_again(server: PageServer, recording: Recording, over: asyncio.Event) -> None:
+    """Publish the played messages under the same keys, as a run with its own directory that `echo`, `hz`, `ls` and `watch --page` find."""
+    directory, lock = new_run_directory(f"{recording.run[:48]}-replay", recording.scenario.run.scenario)
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    network = msgspec.structs.replace(recording.scenario.network, listen=(endpoint,), seeds=())
+    found = msgspec.structs.replace(network, listen=NetworkSettings().listen, seeds=(endpoint,))
+    directory.write_config(msgspec.structs.replace(recording.scenario, network=found))
+    assert isinstance(server.source, ReplaySource)
+    server.source.outbox = deque(maxlen=100_000)
+    driver = Driver(ReplayNode(recording.run, server.source.outbox), network)
+    serving = asyncio.create_task(driver.serve())
+    print(f"said again as run {directory.name}: covey echo 'estimate/*' --run {directory.name}", flush=True)
+    await over.wait()
+    driver.stop(0, "the replay is over")
+    await serving
+    shutil.rmtree(directory.path, ignore_errors=True)  # other commands found the run by it; it holds no results
+    os.close(lock)

@@ -1,0 +1,147 @@
+"""Checks of a scenario beyond its types: teams, classes of the user, faults, endpoints, memory."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from agents.births import LEAST_PRIOR, prior_size
+from agents.capacity import sensor_facts
+from agents.control import CheckedLaw, Situation, control_law
+from agents.particles import Particles
+from deploy.faults.faults import check_fault
+from deploy.scenario import FaultSettings, Scenario, check_names, spelled_out
+from protocol.endpoints import check_endpoints
+from protocol.geometry import rectangle
+from protocol.mistakes import mistakes
+from protocol.sensing import WedgeSensor
+from protocol.settings import BadSetting, sensor_of
+from world.targets import CheckedMotion, build_motion
+
+MOST_PRIOR = 1_000_000  # particles that an agent starts with
+MOST_BINS = 20_000_000  # of the grid on which an agent looks for targets
+TEAM = {"team", "members", "sensors"}  # sections that are right or wrong together
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """Raise BadSetting for the first thing that is wrong with a resolved scenario."""
+    for _, line in complaints(scenario):
+        raise BadSetting(line)
+
+
+def all_mistakes(data: dict[str, Any], name: str, source: str, faults: Sequence[FaultSettings] = ()) -> list[str]:
+    """All mistakes in the data of a scenario, a line each. A mistake that follows from another one is left out."""
+    found, paths, rest = mistakes(data, Scenario)
+    lines = [f"{source}: {line}" for line in found]
+    wrong = {path[0] for path in paths}
+    if not rest:
+        return lines
+    scenario = msgspec.convert(rest, Scenario)
+    scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *faults))
+    try:
+        scenario = scenario if wrong & TEAM else spelled_out(scenario, rest, name, source)
+    except BadSetting as error:
+        lines.append(str(error))
+        wrong |= TEAM
+    if wrong & TEAM:  # faults and control laws can be checked only with a valid team
+        wrong |= TEAM | {"faults", "control"}
+    later = [*complaints(scenario), *_network(scenario)]
+    return lines + [f"{source}: {line}" for section, line in later if section not in wrong]
+
+
+def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """The mistakes of a resolved scenario: the section, and a line that names a right value."""
+    yield from _told("arena", lambda: check_costs(scenario))
+    for sensor_class in dict.fromkeys(scenario.members.values()):
+        yield from _told("sensors", lambda name=sensor_class: _try_sensor(scenario, name))  # type: ignore[misc]
+    yield from _told("control", lambda: _try_law(scenario))
+    yield from _told("targets", lambda: _try_motion(scenario))
+    for number, fault in enumerate(scenario.faults):
+        yield from _told("faults", lambda where=f"faults[{number}].", fault=fault: _try_fault(scenario, fault, where))  # type: ignore[misc]
+
+
+def check_costs(scenario: Scenario) -> None:
+    """Raise BadSetting, with a possible value, when an agent would need more memory or time than a machine has."""
+    filters, arena = scenario.filter, scenario.arena
+    area, particles = arena.width * arena.height, prior_size(filters, arena)
+    if particles > MOST_PRIOR and area > MOST_PRIOR / LEAST_PRIOR:
+        line = f"arena.width = {arena.width!r}, arena.height = {arena.height!r}: a prior of {particles} particles"
+        raise BadSetting(f"{line}; should be at most {MOST_PRIOR / LEAST_PRIOR:.2g} m^2")
+    if particles > MOST_PRIOR:
+        most = MOST_PRIOR / (filters.particles_per_target * area)
+        line = f"filter.prior_density = {filters.prior_density!r}: a prior of {particles} particles in {area:.3g} m^2"
+        raise BadSetting(f"{line}; should be at most {most:.2g}")
+    least = math.sqrt(area / (max(1, len(scenario.members)) * MOST_BINS))
+    if scenario.extraction.bin < least:
+        line = f"extraction.bin = {scenario.extraction.bin!r}: too fine for {area:.3g} m^2"
+        raise BadSetting(f"{line}; should be at least {1.05 * least:.2g} m")
+
+
+def _network(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """The mistakes that matter to a run with real processes only."""
+    yield from _told("network", lambda: check_endpoints(scenario.network))
+    yield from _told("members", lambda: check_names(scenario))
+
+
+def _told(section: str, attempt: Callable[[], object]) -> Iterator[tuple[str, str]]:
+    try:
+        attempt()
+    except BadSetting as error:
+        yield section, str(error)
+
+
+def _try_sensor(scenario: Scenario, sensor_class: str) -> None:
+    sensor = sensor_of(scenario, sensor_class)
+    if not isinstance(sensor, WedgeSensor):
+        try:
+            sensor_facts(sensor)
+        except BadSetting as error:
+            raise BadSetting(f"sensors.{sensor_class}: {error}") from error.__cause__
+        except ValueError:
+            model = scenario.sensors[sensor_class].model
+            raise BadSetting(f"sensors.{sensor_class}: {model}: the detection probability is 0 everywhere within its reach") from None
+
+
+def _try_law(scenario: Scenario) -> None:
+    """Try a control law of the user for one agent and one tick, in the middle of the arena."""
+    law = control_law(scenario)
+    if not isinstance(law, CheckedLaw):
+        return
+    name, sensor_class = next(iter(scenario.members.items()))
+    middle, sensor = (scenario.arena.width / 2.0, scenario.arena.height / 2.0), sensor_of(scenario, sensor_class)
+    law.command(
+        Situation(
+            name=name,
+            seed=scenario.run.seed,
+            tick=0,
+            dt=scenario.run.dt,
+            pose=(*middle, 0.0),
+            driven=middle,
+            cell=rectangle(scenario.arena.width, scenario.arena.height),
+            centroid=middle,
+            particles=Particles(np.array([[*middle, 1.0, 0.0]]), np.array([0.5]), np.array([1], dtype=np.uint64)),
+            sensor=sensor,
+            limits=scenario.limits,
+            heading=scenario.control.heading,
+            arena=(scenario.arena.width, scenario.arena.height),
+            fields=((sensor, (*middle, 0.0)),) if law.uses_fields else (),
+            generators=np.array([middle]),
+            own_generator=0,
+        )
+    )
+
+
+def _try_motion(scenario: Scenario) -> None:
+    """Try a motion model of the user for two targets and one tick."""
+    motion = build_motion(scenario.targets, scenario.run.dt, scenario.run.seed)
+    if isinstance(motion, CheckedMotion):
+        motion.move(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 1.0]), np.array([1, 2], dtype=np.uint64), 0)
+
+
+def _try_fault(scenario: Scenario, fault: FaultSettings, where: str) -> None:
+    check_fault(fault, where, list(scenario.members), live=False, link_faults=True)
+    last = (scenario.run.ticks - 1) * scenario.run.dt
+    if fault.at > last:
+        raise BadSetting(f"{where}at = {fault.at:g}: the run ends before; its last tick is at {last:g} s")

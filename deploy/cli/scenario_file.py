@@ -1,0 +1,72 @@
+"""`init`, `check` and `config`: commands on scenario files."""
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+from deploy.cli.template import template
+from deploy.installation import versions
+from deploy.scenario import Scenario, toml_text
+from deploy.scoring.tick_rate import too_small
+from deploy.storage.run_directory import ROOM, runs_folder
+from protocol.settings import BadSetting, NetworkSettings
+
+
+def init(file: Path) -> int:
+    """Write a scenario with every section and every default; raises BadSetting when the file exists or cannot be written."""
+    if file.suffix != ".toml":
+        raise BadSetting(f"{file}: should be a file that ends in .toml")
+    try:
+        out = file.open("x", encoding="utf-8")
+    except FileExistsError:
+        raise BadSetting(f"{file}: exists and is left as it is; give another name") from None
+    except OSError as error:
+        raise BadSetting(f"{file}: {error.strerror}") from None
+    try:
+        with out:
+            out.write(template())
+    except OSError as error:
+        file.unlink()  # a partial scenario is not left behind
+        raise BadSetting(f"{file}: {error.strerror}") from None
+    print(f"{file}: every section and every default; change it, then: covey check {file}; covey up {file}")
+    return 0
+
+
+def config(scenario: Scenario) -> int:
+    """Print a resolved scenario as TOML."""
+    print(toml_text(scenario), end="")
+    return 0
+
+
+def complain(lines: list[str]) -> int:
+    """Print all mistakes of a scenario; the exit code."""
+    for line in lines:
+        print(f"covey: {line}", file=sys.stderr)
+    return 2
+
+
+def check(scenario: Scenario) -> int:
+    """Print a summary of the scenario and check that this machine can open a session; raises BadSetting when it cannot."""
+    from protocol.endpoints import check_loopback
+    from protocol.live import open_session  # loads zenoh
+
+    classes = list(scenario.members.values())
+    team = ", ".join(f"{classes.count(name)} {name}" for name in dict.fromkeys(classes))
+    run = scenario.run
+    print(f"scenario   {run.scenario} is right: {len(classes)} agents ({team})")
+    print(f"           {scenario.targets.count} targets, {run.ticks} ticks of {run.dt:g} s")
+    found = versions()
+    print(f"machine    Python {found['python']}, {found['cores']} cores, {found['machine']}")
+    check_loopback()
+    open_session(NetworkSettings()).close()
+    print(f"network    a Zenoh {found['packages']['eclipse-zenoh']} session opens on 127.0.0.1")
+    folder = next(path for path in [runs_folder(), *runs_folder().parents] if path.exists())
+    if not os.access(folder, os.W_OK) or not folder.is_dir():
+        raise BadSetting(f"runs {runs_folder()}: cannot be written; COVEY_RUNS names another place")
+    if shutil.disk_usage(folder).free < ROOM:
+        raise BadSetting(f"runs {runs_folder()}: the disk is full; COVEY_RUNS names another place")
+    print(f"runs       {runs_folder()}: writable")
+    if advice := too_small(scenario):
+        print(f"warning    {advice}", file=sys.stderr)
+    return 0

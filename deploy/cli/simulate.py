@@ -1,0 +1,95 @@
+"""`simulate`: a scenario in one process, in virtual time."""
+
+import os
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+
+from deploy.cli.display import show_result
+from deploy.live.warmup import announce
+from deploy.recording.observers import Observers, open_recorder, recording_path
+from deploy.recording.trace import Trace, check_trace
+from deploy.scenario import Scenario, named
+from deploy.scoring.result import Result
+from deploy.simulation import Simulation
+from deploy.storage.kept_runs import link_latest, new_run_directory
+from protocol.messages import Truth
+
+
+def simulate_here(
+    scenario: Scenario,
+    requested_name: str | None,
+    as_json: bool,
+    record: bool | Path = False,
+    trace: Path | None = None,
+    clock: Literal["lockstep", "realtime"] = "lockstep",
+) -> int:
+    """Run the same nodes in this process in virtual time.
+
+    The result is kept as a run when it is named (`requested_name`) or recorded without a file's name.
+    """
+    if trace is not None:
+        check_trace(trace)
+    if requested_name is None and record is not True:
+        result, path = _simulate(scenario, clock, recording_path(record, Path()), trace)
+        _show(result, None, as_json, path)
+        return 0
+    directory, lock = new_run_directory(requested_name, scenario.run.scenario)
+    scenario = named(scenario, directory.name)
+    directory.write_config(scenario, simulated=True)
+    link_latest(directory)
+    result, path = _simulate(scenario, clock, recording_path(record, directory.path), trace)
+    directory.result.write_text(result.to_json() + "\n", encoding="utf-8")
+    os.close(lock)
+    _show(result, directory.path, as_json, path)
+    return 0
+
+
+def _simulate(
+    scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None, trace: Path | None
+) -> tuple[Result, Path | None]:
+    """The result, and where it was recorded."""
+    announce()
+    simulation = Simulation(scenario, clock=clock)
+    series = Trace(simulation)
+    console = Console(stderr=True, highlight=False)
+    simulation.scorer.on_report = lambda told: console.print(f"[{told.time:.1f} s] {told.text}", markup=False, soft_wrap=True)
+    if path is not None:
+        Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    with console.status("") if console.is_terminal else nullcontext() as spinner:
+        show = (lambda text: spinner.update(text)) if spinner else console.print
+        progress = ProgressLine(show, 0.25 if spinner else 5.0)
+
+        def heard(truth: Truth) -> None:
+            series.tell(truth)
+            progress.tell(truth.tick + 1, scenario.run.ticks)
+
+        simulation.on_truth = heard
+        result = simulation.run()
+    if trace is not None:
+        series.write(trace, result)
+    return result, path
+
+
+def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | None) -> None:
+    show_result(result, folder, as_json)
+    if recorded is not None:
+        Console(stderr=True, highlight=False).print(f"recorded in {os.path.relpath(recorded)}", soft_wrap=True)
+
+
+class ProgressLine:
+    """Prints the progress of a simulation from time to time."""
+
+    def __init__(self, show: Callable[[str], None], period: float) -> None:
+        self._show, self._period = show, period
+        self._said_at = time.monotonic()
+
+    def tell(self, done: int, ticks: int) -> None:
+        """Print the progress if `period` s have passed since the last line."""
+        if time.monotonic() - self._said_at >= self._period:
+            self._said_at = time.monotonic()
+            self._show(f"{100 * done // ticks:3d} %  tick {done} of {ticks}")

@@ -1,0 +1,97 @@
+"""`demo` and `up`: commands that run a scenario with real processes. What supervises them is imported while the zygote imports as well."""
+
+import os
+import subprocess
+import sys
+import time
+from typing import NoReturn
+
+import msgspec
+
+from deploy.cli.options import DisplayOptions
+from deploy.installation import command, environment
+from deploy.live.processes import Spawn, child_environment
+from deploy.live.zygote import Zygote
+from deploy.scenario import FaultSettings, Scenario, named
+from deploy.scoring.tick_rate import too_small
+from deploy.storage.kept_runs import new_run_directory
+from deploy.storage.run_directory import runs_folder
+from protocol.endpoints import check_loopback
+from protocol.settings import BadSetting
+
+DETACHED = "COVEY_DETACHED"  # the environment variable that hands a detached run its name
+DETACH_SECONDS = 90.0  # that a detached swarm may take to start
+
+
+def run_live(scenario: Scenario, requested_name: str | None, title: str, showing: DisplayOptions, spawn: Spawn) -> NoReturn:
+    """Run a scenario with real processes, show its progress and its result, and end this process with the exit code.
+
+    `requested_name`: the name that the user gives the run; None: one of the date and the scenario.
+    """
+    check_loopback()
+    detached = os.environ.pop(DETACHED, None)  # the name that the waiting command has chosen
+    directory, lock = new_run_directory(detached or requested_name, scenario.run.scenario)
+    scenario = named(scenario, directory.name)
+    zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
+    from deploy.cli.foreground import run_in_foreground
+
+    other = f"; runs/{requested_name} holds an earlier run" if detached is None and requested_name not in (None, directory.name) else ""
+    run_in_foreground(scenario, directory, lock, zygote, f"run {directory.name}{other}: {title}", showing)
+
+
+def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions, spawn: Spawn = "zygote") -> NoReturn:
+    """Section IV-A live, with 3 of 16 agents killed at mid-run unless the options say otherwise."""
+    if not scenario.faults:
+        deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
+        scenario = msgspec.structs.replace(scenario, faults=(deaths,))
+    agents, targets, run = len(scenario.members), scenario.targets.count, scenario.run
+    title = f"{agents} agent processes and one world, {targets} targets, {run.seconds:g} s of world time, {_pace(scenario)}; Ctrl-C ends it"
+    run_live(scenario, requested_name, title, showing, spawn)
+
+
+def _pace(scenario: Scenario) -> str:
+    """How fast time passes, for people."""
+    run = scenario.run
+    if run.clock == "realtime":
+        return f"{run.rate:g} x real time"
+    if run.pace:
+        return f"at most {run.pace:g} x real time ({run.seconds / run.pace:.0f} s; --fast for as fast as it goes)"
+    return "as fast as it goes"
+
+
+def up(scenario: Scenario, requested_name: str | None, detach: bool, showing: DisplayOptions, spawn: Spawn = "zygote") -> NoReturn:
+    """Run a scenario in the foreground, or detached."""
+    if detach:
+        _detach(scenario, requested_name)
+    run = scenario.run
+    pace = "lockstep" if run.clock == "lockstep" else f"rate {run.rate:g}"
+    title = f"{run.scenario}, {len(scenario.members)} agents, {pace}; other terminal: covey ps | kill | watch"
+    run_live(scenario, requested_name, title, showing, spawn)
+
+
+def _detach(scenario: Scenario, requested_name: str | None) -> NoReturn:
+    """Start the same command without --detach in a session of its own, and wait until its control socket answers."""
+    directory, lock = new_run_directory(requested_name, scenario.run.scenario)
+    os.close(lock)
+    words = [word for word in sys.argv[1:] if word not in ("--detach", "-d")]
+    with directory.output.open("wb") as log:
+        process = subprocess.Popen(
+            [*command("deploy"), *words],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            env={**environment(), "COVEY_RUNS": str(runs_folder()), DETACHED: directory.name},
+            start_new_session=True,
+        )
+    end = time.monotonic() + DETACH_SECONDS
+    while process.poll() is None and not directory.control.exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    if process.poll() is not None and process.returncode != 0:
+        lines = directory.output.read_text(errors="replace").strip().splitlines()
+        raise BadSetting((lines or ["the run ended at once"])[-1].removeprefix("covey: "))
+    print(f"run {directory.name} is up, process {process.pid}; covey ps | watch | down --run {directory.name}")
+    if directory.page.exists():
+        print(f"page: {directory.page.read_text(encoding='utf-8').strip()}")
+    if advice := too_small(scenario):
+        print(advice)
+    sys.exit(0)

@@ -1,0 +1,70 @@
+"""`study`: run the open trials of a study and print its result."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from deploy.cli.study_progress import console_of, run_open_trials
+from deploy.storage.run_directory import runs_folder
+from deploy.studies.design import Design, plan
+from deploy.studies.paired import compare, groups_of, summarise
+from deploy.studies.results import StudyFolder
+from deploy.studies.trials import Row, methods_of, run_trial
+
+
+def run_study(found: Design, into: Path, workers: int | None, scheduler: str | None, as_json: bool) -> int:
+    """Run a study to its end. Finished trials are not repeated."""
+    console = console_of(as_json)
+    trials, folder = plan(found), StudyFolder(into)
+    with folder.claimed():
+        rows = run_open_trials(found.scenario, folder, trials, workers, scheduler, console, run_trial)
+        folder.publish(rows)
+    show(rows, console)
+    console.print(f"{_short(folder.csv)} and .parquet; covey figures {_short(into)}", soft_wrap=True)
+    if as_json:
+        print(json.dumps({"study": found.scenario, "trials": len(rows), "folder": str(into), "groups": summaries(rows)}))
+    return 0
+
+
+def _short(path: Path) -> str:
+    """A path relative to the current folder where it lies below it."""
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
+
+
+def default_folder(name: str, quick: bool) -> Path:
+    """The default folder of a study."""
+    return runs_folder() / f"study-{name}{'-quick' if quick else ''}"
+
+
+def show(rows: Sequence[Row], console: Console) -> None:
+    """The medians by team, number of targets and method, and what the first method gains over the others on the same seeds."""
+    methods = methods_of(rows)
+    table = Table(title="steady OSPA, m: median (least - greatest)", title_justify="left", box=None)
+    for head in ("team", "targets", *methods, *(f"{methods[0]} against {other}" for other in methods[1:]), "in view at the end"):
+        table.add_column(head)
+    for group in groups_of(rows):
+        found = [summarise(rows, group, method) for method in methods]
+        cells = [f"{one.ospa:.2f} ({one.low:.2f} - {one.high:.2f})" if one else "-" for one in found]
+        pairs = [compare(rows, group, methods[0], other) for other in methods[1:]]
+        gains = [f"{100 * pair.gain:+.0f} %, {pair.wins}/{len(pair.differences)}, {_p(pair.wilcoxon)}" if pair else "-" for pair in pairs]
+        in_view = " / ".join(f"{100.0 * one.in_view:.0f}" if one else "-" for one in found)
+        table.add_row(group.team, str(group.targets), *cells, *gains, f"{in_view} %")
+    console.print(table)
+    console.print(
+        "gain: mean difference on the same seeds, seeds won, p of Wilcoxon's signed-rank test; in view: share of targets over the last 5 s",
+        soft_wrap=True,
+    )
+
+
+def _p(value: float | None) -> str:
+    return "p -" if value is None else f"p {value:.3f}" if value >= 0.001 else "p < .001"
+
+
+def summaries(rows: Sequence[Row]) -> list[dict[str, object]]:
+    """The table as plain values."""
+    found = [summarise(rows, group, method) for group in groups_of(rows) for method in methods_of(rows)]
+    return [{**one._asdict(), **one.group._asdict(), "group": None} for one in found if one]

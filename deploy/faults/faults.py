@@ -1,0 +1,191 @@
+"""Faults: the verbs, the agents selected by "s3", "s3,s4", "4" or "30%", and the schedule of a scenario's faults.
+
+The words are the same in a scenario's [[faults]], on the command line, in a simulation and on real processes:
+
+    kill, restart        a process vanishes; comes back under its name with its body where it stands
+    pause, resume        a process is stopped in its tracks; goes on
+    slow                 it takes `value` s over every observation
+    join, twin           a newcomer (options.class), or a second process of a name
+    jump                 its clock jumps by `value` s (options.back = true: back)
+    partition            the selected and the rest do not hear each other (options.kind = "one-way": only the rest is deaf; "bridge":
+                         one of the rest hears both sides); with options.tokens = false the sessions stay up
+    drop, delay          a share of the messages is lost (options.burst: in runs of so many); all come `value` s late (options.jitter)
+    duplicate, reorder   a share comes twice; is held back and overtaken (options.spread s at most)
+    flip                 a share has one wrong bit
+    heal                 all links are clear again
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deploy.scenario import FaultSettings
+from protocol.settings import BadSetting
+from protocol.streams import stream
+
+PROCESS_VERBS = ("kill", "pause", "resume", "restart", "slow", "join", "twin", "jump")
+LINK_VERBS = ("partition", "heal", "drop", "delay", "duplicate", "reorder", "flip")
+VERBS = (*PROCESS_VERBS, *LINK_VERBS)
+LIVE_VERBS = ("kill", "pause", "resume", "restart", *LINK_VERBS)  # the others need a simulation
+SYNONYMS = {"loss": "drop"}
+SHARES = ("drop", "duplicate", "reorder", "flip")  # whose value is a share of the messages
+NEED_VALUE = (*SHARES, "delay", "slow", "jump")
+INVERSE = {"kill": "restart", "pause": "resume", "partition": "heal"}  # what ends a fault that lasts `seconds`
+ENDED_BY_ZERO = (*SHARES, "delay", "slow")
+OPTIONS: dict[str, dict[str, type]] = {  # what a fault may say beside its value
+    "kill": {"silent": bool},
+    "join": {"class": str},
+    "jump": {"back": bool},
+    "partition": {"kind": str, "tokens": bool},
+    "drop": {"burst": float},
+    "delay": {"jitter": float},
+    "duplicate": {"spread": float},
+    "reorder": {"spread": float},
+}
+KINDS = ("both", "one-way", "bridge")
+REFUSED = "refused"  # the verb of an action in place of a fault that cannot be carried out
+
+
+class Action(NamedTuple):
+    """One fault that is due, with the names of the selected processes."""
+
+    verb: str
+    names: list[str]
+    value: float | None = None
+    options: Mapping[str, Any] = {}
+
+
+def choose(who: str, candidates: Sequence[str], known: Sequence[str], rng: np.random.Generator) -> list[str]:
+    """Names selected by `who`: names with commas (any known one), or a number or a share of the candidates, drawn at random.
+
+    A share is rounded to the nearest number, at least 1. Raises BadSetting naming what would be right.
+    """
+    text = who.strip()
+    share = re.fullmatch(r"(\d+(?:\.\d+)?)\s*%", text)
+    if share:
+        percent = float(share[1])
+        if percent > 100.0:
+            raise BadSetting(f"{who!r}: a share is at most 100%")
+        number = max(1, int(percent / 100.0 * len(candidates) + 0.5)) if percent > 0.0 and candidates else 0
+    elif text.isdecimal():
+        number = int(text)
+        if number > len(candidates):
+            raise BadSetting(f"{who!r}: only {len(candidates)} agents qualify")
+    else:
+        return _named(text, known)
+    chosen = rng.choice(len(candidates), size=number, replace=False)
+    return [candidates[index] for index in sorted(chosen.tolist())]
+
+
+def _named(text: str, known: Sequence[str]) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    for name in names:
+        if name not in known:
+            raise BadSetting(
+                f"{name!r}: there is no such process; known are {', '.join(known)}, a number such as 4, or a share such as 30%"
+            )
+    if not names:
+        raise BadSetting("who is missing: give a name such as s3, a number such as 4, or a share such as 30%")
+    return list(dict.fromkeys(names))
+
+
+def plain_verb(verb: str) -> str:
+    """The verb by its first name."""
+    return SYNONYMS.get(verb, verb)
+
+
+def check_faults(faults: Sequence[FaultSettings], members: Sequence[str], *, live: bool = False, link_faults: bool = True) -> None:
+    """Raise BadSetting for a fault that cannot be carried out here."""
+    for number, fault in enumerate(faults):
+        check_fault(fault, f"faults[{number}].", members, live=live, link_faults=link_faults)
+
+
+def check_fault(fault: FaultSettings, where: str, members: Sequence[str], *, live: bool, link_faults: bool) -> None:
+    """Raise BadSetting when a fault cannot be carried out here; `where` stands before the names of its fields."""
+    verb = plain_verb(fault.verb)
+    if verb not in VERBS:
+        raise BadSetting(f"{where}verb = {fault.verb!r}: should be one of {', '.join(VERBS)}")
+    if live and verb not in LIVE_VERBS:
+        raise BadSetting(f"{where}verb = {fault.verb!r}: works in a simulation only; live are {', '.join(LIVE_VERBS)}")
+    if live and verb in LINK_VERBS and not link_faults:
+        raise BadSetting(f"{where}verb = {fault.verb!r}: link faults need network.link_faults = true in the scenario")
+    _check_value(fault, verb, where)
+    _check_options(fault, verb, where)
+    if verb == "join" or (verb in LINK_VERBS and not fault.who and verb != "partition"):
+        return
+    try:
+        choose(fault.who, members, [*members, "world"], stream(0, "faults", 0))
+    except BadSetting as error:
+        raise BadSetting(f"{where}who = {error}") from None
+
+
+def _check_value(fault: FaultSettings, verb: str, where: str) -> None:
+    if verb in NEED_VALUE and fault.value is None:
+        what = "a share between 0 and 1" if verb in SHARES else "a number of seconds"
+        raise BadSetting(f"{where}value is missing: {verb} needs {what}")
+    if verb in SHARES and fault.value is not None and fault.value > 1.0:
+        raise BadSetting(f"{where}value = {fault.value}: should be a share between 0 and 1")
+
+
+def _check_options(fault: FaultSettings, verb: str, where: str) -> None:
+    known = OPTIONS.get(verb, {})
+    for name, value in fault.options.items():
+        if name not in known:
+            raise BadSetting(f"{where}options.{name}: {verb} has no such option; known are {', '.join(known) or 'none'}")
+        number = isinstance(value, int | float) and not isinstance(value, bool) and value >= 0.0
+        if not (number if known[name] is float else isinstance(value, known[name])):
+            right = {float: "a number, 0 or more", bool: "true or false", str: "a text"}[known[name]]
+            raise BadSetting(f"{where}options.{name} = {value!r}: should be {right}")
+    if fault.options.get("kind", "both") not in KINDS:
+        raise BadSetting(f"{where}options.kind = {fault.options['kind']!r}: should be one of {', '.join(KINDS)}")
+    if verb == "join" and "class" not in fault.options:
+        raise BadSetting(f"{where}options.class is missing: a newcomer needs a sensor class")
+
+
+@dataclass
+class Schedule:
+    """The faults of a scenario, each carried out once when the world's time has come."""
+
+    seed: int
+    faults: Sequence[FaultSettings]
+    _next: int = 0
+    _order: list[int] = field(default_factory=list)
+    _ends: list[tuple[float, Action]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._order = sorted(range(len(self.faults)), key=lambda index: self.faults[index].at)
+
+    def due(self, time: float, alive: Sequence[str], dead: Sequence[str], known: Sequence[str]) -> list[Action]:
+        """Everything that is due at the world time `time`, s; draws from the dead for a restart, else from the living.
+
+        In place of a fault that cannot be carried out, since too few agents qualify, stands an action `REFUSED`; its option says why.
+        """
+        actions = [action for at, action in self._ends if at <= time]
+        self._ends = [end for end in self._ends if end[0] > time]
+        while self._next < len(self._order) and self.faults[self._order[self._next]].at <= time:
+            index = self._order[self._next]
+            fault = self.faults[index]
+            verb = plain_verb(fault.verb)
+            self._next += 1
+            try:
+                names = self._names(index, verb, dead if verb == "restart" else alive, known)
+            except BadSetting as error:
+                actions.append(Action(REFUSED, [], None, {"why": f"{verb} {error}"}))
+                continue
+            actions.append(Action(verb, names, fault.value, fault.options))
+            if fault.seconds is not None and verb in INVERSE:
+                self._ends.append((fault.at + fault.seconds, Action(INVERSE[verb], names)))
+            elif fault.seconds is not None and verb in ENDED_BY_ZERO:
+                self._ends.append((fault.at + fault.seconds, Action(verb, names, 0.0)))
+        return actions
+
+    def _names(self, index: int, verb: str, candidates: Sequence[str], known: Sequence[str]) -> list[str]:
+        who = self.faults[index].who
+        if verb == "join":
+            return [who or f"guest{index}"]
+        if verb in LINK_VERBS and not who:
+            return list(candidates)
+        return choose(who, candidates, known, stream(self.seed, "faults", index))

@@ -1,0 +1,99 @@
+"""The links of a whole swarm: what the link verbs of `deploy.faults.faults` do to every direction between two nodes.
+
+In a simulation `Links` lies between the nodes of the virtual bus; live, the supervisor tells every agent its own `reception`. Faults
+without names in them touch the links between agents only: the world and the monitor are reached through them by name.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+from deploy.faults.faults import SHARES, Action
+from protocol.links import CLEAR, Condition, Ears, Reception
+
+Direction = tuple[str, str]  # sender, receiver
+
+
+class Links:
+    """The state of all links; `act` changes it, `carry` lives by it."""
+
+    def __init__(self, seed: int, names: Sequence[str]) -> None:
+        self._seed = seed
+        self._names = list(names)
+        self._cut: set[Direction] = set()
+        self._torn: set[Direction] = set()  # cut, and the session goes with it
+        self._conditions: dict[Direction, Condition] = {}
+        self._ears: dict[str, Ears] = {}
+
+    def add(self, name: str) -> None:
+        """A newcomer, whose links are clear."""
+        if name not in self._names:
+            self._names.append(name)
+
+    def act(self, action: Action) -> None:
+        """Carry out a link verb."""
+        if action.verb == "heal":
+            self._cut, self._torn, self._conditions = set(), set(), {}
+        elif action.verb == "partition":
+            cut = self._partition(action.names, str(action.options.get("kind", "both")))
+            self._cut |= cut
+            self._torn |= cut if action.options.get("tokens", True) else set()
+        else:
+            self._spoil(action)
+        for name in {*self._ears, *self._receivers()}:
+            self._ears.setdefault(name, Ears(self._seed, name)).set(self.reception(name))
+
+    def reception(self, receiver: str) -> Reception:
+        """How one node hears the others."""
+        cut = tuple(sorted(sender for sender, hearer in self._cut if hearer == receiver))
+        return Reception(cut=cut, conditions={sender: found for (sender, hearer), found in self._conditions.items() if hearer == receiver})
+
+    def torn(self, one: str, other: str) -> bool:
+        """Whether the session between two nodes has been cut; one direction is enough."""
+        return (one, other) in self._torn or (other, one) in self._torn
+
+    def carry(self, sender: str, receiver: str, key: str, payload: bytes, now: float) -> Sequence[tuple[float, bytes]]:
+        """(delay s, payload) of every copy that arrives (`protocol.virtual.Link`)."""
+        ears = self._ears.get(receiver)
+        return ears.hear(sender, payload) if ears else [(0.0, payload)]
+
+    def _partition(self, names: Sequence[str], kind: str) -> set[Direction]:
+        """The directions that are cut between those meant and the rest."""
+        side = list(names)
+        rest = [name for name in self._names if name not in side]
+        if kind == "bridge":
+            rest = rest[1:]
+        cut = {(sender, receiver) for sender in side for receiver in rest}
+        return cut if kind == "one-way" else cut | {(receiver, sender) for sender, receiver in cut}
+
+    def _spoil(self, action: Action) -> None:
+        """Set the condition of every link from or to those meant."""
+        changes: dict[str, float] = {name: float(value) for name, value in action.options.items()}
+        changes[action.verb] = action.value or 0.0
+        if not action.value and action.verb not in SHARES:
+            changes["jitter"] = 0.0
+        for direction in self._around(action.names):
+            changed = msgspec.structs.replace(self._conditions.get(direction, CLEAR), **changes)
+            if msgspec.structs.replace(changed, burst=0.0, spread=CLEAR.spread) == CLEAR:
+                self._conditions.pop(direction, None)
+            else:
+                self._conditions[direction] = changed
+
+    def _around(self, names: Iterable[str]) -> list[Direction]:
+        pairs = {pair for name in names for other in self._names if other != name for pair in ((name, other), (other, name))}
+        return sorted(pairs)
+
+    def _receivers(self) -> set[str]:
+        return {receiver for _, receiver in {*self._cut, *self._conditions}}
+
+
+def describe(action: Action) -> str:
+    """What a link verb has done, in one line."""
+    who = ", ".join(action.names)
+    if action.verb == "heal":
+        return "all links are clear again"
+    if action.verb == "partition":
+        kind = {"one-way": "nobody hears", "bridge": "cut off but for one bridge:"}.get(str(action.options.get("kind")), "cut off")
+        return f"{kind} {who}"
+    amount = f"{action.value:g} s" if action.verb == "delay" else f"{100.0 * (action.value or 0.0):g} % of the messages"
+    return f"{action.verb} {amount} from and to {who}"

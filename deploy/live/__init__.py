@@ -1,0 +1,1 @@
+"""A live swarm: supervisor, child processes, zygote, control socket, certificates and start."""

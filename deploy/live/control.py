@@ -1,0 +1,128 @@
+"""The control socket of a running swarm: JSON lines over a Unix socket, one answer per request.
+
+{"verb": "kill", "who": "30%"}  ->  {"ok": "killed s2, s7"}  or  {"error": "one line"}
+{"verb": "status"}              ->  {"ok": "", "data": {...}}
+{"verb": "faults"}              ->  {"ok": "", "data": [[12.5, "partition", "cut off s5"], ...]}
+"""
+
+import asyncio
+import json
+import os
+import socket
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from deploy.storage.run_directory import RunDirectory
+from protocol.settings import BadSetting
+
+Answer = dict[str, Any]
+MOST_LINE = 1 << 20
+MOST_ANSWER = 1 << 22
+ANSWER_SECONDS = 20.0
+
+
+class ControlServer:
+    """Listens on the control socket of a run and hands requests to `answer`."""
+
+    def __init__(self, directory: RunDirectory, answer: Callable[[dict[str, Any]], Awaitable[Answer]]) -> None:
+        self._directory = directory
+        self._answer = answer
+        self._server: asyncio.Server | None = None
+        self._path: Path | None = None
+
+    async def open(self) -> None:
+        """Start to listen, and say in control.json where."""
+        self._path = self._directory.socket_path()
+        self._path.unlink(missing_ok=True)
+        self._server = await asyncio.start_unix_server(self._serve, str(self._path), limit=MOST_LINE)
+        self._directory.control.write_text(json.dumps({"socket": str(self._path), "pid": os.getpid()}) + "\n", encoding="utf-8")
+
+    async def close(self) -> None:
+        """Stop to listen and remove the socket."""
+        if self._server is not None:
+            self._server.close()
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+        self._directory.control.unlink(missing_ok=True)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while line := await reader.readline():
+                writer.write(json.dumps(await self._one(line)).encode() + b"\n")
+                await writer.drain()
+        except (ConnectionError, ValueError):
+            pass  # a client that left or wrote an endless line
+        except asyncio.CancelledError:
+            pass  # the run ends; were it raised again, asyncio before 3.12 would log an error
+        finally:
+            writer.close()
+
+    async def _one(self, line: bytes) -> Answer:
+        try:
+            request = json.loads(line)
+            if not isinstance(request, dict):
+                raise BadSetting("a request is a JSON object with a verb")
+            return await self._answer(request)
+        except json.JSONDecodeError:
+            return {"error": "a request is one line of JSON"}
+        except BadSetting as error:
+            return {"error": str(error)}
+
+
+class ControlClient:
+    """Speaks to the supervisor of a running run; blocks."""
+
+    def __init__(self, directory: RunDirectory) -> None:
+        try:
+            where = json.loads(directory.control.read_text(encoding="utf-8"))["socket"]
+            self._socket = socket.socket(socket.AF_UNIX)
+            self._socket.settimeout(30.0)
+            self._socket.connect(where)
+        except (OSError, ValueError, KeyError):
+            raise BadSetting(f"--run {directory.name}: the run is starting or ending; try again in a second") from None
+        self._file = self._socket.makefile("rwb")
+
+    def ask(self, verb: str, who: str = "", value: float | None = None, options: dict[str, Any] | None = None) -> Answer:
+        """The answer to a request; raises BadSetting with the supervisor's complaint, or when it has gone."""
+        request = {"verb": verb, "who": who, "value": value, "options": options or {}}
+        try:
+            self._file.write(json.dumps(request).encode() + b"\n")
+            self._file.flush()
+            line = self._file.readline()
+        except OSError:
+            line = b""
+        if not line:
+            raise BadSetting("the run has ended")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise BadSetting(answer["error"])
+        return answer
+
+    def close(self) -> None:
+        """Hang up."""
+        self._file.close()
+        self._socket.close()
+
+
+async def ask(directory: RunDirectory, verb: str, who: str = "") -> Answer:
+    """The supervisor's answer to one request, in an event loop; raises BadSetting with its complaint, or without an answer."""
+    try:
+        where = json.loads(directory.control.read_text(encoding="utf-8"))["socket"]
+        async with asyncio.timeout(ANSWER_SECONDS):
+            answer = await _one_answer(where, json.dumps({"verb": verb, "who": who}).encode() + b"\n")
+    except (OSError, ValueError, KeyError, TimeoutError):
+        raise BadSetting("the supervisor does not answer: the run is starting or has ended") from None
+    if "error" in answer:
+        raise BadSetting(answer["error"])
+    return answer
+
+
+async def _one_answer(where: str, request: bytes) -> Answer:
+    reader, writer = await asyncio.open_unix_connection(where, limit=MOST_ANSWER)
+    try:
+        writer.write(request)
+        answer: Answer = json.loads(await reader.readline())
+        return answer
+    finally:
+        writer.close()

@@ -1,0 +1,178 @@
+"""One child process of a run: started, paused, resumed, killed, and looked at. Nothing here waits.
+
+A child ends with its supervisor whatever happens: its stdin is a pipe that only the supervisor holds, and it asks the kernel for
+SIGKILL when the thread that started it ends; so children are started from the main thread only.
+"""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from deploy.installation import ROOT, command, environment
+from deploy.live.zygote import Forked, Zygote
+from deploy.scenario import Scenario
+from deploy.storage.run_directory import RunDirectory
+
+Spawn = Literal["zygote", "exec"]  # how agents are started
+
+CRASHES = (1, *(-number for number in (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGFPE)))
+EXIT_FENCED = 3  # of an agent that has met a younger process of its name
+
+
+@dataclass
+class Child:
+    """A process of the run under its name, through all its incarnations."""
+
+    name: str
+    room: str  # agents or world
+    directory: RunDirectory
+    arguments: list[str]  # endpoints, and the sensor of an agent
+    incarnation: int = 0
+    paused: bool = False
+    returncode: int | None = None  # of the newest incarnation; negative: the signal that ended it
+    ended_at: float | None = None  # Unix time, for people only
+    seen_stopped: bool = False  # since the last signal that was sent from here
+    process: subprocess.Popen[bytes] | Forked | None = field(default=None, repr=False)
+    zygote: Zygote | None = field(default=None, repr=False)  # forks it; None: it is executed
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the process exists and has not been seen to end; a paused one is running."""
+        return self.process is not None
+
+    @property
+    def pid(self) -> int | None:
+        """Its process id while it runs and as soon as it is known."""
+        return self.process.pid if self.process else None
+
+    def start(self, *extra: str) -> None:
+        """Start the next incarnation."""
+        assert self.process is None
+        self.incarnation += 1
+        self.paused, self.seen_stopped, self.returncode, self.ended_at = False, False, None, None
+        config = self.directory.agents if self.room == "agents" else self.directory.config
+        words = ["--name", self.name, "--config", str(config), "--supervised"]
+        words += ["--incarnation", str(self.incarnation), *self.arguments, *extra]
+        if self.zygote is not None:
+            with contextlib.suppress(OSError):  # a zygote that has died: the child is executed instead
+                self.process = self.zygote.fork(words, self.directory.log(self.name))
+                return
+        with self.directory.log(self.name).open("ab") as log:
+            self.process = subprocess.Popen(
+                [*command(self.room), *words],
+                cwd=ROOT,
+                env=child_environment(),
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                process_group=0,  # Ctrl-C in the terminal is the supervisor's alone
+            )
+
+    def poll(self) -> bool:
+        """Notice the end of the process; True when it has ended since the last look."""
+        if self.process is None or self.process.poll() is None:
+            return False
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        self.returncode, self.ended_at = self.process.returncode, time.time()
+        self.process, self.paused, self.seen_stopped = None, False, False
+        return True
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal if it runs."""
+        if self.process is not None:
+            self.process.send_signal(number)
+            self.seen_stopped = False
+            self.paused = number == signal.SIGSTOP or (self.paused and number != signal.SIGCONT)
+
+    def look(self) -> Literal["pause", "resume", ""]:
+        """Notice a SIGSTOP or SIGCONT that was not sent from here, on Linux.
+
+        A SIGSTOP sent from here counts as obeyed from the start: on a busy machine the kernel shows it later.
+        """
+        stopped = self.pid is not None and is_stopped(self.pid)
+        if stopped == self.seen_stopped:
+            return ""
+        self.seen_stopped = stopped
+        if stopped == self.paused:
+            return ""
+        self.paused = stopped
+        return "pause" if stopped else "resume"
+
+    def tell(self, line: str) -> None:
+        """Write a line to its standard input; dropped when it has ended, or has been stopped for so long that the pipe is full."""
+        if self.process is not None and self.process.stdin is not None:
+            number = self.process.stdin.fileno()
+            os.set_blocking(number, False)
+            with contextlib.suppress(OSError):
+                os.write(number, line.encode() + b"\n")
+
+    def end(self) -> str:
+        """How it ended, for people: `killed by SIGKILL`, `exit code 2`; empty while it runs."""
+        if self.returncode is None:
+            return ""
+        if self.returncode < 0:
+            return f"killed by {signal.Signals(-self.returncode).name}"
+        return f"exit code {self.returncode}{': a younger process of this name has taken over' if self.returncode == EXIT_FENCED else ''}"
+
+    @property
+    def crashed(self) -> bool:
+        """Whether it ended by an exception or a crash of its own: neither done, nor stopped, nor killed."""
+        return self.returncode in CRASHES
+
+    def last_log_line(self) -> str:
+        """The last line of its log that is no JSON, where complaints about bad input stand; else its last exception or message."""
+        try:
+            lines = self.directory.log(self.name).read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            return ""
+        plain = [line for line in lines if line.strip() and not line.startswith("{")]
+        return plain[-1] if plain else _message(lines[-1]) if lines else ""
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether the kernel says that a process is stopped (state T); False where there is no /proc."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[0] == "T"
+    except OSError:
+        return False
+
+
+def _message(line: str) -> str:
+    """What a line of a log says: the last line of its exception where it has one."""
+    try:
+        record = json.loads(line)
+    except ValueError:
+        return line
+    exception = str(record.get("exception", "")).strip().splitlines()
+    return exception[-1] if exception else str(record.get("message", line))
+
+
+def rooms(scenario: Scenario) -> dict[str, str]:
+    """The processes of a run and the room that each is of."""
+    return {"world": "world", **dict.fromkeys(scenario.members, "agents")}
+
+
+def process_rows(children: Mapping[str, Child], members: Mapping[str, str], agents: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every process as `ps` shows it, with the scorer's figures of agents; agents that were not started here come last."""
+    scored = {agent["name"]: agent for agent in agents}
+    rows: list[dict[str, Any]] = []
+    for name, child in children.items():
+        state = "paused" if child.paused else "running" if child.is_running else "dead"
+        row: dict[str, Any] = {"name": name, "class": members.get(name, ""), "state": state, "pid": child.pid}
+        row |= {"incarnation": child.incarnation, "end": child.end(), "ended_at": child.ended_at}
+        rows.append({**scored.pop(name, {}), **row})
+    guest = {"class": "", "state": "guest", "pid": None, "end": "", "ended_at": None}
+    return rows + [{**agent, **guest} for agent in scored.values() if agent["alive"]]
+
+
+def child_environment() -> dict[str, str]:
+    """The environment of children: they look for a user's own modules in the user's folder, after ours; numpy uses one thread."""
+    return {**environment(), "COVEY_MODULES": os.getcwd(), "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}

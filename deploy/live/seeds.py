@@ -1,0 +1,34 @@
+"""Where the processes of a run find each other: the few that listen on a known port."""
+
+from collections.abc import Mapping, Sequence
+
+from deploy.scenario import Scenario
+from protocol.endpoints import free_port
+from protocol.settings import BadSetting, NetworkSettings
+
+SEED_AGENTS = 1  # agents that listen on a known port beside monitor and world, so that newcomers find the swarm when these are down
+
+
+def seed_listeners(scenario: Scenario) -> dict[str, str]:
+    """Which processes listen on a known port, and where: on free ports, or the monitor alone where the scenario says."""
+    if scenario.network.mode == "router":
+        raise BadSetting("network.mode = router: should be peer or client; the router of a run is its supervisor")
+    if scenario.network.listen != NetworkSettings().listen:
+        return {"monitor": scenario.network.listen[0]}
+    if scenario.network.mode == "client":
+        return {"monitor": f"tcp/127.0.0.1:{free_port()}"}
+    names = ["monitor", "world", *list(scenario.members)[:SEED_AGENTS]]
+    ports: set[int] = set()
+    while len(ports) < len(names):
+        ports.add(free_port())
+    link = "tls" if scenario.network.encrypted else "tcp"
+    return {name: f"{link}/127.0.0.1:{port}" for name, port in zip(names, sorted(ports))}
+
+
+def endpoints(name: str, listens: Mapping[str, str], seeds: Sequence[str]) -> list[str]:
+    """The endpoint options of a process: a seed listens on its known endpoint and does not dial it."""
+    own = listens.get(name)
+    words = ["--listen", own] if own else []
+    for endpoint in seeds:
+        words += ["--seed-endpoint", endpoint] if endpoint != own else []
+    return words

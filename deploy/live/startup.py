@@ -1,0 +1,99 @@
+"""The start of a run: starts every process, and reports what the first tick waits for and which agents miss it."""
+
+import asyncio
+import importlib
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from agents.numba_cache import loops_on_disk, number_of_loops
+from deploy.live.processes import Child
+from deploy.live.zygote import Zygote
+from deploy.scoring.scorer import Scorer
+from protocol.messages import Truth
+
+HOLD = 20.0  # s at most for which the last agent is held back without a new process heard by the monitor
+LOOK = 0.05  # s between two looks at the zygote while it prepares
+MOST_NAMED = 5  # missing agents that are named; more are counted
+
+
+class Startup:
+    """Used once by a supervisor, in its event loop. Nothing here blocks: a run can be ended while it starts."""
+
+    def __init__(self, members: list[str], children: list[Child], scorer: Scorer, zygote: Zygote | None, log: Path) -> None:
+        """`members` are the agents that the scenario has, `log` is that of the zygote."""
+        self._members, self._children, self._scorer, self._zygote, self._log = members, children, scorer, zygote, log
+        self._begun = time.monotonic()
+        self._is_told = False  # the early end of the zygote has been reported
+
+    async def start_all(self, tell: Callable[[str], None]) -> None:
+        """Start all processes, the last agent once the monitor hears all others. The world waits for it, so no tick is missed."""
+        *first, last = self._children
+        # For the first score. It begins before the agents are forked: on a starved machine it takes longer than the world waits.
+        loading = threading.Thread(target=importlib.import_module, args=["scipy.optimize"], daemon=True)
+        loading.start()
+        for child in first:
+            if child.zygote is not None:
+                await self._prepare(child.zygote, tell)
+            child.start()
+            if child.name == "world":
+                self.expect()
+        heard, end = 0, time.monotonic() + HOLD
+        while loading.is_alive() or (time.monotonic() < end and not self._are_heard(first)):
+            if len(self._scorer.greeted) > heard:
+                heard, end = len(self._scorer.greeted), time.monotonic() + HOLD
+            await asyncio.sleep(0.02)
+        if last.zygote is not None:
+            await self._prepare(last.zygote, tell)
+        last.start()
+
+    async def _prepare(self, zygote: Zygote, tell: Callable[[str], None]) -> None:
+        """Return when the zygote can fork or has ended. There is no time limit: the very first start compiles."""
+        while not zygote.is_ready and not zygote.is_gone:
+            await asyncio.sleep(LOOK)
+            zygote.collect()
+        if not zygote.is_ready and not self._is_told:
+            self._is_told = True
+            log = os.path.relpath(self._log)
+            tell(f"the process that prepares agents has ended, see {log}; each agent starts by itself, and works slower")
+
+    def expect(self) -> None:
+        """Tell the world to wait for all agents whose processes have not ended; so it needs no time limit."""
+        if self._scorer.truth is None:
+            ended = {child.name for child in self._children if child.returncode is not None}
+            world = next(child for child in self._children if child.name == "world")
+            world.tell(" ".join(name for name in self._members if name not in ended))
+
+    def _are_heard(self, children: list[Child]) -> bool:
+        """Whether the monitor has heard all of these that run."""
+        return all(child.name in self._scorer.greeted or not child.is_running for child in children)
+
+    def waiting(self) -> str:
+        """What the first tick waits for, in words; empty from then on."""
+        if self._scorer.truth is not None:
+            return ""
+        if self._zygote is None or self._zygote.is_ready or self._zygote.is_gone:
+            alive = self._scorer.alive()
+            return f"there are {self._who([name for name in self._members if name not in alive])}"
+        done, number, seconds = loops_on_disk(), number_of_loops(), time.monotonic() - self._begun
+        if done >= number:
+            return "loading the compiled loops"
+        return f"compiling loop {done + 1} of {number}, once on this machine ({seconds:.0f} s so far)"
+
+    def check(self, truth: Truth) -> str:
+        """A complaint when members are missing at the first tick, which also stands in the result and on the page; else empty."""
+        missing = [name for name in self._members if name not in truth.alive]
+        if not missing:
+            return ""
+        complaint = f"the run starts with {self._who(missing)}"
+        self._scorer.missing = tuple(missing)
+        self._scorer.note_fault("start", complaint)
+        return complaint
+
+    def _who(self, missing: list[str]) -> str:
+        """The number of present agents, and the names of missing ones."""
+        number = f"{len(self._members) - len(missing)} of {len(self._members)} agents"
+        more = f" and {len(missing) - MOST_NAMED} more" if len(missing) > MOST_NAMED else ""
+        return f"{number} (without {', '.join(missing[:MOST_NAMED])}{more})" if missing else number

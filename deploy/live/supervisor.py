@@ -1,0 +1,393 @@
+"""The supervisor: starts the world and the agents, kills, pauses and restarts them, notices deaths, and leaves no orphan.
+
+It is no part of the swarm: agents find each other by themselves and go on without it in every respect but one, they end with it.
+Everything runs in one event loop in the main thread (children must be started from there).
+"""
+
+import asyncio
+import contextlib
+import logging
+import signal
+import time
+from collections.abc import Callable
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
+from deploy.faults.links import Links, describe
+from deploy.live.control import Answer, ControlServer
+from deploy.live.processes import Child, process_rows, rooms
+from deploy.live.seeds import endpoints, seed_listeners
+from deploy.live.startup import Startup
+from deploy.live.zygote import Zygote
+from deploy.scenario import FaultSettings, Scenario, check_names
+from deploy.scoring.result import Result
+from deploy.scoring.scorer import Scorer, Status
+from deploy.storage.kept_runs import link_latest
+from deploy.storage.run_directory import RunDirectory
+from protocol.codec import encode
+from protocol.endpoints import check_endpoints, check_files
+from protocol.links import as_line
+from protocol.live import Driver
+from protocol.messages import Truth
+from protocol.settings import BadSetting, NetworkSettings
+
+GRACE = 2.5  # s for children to end by themselves
+WORLD_SECONDS = 60.0  # that a run which nobody attends stands still without a world before it ends
+EXIT_CRASHED = 1  # of a run in which a process ended by an exception
+EXIT_BAD_INPUT = 2
+
+log = logging.getLogger(__name__)
+
+
+class Supervisor:
+    """One run, from the first process to the result."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        directory: RunDirectory,
+        on_event: Callable[[str], None] = lambda text: None,
+        on_status: Callable[[Status], None] = lambda status: None,
+        zygote: Zygote | None = None,
+        attended: bool = True,
+    ) -> None:
+        """`zygote`: from now on the supervisor's, which ends it; None: agents are started from nothing. `attended`: at a terminal."""
+        check_faults(scenario.faults, list(scenario.members), live=True, link_faults=scenario.network.link_faults)
+        check_endpoints(scenario.network)
+        check_names(scenario)
+        for name in ("monitor", "world", *scenario.members):
+            check_files(scenario.network, name)
+        self.directory = directory
+        self.result: Result | None = None
+        self._listens = seed_listeners(scenario)
+        seeds = tuple(dict.fromkeys([*self._listens.values(), *scenario.network.seeds]))
+        admit = scenario.network.admit or tuple(scenario.members)
+        network = msgspec.structs.replace(scenario.network, seeds=seeds, listen=NetworkSettings().listen, admit=admit)
+        own = self._listens["monitor"]
+        others = tuple(seed for seed in seeds if seed != own)
+        mode: Literal["peer", "router"] = "peer" if network.mode == "peer" else "router"
+        self._own_network = msgspec.structs.replace(network, mode=mode, listen=(own,), seeds=others)
+        self.scenario = msgspec.structs.replace(scenario, network=network)
+        self.scorer = Scorer(self.scenario, incarnation=time.time_ns() // 1_000_000)
+        self.scorer.on_truth = self._on_truth
+        self.scorer.on_twin = self._on_twin
+        self.scorer.on_differing = self._on_differing
+        self.scorer.on_report = lambda told: on_event(f"[{told.time:.1f} s] {told.text}")
+        self.crashed: list[str] = []  # processes that have ended by an exception or a crash of their own
+        self._advised = False
+        self._attended = attended
+        self._still_since: float | None = None  # when the world died
+        self.children = {name: Child(name, room, directory, self._words(name, seeds)) for name, room in rooms(scenario).items()}
+        self._zygote = zygote
+        for name in scenario.members:
+            self.children[name].zygote = self._zygote
+        self._start = Startup(list(scenario.members), list(self.children.values()), self.scorer, zygote, directory.log("zygote"))
+        self._schedule = Schedule(scenario.run.seed, scenario.faults)
+        self._links = Links(scenario.run.seed, list(scenario.members))
+        self._on_event, self._on_status = on_event, on_status
+        self._over: asyncio.Future[int] | None = None
+        self._winding_down = False
+        self._started_at = time.monotonic()
+        self._first_truth_at: float | None = None
+        self._rng = np.random.default_rng()  # of commands by hand only; those of the scenario are drawn from its seed
+
+    async def run(self) -> int:
+        """Run to the end; the exit code. Raises BadSetting when a process refuses its input."""
+        loop = asyncio.get_running_loop()
+        self._over = loop.create_future()
+        for number, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
+            loop.add_signal_handler(number, self._on_signal, code)
+        loop.add_signal_handler(signal.SIGCHLD, self._reap)
+        if self._zygote is not None:
+            loop.add_reader(self._zygote.fileno(), self._hear, self._zygote)
+        driver = Driver(self.scorer, self._own_network)
+        control = ControlServer(self.directory, self._answer)
+        monitor = start = None
+        try:
+            self.directory.write_config(self.scenario)
+            link_latest(self.directory)
+            await driver.open()
+            monitor = asyncio.create_task(driver.serve())
+            await control.open()
+            start = asyncio.create_task(self._start.start_all(self._tell))
+            return await self._watch(monitor, start)
+        finally:
+            if start is not None:
+                start.cancel()
+                await asyncio.gather(start, return_exceptions=True)
+            await self._wind_down()
+            if self._zygote is not None:
+                loop.remove_reader(self._zygote.fileno())
+                self._zygote.close()
+            await control.close()
+            driver.stop(0, "the run is over")
+            if monitor is not None:
+                await asyncio.gather(monitor, return_exceptions=True)
+
+    async def _watch(self, monitor: "asyncio.Task[int]", start: "asyncio.Task[None]") -> int:
+        """Report the status twice a second until the run is over."""
+        assert self._over is not None
+        while not self._over.done():
+            await asyncio.wait([self._over], timeout=0.5)
+            self._reap()  # in case a signal was merged with another
+            self._notice_pauses()
+            self._end_without_world()
+            status = self._status()
+            self._on_status(status)
+            if status.tick_rate.advice and not self._advised:
+                self._advised = True
+                self._tell(status.tick_rate.advice)
+            if start.done() and not self._over.done():
+                start.result()
+            if monitor.done() and not self._over.done():
+                monitor.result()
+                raise RuntimeError("the monitor's session has ended")
+        code = self._over.result()
+        if code == 0:
+            await self._wait_for_estimates()
+            code = EXIT_CRASHED if self.crashed else 0
+        self._make_result(code)
+        return code
+
+    def _notice_pauses(self) -> None:
+        """A process that was stopped by a signal from outside is paused as well."""
+        for child in self.children.values():
+            if verb := child.look():
+                self._note_pauses(verb, [child.name])
+                helps = f"has been stopped from outside; `covey resume {child.name}` lets it go on"
+                self._tell(f"{child.name} {helps if verb == 'pause' else 'goes on, told from outside'}")
+
+    def _end_without_world(self) -> None:
+        """End a run whose world is dead, that nobody attends and that nobody has repaired."""
+        if self._attended or self._still_since is None or time.monotonic() < self._still_since + WORLD_SECONDS:
+            return
+        if self._over is not None and not self._over.done():
+            self._tell(f"the world has been dead for {WORLD_SECONDS:.0f} s and nobody has restarted it: the run ends")
+        self._end(EXIT_CRASHED)
+
+    def _status(self) -> Status:
+        """The status of the swarm, and what its start waits for."""
+        return msgspec.structs.replace(self.scorer.status(), waiting=self._start.waiting())
+
+    async def _wait_for_estimates(self) -> None:
+        """Give the estimates of the last tick a moment to arrive."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(1.0):
+                while not self.scorer.is_up_to_date():
+                    await asyncio.sleep(0.01)
+
+    def _make_result(self, code: int) -> None:
+        now = asyncio.get_running_loop().time()
+        self.scorer.finish(now)
+        result = self.scorer.result(now - (self._first_truth_at or now))
+        self.result = msgspec.structs.replace(result, exit_code=code, tick_rate=self.scorer.tick_rate.whole())
+        try:
+            self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
+        except OSError as error:
+            self._tell(f"{self.directory.result}: {error.strerror}; the result is not kept")
+
+    async def _wind_down(self) -> None:
+        """End all children: SIGTERM, then SIGKILL after `GRACE`; before the first tick at once. None is left."""
+        self._winding_down = True
+        for child in self.children.values():
+            child.send(signal.SIGTERM)
+            child.send(signal.SIGCONT)
+        end = time.monotonic() + (GRACE if self.scorer.truth is not None else 0.0)
+        while any(child.is_running for child in self.children.values()):
+            if time.monotonic() > end:
+                self._kill_all()
+                if self._zygote is not None:  # with children of which no pid is known
+                    self._zygote.kill()
+            await asyncio.sleep(0.02)
+            self._reap()
+
+    def _kill_all(self) -> None:
+        for child in self.children.values():
+            child.send(signal.SIGKILL)
+
+    def _on_signal(self, code: int) -> None:
+        """The first signal ends the run, the second one at once."""
+        if self._winding_down:
+            self._kill_all()
+        self._end(code)
+
+    def _end(self, code: int) -> None:
+        if self._over is not None and not self._over.done():
+            self._over.set_result(code)
+
+    def _hear(self, zygote: Zygote) -> None:
+        """Read the messages of the zygote, until it has ended."""
+        zygote.collect()
+        if zygote.is_gone:
+            asyncio.get_running_loop().remove_reader(zygote.fileno())
+        self._reap()
+
+    def _reap(self) -> None:
+        """Notice the end of children."""
+        for child in self.children.values():
+            if child.poll() and not self._winding_down:
+                self._on_death(child)
+
+    def _on_death(self, child: Child) -> None:
+        log.info("%s ended: %s", child.name, child.end(), extra={"tick": self.scorer.truth.tick if self.scorer.truth else None})
+        if child.name == "world" and child.returncode == 0:
+            self._end(0)
+            return
+        if child.returncode == EXIT_BAD_INPUT or (self.scorer.truth is None and child.returncode == 1):
+            self._fail(BadSetting(child.last_log_line() or f"{child.name} ended with {child.end()}"))
+        if self.scorer.truth is None and self.scenario.run.strict:
+            why = self._start.waiting() if child.name == "world" else f"{child.name} died: {child.end()}"
+            self._fail(BadSetting(f"{why}; --strict refuses to start with fewer than {len(self.scenario.members)} agents"))
+        self._start.expect()
+        self._note_pauses("kill", [child.name])
+        words = f"{child.name} died: {child.end()}"
+        if child.crashed:
+            self.crashed.append(child.name)
+            words += f": {child.last_log_line()}"
+        if child.name == "world":
+            self._still_since = time.monotonic()
+            otherwise = "Ctrl-C ends the run" if self._attended else f"after {WORLD_SECONDS:.0f} s without it the run ends"
+            words += f"; the swarm stands still until `covey restart world --run {self.directory.name}`, {otherwise}"
+        self._tell(words)
+
+    def _fail(self, error: Exception) -> None:
+        if self._over is not None and not self._over.done():
+            self._over.set_exception(error)
+
+    def _tell(self, text: str) -> None:
+        when = f"{self.scorer.truth.time:.1f} s" if self.scorer.truth else "start"
+        self._on_event(f"[{when}] {text}")
+
+    def _on_truth(self, truth: Truth) -> None:
+        """The world's time has moved on: carry out the faults that are due."""
+        if self._first_truth_at is None:
+            self._first_truth_at = asyncio.get_running_loop().time()
+            log.info("the first tick", extra={"seconds": round(self._first_truth_at - self._started_at, 3)})
+            if complaint := self._start.check(truth):
+                log.warning(complaint)
+                self._tell(complaint)
+        for action in self._schedule.due(truth.time, self._agents("running"), self._agents("dead"), list(self.children)):
+            try:
+                if action.verb == REFUSED:
+                    raise BadSetting(action.options["why"])
+                self._act(action)
+            except BadSetting as error:
+                self._tell(f"a fault of the scenario could not be carried out: {error}")
+
+    def _on_twin(self, name: str, known: int, other: int) -> None:
+        """Warn about two processes of one name, unless the younger one was just started here in place of a killed one."""
+        child = self.children.get(name)
+        if child is None or child.incarnation != max(known, other):
+            text = f"two processes are called {name}, incarnations {known} and {other}: the older one stops itself"
+            log.warning(text)
+            self._tell(text)
+
+    def _on_differing(self, name: str, fields: tuple[str, ...]) -> None:
+        text = f"the settings of {name} are not those of the run in {', '.join(fields)}: the others refuse it"
+        log.warning(text)
+        self._tell(text)
+
+    # ------------------------------------------------------------------ verbs
+
+    async def _answer(self, request: dict[str, Any]) -> Answer:
+        """Carry out a request of the control socket."""
+        verb, who = str(request.get("verb", "")), str(request.get("who", ""))
+        if verb == "status":
+            return {"ok": "", "data": self.status()}
+        if verb == "faults":
+            return {"ok": "", "data": self.scorer.faults}
+        if verb == "down":
+            self._end(0)
+            return {"ok": "going down"}
+        fault = FaultSettings(at=0.0, verb=verb, who=who, value=request.get("value"), options=request.get("options") or {})
+        check_fault(fault, "", [*self.scenario.members], live=True, link_faults=self.scenario.network.link_faults)
+        states = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}
+        candidates = self._agents(states.get(verb, "running"))
+        names = choose(who, candidates, list(self.children), self._rng) if who else candidates
+        return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}
+
+    def _act(self, action: Action) -> str:
+        """Carry out an action; a line that says what was done."""
+        verb, names, done = action.verb, action.names, []
+        if verb in LINK_VERBS:
+            return self._change_links(action)
+        self._note_pauses(verb, [name for name in names if self.children[name].is_running])
+        for name in names:
+            child = self.children[name]
+            if verb == "restart":
+                self._restart(child)
+            elif not child.is_running:
+                raise BadSetting(f"{name} is not running; `covey restart {name}` brings it back")
+            else:
+                child.send({"kill": signal.SIGKILL, "pause": signal.SIGSTOP, "resume": signal.SIGCONT}[verb])
+            done.append(name)
+        past = {"kill": "killed", "pause": "paused", "resume": "resumed", "restart": "restarted"}[verb]
+        text = f"{past} {', '.join(done)}" if done else f"nobody to {verb}"
+        log.info(text)
+        self._tell(text)
+        return text
+
+    def _note_pauses(self, verb: str, names: list[str]) -> None:
+        """Tell the scorer which agents are paused on request: a paused agent whose token is lost has not died."""
+        if verb in ("pause", "resume") or self.scorer.deaths.paused.intersection(names):
+            self.scorer.note_fault(verb, f"{verb} {', '.join(names)}", ",".join(names), asyncio.get_running_loop().time())
+
+    def _change_links(self, action: Action) -> str:
+        """Change the links between agents: every agent receives its new reception."""
+        self._links.act(action)
+        for name in self.scenario.members:
+            self._tell_links(name)
+        text = describe(action)
+        self.scorer.note_fault(action.verb, text)
+        log.info(text)
+        self._tell(text)
+        return text
+
+    def _tell_links(self, name: str) -> None:
+        if self.scenario.network.link_faults and name in self.scenario.members:
+            self.children[name].tell(as_line(self._links.reception(name)))
+
+    def _restart(self, child: Child) -> None:
+        """Bring a process back under its name, with the next incarnation; a restarted world goes on from the last truth."""
+        if child.process is not None:
+            child.process.kill()
+            child.process.wait()
+            child.poll()
+        if child.name == "world":
+            self._still_since = None
+        if child.name == "world" and self.scorer.truth is not None:
+            self.directory.truth.write_bytes(encode(self.scorer.truth))
+            child.start("--restore", str(self.directory.truth))
+        else:
+            child.start()
+            self._start.expect()
+            self._tell_links(child.name)
+
+    def _agents(self, state: str) -> list[str]:
+        """Names of the agents that are running, awake (running and not paused), paused, or dead."""
+        agents = [self.children[name] for name in self.scenario.members]
+        return [
+            child.name
+            for child in agents
+            if {
+                "running": child.is_running,
+                "awake": child.is_running and not child.paused,
+                "paused": child.paused,
+                "dead": not child.is_running,
+            }[state]
+        ]
+
+    def status(self) -> dict[str, Any]:
+        """The data of `ps` and `watch`: the scores of the swarm, and every process."""
+        swarm = msgspec.to_builtins(self._status())
+        rows = process_rows(self.children, self.scenario.members, swarm.pop("agents"))
+        head = {"run": self.directory.name, "scenario": self.scenario.run.scenario, "endpoint": self._own_network.listen[0]}
+        return {**head, "swarm": swarm, "processes": rows, "faults": self.scorer.faults}
+
+    def _words(self, name: str, seeds: tuple[str, ...]) -> list[str]:
+        """The command-line options of a process: its endpoints, and of an agent its sensor class."""
+        sensor = ["--sensor", self.scenario.members[name]] if name in self.scenario.members else []
+        return [*endpoints(name, self._listens, seeds), *sensor]

@@ -1,0 +1,132 @@
+"""Loading the compiled functions before they are needed, and a notice when they must be compiled first."""
+
+import contextlib
+import fcntl
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import Literal
+
+from agents.agent import Agent
+from agents.backend import PLAIN, Backend
+from agents.config import AgentConfig, TimingSettings
+from agents.numba_cache import compiled_before, loops_on_disk, tidy
+from deploy.installation import ROOT, command
+from protocol.messages import Beacon, Gossip, Hello, Observation
+from protocol.node import Alive, Effect, Started, Timer, received
+from protocol.settings import ArenaSettings, convert
+
+NAMES = ("s1", "s2")
+HALF = ("update_regions",)  # functions of the backend that take as long to compile as all others together
+ROUNDS = 24
+LOST = (4, 5)  # ticks in which the agents do not hear each other
+SKIPPED = (8, 9)  # ticks that s2 does not see
+LATE = 1e3  # s after which every open round closes
+LONGEST = 90.0  # s to wait for the next loop while another process compiles
+
+
+def announce() -> None:
+    """Print a notice when the first start on a machine has to compile."""
+    if not compiled_before():
+        print("covey: compiling the particle loops, once on this machine; some 40 s", file=sys.stderr, flush=True)
+
+
+def warm() -> None:
+    """Let two agents play a few rounds, good ones and bad ones, so that every compiled loop is in memory; the first time compiles them.
+
+    What only a fault calls for must be among them, or the first fault on a machine makes all agents compile, and be silent for it.
+    Of several processes that begin at once one compiles, and the others wait and load what it has left on disk.
+    """
+    from agents.fast import FAST
+
+    with _one_by_one():
+        if not compiled_before() and len(os.sched_getaffinity(0)) > 1:
+            _compile_on_two_cores(FAST)
+        _play_all(FAST)
+        tidy()
+    convert({"members": {"s1": "A"}}, AgentConfig, "")  # types are inspected once here, and not again in every forked child
+
+
+def _compile_on_two_cores(fast: Backend) -> None:
+    """Leave the loops on disk: one half is compiled here, the other by a second process, which ends with this one."""
+    other = subprocess.Popen(command("deploy.live.warmup"), cwd=ROOT, stdin=subprocess.PIPE)
+    try:
+        _play_all(PLAIN._replace(**{name: getattr(fast, name) for name in HALF}))
+        other.wait()
+    finally:
+        other.kill()
+        other.communicate()
+
+
+def main() -> None:
+    """Be the second process: compile everything but the first half."""
+    from agents.fast import FAST
+    from protocol.process import die_with_parent
+
+    die_with_parent()
+    _play_all(FAST._replace(**{name: getattr(PLAIN, name) for name in HALF}))
+
+
+@contextlib.contextmanager
+def _one_by_one() -> Iterator[None]:
+    """Hold the cache folder alone, after other processes that compile. A process without progress may be stopped and is not waited for."""
+    from agents.update_kernels import update
+
+    descriptor = os.open(str(update.stats.cache_path), os.O_RDONLY)  # the folder in which numba keeps what it has compiled
+    try:
+        done, end = 0, time.monotonic() + LONGEST
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(0.05)
+            if loops_on_disk() > done:
+                done, end = loops_on_disk(), time.monotonic() + LONGEST
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _play_all(backend: Backend) -> None:
+    interests: tuple[Literal["all", "neighbours"], ...] = ("all", "neighbours")
+    for interest in interests:
+        arena, timing = ArenaSettings(width=15.0, height=15.0), TimingSettings(interest=interest)  # in some round both hear the same
+        _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing), backend)
+
+
+def _play(config: AgentConfig, backend: Backend) -> None:
+    pair = [Agent(config, name, 1, backend) for name in NAMES]
+    for agent, other in (pair, pair[::-1]):
+        agent.handle(Alive("agent", other.name, 1), 0.0)
+        _tell(other, agent.handle(Started(), 0.0))
+    for tick in range(ROUNDS):
+        said = [(agent, agent.handle(received(_seen(agent.name, tick)), LATE * tick)) for agent in pair if _sees(agent, tick)]
+        for agent, effects in said:
+            if tick not in LOST:
+                _tell(pair[agent is pair[0]], effects)
+        for agent in pair:
+            agent.handle(Timer(), LATE * (tick + 0.5))
+
+
+def _sees(agent: Agent, tick: int) -> bool:
+    return agent.name == NAMES[0] or tick not in SKIPPED
+
+
+def _tell(agent: Agent, effects: list[Effect]) -> None:
+    for effect in effects:
+        if isinstance(effect, Hello | Beacon | Gossip):
+            agent.handle(received(effect), 0.0)
+
+
+def _seen(name: str, tick: int) -> Observation:
+    """One detection at (0, 10) m, from within the arena."""
+    pose = (1.0 + 10.0 * (name == NAMES[1]), 10.0, 3.0)
+    detection = bytes(4) + b"\x00\x00\x20\x41"
+    return Observation(sender="world", incarnation=1, recipient=name, tick=tick, time=0.0, pose=pose, detections_bytes=detection)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""The live page: a server that is a pure subscriber, and one static page that works offline."""

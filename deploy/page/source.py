@@ -1,0 +1,106 @@
+"""Sources of a page: a running swarm or a recording. The server takes pictures from a source and forwards clicks to it."""
+
+import asyncio
+import contextlib
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from deploy.faults.faults import LINK_VERBS
+from deploy.live.control import ask
+from deploy.page.picture import Picture
+from deploy.scoring.result import Fault
+from deploy.scoring.scorer import Score, Scorer
+from deploy.storage.run_directory import RunDirectory
+from protocol.settings import BadSetting
+
+FRAME_PERIOD = 0.1  # s
+STATE_PERIOD = 1.0  # s between two status requests
+BUTTONS = ("kill", "pause", "resume", "restart", "partition", "heal")
+
+
+class Source(Protocol):
+    """What the server needs of a source."""
+
+    picture: Picture
+    jumps: int  # grows when browsers must be greeted again
+    period: float  # s between two frames of different ticks, at least
+
+    def scores(self) -> Sequence[Score]:
+        """All scores that are known, oldest first."""
+
+    def score(self) -> Score | None:
+        """The score of the moment that the picture shows."""
+
+    def about(self, may_act: bool) -> dict[str, Any]:
+        """What a newcomer must know: the kind of source, and what may be clicked."""
+
+    def extra(self) -> dict[str, Any]:
+        """What frames say beside the picture."""
+
+    async def ask(self, request: dict[str, Any]) -> str:
+        """Carry out a click and say what was done; raises BadSetting."""
+
+    async def chores(self) -> None:
+        """What the source does while it is shown."""
+
+
+class LiveSource:
+    """A running swarm. The driver of the scorer feeds the picture; the supervisor, if it can be reached, carries out clicks."""
+
+    def __init__(self, scorer: Scorer, picture: Picture, directory: RunDirectory | None) -> None:
+        self.picture = picture
+        self.jumps = 0
+        self.period = FRAME_PERIOD
+        self._scorer = scorer
+        self._directory = directory
+        self._look_again = asyncio.Event()
+        self._faults = 0  # of the supervisor's list that stand on the time line
+        self._waiting = ""  # what the first tick waits for
+
+    def scores(self) -> Sequence[Score]:
+        return self._scorer.scores
+
+    def score(self) -> Score | None:
+        """The last but one: when a tick has been scored, all has been heard of the one before, its particles included."""
+        return self._scorer.scores[-2] if len(self._scorer.scores) > 1 else None
+
+    def about(self, may_act: bool) -> dict[str, Any]:
+        possible = [verb for verb in BUTTONS if verb not in LINK_VERBS or self.picture.scenario.network.link_faults]
+        return {"source": "live", "verbs": possible if may_act and self._directory else []}
+
+    def extra(self) -> dict[str, Any]:
+        if self._waiting and self.picture.truth is None:
+            return {"waiting": self._waiting}
+        tick_rate = self._scorer.tick_rate.now()
+        speeds = [None if speed is None else round(speed, 1) for speed in (tick_rate.ticks_per_s, tick_rate.asked_per_s)]
+        return {"tick_rate": [*speeds, tick_rate.skipped, tick_rate.late], "advice": tick_rate.advice}
+
+    async def ask(self, request: dict[str, Any]) -> str:
+        verb, who = str(request.get("verb", "")), str(request.get("who", ""))
+        if verb not in BUTTONS:
+            raise BadSetting(f"{verb!r}: should be one of {', '.join(BUTTONS)}")
+        answer = await self._control(verb, who)
+        text = str(answer.get("ok", ""))
+        self.picture.note("asked", who, f"from the page: {text}")
+        self._look_again.set()
+        return text
+
+    async def chores(self) -> None:
+        """Poll the supervisor for what no message shows: the state of the start, paused agents, cut links."""
+        while True:
+            with contextlib.suppress(BadSetting, OSError, KeyError, TypeError):
+                status = (await self._control("status", ""))["data"]
+                self._waiting = status["swarm"]["waiting"]
+                self.picture.pause(frozenset(row["name"] for row in status["processes"] if row["state"] == "paused"))
+                for fault in status["faults"][self._faults :]:
+                    self.picture.note_fault(Fault(*fault))
+                self._faults = len(status["faults"])
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._look_again.wait(), STATE_PERIOD)
+            self._look_again.clear()
+
+    async def _control(self, verb: str, who: str) -> dict[str, Any]:
+        """The supervisor's answer; raises BadSetting with its complaint."""
+        if self._directory is None:
+            raise BadSetting("this run has no supervisor that could be asked")
+        return await ask(self._directory, verb, who)

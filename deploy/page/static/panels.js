@@ -1,0 +1,138 @@
+// Tables and texts beside the arena. Cells are written only when their text has changed.
+import { css, GLYPHS, marks, owner, schemeName } from "./palette.js";
+
+const set = (node, text) => { if (node.textContent !== text) node.textContent = text; };
+const figure = (value, digits) => (value === undefined || value === null ? "" : value.toFixed(digits));
+
+export function element(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) name === "class" ? (node.className = value) : node.setAttribute(name, value);
+  node.append(...children);
+  return node;
+}
+
+// ---------------------------------------------------------------- figures
+const FIGURES = ["OSPA", "GOSPA", "targets", "in cells", "alive", "hole", "overlap", "messages", "ticks", "skipped"];
+
+export function buildFigures(box) {
+  box.replaceChildren(...FIGURES.map((name) => element("div", { id: `figure-${name.replace(" ", "-")}` }, element("b"), element("span", {}, name))));
+}
+
+export function fillFigures(box, state) {
+  const { frame, rate } = state, score = frame.score, alive = frame.agents.filter((agent) => !["dead", "waiting"].includes(agent.state)).length;
+  const values = score
+    ? [[score[1].toFixed(2), "m"], [score[2].toFixed(1), "m"], [`${score[4]} of ${score[3]}`, ""], [score[5].toFixed(1), "mass"]]
+    : [["–", ""], ["–", ""], ["–", ""], ["–", ""]];
+  values.push([`${alive} of ${frame.agents.length}`, ""], [score ? (100 * score[6]).toFixed(2) : "–", "%"], [score ? (100 * score[7]).toFixed(2) : "–", "%"]);
+  values.push([rate === null ? "–" : rate.toFixed(0), "/s"]);
+  const [done, asked, skipped, late] = frame.tick_rate || [null, null, 0, 0];
+  values.push([done === null ? "–" : done.toFixed(1), asked === null ? "/s" : `of ${asked} /s`], [String(skipped), late ? `rounds, ${late} late` : "rounds"]);
+  values.forEach(([value, unit], index) => {
+    const b = box.children[index].firstChild;
+    if (b.dataset.text === value + unit) return;
+    b.dataset.text = value + unit;
+    b.replaceChildren(value, element("small", {}, unit));
+  });
+  box.children[4].classList.toggle("bad", alive < frame.agents.length);
+  box.children[5].classList.toggle("bad", Boolean(score) && score[6] > 0.001);
+  box.children[6].classList.toggle("bad", Boolean(score) && score[7] > 0.001);
+  for (const at of [8, 9]) box.children[at].hidden = !frame.tick_rate; // a replay has no pace of its own
+  box.children[9].classList.toggle("bad", skipped > 0);
+}
+
+// ---------------------------------------------------------------- roster
+export function buildRoster(body, state, choose) {
+  body.replaceChildren(...state.hello.agents.map((agent, index) => {
+    const colour = element("i"), button = element("button", { type: "button" }, colour, agent.name, element("small", {}, agent.class));
+    colour.style.background = owner(index);
+    const row = element("tr", { id: `row-${agent.name}` }, element("th", { scope: "row" }, button), ...Array.from({ length: 9 }, () => element("td")));
+    row.addEventListener("click", () => choose(agent.name));
+    return row;
+  }));
+}
+
+export function fillRoster(body, state) {
+  state.frame.agents.forEach((agent, index) => {
+    const row = body.children[index];
+    if (!row) return;
+    const name = agent.state + (state.chosen === agent.name ? " chosen" : "");
+    if (row.className !== name) row.className = name;
+    const cells = row.children, gone = agent.state === "dead";
+    set(cells[1], agent.state + (agent.incarnation > 1 && agent.incarnation < 1000 ? ` ·${agent.incarnation}` : ""));
+    const values = gone ? Array(5).fill("") : [figure(agent.unused, 1), figure(agent.radius, 2), figure(agent.load, 2), figure(agent.mass, 2), figure(agent.ms, 1)];
+    values.forEach((value, at) => set(cells[2 + at], value));
+    set(cells[7], agent.age === null ? "" : agent.age.toFixed(agent.age < 10 ? 2 : 0));
+    set(cells[8], agent.rejected ? String(agent.rejected) : "");
+    set(cells[9], agent.skipped ? String(agent.skipped) : "");
+  });
+}
+
+// ---------------------------------------------------------------- one agent
+const TELLS = { kill: "Kill", pause: "Pause", resume: "Resume", restart: "Restart", partition: "Partition", heal: "Heal all" };
+
+export function buildBelief(box, state, act, close) {
+  const index = state.order.get(state.chosen) ?? 0, dot = element("i"), shut = element("button", { type: "button", title: "Close (Esc)" }, "close");
+  dot.style.background = owner(index);
+  shut.addEventListener("click", close);
+  const acts = element("div", { class: "acts" });
+  for (const verb of state.hello.verbs || []) {
+    const button = element("button", { type: "button", class: verb, "data-verb": verb }, TELLS[verb] || verb);
+    button.addEventListener("click", () => act(verb, verb === "heal" ? "" : state.chosen));
+    acts.append(button);
+  }
+  box.replaceChildren(element("h2", {}, dot, state.chosen, element("span", { id: "belief-state" }), shut), element("p", { id: "belief-cell" }), element("p", { id: "belief-neighbours" }), element("p", { id: "belief-counters" }), acts);
+  box.hidden = false;
+}
+
+export function fillBelief(box, state) {
+  const { belief } = state, agent = state.frame && state.frame.agents.find((one) => one.name === state.chosen);
+  if (!belief || !agent) return;
+  set(box.querySelector("#belief-state"), `class ${belief.class || "?"}, ${agent.state}${belief.listening ? ", listening" : ""}`);
+  const particles = belief.particles ? belief.particles.length / 2 : 0, targets = belief.targets ? belief.targets.length / 2 : 0;
+  set(box.querySelector("#belief-cell"), belief.mass === undefined ? "It has not spoken yet." :
+    `Holds ${belief.mass.toFixed(2)} expected targets in ${particles} particles, reports ${targets}; sees ${(belief.detections || []).length / 2} detections; U = ${belief.unused.toFixed(1)} m².`);
+  const agree = belief.agree ? ` Its diagram is that of ${belief.agree[0]} of ${belief.agree[1]} who spoke of tick ${belief.tick}.` : "";
+  set(box.querySelector("#belief-neighbours"), belief.neighbours ? `Its cell is bounded by ${belief.neighbours.length ? belief.neighbours.join(", ") : "nobody"}.${agree}` : "");
+  set(box.querySelector("#belief-counters"), Object.entries(belief.counters || {}).map(([name, count]) => `${name} ${count}`).join("  ·  "));
+  for (const button of box.querySelectorAll("[data-verb]")) {
+    const verb = button.dataset.verb, dead = agent.state === "dead" || agent.state === "waiting", paused = agent.state === "paused";
+    button.disabled = state.frame.over || { kill: dead, pause: dead || paused, resume: !paused, restart: !dead, partition: dead }[verb] || false;
+  }
+}
+
+// ---------------------------------------------------------------- what happened
+export function fillLog(list, state) {
+  const past = [...state.happenings.values()].filter(([, time]) => !state.frame.play || time <= state.frame.time); // a replay knows the future
+  const newest = past.slice(-24).reverse(), stamp = newest.length ? newest[0][0] : 0;
+  if (list.dataset.stamp === String(stamp)) return;
+  list.dataset.stamp = String(stamp);
+  list.replaceChildren(...newest.map(([, time, kind, , text]) => element("li", { class: kind }, element("time", {}, `${time.toFixed(1)} s`), `${GLYPHS[kind] || "•"} ${text}`)));
+}
+
+// ---------------------------------------------------------------- legend and help
+export function fillLegend(list) {
+  const mark = marks(), items = [
+    ["true target", (c) => { c.strokeStyle = mark.truth; c.lineWidth = 3; c.arc(16, 16, 9, 0, 7); c.stroke(); }],
+    ["estimate", (c) => { c.strokeStyle = mark.estimate; c.lineWidth = 4; c.moveTo(8, 8); c.lineTo(24, 24); c.moveTo(8, 24); c.lineTo(24, 8); c.stroke(); }],
+    ["detection", (c) => { c.fillStyle = mark.seen; c.fillRect(12, 12, 8, 8); }],
+    ["density of the PHD", (c) => { const g = c.createRadialGradient(16, 16, 1, 16, 16, 15); const rgb = mark.density.join(","); g.addColorStop(0, `rgba(${rgb},1)`); g.addColorStop(1, `rgba(${rgb},0)`); c.fillStyle = g; c.fillRect(0, 0, 32, 32); }],
+    ["agent, and its footprint", (c) => { c.fillStyle = owner(2); c.moveTo(28, 16); c.lineTo(6, 25); c.lineTo(11, 16); c.lineTo(6, 7); c.fill(); }],
+    ["centroid of detection", (c) => { c.fillStyle = owner(2); c.moveTo(16, 6); c.lineTo(26, 16); c.lineTo(16, 26); c.lineTo(6, 16); c.fill(); }],
+    ["dead", (c) => { c.strokeStyle = css("warn"); c.lineWidth = 4; c.moveTo(8, 8); c.lineTo(24, 24); c.moveTo(8, 24); c.lineTo(24, 8); c.stroke(); }],
+  ];
+  list.replaceChildren(...items.map(([text, draw]) => {
+    const canvas = element("canvas", { width: "32", height: "32", "aria-hidden": "true" });
+    draw(canvas.getContext("2d"));
+    return element("li", {}, canvas, text);
+  }), element("li", {}, `cells in the colours of their owners: ${schemeName()}`));
+}
+
+export function fillHelp(box, switches, replay) {
+  const keys = [["click, ← →", "choose an agent: what it believes is drawn over the arena"], ["Esc", "choose nobody"],
+    ...switches.map(([key, , text]) => [key, `${text} on or off`]), ["x", "dark or light"], ["?", "this page"]];
+  if (replay) keys.push(["space", "play or pause"], [", .", "one second back or on"], ["< >", "slower or faster"]);
+  const list = element("dl");
+  for (const [key, text] of keys) list.append(element("dt", {}, key), element("dd", {}, text));
+  box.replaceChildren(element("h2", {}, "Keys"), list, element("h2", {}, "Colours"),
+    element("p", {}, `Owners: ${schemeName()} scheme; curves: Okabe and Ito. Both are made for colour-blind eyes, and every mark has a shape or a name of its own.`));
+}

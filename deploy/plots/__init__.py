@@ -1,0 +1,1 @@
+"""Figures for papers: of one run, of a study, of the robustness study."""

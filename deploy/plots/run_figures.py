@@ -1,0 +1,211 @@
+"""Figures of one run like Figure 3 of the paper: start, end and trajectories; and the run as an animation.
+
+Drawn from a recording with matplotlib, in a style for a column of a paper (PDF with real fonts, and PNG).
+"""
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib import animation
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
+
+from deploy.page.frames import density_grid
+from deploy.page.picture import Picture
+from deploy.recording.recording import Recording, event_of
+from protocol.messages import Truth
+from protocol.node import Received
+from protocol.settings import BadSetting
+
+STYLE: dict[Any, Any] = {
+    "font.size": 8.0,
+    "axes.linewidth": 0.6,
+    "axes.titlesize": 8.0,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.fontsize": 7.0,
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
+    "figure.dpi": 150.0,
+}
+MUTED = ("#332288", "#44aa99", "#cc6677", "#117733", "#88ccee", "#882255", "#999933", "#aa4499", "#ddaa33")  # Paul Tol
+TARGET, ESTIMATE, GONE = "#111111", "#c1121f", "#8a949e"
+PANEL = 2.35  # in, of a panel's side
+FRAMES_PER_SECOND = 10
+MOST_FRAMES = 600
+
+
+@dataclass
+class Trajectories:
+    """Where bodies and targets have been: lists of (x, y) by name and by id; a target that leaves and comes back is two ways."""
+
+    bodies: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    targets: dict[int, list[tuple[float, float]]] = field(default_factory=dict)
+
+    def add(self, truth: Truth) -> None:
+        """Note a tick."""
+        for name, (x, y, _) in zip(truth.bodies, truth.poses.tolist()):
+            self.bodies.setdefault(name, []).append((x, y))
+        for number, (x, y) in zip(truth.ids.tolist(), truth.targets.tolist()):
+            self.targets.setdefault(number, []).append((x, y))
+
+
+def pictures(recording: Recording) -> Iterator[Picture]:
+    """One picture, set to each tick in turn once the next but one begins: then all messages of the tick have arrived."""
+    picture = Picture(recording.scenario)
+    waiting: list[int] = []  # ticks that have begun
+    for entry in recording.entries():
+        event = event_of(entry)
+        if isinstance(event, Received) and event.batch.kind is Truth:
+            waiting.append(event.batch.messages[-1].tick)
+            yield from _shown(picture, waiting, 2)
+        picture.see(event, entry.time)
+        if _is_over(picture, event):
+            break
+    yield from _shown(picture, waiting, 0)
+
+
+def _shown(picture: Picture, waiting: list[int], later: int) -> Iterator[Picture]:
+    """The picture at those ticks that wait while `later` younger ones have begun."""
+    while len(waiting) > later:
+        picture.show(waiting.pop(0))
+        yield picture
+
+
+def _is_over(picture: Picture, event: object) -> bool:
+    """Whether the world has left after its last tick; agents that leave then are not lost."""
+    over = picture.truth is not None and picture.truth.tick >= picture.scenario.run.ticks - 1
+    return over and type(event).__name__ == "Gone" and getattr(event, "role", "") == "world"
+
+
+def figure_of(recording: Recording) -> Figure:
+    """Three panels: the start, the end, and the trajectories; raises BadSetting when nothing was recorded."""
+    ways, last, first_drawn = Trajectories(), None, False
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(3.0 * PANEL + 0.5, PANEL + 0.75), layout="constrained")
+        start, end, paths = figure.subplots(1, 3, sharex=True, sharey=True)
+        for picture in pictures(recording):
+            assert picture.shown is not None
+            ways.add(picture.shown)
+            if not first_drawn:
+                draw_moment(start, picture)
+                start.set_title(f"(a) start, t = {picture.shown.time:g} s")
+                first_drawn = True
+            last = picture
+        if last is None:
+            raise BadSetting(f"{recording.path}: nothing was recorded that could be drawn")
+        assert last.shown is not None
+        draw_moment(end, last)
+        end.set_title(f"(b) end, t = {last.shown.time:g} s")
+        draw_trajectories(paths, last, ways)
+        paths.set_title("(c) trajectories")
+        start.set_ylabel("y (m)")
+        figure.legend(handles=_legend(), loc="outside lower center", ncols=5, frameon=False, handletextpad=0.4, columnspacing=1.4)
+        for axes in (start, end, paths):
+            axes.set_xlabel("x (m)")
+    return figure
+
+
+def draw_moment(axes: Axes, picture: Picture) -> None:
+    """Cells, footprints, density, bodies, targets and estimates of the tick that the picture shows."""
+    _arena(axes, picture)
+    grid, (columns, rows), square = density_grid(picture)
+    shades = np.zeros((rows, columns, 4))
+    shades[..., :3] = (0.08, 0.2, 0.43)
+    shades[..., 3] = 0.75 * grid / 255.0
+    axes.imshow(shades, origin="lower", extent=(0.0, columns * square, 0.0, rows * square), interpolation="bilinear", zorder=2)
+    for index, known in enumerate(picture.agents.values()):
+        _, estimate = picture.said(known)
+        pose = picture.pose(known.name)
+        colour = MUTED[index % len(MUTED)]
+        if known.alive and estimate is not None and len(estimate.cell):
+            axes.fill(*estimate.cell.T, facecolor=colour, alpha=0.14, edgecolor="none", zorder=1)
+            axes.fill(*estimate.cell.T, facecolor="none", edgecolor=colour, linewidth=0.6, zorder=3)
+        if known.alive and pose is not None and known.sensor is not None:
+            axes.fill(*known.sensor.footprint(pose).T, facecolor=colour, alpha=0.1, edgecolor=colour, linewidth=0.4, zorder=2)
+        if pose is not None:
+            _body(axes, pose, colour if known.alive else GONE)
+        if known.alive and estimate is not None:
+            axes.plot(*estimate.targets.T, "x", color=ESTIMATE, markersize=4.0, markeredgewidth=1.0, zorder=6)
+    if picture.shown is not None:
+        axes.plot(*picture.shown.targets.T, "o", color=TARGET, markersize=5.0, markerfacecolor="none", markeredgewidth=0.7, zorder=5)
+
+
+def draw_trajectories(axes: Axes, picture: Picture, ways: Trajectories) -> None:
+    """The ways of bodies in the colours of their cells and of targets in grey; where each began a dot, where it ended the body."""
+    _arena(axes, picture)
+    for way in ways.targets.values():
+        axes.plot(*np.array(way).T, color="#555555", linewidth=0.5, alpha=0.7, zorder=2)
+    for index, (name, known) in enumerate(picture.agents.items()):
+        body, pose = ways.bodies.get(name), picture.pose(name)
+        colour = MUTED[index % len(MUTED)]
+        if body and pose:
+            axes.plot(*np.array(body).T, color=colour, linewidth=0.8, zorder=3)
+            axes.plot(*body[0], ".", color=colour, markersize=3.0, zorder=3)
+            _body(axes, pose, colour if known.alive else GONE)
+
+
+def _arena(axes: Axes, picture: Picture) -> None:
+    arena = picture.scenario.arena
+    axes.set_xlim(0.0, arena.width)
+    axes.set_ylim(0.0, arena.height)
+    axes.set_aspect("equal")
+    axes.tick_params(direction="in", top=True, right=True, length=2.0)
+
+
+def _body(axes: Axes, pose: tuple[float, float, float], colour: str) -> None:
+    marker = MarkerStyle(_ARROW).rotated(rad=pose[2])
+    axes.plot(pose[0], pose[1], marker=marker, color=colour, markersize=5.5, markeredgecolor="white", markeredgewidth=0.4, zorder=7)
+
+
+_ARROW = np.array([[1.2, 0.0], [-0.9, 0.75], [-0.5, 0.0], [-0.9, -0.75], [1.2, 0.0]])
+
+
+def _legend() -> list[Line2D]:
+    arrow = MarkerStyle(_ARROW)
+    return [
+        Line2D([], [], color=MUTED[0], marker=arrow, markersize=6.0, linestyle="none", label="sensor, its cell and footprint"),
+        Line2D([], [], color=GONE, marker=arrow, markersize=6.0, linestyle="none", label="dead"),
+        Line2D([], [], color=TARGET, marker="o", markerfacecolor="none", markersize=5.0, linestyle="none", label="target"),
+        Line2D([], [], color=ESTIMATE, marker="x", markersize=4.5, linestyle="none", label="estimate"),
+        Line2D([], [], color="#15336e", marker="s", alpha=0.6, markersize=5.0, linestyle="none", label="density of the PHD"),
+    ]
+
+
+def write_figure(recording: Recording, folder: Path) -> list[Path]:
+    """Write `trajectories.pdf` and `.png` into a folder; the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = figure_of(recording)
+    files = [folder / "trajectories.pdf", folder / "trajectories.png"]
+    with matplotlib.rc_context(STYLE):
+        for file in files:
+            figure.savefig(file, dpi=300, metadata={"CreationDate": None} if file.suffix == ".pdf" else None)
+    return files
+
+
+def write_animation(recording: Recording, folder: Path) -> Path:
+    """Write the run as `run.mp4` where ffmpeg is installed, as `run.gif` elsewhere; ten pictures a second, 600 at most."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with_film = shutil.which("ffmpeg") is not None
+    file = folder / ("run.mp4" if with_film else "run.gif")
+    every = max(1, -(-recording.scenario.run.ticks // MOST_FRAMES), round(0.5 / recording.scenario.run.dt))
+    with matplotlib.rc_context({**STYLE, "figure.dpi": 110.0}):
+        figure = Figure(figsize=(4.6, 4.8), layout="constrained")
+        axes = figure.subplots()
+        writer = animation.FFMpegWriter(FRAMES_PER_SECOND) if with_film else animation.PillowWriter(FRAMES_PER_SECOND)
+        with writer.saving(figure, str(file), dpi=110):
+            for picture in pictures(recording):
+                assert picture.shown is not None
+                if picture.shown.tick % every == 0:
+                    axes.clear()
+                    draw_moment(axes, picture)
+                    axes.set_title(f"t = {picture.shown.time:.1f} s")
+                    writer.grab_frame()
+    return file

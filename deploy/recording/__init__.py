@@ -1,0 +1,1 @@
+"""What is kept of a run: recordings, replay, re-scoring, exports, traces; and the observers that write them."""

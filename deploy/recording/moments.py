@@ -1,0 +1,54 @@
+"""A recording as messages, and tick by tick for drawings in the forms of other tools."""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from deploy.page.picture import Picture
+from deploy.recording.recording import Recording, event_of
+from deploy.scoring.scorer import Score, Scorer
+from protocol.messages import Message, Truth
+from protocol.node import Event, Received
+
+PALETTE = ("77aadd", "ee8866", "44bb99", "eedd88", "ffaabb", "99ddff", "bbcc33", "c9a4e0", "aaaa00")  # Paul Tol's "light"
+
+
+def messages(recording: Recording, also: Callable[[Any, float], object] = lambda event, now: None) -> Iterator[Message]:
+    """The valid messages of a recording in order; `also` is shown every event first."""
+    for entry in recording.entries():
+        event = event_of(entry)
+        also(event, entry.published / 1e9)
+        if isinstance(event, Received):
+            yield from event.batch.messages
+
+
+class Moment(NamedTuple):
+    """A tick of which everything has been heard; the picture shows it until the next moment is asked for."""
+
+    picture: Picture
+    time: float  # of the world, s
+    score: Score | None
+
+
+def moments(recording: Recording) -> Iterator[Moment]:
+    """Every tick but the last."""
+    scorer, picture = Scorer(recording.scenario), Picture(recording.scenario)
+
+    def show(event: Event, now: float) -> None:
+        scorer.handle(event, now)
+        picture.see(event, now)
+
+    for message in messages(recording, show):
+        if isinstance(message, Truth) and message.tick > 0:
+            picture.show(message.tick - 1)
+            yield Moment(picture, message.time, _score_of(scorer, message.tick - 1))
+
+
+def _score_of(scorer: Scorer, tick: int) -> Score | None:
+    return next((score for score in reversed(scorer.scores[-3:]) if score.tick == tick), None)
+
+
+def colour_of(index: int) -> tuple[float, float, float]:
+    """Red, green and blue of the agent number `index`, from 0 to 1."""
+    text = PALETTE[index % len(PALETTE)]
+    red, green, blue = (int(text[at : at + 2], 16) / 255.0 for at in (0, 2, 4))
+    return red, green, blue

@@ -1,0 +1,125 @@
+"""The observers of a run, recorder and page: they receive the events of its scorer, in its process, and send nothing to the swarm."""
+
+import asyncio
+import contextlib
+import itertools
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+from deploy.page.picture import PAUSES
+from deploy.page.server import PageServer
+from deploy.recording.recorder import FLUSH_SECONDS, Recorder
+from deploy.recording.recording import NAME
+from deploy.scenario import Scenario
+from deploy.scoring.result import EventReport, Fault
+from deploy.scoring.scorer import Scorer
+from protocol.node import Event, Gone
+from protocol.settings import BadSetting
+
+log = logging.getLogger(__name__)
+
+
+def recording_path(record: bool | Path, folder: Path) -> Path | None:
+    """Where to record: into the run directory, beside other recordings of the run, unless a file is named; None: nowhere."""
+    if isinstance(record, bool):
+        return _free(folder / NAME) if record else None
+    if record.suffix != ".mcap":
+        raise BadSetting(f"--record {record}: should be a file that ends in .mcap")
+    return record
+
+
+def _free(path: Path) -> Path:
+    """The path, or the first with a number that does not exist: recording-2.mcap."""
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in itertools.count(2))
+    return path if not path.exists() else next(one for one in numbered if not one.exists())
+
+
+def open_recorder(path: Path, scenario: Scenario, *, virtual: bool = False) -> Recorder:
+    """A recorder; raises BadSetting naming the file when it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return Recorder(path, scenario, None) if virtual else Recorder(path, scenario)
+    except OSError as error:
+        raise BadSetting(f"--record {path}: {error.strerror}") from None
+
+
+class Observers:
+    """The observers of one scorer, as a context in the event loop of the run. A failing observer is removed; the run continues."""
+
+    def __init__(self, scorer: Scorer, recorder: Recorder | None, page: PageServer | None = None) -> None:
+        self._scorer = scorer
+        self._last_tick = scorer.last_tick
+        self._is_over = False
+        self._recorder = recorder
+        self._page = page
+        self._listeners: list[Callable[[Event, float], None]] = [recorder.see] if recorder else []
+        if page is not None:
+            self._listeners.append(page.source.picture.see)
+        self._chores: asyncio.Task[None] | None = None
+        scorer.on_event = self._see
+        scorer.on_finish = self._finish
+        scorer.on_fault = self._note_fault
+        self._told, scorer.on_report = scorer.on_report, self._tell
+
+    async def __aenter__(self) -> "Observers":
+        if self._recorder is not None:
+            self._chores = asyncio.create_task(self._flush())
+        if self._page is not None:
+            await self._page.open()
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._chores is not None:
+            self._chores.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._chores
+        self._finish()
+        if self._page is not None:
+            await self._page.close()
+
+    def _note_fault(self, fault: Fault) -> None:
+        if self._recorder is not None:
+            self._recorder.note_fault(fault)
+        if self._page is not None and fault.verb in PAUSES:  # the page's source asks the supervisor for the others
+            self._page.source.picture.note_fault(fault)
+
+    def _tell(self, told: EventReport) -> None:
+        self._told(told)
+        if self._page is not None:
+            self._page.source.picture.note("told", told.who, told.text, told.time)
+
+    def _see(self, event: Event, now: float) -> None:
+        if isinstance(event, Gone):
+            self._notice_end(event)
+        for listener in list(self._listeners):
+            try:
+                listener(event, now)
+            except Exception:
+                log.exception("an onlooker failed and is left out from here on")
+                self._listeners.remove(listener)
+
+    def _notice_end(self, gone: Gone) -> None:
+        """Freeze the page after the last tick: agents that leave then have not died."""
+        truth = self._scorer.truth
+        self._is_over |= gone.role == "world" and truth is not None and truth.tick >= self._last_tick
+        if self._is_over and gone.role == "agent":
+            self._freeze()
+
+    def _freeze(self) -> None:
+        if self._page is not None:
+            self._page.freeze()
+            self._listeners = [listener for listener in self._listeners if listener != self._page.source.picture.see]
+
+    def _finish(self) -> None:
+        self._freeze()
+        if self._recorder is not None:
+            self._recorder.close()
+
+    async def _flush(self) -> None:
+        """Write received messages to the file within a second, even when no more arrive."""
+        assert self._recorder is not None
+        while True:
+            await asyncio.sleep(1.0 - FLUSH_SECONDS)
+            self._recorder.flush(FLUSH_SECONDS)

@@ -1,0 +1,187 @@
+"""Reading a recording: its messages in order of arrival, and its scenario.
+
+The index at the end of the file is used when it is there. When the recorder was killed it is not, and the file is read from its
+beginning as far as it is whole.
+"""
+
+import struct
+import tomllib
+from collections.abc import Iterable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import msgspec
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from deploy.recording.recorder import ABOUT, FAULT
+from deploy.scenario import Scenario
+from deploy.scoring.result import Fault
+from deploy.storage.kept_runs import find_run
+from deploy.storage.run_directory import runs_folder
+from protocol import codec
+from protocol.fields import Malformed
+from protocol.keys import parse_token
+from protocol.node import Alive, Event, Gone, Rejected, received
+from protocol.settings import BadSetting, convert
+
+NAME = "recording.mcap"
+DRAWING = ".foxglove.mcap"  # how the files of `covey export --to foxglove` end
+RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
+BROKEN = (McapError, ValueError, struct.error, EOFError, IndexError, KeyError, MemoryError)
+
+
+class RecordedEntry(NamedTuple):
+    """One thing that was heard."""
+
+    key: str
+    time: float  # the world's, s
+    payload: bytes
+    published: int  # Unix time of the recorder, ns
+
+
+class Span(NamedTuple):
+    """A chunk: where it begins in the file, and the world's time at its ends, s."""
+
+    offset: int
+    start: float
+    end: float
+
+
+class Recording:
+    """One recording; raises BadSetting when the file is none."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.spans: list[Span] = []
+        self.faults: list[Fault] = []
+        self.is_whole = False  # closed as it should be, with an index
+        self._topics: dict[int, str] = {}
+        try:
+            with path.open("rb") as file:
+                metadata = self._read_index(file) or self._walk(file)
+        except OSError as error:
+            raise BadSetting(f"{path}: {error.strerror}") from None
+        if metadata is None:
+            raise BadSetting(f"{path}: no recording of Covey: should be an MCAP file that --record has written")
+        self.run = metadata.get("run", "")
+        self.versions: dict[str, object] = msgspec.json.decode(metadata.get("versions.json", "{}"))
+        self.scenario = _scenario(path, metadata["run.toml"])
+
+    @property
+    def seconds(self) -> float:
+        """The world's time at the end, s."""
+        return self.spans[-1].end if self.spans else 0.0
+
+    @property
+    def wall_seconds(self) -> float:
+        """How long the recording took, s of the wall clock."""
+        if not self.spans:
+            return 0.0
+        first, last = next(self.entries(0, 1)), list(self.entries(len(self.spans) - 1))[-1]
+        return (last.published - first.published) / 1e9
+
+    def entries(self, first: int = 0, last: int | None = None) -> Iterator[RecordedEntry]:
+        """What the chunks number `first` to `last` (excluded) hold, in order."""
+        with self.path.open("rb") as file:
+            for span in self.spans[first:last]:
+                file.seek(span.offset)
+                yield from self._entries_of(_read_chunk(file))
+
+    def _entries_of(self, chunk: Chunk) -> Iterator[RecordedEntry]:
+        for record in breakup_chunk(chunk):
+            if isinstance(record, Message):
+                yield RecordedEntry(self._topics[record.channel_id], record.log_time / 1e9, record.data, record.publish_time)
+            elif isinstance(record, Channel):
+                self._topics[record.id] = record.topic
+
+    def _read_index(self, file: IO[bytes]) -> dict[str, str] | None:
+        """The metadata of a whole file, its spans and channels; None when there is no index."""
+        try:
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            metadata = self._note_metadata(reader.iter_metadata())
+        except BROKEN:
+            return None
+        if summary is None or metadata is None:
+            return None
+        self._topics = {number: channel.topic for number, channel in summary.channels.items()}
+        chunks = sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+        self.spans = [Span(chunk.chunk_start_offset, chunk.message_start_time / 1e9, chunk.message_end_time / 1e9) for chunk in chunks]
+        self.is_whole = True
+        return metadata
+
+    def _walk(self, file: IO[bytes]) -> dict[str, str] | None:
+        """The same by reading from the beginning as far as the file is whole; None for a file of another program."""
+        metadata = None
+        file.seek(0)
+        try:
+            records = StreamReader(file, emit_chunks=True).records
+            while True:
+                offset = file.tell() or 8  # the magic bytes have not been read before the first record
+                record = next(records)
+                if isinstance(record, Metadata):
+                    metadata = self._note_metadata([record]) or metadata
+                elif isinstance(record, Chunk):
+                    self._note_channels(record)
+                    self.spans.append(Span(offset, record.message_start_time / 1e9, record.message_end_time / 1e9))
+        except (StopIteration, *BROKEN):
+            return metadata
+
+    def _note_metadata(self, records: Iterable[Metadata]) -> dict[str, str] | None:
+        """Keep the faults; what the recording says about itself, if that is among the records."""
+        about = None
+        for record in records:
+            if record.name == ABOUT:
+                about = record.metadata
+            elif record.name == FAULT:
+                found = record.metadata
+                self.faults.append(Fault(float(found["time"]), found["verb"], found["text"], found.get("who", "")))
+        return about
+
+    def _note_channels(self, chunk: Chunk) -> None:
+        self._topics |= {record.id: record.topic for record in breakup_chunk(chunk, validate_crc=True) if isinstance(record, Channel)}
+
+
+def _read_chunk(file: IO[bytes]) -> Chunk:
+    """The chunk that begins here."""
+    _, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+    return Chunk.read(ReadDataStream(BytesIO(file.read(length))))
+
+
+def _scenario(path: Path, text: str) -> Scenario:
+    return convert(tomllib.loads(text), Scenario, str(path))
+
+
+def event_of(entry: RecordedEntry) -> Event:
+    """The event of a recorded entry."""
+    token = parse_token(entry.key)
+    if token is not None:
+        alive = bool(msgspec.msgpack.decode(entry.payload).get("alive"))
+        return (Alive if alive else Gone)(token.role, token.name, token.incarnation)
+    try:
+        return received(codec.decode(entry.key, entry.payload), payloads=[entry.payload])
+    except Malformed as error:
+        return Rejected(entry.key.rpartition("/")[2], error.reason, entry.key, entry.payload)
+
+
+def find_recording(name: str) -> Path:
+    """The recording that is meant: of a run by its name, which wins over a file of that name; a file; or a run directory.
+
+    `latest` is the newest run. Raises BadSetting when there is no recording.
+    """
+    path, run = Path(name), find_run(name)
+    if run is None and path.is_file():
+        return path
+    folder = run.path if run is not None else path
+    if not folder.is_dir():
+        raise BadSetting(f"{name}: no such file, and no run of this name in {runs_folder()}; `covey runs` lists them")
+    ours = (file for file in folder.glob("*.mcap") if not file.name.endswith(DRAWING))
+    found = sorted(ours, key=lambda file: file.stat().st_mtime)
+    if not found:
+        raise BadSetting(f"{folder.resolve()}: no recording in it; run with --record to have one")
+    return found[-1]

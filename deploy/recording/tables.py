@@ -1,0 +1,82 @@
+"""A recording in the forms of other tools: tables as CSV or Parquet.
+
+Five tables: `scores` (a row per tick), `agents` (per agent and tick), `targets` (true), `estimates`, `detections`. Lengths in m,
+times in s, angles in rad. The drawing for Foxglove is in `deploy.recording.foxglove`.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow
+from pyarrow import csv, parquet
+
+from deploy.recording.moments import messages
+from deploy.recording.recording import Recording
+from deploy.recording.rescore import COLUMNS
+from deploy.scoring.scorer import Scorer
+from protocol.geometry import polygon_area
+from protocol.messages import Estimate, Gossip, Truth
+
+TableRow = tuple[Any, ...]
+NUMBER, WHOLE, WORD = pyarrow.float64(), pyarrow.int64(), pyarrow.string()
+WHOLE_SCORES = ("tick", "targets", "in_view", "estimated")
+SCHEMAS: dict[str, list[tuple[str, pyarrow.DataType]]] = {
+    "agents": [
+        ("tick", WHOLE),
+        ("time", NUMBER),
+        ("agent", WORD),
+        ("incarnation", WHOLE),
+        *((name, NUMBER) for name in ("x", "y", "heading", "cod_x", "cod_y", "power_radius", "unused", "load", "mass", "cell_area")),
+        ("targets", WHOLE),
+        ("neighbours", WHOLE),
+        ("round_seconds", NUMBER),
+    ],
+    "targets": [("tick", WHOLE), ("time", NUMBER), ("target", pyarrow.uint64()), ("x", NUMBER), ("y", NUMBER)],
+    "estimates": [("tick", WHOLE), ("time", NUMBER), ("agent", WORD), ("x", NUMBER), ("y", NUMBER)],
+    "detections": [("tick", WHOLE), ("time", NUMBER), ("agent", WORD), ("x", NUMBER), ("y", NUMBER)],
+}
+
+
+def tables(recording: Recording) -> dict[str, pyarrow.Table]:
+    """All five tables by name."""
+    scorer = Scorer(recording.scenario)
+    dt = recording.scenario.run.dt
+    rows: dict[str, list[TableRow]] = {name: [] for name in SCHEMAS}
+    for message in messages(recording, scorer.handle):
+        if isinstance(message, Truth):
+            rows["targets"] += [(message.tick, message.time, int(n), x, y) for n, (x, y) in zip(message.ids, message.targets.tolist())]
+        elif isinstance(message, Estimate):
+            rows["agents"].append(_agent_row(message, dt))
+            rows["estimates"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in message.targets.tolist()]
+        elif isinstance(message, Gossip):
+            rows["detections"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in message.detections.tolist()]
+    scorer.finish(0.0)
+    found = {name: _table(schema, rows[name]) for name, schema in SCHEMAS.items()}
+    schema = [(name, WHOLE if name in WHOLE_SCORES else NUMBER) for name in COLUMNS]
+    return {"scores": _table(schema, [tuple(getattr(score, name) for name in COLUMNS) for score in scorer.scores]), **found}
+
+
+def _agent_row(one: Estimate, dt: float) -> TableRow:
+    place = (*one.pose, *one.cod, one.power_radius)
+    figures = (one.unused, one.load, one.mass, polygon_area(one.cell), len(one.targets), len(one.neighbours), one.round_seconds)
+    return one.tick, one.tick * dt, one.sender, one.incarnation, *place, *figures
+
+
+def _table(schema: list[tuple[str, pyarrow.DataType]], rows: list[TableRow]) -> pyarrow.Table:
+    columns = list(zip(*rows)) if rows else [()] * len(schema)
+    arrays = [pyarrow.array(column, kind) for column, (_, kind) in zip(columns, schema)]
+    return pyarrow.Table.from_arrays(arrays, names=[name for name, _ in schema])
+
+
+def write_tables(recording: Recording, folder: Path, form: str) -> list[Path]:
+    """Write the tables as `csv` or `parquet` files into a folder; the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, table in tables(recording).items():
+        file = folder / f"{name}.{form}"
+        if form == "csv":
+            csv.write_csv(table, file)
+        else:
+            parquet.write_table(table, file)
+        files.append(file)
+    return files

@@ -1,1 +1,0 @@
-"""What is kept of a run: recordings, replay, re-scoring, exports, traces."""

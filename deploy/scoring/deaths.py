@@ -1,0 +1,45 @@
+"""The deaths of a run: which agents died, which are only paused, and how long the other cells left a hole."""
+
+from dataclasses import dataclass
+
+from deploy.scoring.chronicle import CLOSED
+from deploy.scoring.result import Kill
+
+
+@dataclass(slots=True)
+class _Death:
+    name: str
+    tick: int
+    time: float
+    now: float
+    closed: tuple[float, int] | None = None  # s, ticks
+
+
+class Deaths:
+    """Takes lost tokens and the hole of every tick. An agent that was paused on request has not died when its token is lost."""
+
+    def __init__(self) -> None:
+        self.paused: set[str] = set()
+        self._deaths: list[_Death] = []
+
+    def lose(self, name: str, tick: int, time: float, now: float) -> str:
+        """Note that an agent's token is lost at a tick and world time, s; `died` or `is paused`."""
+        if name in self.paused:
+            return "is paused"
+        self._deaths.append(_Death(name, tick, time, now))
+        return "died"
+
+    def see(self, tick: int, hole: float, now: float) -> None:
+        """The cells of a tick leave this share of the arena uncovered."""
+        for loss in self._deaths:
+            if loss.closed is None and hole <= CLOSED and tick > loss.tick:
+                loss.closed = now - loss.now, tick - loss.tick
+
+    def kills(self) -> tuple[Kill, ...]:
+        """All deaths in order."""
+        return tuple(map(_kill, self._deaths))
+
+
+def _kill(loss: _Death) -> Kill:
+    seconds, ticks = loss.closed if loss.closed else (None, None)
+    return Kill(name=loss.name, tick=loss.tick, time=loss.time, closed_seconds=seconds, closed_ticks=ticks)

@@ -1,0 +1,360 @@
+"""The scorer: a Node that receives truth and estimates and scores every tick. It is the same live and in a simulation.
+
+A tick is scored when the estimates of all live agents have arrived, or when the world is `lag` ticks ahead. Hole and overlap are exact
+areas of the published cells of live agents, as shares of the arena.
+"""
+
+import hashlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from deploy.scenario import Scenario, agent_config
+from deploy.scoring.chronicle import Chronicle, ScoredTick
+from deploy.scoring.deaths import Deaths
+from deploy.scoring.result import EventReport, Fault, Result
+from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
+from deploy.scoring.status import AgentStatus, Status
+from deploy.scoring.tick_rate import TickRateMeter
+from protocol.agreement import disagreement
+from protocol.geometry import polygon_area
+from protocol.keys import all_of, order
+from protocol.messages import Estimate, Gossip, Hello, Truth
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe
+from world.score import errors
+
+LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
+
+
+@dataclass
+class _Tally:
+    """Counts over the run."""
+
+    messages: int = 0
+    bytes: int = 0
+    rejected: int = 0
+    residual: float = 0.0
+
+
+class Scorer(Node):
+    """The Node that scores a run; `finish` before the agents are dismissed, then `result`."""
+
+    role = "monitor"
+
+    def __init__(self, scenario: Scenario, name: str = "monitor", incarnation: int = 1, *, scores: bool = True) -> None:
+        """`scores` false: ticks are counted but not scored, because the assignment of thousands of targets takes longer than a tick."""
+        self.run, self.name, self.incarnation = scenario.run.name, name, incarnation
+        self.last_tick = scenario.run.ticks - 1  # of the whole run
+        self.scores: list[Score] = []
+        self.truth: Truth | None = None  # the newest
+        self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick of the world
+        self.on_event: Callable[[Event, float], None] = lambda event, now: None  # called first with every event: recorder, page
+        self.missing: tuple[str, ...] = ()  # members that were not there at the first tick
+        self.faults: list[Fault] = []  # ordered faults that no message shows
+        self.on_fault: Callable[[Fault], None] = lambda fault: None
+        self.on_report: Callable[[EventReport], None] = lambda told: None  # called with the effect of an event, once it is known
+        self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
+        self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
+        self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, fields: None  # called when settings differ
+        self.greeted: set[str] = set()  # names with at least one Hello
+        self.deaths = Deaths()
+        self.tick_rate = TickRateMeter(scenario)
+        self._settings = agent_config(scenario).agreed()
+        self._differing: dict[str, tuple[str, ...]] = {}  # by name: the fields in which settings differ
+        self._scenario = scenario
+        self._area = scenario.arena.width * scenario.arena.height
+        self._coverage = Coverage(scenario)
+        self._lag = LAG[scenario.run.clock]
+        self._fresh = max(scenario.timing.silent_rounds, 2 * scenario.timing.estimate_every)  # an older estimate counts no more
+        self._names = list(scenario.members)
+        self._alive: dict[str, int] = {}
+        self._gone_at: dict[str, float] = {}
+        self._truths: dict[int, Truth] = {}
+        self._estimates: dict[int, dict[str, Estimate]] = {}
+        self._latest: dict[str, Estimate] = {}
+        self._next = 0
+        self._chronicle = Chronicle()
+        self._events: list[EventReport] = []
+        self._tally = _Tally()
+        self._keeps_scores = scores
+        self._checked = -1, 0  # a tick, and how many live agents have answered it, counted from the first
+        self._transcript = hashlib.blake2b(digest_size=16)
+        self._finished = False
+
+    def deadline(self) -> float | None:
+        """None: late estimates are noticed at the next ticks of the world."""
+        return None
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Take one event and return what to do."""
+        self.on_event(event, now)
+        match event:
+            case Started():
+                return [Subscribe(all_of(self.run, kind)) for kind in ("truth", "estimate", "gossip", "observation", "command", "hello")]
+            case Received(batch=batch):
+                self._tally.messages += len(batch)
+                self._tally.bytes += sum(map(len, batch.payloads))
+                for message in batch.messages:
+                    self._hear(message, now)
+                if batch.kind not in (Truth, Estimate):
+                    return []  # nothing that could complete a tick
+            case Alive(role="agent"):
+                if self._alive.get(event.name, event.incarnation) != event.incarnation:
+                    self.on_twin(event.name, self._alive[event.name], event.incarnation)
+                self._gain(event.name, event.incarnation)
+                if event.name not in self._names:
+                    self._names = sorted([*self._names, event.name], key=order)
+            case Gone(role="agent") if self._alive.get(event.name) == event.incarnation:
+                self._lose(event.name, now)
+            case Rejected():
+                self._tally.rejected += 1
+        self._score_what_is_complete(now)
+        return []
+
+    def _hear(self, message: object, now: float) -> None:
+        if isinstance(message, Truth):
+            self._hear_truth(message, now)
+        elif isinstance(message, Estimate):
+            self._hear_estimate(message)
+        elif isinstance(message, Gossip):
+            self._compare_mass(message)
+        elif isinstance(message, Hello):
+            self.greeted.add(message.sender)
+            self._compare_settings(message)
+
+    def _compare_settings(self, hello: Hello) -> None:
+        """Report the settings of an agent that differ from those of the run; its peers refuse it."""
+        differs = disagreement(self._settings, hello.settings)
+        if differs != self._differing.get(hello.sender, ()):
+            self._differing[hello.sender] = differs
+            if differs:
+                self.on_differing(hello.sender, differs)
+
+    def _hear_truth(self, truth: Truth, now: float) -> None:
+        if truth.tick < self._next or (self.truth is not None and truth.tick <= self.truth.tick):
+            return
+        self.tick_rate.tick(now, truth.tick)
+        self._truths[truth.tick] = self.truth = truth
+        self.on_truth(truth)
+
+    def _hear_estimate(self, estimate: Estimate) -> None:
+        latest = self._latest.get(estimate.sender)
+        if latest is not None and (estimate.incarnation, estimate.tick) <= (latest.incarnation, latest.tick):
+            return
+        self._latest[estimate.sender] = estimate
+        self.tick_rate.count(estimate.sender, estimate.incarnation, estimate.counters)
+        if estimate.tick >= self._next:
+            self._estimates.setdefault(estimate.tick, {})[estimate.sender] = estimate
+
+    def _compare_mass(self, gossip: Gossip) -> None:
+        """The mass that an agent reports must be the sum of the particles that it publishes."""
+        estimate = self._latest.get(gossip.sender)
+        if estimate is not None and gossip.claim_names and (estimate.incarnation, estimate.tick) == (gossip.incarnation, gossip.claim_tick):
+            self._tally.residual = max(self._tally.residual, abs(estimate.mass - gossip.weight * len(gossip.ids)))
+
+    def _lose(self, name: str, now: float) -> None:
+        del self._alive[name]
+        if self._finished or self.truth is None:
+            return
+        self._gone_at[name] = self.truth.time
+        tick, time = self.truth.tick, self.truth.time
+        self._chronicle.lose(name, self.deaths.lose(name, tick, time, now), tick, time)
+
+    def _gain(self, name: str, incarnation: int) -> None:
+        is_new = name not in self._alive
+        self._alive[name] = max(incarnation, self._alive.get(name, 0))
+        if is_new and name in self._gone_at and self.truth is not None:
+            self._chronicle.regain(name, self.truth.tick)
+
+    def _score_what_is_complete(self, now: float) -> None:
+        while self.truth is not None and not self._finished:
+            late = self.truth.tick - self._next >= self._lag
+            truth = self._truths.get(self._next)
+            if truth is None and late:
+                self._forget(self._next)
+            elif truth is not None and (late or self._is_complete(truth)):
+                self._score(truth, now)
+                self._forget(truth.tick)
+            else:
+                return
+
+    def _forget(self, tick: int) -> None:
+        self._truths.pop(tick, None)
+        self._estimates.pop(tick, None)
+        self._next = tick + 1
+
+    def _is_complete(self, truth: Truth) -> bool:
+        """Whether all live agents that received this tick have answered; ticks without estimates wait for the next one."""
+        if truth.tick % self._scenario.timing.estimate_every:
+            return truth.tick + 1 in self._truths
+        said = self._estimates.get(truth.tick, {})
+        tick, place = self._checked
+        place = place if tick == truth.tick else 0
+        while place < len(truth.alive) and (truth.alive[place] in said or truth.alive[place] not in self._alive):
+            place += 1
+        self._checked = truth.tick, place
+        return place == len(truth.alive)
+
+    def _score(self, truth: Truth, now: float) -> None:
+        if not self._keeps_scores:
+            return
+        said = self._estimates.get(truth.tick, {})
+        self._transcript.update(truth.poses_bytes)
+        for name in self._names:
+            if name in said:
+                self._transcript.update(said[name].targets_bytes)
+        counted = [said.get(name) or self._latest[name] for name in self._names if name in self._alive and name in self._latest]
+        counted = [estimate for estimate in counted if estimate.tick >= truth.tick - self._fresh]
+        targets = np.frombuffer(b"".join([estimate.targets_bytes for estimate in counted]), dtype="<f8").reshape(-1, 2)
+        one_view = len({estimate.view for estimate in counted}) == 1
+        hole, overlap = hole_and_overlap([estimate.cell for estimate in counted], self._area, one_view=one_view)
+        distance, parts = errors(truth.targets, targets)
+        score = Score(
+            tick=truth.tick,
+            time=truth.time,
+            ospa=distance,
+            gospa=parts.total,
+            targets=len(truth.targets),
+            in_view=truth.in_view,
+            estimated=len(targets),
+            mass=math.fsum(estimate.mass for estimate in counted),
+            hole=hole,
+            overlap=overlap,
+            localisation=parts.localisation,
+            missed=parts.missed,
+            false=parts.false,
+            coverage=self._coverage.share(truth),
+        )
+        self.scores.append(score)
+        cells = {estimate.sender: estimate.cell for estimate in counted}
+        view = ScoredTick(truth.tick, truth.time, cells, truth.ids, truth.targets, targets, hole, overlap)
+        self._tell(self._chronicle.see(view))
+        self.deaths.see(truth.tick, hole, now)
+
+    def finish(self, now: float) -> None:
+        """The run is over: score the remaining ticks. An agent that leaves from now on is not lost."""
+        while self._truths and not self._finished:
+            tick = min(self._truths)
+            self._score(self._truths[tick], now)
+            self._forget(tick)
+        self._tell(self._chronicle.finish())
+        self._finished = True
+        self.on_finish()
+
+    def _tell(self, sentences: list[EventReport]) -> None:
+        for told in sentences:
+            self._events.append(told)
+            self.on_report(told)
+
+    def note_fault(self, verb: str, text: str, who: str = "", now: float = 0.0) -> None:
+        """Note an ordered fault that no message shows, such as a cut or a pause; `who`: names with commas."""
+        self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text, who))
+        names = [name for name in who.split(",") if name]
+        if verb == "pause":
+            self.deaths.paused |= set(names)
+        elif verb in ("resume", "kill", "restart"):
+            self._end_pause(verb, names, now)
+        elif verb in ("partition", "heal") and self.truth is not None:
+            self._chronicle.cut(verb, self.truth.tick)
+        self.on_fault(self.faults[-1])
+
+    def _end_pause(self, verb: str, names: list[str], now: float) -> None:
+        """End the pauses of these agents. A killed one whose token is already lost counts as dead now."""
+        for name in names:
+            was_paused = name in self.deaths.paused
+            self.deaths.paused.discard(name)
+            if was_paused and verb != "resume" and name not in self._alive and self.truth is not None and not self._finished:
+                self.deaths.lose(name, self.truth.tick, self.truth.time, now)
+
+    def is_up_to_date(self) -> bool:
+        """Whether every truth that was heard has been scored."""
+        return not self._truths
+
+    def alive(self) -> dict[str, int]:
+        """Live agents and their incarnations, by their tokens, in team order."""
+        return {name: self._alive[name] for name in self._names if name in self._alive}
+
+    def status(self) -> Status:
+        """The newest score and what is known of each agent."""
+        last = self.scores[-1] if self.scores else NO_SCORE
+        run = self._scenario.run
+        return Status(
+            tick=last.tick,
+            ticks=run.ticks,
+            time=last.time,
+            ospa=last.ospa,
+            gospa=last.gospa,
+            targets=last.targets,
+            in_view=last.in_view,
+            mass=last.mass,
+            hole=last.hole,
+            overlap=last.overlap,
+            messages=self._tally.messages,
+            tick_rate=self.tick_rate.now(),
+            agents=[self._agent_status(name) for name in self._names],
+            arena=(self._scenario.arena.width, self._scenario.arena.height),
+            places=_pairs([self.truth.targets] if self.truth else []),
+            estimates=_pairs([self._latest[name].targets for name in self._alive if name in self._latest]),
+        )
+
+    def _agent_status(self, name: str) -> AgentStatus:
+        status = AgentStatus(name=name, alive=name in self._alive, incarnation=self._alive.get(name, 0), gone_at=self._gone_at.get(name))
+        status.paused = name in self.deaths.paused
+        status.differs = list(self._differing.get(name, ()))
+        if self.truth is not None and name in self.truth.bodies:
+            x, y, heading = self.truth.poses[self.truth.bodies.index(name)].tolist()
+            status.pose = x, y, heading
+        estimate = self._latest.get(name)
+        if estimate is not None:
+            status.tick, status.round_ms = estimate.tick, 1000.0 * estimate.round_seconds
+            status.rounds, status.skipped = estimate.counters.get("rounds", 0), estimate.counters.get("skipped", 0)
+            status.late = estimate.counters.get("late", 0)
+        if estimate is not None and status.alive:  # a dead agent owns nothing
+            status.mass, status.targets = estimate.mass, len(estimate.targets)
+            status.cell = polygon_area(estimate.cell) / self._area
+        return status
+
+    def result(self, wall_seconds: float, messages: int | None = None, payload_bytes: int | None = None) -> Result:
+        """The record of the run; `messages` and `payload_bytes` where the driver has counted them better than this node can."""
+        scenario, scores = self._scenario, self.scores
+        steady = steady_part(scores, scenario)
+        last = scores[-1] if scores else None
+        result = Result(
+            scenario=scenario.run.scenario,
+            seed=scenario.run.seed,
+            partition=scenario.partition.kind,
+            capacity=scenario.capacity.mode,
+            control=scenario.control.mode,
+            agents=len(scenario.members),
+            missing=self.missing,
+            ticks=len(scores),
+            dt=scenario.run.dt,
+            wall_s=round(wall_seconds, 3),
+            mean_ospa=mean([score.ospa for score in scores]),
+            steady_ospa=mean([score.ospa for score in steady]),
+            final_ospa=last.ospa if last else 0.0,
+            mean_gospa=mean([score.gospa for score in scores]),
+            steady_gospa=mean([score.gospa for score in steady]),
+            final_gospa=last.gospa if last else 0.0,
+            cardinality_error=mean([abs(score.mass - score.targets) for score in steady]),
+            share_in_view=share_in_view(scores),
+            targets=last.targets if last else 0,
+            targets_in_view=last.in_view if last else 0,
+            hole_area=max((score.hole for score in scores), default=0.0),
+            overlap_area=max((score.overlap for score in scores), default=0.0),
+            mass_residual=self._tally.residual,
+            messages=self._tally.messages if messages is None else messages,
+            bytes=self._tally.bytes if payload_bytes is None else payload_bytes,
+            rounds=self.tick_rate.rounds,
+            kills=self.deaths.kills(),
+            transcript=self._transcript.hexdigest(),
+            events=tuple(self._events),
+        )
+        return msgspec.structs.replace(result, **why(scores, scenario))
+
+
+def _pairs(parts: list[np.ndarray]) -> list[tuple[float, float]]:
+    return [(round(x, 2), round(y, 2)) for part in parts for x, y in part.tolist()]

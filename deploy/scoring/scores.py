@@ -1,0 +1,134 @@
+"""Scores of one tick and their means over a run: error, its parts, and coverage."""
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from deploy.scenario import Scenario
+from protocol.geometry import total_area
+from protocol.messages import Truth
+from protocol.sensing import SensorModel
+from protocol.settings import sensor_of
+
+SNAP = 1e-9  # m
+LATTICE = 50  # points per axis on which coverage is read
+COVERAGE_EVERY = 10  # ticks between two readings of the coverage
+END = 5.0  # s: the last moments of a run
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One tick. Lengths in m, areas as shares of the arena."""
+
+    tick: int
+    time: float
+    ospa: float
+    gospa: float
+    targets: int
+    in_view: int
+    estimated: int  # targets that the agents report
+    mass: float  # sum over the agents, expected targets
+    hole: float
+    overlap: float
+    localisation: float = 0.0  # the parts of GOSPA
+    missed: float = 0.0
+    false: float = 0.0
+    coverage: float = 0.0  # share of the arena inside some footprint, read every `COVERAGE_EVERY` ticks
+
+
+NO_SCORE = Score(-1, 0.0, 0.0, 0.0, 0, 0, 0, 0.0, 1.0, 0.0)
+
+
+class Coverage:
+    """Share of the arena inside the footprint of some living agent's body, on a lattice."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        ticks = (np.arange(LATTICE) + 0.5) / LATTICE
+        east, north = ticks * scenario.arena.width, ticks * scenario.arena.height
+        self._points = np.stack(np.meshgrid(east, north), axis=-1)
+        self._east, self._north = east.tolist(), north.tolist()
+        self._scenario = scenario
+        self._sensors: dict[str, SensorModel] = {}
+        self._last = (-1, 0.0)  # period, share
+
+    def share(self, truth: Truth) -> float:
+        """The newest reading at the tick of a truth."""
+        period = truth.tick // COVERAGE_EVERY
+        if period != self._last[0]:
+            self._last = period, self._read(truth)
+        return self._last[1]
+
+    def _read(self, truth: Truth) -> float:
+        alive = set(truth.alive)
+        present = [(name, pose) for name, pose in zip(truth.bodies, truth.poses.tolist()) if name in alive]
+        present = [(name, pose) for name, pose in present if name in self._scenario.members]
+        covered = np.zeros((LATTICE, LATTICE), dtype=bool)
+        for name, (x, y, heading) in present:
+            sensor = self._sensor(name)
+            rows, columns = _between(self._north, y, sensor.reach), _between(self._east, x, sensor.reach)
+            points = self._points[rows, columns]
+            inside = sensor.probability(points.reshape(-1, 2), (x, y, heading)) > 0.0
+            covered[rows, columns] |= inside.reshape(points.shape[:2])
+        return float(covered.mean())
+
+    def _sensor(self, name: str) -> SensorModel:
+        if name not in self._sensors:
+            self._sensors[name] = sensor_of(self._scenario, self._scenario.members[name])
+        return self._sensors[name]
+
+
+def _between(axis: list[float], middle: float, width: float) -> slice:
+    """Where ascending numbers are no farther than `width` from one, and none is left out by rounding."""
+    wide = 1.001 * width
+    return slice(bisect_left(axis, middle - wide), bisect_right(axis, middle + wide))
+
+
+def steady_part(scores: Sequence[Score], scenario: Scenario) -> Sequence[Score]:
+    """The scores of the last `study.steady_share` of the run; all of them where it ended before."""
+    start = (1.0 - scenario.study.steady_share) * scenario.run.ticks
+    return [score for score in scores if score.tick >= start] or scores
+
+
+def mean(values: Sequence[float]) -> float:
+    """The mean, 0 of nothing."""
+    return math.fsum(values) / len(values) if values else 0.0
+
+
+def share_in_view(scores: Sequence[Score]) -> float:
+    """Share of target-time inside some field of view."""
+    return sum(score.in_view for score in scores) / max(1, sum(score.targets for score in scores))
+
+
+def why(scores: Sequence[Score], scenario: Scenario) -> dict[str, float]:
+    """Means of the parts of the error over the steady part, and the share in view over the last `END` s; fields of `Result`."""
+    steady = steady_part(scores, scenario)
+    last = [score for score in scores if score.time > scores[-1].time - END]
+    return {
+        "steady_localisation": mean([score.localisation for score in steady]),
+        "steady_missed": mean([score.missed for score in steady]),
+        "steady_false": mean([score.false for score in steady]),
+        "steady_targets": mean([score.targets for score in steady]),
+        "steady_estimated": mean([score.estimated for score in steady]),
+        "steady_mass": mean([score.mass for score in steady]),
+        "steady_coverage": mean([score.coverage for score in steady]),
+        "end_in_view": share_in_view(last),
+    }
+
+
+def hole_and_overlap(cells: list[np.ndarray], area: float, *, one_view: bool = False) -> tuple[float, float]:
+    """(hole, overlap) as shares of the arena: area - |union|, and the sum of the cells - |union|.
+
+    Cells of one diagram (`one_view`) cannot overlap, so if their areas add up to the arena they tile it.
+
+    The union is cut out: cells may add up to the arena and still leave a hole as large as an overlap. It is cut on a grid of SNAP,
+    because without one a border that two cells give with rounding errors can make the geometry engine swallow a whole cell.
+    """
+    total = total_area(cells)
+    if one_view and abs(total - area) <= 1e-9 * area:
+        return 0.0, 0.0
+    union = shapely.union_all([shapely.Polygon(cell) for cell in cells if len(cell) >= 3], grid_size=SNAP).area
+    return max(0.0, 1.0 - union / area), max(0.0, (total - union) / area)

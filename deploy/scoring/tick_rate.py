@@ -1,0 +1,91 @@
+"""The tick rate of a run: ticks a second requested and done, rounds skipped or late, and advice when the machine is too small."""
+
+import os
+from collections import deque
+
+from deploy.scenario import Scenario
+from deploy.scoring.status import TickRate
+
+WINDOW = 5.0  # s of the clock over which the present rate is measured
+LEAST = 3.0  # s of data that a judgement needs
+AGENT_TICKS_PER_CORE = 96.0  # rounds a second that a core plays in real time, all agents together
+BAD_SHARE = 0.05  # of the rounds: more skipped ones are worth a line
+SLOW = 0.9  # of the ticks that were asked for
+
+
+def asked_per_s(scenario: Scenario) -> float | None:
+    """Ticks a second of the wall clock that the scenario asks for; None: as fast as it goes."""
+    run = scenario.run
+    rate = run.rate if run.clock == "realtime" else run.pace
+    return rate / run.dt if rate else None
+
+
+def usable_cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def too_small(scenario: Scenario) -> str:
+    """One line of advice when this machine is too small for the scenario in real time; else empty."""
+    agents, cores, ticks = len(scenario.members), usable_cores(), asked_per_s(scenario)
+    if scenario.run.clock != "realtime" or ticks is None or agents * ticks <= AGENT_TICKS_PER_CORE * cores:
+        return ""
+    fits, room = AGENT_TICKS_PER_CORE * cores / agents * scenario.run.dt, "1 core" if cores == 1 else f"{cores} cores"
+    return f"{agents} agents at {ticks:g} ticks/s will be late on {room}: take --rate {fits:.2g} or less, fewer agents, or --lockstep"
+
+
+class TickRateMeter:
+    """Measures the tick rate from the ticks of the world and the counters of the agents."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._asked = asked_per_s(scenario)
+        self._ticks: deque[tuple[float, int]] = deque()  # times and ticks of the last `WINDOW` s
+        self._first: tuple[float, int] | None = None
+        self._counts: dict[tuple[str, int], tuple[int, int, int]] = {}  # rounds, skipped, late by name and incarnation
+
+    def tick(self, now: float, tick: int) -> None:
+        """A tick of the world has come."""
+        self._first = self._first or (now, tick)
+        self._ticks.append((now, tick))
+        while self._ticks[0][0] < now - WINDOW and len(self._ticks) > 2:
+            self._ticks.popleft()
+
+    def count(self, name: str, incarnation: int, counters: dict[str, int]) -> None:
+        """Take the counters of an agent."""
+        self._counts[name, incarnation] = (counters.get("rounds", 0), counters.get("skipped", 0), counters.get("late", 0))
+
+    @property
+    def rounds(self) -> int:
+        """Rounds that all agents have played."""
+        return sum(count[0] for count in self._counts.values())
+
+    def now(self) -> TickRate:
+        """The rate of the last seconds."""
+        return self._status(self._ticks[0] if self._ticks else None)
+
+    def whole(self) -> TickRate:
+        """The rate of the whole run."""
+        return self._status(self._first)
+
+    def _status(self, start: tuple[float, int] | None) -> TickRate:
+        speed = None
+        if start is not None and self._ticks[-1][0] > start[0]:
+            speed = (self._ticks[-1][1] - start[1]) / (self._ticks[-1][0] - start[0])
+        rounds, skipped, late = (sum(column) for column in zip(*self._counts.values())) if self._counts else (0, 0, 0)
+        found = TickRate(ticks_per_s=speed, asked_per_s=self._asked, rounds=rounds, skipped=skipped, late=late)
+        found.advice = self._advice(found)
+        return found
+
+    def _advice(self, found: TickRate) -> str:
+        """A line when rounds are skipped or ticks fall behind; empty in lockstep, where a slow machine takes longer and loses nothing."""
+        run, share = self._scenario.run, found.skipped / max(1, found.rounds + found.skipped)
+        if run.clock != "realtime" or self._first is None or self._ticks[-1][0] - self._first[0] < LEAST:
+            return ""
+        speed = 1.0 if found.ticks_per_s is None or self._asked is None else min(1.0, found.ticks_per_s / self._asked)
+        if share <= BAD_SHARE and speed >= SLOW:
+            return ""
+        fits = run.rate * speed * (1.0 - share)
+        behind = f"{100.0 * share:.0f} % of the rounds are skipped" if share > BAD_SHARE else f"{100.0 * speed:.0f} % of the ticks come"
+        what = f"{len(self._scenario.members)} agents at rate {run.rate:g}"
+        return f"this machine is too small for {what} ({behind}): take --rate {fits:.2g} or less, or --lockstep"

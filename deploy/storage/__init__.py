@@ -1,0 +1,1 @@
+"""Runs on disk: the directory of a run, and the runs that are kept."""

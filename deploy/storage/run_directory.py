@@ -1,0 +1,195 @@
+"""The directory of a run, and which runs are running.
+
+    runs/<name>/run.toml       the resolved scenario, which the world and the watchers read
+                agents.toml    what an agent may know of it
+                versions.json  software, Python, machine
+                logs/          one file per process, JSON lines
+                result.json    the result, once there is one
+                recording.mcap the recording, if one was asked for
+                lock           held by the supervisor or the simulation as long as the run runs
+                control.json   where the supervisor's control socket is
+                page           the address of the page, if there is one
+
+`runs` lies in the current directory unless COVEY_RUNS names another place. How runs are named and kept: `deploy.storage.kept_runs`.
+"""
+
+import contextlib
+import errno
+import fcntl
+import json
+import os
+import shutil
+import socket
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from deploy.installation import versions
+from deploy.scenario import Scenario, agent_config, toml_text
+from protocol.settings import BadSetting
+
+LATEST = "latest"  # the link to the run that began last
+ROOM = 16384  # bytes that a run needs at least, for its run.toml
+
+
+def runs_folder() -> Path:
+    """The folder that holds all run directories, absolute."""
+    return Path(os.environ.get("COVEY_RUNS") or "runs").absolute()
+
+
+class RunDirectory:
+    """Paths of one run."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.path = runs_folder() / name
+        self.config = self.path / "run.toml"
+        self.agents = self.path / "agents.toml"
+        self.versions = self.path / "versions.json"
+        self.logs = self.path / "logs"
+        self.result = self.path / "result.json"
+        self.lock = self.path / "lock"
+        self.control = self.path / "control.json"
+        self.truth = self.path / "truth.msgpack"
+        self.page = self.path / "page"  # its address
+        self.output = self.path / "up.log"  # the terminal output of a detached run
+
+    def log(self, name: str) -> Path:
+        """The log file of one process."""
+        return self.logs / f"{name}.jsonl"
+
+    def hold(self) -> int | None:
+        """Lock the run for this process: a descriptor that holds the lock while it is open; None while another process holds it."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self.lock, os.O_RDWR | os.O_CREAT, 0o600)
+        except OSError as error:
+            raise BadSetting(f"run directory {self.path}: {error.strerror}; COVEY_RUNS names another place") from None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(descriptor)
+            return None
+        return descriptor
+
+    def claim(self) -> int:
+        """Hold the run and remove what an earlier one of this name left behind; raises BadSetting when the run is running."""
+        descriptor = self.hold()
+        if descriptor is None:
+            raise is_running_already(self.name)
+        self.clear()
+        return descriptor
+
+    def clear(self) -> None:
+        """Remove what an earlier run left, and check that a run finds room; raises BadSetting when it does not."""
+        with self._writing():
+            for file in (self.config, self.agents, self.versions, self.result, self.control, self.truth):
+                file.unlink(missing_ok=True)
+            shutil.rmtree(self.logs, ignore_errors=True)
+            self.logs.mkdir()
+            self.config.write_bytes(bytes(ROOM))  # a full disk is known before anything starts
+            self.config.unlink()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Raise BadSetting naming the folder when it cannot be written."""
+        try:
+            yield
+        except OSError as error:
+            raise BadSetting(f"run directory {self.path}: {error.strerror}; COVEY_RUNS names another place") from None
+
+    def is_running(self) -> bool:
+        """Whether a supervisor or a simulation holds the run."""
+        try:
+            descriptor = os.open(self.lock, os.O_RDWR)
+        except OSError:
+            return False
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        finally:
+            os.close(descriptor)
+        return False
+
+    def is_free(self) -> bool:
+        """Whether nothing is here but what a start that failed may leave, so that a run can take the place."""
+        if not self.path.is_dir():
+            return not os.path.lexists(self.path)
+        return {file.name for file in self.path.iterdir()} <= {file.name for file in (self.lock, self.logs, self.output, self.page)}
+
+    def write_config(self, scenario: Scenario, *, simulated: bool = False) -> None:
+        """Write run.toml, agents.toml and versions.json."""
+        about = {**versions(), "simulated": simulated}
+        with self._writing():
+            self.config.write_text(toml_text(scenario), encoding="utf-8")
+            self.agents.write_text(toml_text(agent_config(scenario)), encoding="utf-8")
+            self.versions.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+
+    def is_simulated(self) -> bool:
+        """Whether the run is a simulation, which has no processes and no supervisor that could be asked."""
+        try:
+            return bool(json.loads(self.versions.read_text(encoding="utf-8")).get("simulated"))
+        except (OSError, ValueError, AttributeError):
+            return False
+
+    def socket_path(self) -> Path:
+        """The path of the control socket: a short path of this user, because socket paths are limited to about 100 bytes."""
+        folder = Path(tempfile.gettempdir()) / f"covey-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if folder.stat().st_uid != os.getuid() or folder.is_symlink():
+            raise BadSetting(f"{folder}: belongs to somebody else; set TMPDIR to a folder of your own")
+        _sweep(folder)
+        return folder / f"{self.name[:40]}-{os.getpid()}.sock"
+
+
+def is_running_already(name: str) -> BadSetting:
+    """The complaint about a name whose run is running."""
+    return BadSetting(f"--run {name}: a run of this name is running; end it with `covey down --run {name}` or take another name")
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the sockets of killed supervisors: no process and no answer."""
+    for path in folder.glob("*.sock"):
+        pid = path.stem.rpartition("-")[2]
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as probe:
+            if pid.isdecimal() and not _exists(int(pid)) and probe.connect_ex(str(path)) == errno.ECONNREFUSED:
+                path.unlink()
+
+
+def _exists(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def find_running(name: str | None) -> RunDirectory:
+    """The running run of that name, or the newest running one; raises BadSetting when there is none."""
+    if name is not None:
+        with contextlib.suppress(OSError):
+            name = os.readlink(runs_folder() / LATEST) if name == LATEST else name
+        directory = RunDirectory(name)
+        if not directory.is_running():
+            raise BadSetting(f"--run {name}: no run of this name is running in {runs_folder()}{_others()}")
+        return directory
+    running = running_runs()
+    if not running:
+        raise BadSetting(f"no run is running in {runs_folder()}; start one with `covey up`")
+    return running[-1]
+
+
+def running_runs() -> list[RunDirectory]:
+    """All swarms of processes that are running, the newest last."""
+    folder = runs_folder()
+    names = [path.name for path in folder.iterdir() if path.is_dir() and not path.is_symlink()] if folder.is_dir() else []
+    running = [directory for directory in map(RunDirectory, names) if directory.is_running() and not directory.is_simulated()]
+    return sorted(running, key=lambda directory: directory.config.stat().st_mtime if directory.config.exists() else 0.0)
+
+
+def _others() -> str:
+    names = ", ".join(directory.name for directory in running_runs())
+    return f"; running are {names}" if names else ""

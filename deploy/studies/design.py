@@ -1,0 +1,92 @@
+"""Designs: what a study compares, and the trials that follow from it, all methods with the same seeds."""
+
+import itertools
+from typing import Any
+
+import msgspec
+
+from deploy.scenario import TeamSettings, parse_set, team_counts
+from deploy.studies.trials import Trial, check_method
+from protocol.settings import BadSetting
+
+
+class Design(msgspec.Struct, frozen=True, kw_only=True):
+    """What a study compares: all combinations of teams, numbers of targets and methods, each with the same seeds."""
+
+    scenario: str
+    teams: tuple[str, ...]
+    targets: tuple[int, ...]
+    methods: tuple[str, ...]
+    trials: int = 10
+    first_seed: int = 100  # of the seeds 100, 101, ...; the defaults of the scenarios were found with smaller ones
+    options: dict[str, Any] = {}  # dotted settings of all trials
+
+
+STUDIES: dict[str, Design] = {
+    "convergence": Design(scenario="convergence", teams=("1",), targets=(8,), methods=("power", "voronoi-cod", "voronoi", "static")),
+    "efficacy": Design(scenario="efficacy", teams=("2", "3", "4", "5"), targets=(30, 40, 50), methods=("power", "voronoi", "voronoi-cod")),
+    "heterogeneity": Design(
+        scenario="heterogeneity", teams=("20E+20F", "20E+10G", "20E+4H"), targets=(30,), methods=("power", "voronoi", "voronoi-cod")
+    ),
+}
+QUICK: dict[str, dict[str, Any]] = {  # what --quick lays over a study: under 3 minutes on 2 cores
+    "convergence": {"trials": 4, "options": {"run.dt": 0.5}},
+    "efficacy": {"trials": 3, "options": {"run.dt": 0.5, "run.seconds": 40.0}},
+    "heterogeneity": {"trials": 4, "options": {"run.dt": 0.5, "run.seconds": 80.0}},
+}
+
+
+def design(name: str, quick: bool = False) -> Design:
+    """The study of that name; raises BadSetting listing what there is."""
+    if name not in STUDIES:
+        raise BadSetting(f"study {name!r} does not exist; known are {', '.join(STUDIES)}, robustness")
+    return msgspec.structs.replace(STUDIES[name], **QUICK[name]) if quick else STUDIES[name]
+
+
+def plan(found: Design) -> list[Trial]:
+    """All trials, seed by seed, so that a study that is cut short has compared everything equally often; checked by resolving them."""
+    for name in found.methods:
+        check_method(name)
+    for team in found.teams:
+        team_counts(TeamSettings(composition=team, triple=found.options.get("team.triple", "ACD")))
+    seeds = range(found.first_seed, found.first_seed + found.trials)
+    trials = [
+        Trial(scenario=found.scenario, seed=seed, team=team, targets=targets, method=method, options=found.options)
+        for seed, targets, team, method in itertools.product(seeds, found.targets, found.teams, found.methods)
+    ]
+    for trial in trials[: len(found.targets) * len(found.teams) * len(found.methods)]:
+        trial.resolve()
+    return trials
+
+
+def design_fields(trials: int | None, seed: int | None, teams: str | None, targets: str | None, methods: str | None) -> dict[str, Any]:
+    """The fields of a design that the command line names; raises BadSetting naming the option."""
+    if trials is not None and trials < 1:
+        raise BadSetting(f"--trials {trials}: should be at least 1")
+    if seed is not None and not 0 <= seed < 2**62:
+        raise BadSetting(f"--seed {seed}: should be a whole number from 0 to 2**62")
+    numbers = _parts(targets)
+    if numbers is not None and not all(part.isdecimal() for part in numbers):
+        raise BadSetting(f"--targets {targets}: should be whole numbers with commas, such as 30,40,50")
+    counts = None if numbers is None else tuple(map(int, numbers))
+    named = {"trials": trials, "first_seed": seed, "teams": _parts(teams), "targets": counts, "methods": _parts(methods)}
+    return {field: value for field, value in named.items() if value is not None}
+
+
+def _parts(text: str | None) -> tuple[str, ...] | None:
+    """The words between commas, each once."""
+    return None if text is None else tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+
+
+def dotted_options(
+    triple: str | None, capacity: str | None, dt: float | None, seconds: float | None, settings: list[str]
+) -> dict[str, Any]:
+    """The dotted settings that the command line names."""
+    named = {"team.triple": triple, "capacity.mode": capacity, "run.dt": dt, "run.seconds": seconds}
+    return {**{dotted: value for dotted, value in named.items() if value is not None}, **dict(map(parse_set, settings))}
+
+
+def design_with(name: str, quick: bool, fields: dict[str, Any], options: dict[str, Any]) -> Design:
+    """A study with the options of the command line laid over it."""
+    found = design(name, quick)
+    return msgspec.structs.replace(found, **fields, options={**found.options, **options})

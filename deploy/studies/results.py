@@ -1,0 +1,138 @@
+"""The folder of a study: it keeps every finished trial, so that a study that was stopped goes on where it was.
+
+    <folder>/trials.jsonl      one line for every finished trial, written at once
+             results.csv       the rows of the study in the order of its plan, and
+             results.parquet   the same; both rewritten when the study ends
+             lock              held while the study runs
+
+A row counts when its key is that of a planned trial: the key is a hash of every setting and of the program. So a second start goes
+on, more trials extend a study, and a changed program runs everything anew.
+"""
+
+import csv
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from deploy.studies.trials import Row
+from protocol.settings import BadSetting
+
+
+class StudyFolder:
+    """Where a study keeps its rows."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.trials = path / "trials.jsonl"
+        self.csv = path / "results.csv"
+        self.parquet = path / "results.parquet"
+
+    @contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Hold the folder; raises BadSetting when another study holds it or it cannot be written."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(self.path / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+        except OSError as error:
+            raise BadSetting(f"--into {self.path}: {error.strerror}") from None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(descriptor)
+            raise BadSetting(f"--into {self.path}: a study is running there; wait for it or name another folder") from None
+        try:
+            self._mend()
+            yield
+        finally:
+            os.close(descriptor)
+
+    def _mend(self) -> None:
+        """Remove the partial last line of a killed study."""
+        if self.trials.exists():
+            data = self.trials.read_bytes()
+            whole = data.rfind(b"\n") + 1
+            if whole < len(data):
+                os.truncate(self.trials, whole)
+
+    def finished(self) -> dict[str, Row]:
+        """All rows by key."""
+        if not self.trials.exists():
+            return {}
+        rows = [json.loads(line) for line in self.trials.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+        return {row["key"]: row for row in rows}
+
+    def add(self, row: Row) -> None:
+        """Keep a row; it is on the disk when this returns."""
+        with self.trials.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def publish(self, rows: Sequence[Row]) -> None:
+        """Write results.csv and results.parquet; wall times are left out, so that the same study gives the same table."""
+        table = [{name: value for name, value in row.items() if name not in ("wall_s", "key")} for row in rows]
+        _replace(self.csv, lambda path: _write_csv(path, table))
+        _replace(self.parquet, lambda path: _write_parquet(path, table))
+
+
+def _replace(path: Path, write: Any) -> None:
+    """Write a file beside and move it into place."""
+    beside = path.with_name(path.name + ".new")
+    write(beside)
+    beside.replace(path)
+
+
+def _write_csv(path: Path, rows: Sequence[Row]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else [])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _write_parquet(path: Path, rows: Sequence[Row]) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(list(rows)), path)
+
+
+def read_results(path: Path) -> list[Row]:
+    """The rows of a study: its folder, its results.parquet or its results.csv. Raises BadSetting naming what is wrong."""
+    if path.is_dir():
+        path = next((file for file in (path / "results.parquet", path / "results.csv") if file.exists()), path / "results.parquet")
+    try:
+        rows = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    except (OSError, ValueError) as error:
+        raise BadSetting(f"{path}: no results of a study: {error}") from None
+    missing = [name for name in ("method", "team", "seed", "start_targets", "steady_ospa") if not rows or name not in rows[0]]
+    if missing:
+        raise BadSetting(f"{path}: no results of a study: the column {missing[0]} is missing")
+    return rows
+
+
+def _read_parquet(path: Path) -> list[Row]:
+    import pyarrow.parquet
+
+    rows: list[Row] = pyarrow.parquet.read_table(path).to_pylist()
+    return rows
+
+
+def _read_csv(path: Path) -> list[Row]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return [{name: _plain(name, value) for name, value in row.items()} for row in csv.DictReader(file)]
+
+
+def _plain(name: str, value: str) -> Any:
+    """A cell of a CSV file as what it was."""
+    if name in ("team", "method", "scenario", "triple", "code", "transcript", "version"):
+        return value
+    for kind in (int, float):
+        try:
+            return kind(value)
+        except ValueError:
+            continue
+    return {"True": True, "False": False}.get(value, value)

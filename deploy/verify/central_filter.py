@@ -1,0 +1,100 @@
+"""The central filter: one PHD filter over the whole arena, fed with the detections that all agents report.
+
+It uses the agents' own functions, but knows no cells while it predicts and corrects: every particle and every detection of a tick in
+one filter, the sensors in the order of their names. Only the draw of new particles goes cell by cell, with the claims that the
+agents published and each owner's key. Without loss the union of what the agents own equals it.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from agents import phd
+from agents.backend import PLAIN, Backend
+from agents.births import background_births
+from agents.claims import NO_CLAIM, Claim
+from agents.particles import NONE, Particles, canonical, join, select
+from agents.regions import take
+from agents.step import Step
+from agents.tracker import RegionInput
+from agents.words import announced, side_by_side
+from deploy.scenario import Scenario, agent_config
+from protocol.geometry import rectangle
+from protocol.keys import order
+from protocol.messages import Gossip
+from protocol.settings import ArenaSettings, sensor_of
+
+
+class CentralFilter:
+    """A PHD over the whole arena; `particles` holds after the tick `stamp`, `updated` is what the new ones were drawn from."""
+
+    def __init__(self, scenario: Scenario, particles: Particles, stamp: int = -1, backend: Backend = PLAIN) -> None:
+        self.config, self._backend = agent_config(scenario), backend
+        self._classes = scenario.members
+        self.particles, self.stamp = particles, stamp
+        self.updated = particles
+
+    def play(self, gossips: Mapping[str, Gossip], claims: Mapping[str, Claim]) -> None:
+        """One tick on: predict, correct with the scans of all `gossips`, draw new particles in each of the `claims`."""
+        self.stamp += 1
+        config, step = self.config, Step(self.config, self.stamp)
+        born = background_births(config.filter.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
+        said = [gossips[name] for name in sorted(gossips, key=order)]
+        clutter = config.detection.clutter
+        sensors = [announced(gossip.sender, sensor_of(config, self._classes[gossip.sender]), clutter) for gossip in said]
+        any_sensor = sensor_of(config, next(iter(self._classes.values())))  # its view of the whole is not asked for
+        everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
+        [found] = self._backend.update_regions(side_by_side(said, sensors, config), self.particles, born, [everywhere], step)
+        self.updated = found.updated
+        self.particles = canonical(join([_drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))
+
+    @property
+    def mass(self) -> float:
+        """Expected number of targets."""
+        return float(self.particles.weights.sum())
+
+
+def _drawn(updated: Particles, owner: str, claim: Claim, step: Step) -> Particles:
+    """What an owner draws of the particles in its claim."""
+    return phd.resample(take(updated, claim, step), owner, step.tick, step.config.filter.seed, step.config.filter)
+
+
+def _widely(arena: ArenaSettings) -> np.ndarray:
+    """A polygon that holds everything that can matter: the arena and 1 km around it, counter-clockwise."""
+    far = 1000.0
+    return rectangle(arena.width + 2.0 * far, arena.height + 2.0 * far) - far
+
+
+class ParticleDifference(NamedTuple):
+    """How far two sets of particles are apart."""
+
+    strangers: int  # ids that only one of them has
+    moved: int  # common ids with different states
+    weight: float  # the largest difference of weights at common ids, expected targets
+    mass: float  # difference of the masses, first minus second, expected targets
+
+    @property
+    def exact(self) -> bool:
+        """Whether they are the same particle by particle, weights to 1e-9."""
+        return self.strangers == 0 and self.moved == 0 and self.weight <= 1e-9
+
+
+def particle_difference(one: Particles, other: Particles) -> ParticleDifference:
+    """Particle by particle; both in ascending order of id."""
+    common, first, second = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
+    moved = np.any(one.states[first] != other.states[second], axis=1)
+    apart = np.abs(one.weights[first] - other.weights[second])
+    return ParticleDifference(
+        strangers=len(one.ids) + len(other.ids) - 2 * len(common),
+        moved=int(np.count_nonzero(moved)),
+        weight=float(apart.max()) if len(common) else 0.0,
+        mass=float(one.weights.sum() - other.weights.sum()),
+    )
+
+
+def united(shares: Mapping[str, Particles]) -> Particles:
+    """Everything that the agents own, in ascending order of id; an id that two of them own occurs twice."""
+    parts = [shares[name] for name in sorted(shares, key=order)]
+    everything = join(parts) if parts else NONE
+    return select(everything, np.argsort(everything.ids, kind="stable"))

@@ -1,0 +1,186 @@
+"""`covey fuzz`: deterministic simulation of small swarms under faults that one seed draws.
+
+A case has three phases: chaos, in which the faults of its profile strike; healing, in which links, clocks and agents are put right;
+and a calm end, in which the swarm must be one again. Safety is checked after every event (`deploy.verify.invariants`), liveness at the end:
+all live agents agree, their cells tile the arena, and from then on they are the central filter particle by particle. A failing seed is
+shrunk to the fewest faults that still fail, and one command replays it.
+"""
+
+import os
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from agents.agent import Agent
+from agents.backend import Backend
+from deploy.faults.injector import Build
+from deploy.scenario import FaultSettings, Scenario, resolve
+from deploy.simulation import Simulation
+from deploy.verify.invariants import InvariantBroken, InvariantChecker
+from protocol.streams import stream
+
+CALM_START, CHAOS, SETTLE, CALM_END = 2.0, 20.0, 5.0, 2.0  # s
+HEAL_AT = CALM_START + CHAOS
+KINDS = ("crash", "stop", "cut", "loss", "copies", "delay", "reorder", "spoilt", "clock", "slow", "twin", "join")
+BLIND = {"angle": 240.0, "radius": 8.0, "prob_detection": 1e-12}  # sees nothing, so that no mass changes
+
+
+class Case(NamedTuple):
+    """The case of a seed."""
+
+    seed: int
+    scenario: Scenario
+    is_ledger: bool  # nothing is born, detected or lost: the mass must stay
+    kinds: tuple[str, ...]  # of faults
+
+
+class Failure(NamedTuple):
+    """A seed that broke something."""
+
+    seed: int
+    what: str
+    faults: tuple[FaultSettings, ...]
+
+    def __str__(self) -> str:
+        lines = [f"seed {self.seed}: {self.what}", f"  replay: covey fuzz --seeds 1 --first {self.seed}"]
+        return "\n".join(lines + [f"  {_as_text(fault)}" for fault in self.faults])
+
+
+def draw(seed: int) -> Case:
+    """The case of a seed: a swarm of 6 to 8, half of them in ledger mode; one kind of fault alone, or each with probability one half."""
+    rng = stream(seed, "fuzz")
+    is_ledger = bool(rng.random() < 0.5)
+    if rng.random() < 0.4:
+        kinds: tuple[str, ...] = (KINDS[int(rng.integers(len(KINDS)))],)
+    else:
+        kinds = tuple(kind for kind in KINDS if rng.random() < 0.5)
+    agents, dt = int(rng.integers(6, 9)), (0.25, 0.5)[int(rng.integers(2))]
+    faults = tuple(
+        fault for kind in kinds for _ in range(int(rng.integers(1, 4))) for fault in strike(kind, rng, "L" if is_ledger else "C")
+    )
+    scenario = msgspec.structs.replace(_swarm(seed, is_ledger, agents, dt, rng), faults=faults + healing())
+    return Case(seed, scenario, is_ledger, kinds)
+
+
+def _swarm(seed: int, is_ledger: bool, agents: int, dt: float, rng: np.random.Generator) -> Scenario:
+    team = f"L{agents}" if is_ledger else f"A2,C{agents - 3},D1"
+    side = float(rng.integers(25, 46))
+    options = {"run.seed": seed, "run.name": "fuzz", "run.dt": dt, "run.seconds": HEAL_AT + SETTLE + CALM_END}
+    options |= {"arena.width": side, "arena.height": side, "team.composition": team, "targets.count": 0 if is_ledger else 5}
+    options |= {"filter.particles_per_target": 30, "filter.least_particles": 12}
+    redrawn = is_ledger and stream(seed, "fuzz turnover").random() < 0.5  # so many per owner that new particles replace old ones each tick
+    if not redrawn and stream(seed, "fuzz overlap").random() < 0.3:
+        options |= {"timing.overlap": 3.0}  # both sides of a contested border count: only so can an id be told twice
+    if is_ledger:
+        options |= {"filter.least_particles": 150} if redrawn else {}
+        options |= {"filter.lifetime": 0.0, "filter.border": "reflect", "filter.prior_density": 0.01, "birth.background": False}
+        options |= {"birth.measurement": False, "detection.clutter": 0.0, "sensors.L": BLIND}
+    return resolve("efficacy", options)
+
+
+def strike(kind: str, rng: np.random.Generator, guest: str) -> Iterator[FaultSettings]:
+    """The faults of one blow of a kind; newcomers have the sensor class `guest`."""
+    at, seconds = round(CALM_START + rng.random() * (CHAOS - 1.0), 2), round(0.5 + 6.0 * rng.random(), 2)
+    share = f"{int(rng.integers(10, 61))}%"
+    dice, flag = float(rng.random()), bool(rng.random() < 0.5)
+
+    def blow(
+        verb: str, who: str = share, value: float | None = None, lasting: float | None = seconds, options: dict[str, object] | None = None
+    ) -> FaultSettings:
+        return FaultSettings(at=at, verb=verb, who=who, value=value, seconds=lasting, options=options or {})
+
+    match kind:
+        case "crash":
+            yield blow("kill", options={"silent": flag})
+        case "stop":
+            yield blow("pause")
+        case "cut":
+            yield blow("partition", options={"kind": ("both", "one-way", "bridge")[int(3.0 * dice)], "tokens": flag})
+        case "loss":
+            yield blow("drop", "100%", round(0.05 + 0.3 * dice, 3), options={"burst": float(rng.integers(2, 8)) if flag else 0.0})
+        case "copies":  # up to 8 s late: also a replay of what is long over
+            yield blow("duplicate", value=round(0.1 + 0.5 * dice, 3), options={"spread": 8.0 if flag else 0.3})
+        case "delay":
+            yield blow("delay", value=round(0.6 * dice, 3), options={"jitter": 0.3 if flag else 0.0})
+        case "reorder":
+            yield blow("reorder", value=round(0.1 + 0.5 * dice, 3), options={"spread": 0.4})
+        case "spoilt":
+            yield blow("flip", value=round(0.02 + 0.3 * dice, 3))
+        case "clock":
+            yield blow("jump", value=round(600.0 * dice, 1), lasting=None, options={"back": flag})
+        case "slow":
+            yield blow("slow", value=round(0.05 + 0.6 * dice, 2))
+        case "twin":
+            yield blow("twin", who="1", lasting=None)
+        case "join":
+            yield blow("join", who=f"g{int(1e6 * dice)}", lasting=None, options={"class": guest})
+
+
+def healing() -> tuple[FaultSettings, ...]:
+    """What puts everything right."""
+    everyone = [("heal", None), ("slow", 0.0), ("resume", None), ("restart", None)]
+    return tuple(FaultSettings(at=HEAL_AT, verb=verb, who="100%", value=value) for verb, value in everyone)
+
+
+def play(case: Case, build: Build = Agent, arithmetic: Backend | None = None) -> str | None:
+    """What a case broke, None when all is well."""
+    try:
+        simulation = Simulation(case.scenario, clock="realtime", build=build, arithmetic=arithmetic)
+        watch = InvariantChecker(simulation, HEAL_AT + SETTLE, case.is_ledger, case.kinds)
+        simulation.run()
+        watch.finish()
+    except InvariantBroken as broken:
+        return str(broken)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__} in {os.path.basename(place.filename)}:{place.lineno}: {error}"
+    return None
+
+
+def check(seed: int) -> Failure | None:
+    """The failure of a seed, shrunk; None when all is well."""
+    case = draw(seed)
+    what = play(case)
+    if what is None:
+        return None
+    smaller, what = shrink(case, what)
+    return Failure(seed, what, smaller.scenario.faults)
+
+
+def shrink(case: Case, what: str, play: Callable[[Case], str | None] = play) -> tuple[Case, str]:
+    """The case with as few faults as still break something, and what; healing stays."""
+    number = 0
+    while number < len(case.scenario.faults):
+        faults = case.scenario.faults
+        if faults[number] in healing():
+            number += 1
+            continue
+        fewer = faults[:number] + faults[number + 1 :]
+        smaller = case._replace(scenario=msgspec.structs.replace(case.scenario, faults=fewer))
+        broken = play(smaller)
+        if broken is None:
+            number += 1
+        else:
+            case, what = smaller, broken
+    return case, what
+
+
+def run(seeds: Sequence[int], jobs: int | None = None, progress: Callable[[int, int], None] = lambda done, failed: None) -> list[Failure]:
+    """The failures among some seeds, on all cores; `progress` is called with (cases done, failures)."""
+    failures: list[Failure] = []
+    with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
+        for done, failure in enumerate(pool.map(check, seeds), start=1):
+            failures += [failure] if failure else []
+            progress(done, len(failures))
+    return failures
+
+
+def _as_text(fault: FaultSettings) -> str:
+    """A fault in one line, as it would stand in a scenario."""
+    parts = [f"at = {fault.at}", f'verb = "{fault.verb}"', f'who = "{fault.who}"']
+    parts += [f"{name} = {value}" for name, value in (("seconds", fault.seconds), ("value", fault.value)) if value is not None]
+    return "{" + ", ".join(parts) + (f", options = {dict(fault.options)}" if fault.options else "") + "}"

@@ -1,0 +1,283 @@
+"""Invariants: conditions after every event of a simulation under any fault, and conditions after all faults have ended."""
+
+import math
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agents.agent import Agent
+from agents.belief import MOST_COPIES, Belief, share_of
+from agents.inbox import MOST_TICKS, RoundInbox
+from agents.round import RoundResult
+from deploy.simulation import Simulation
+from deploy.verify.central_filter import CentralFilter, particle_difference, united
+from protocol.geometry import polygon_area
+from protocol.keys import all_of
+from protocol.messages import Command, Estimate, Gossip, Hello, Truth
+from protocol.node import Alive, Effect, Event, Node, Received, Started, Subscribe
+
+GENTLE = {"loss", "copies", "reorder"}  # profiles under which the cells hardly move apart
+MOST_HOLE, MOST_OVERLAP = 0.03, 0.10  # mean shares of the arena in a gentle profile
+MASS_KEPT = {True: 0.01, False: 0.05}  # of the mass, in ledger mode after everything has healed: one kind of fault, several
+MASS_KEPT_REDRAWN = {True: 0.15, False: 0.4}  # the same where every tick new particles take the place of old ones
+SILENT_ROUNDS = 4  # that a silent peer stays a generator
+SLACK = 1.0 + 1e-9
+
+
+class InvariantBroken(Exception):
+    """An invariant does not hold."""
+
+
+def need(condition: bool, what: str) -> None:
+    """Raise `InvariantBroken` unless the condition holds."""
+    if not condition:
+        raise InvariantBroken(what)
+
+
+class MessageCollector(Node):
+    """A Node that hears all gossip, estimates and commands; only the newest ticks are kept."""
+
+    role, name, incarnation = "recorder", "collector", 1
+
+    def __init__(self, run: str) -> None:
+        self.run = run
+        self.gossips: dict[int, dict[str, Gossip]] = {}
+        self.estimates: dict[int, dict[str, Estimate]] = {}
+        self.commands: list[Command] = []
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Keep what is said."""
+        if isinstance(event, Started):
+            return [Subscribe(all_of(self.run, kind)) for kind in ("gossip", "estimate", "command")]
+        if isinstance(event, Received):
+            for message in event.batch.messages:
+                if isinstance(message, Gossip):
+                    self._keep(self.gossips, message.tick, message)
+                elif isinstance(message, Estimate):
+                    self._keep(self.estimates, message.tick, message)
+                elif isinstance(message, Command):
+                    self.commands.append(message)
+        return []
+
+    def deadline(self) -> float | None:
+        """Never."""
+        return None
+
+    def _keep(self, table: dict[int, dict[str, Any]], tick: int, message: Any) -> None:
+        table.setdefault(tick, {})[message.sender] = message
+        while len(table) > 50:
+            del table[min(table)]
+
+
+class InvariantChecker:
+    """Watches a simulation; `settled` is the world time from which on the swarm must be one again."""
+
+    def __init__(self, simulation: Simulation, settled: float, is_ledger: bool, kinds: Collection[str]) -> None:
+        self._simulation = simulation
+        self._settled = round(settled / simulation.scenario.run.dt)
+        self._is_spoilt = "spoilt" in kinds  # wrong numbers may have got in, and stay
+        self._is_ledger, self._is_gentle = is_ledger and not self._is_spoilt, set(kinds) <= GENTLE
+        self._mass_kept = (MASS_KEPT_REDRAWN if simulation.scenario.filter.least_particles > 100 else MASS_KEPT)[len(kinds) <= 1]
+        self._outcomes: dict[str, RoundResult] = {}
+        self._newest: dict[tuple[str, int, str], int] = {}  # (name, incarnation, other's name) -> the youngest incarnation it has seen
+        self._prints: dict[tuple[str, int], Fingerprint] = {}
+        self._last: dict[tuple[str, int], dict[str, tuple[int, int]]] = {}  # incarnation and tick of the newest gossip of each peer
+        self._first_mass: float | None = None
+        self._central_filter: CentralFilter | None = None
+        self._collector = MessageCollector(simulation.scenario.run.name)
+        simulation.bus.add(self._collector)
+        simulation.bus.tap = self._after
+        simulation.on_truth = self._on_truth
+
+    def finish(self) -> None:
+        """The run is over: liveness."""
+        scores = self._simulation.scorer.scores
+        need(len(scores) == self._simulation.scenario.run.ticks, f"only {len(scores)} ticks were scored")
+        need(self._central_filter is not None or self._is_spoilt, "the run never settled")
+        for score in scores[self._settled :]:
+            need(
+                score.hole <= 1e-9 and score.overlap <= 1e-9,
+                f"tick {score.tick}: hole {score.hole:.4f}, overlap {score.overlap:.4f} though healed",
+            )
+        if self._is_gentle:
+            hole, overlap = float(np.mean([score.hole for score in scores])), float(np.mean([score.overlap for score in scores]))
+            need(hole <= MOST_HOLE, f"mean hole {hole:.4f} though no agent was touched")
+            need(overlap <= MOST_OVERLAP, f"mean overlap {overlap:.4f} though no agent was touched")
+
+    # ------------------------------------------------------------------ after every event
+
+    def _after(self, node: Node, event: Event) -> None:
+        if not isinstance(node, Agent):
+            return
+        self._check_incarnations(node, event)
+        label, outcome = f"{node.name}#{node.incarnation}", node.outcome
+        before = self._outcomes.get(label, outcome)
+        self._outcomes[label] = outcome
+        if outcome is not before:
+            check_round(node, is_first=before.belief.stamp < 0)
+            check_words(node)
+            check_diagram(node)
+            self._check_order(node)
+        while self._collector.commands:
+            self._check_command(self._collector.commands.pop())
+
+    def _check_order(self, agent: Agent) -> None:
+        """The newest gossip of a peer in closed rounds is never replaced by an older one of the same incarnation."""
+        own, last = (agent.name, agent.incarnation), agent.neighbours.inbox.last
+        for name, (incarnation, tick) in self._last.get(own, {}).items():
+            gossip = last.get(name)
+            goes_back = gossip is not None and gossip.incarnation == incarnation and gossip.tick < tick
+            need(not goes_back, f"{agent.name}: after tick {tick} of {name} an older one counts as its newest")
+        self._last[own] = {name: (gossip.incarnation, gossip.tick) for name, gossip in last.items()}
+
+    def _check_incarnations(self, agent: Agent, event: Event) -> None:
+        """A message of an incarnation older than one whose token was seen changes nothing.
+
+        In a batch the other messages may change the agent: then what it holds of the old one's sender must be what it was.
+        """
+        own = agent.name, agent.incarnation
+        if isinstance(event, Alive) and event.role == "agent":
+            who = (*own, event.name)
+            self._newest[who] = max(event.incarnation, self._newest.get(who, 0))
+        if max(self._newest.values(), default=0) <= 1:
+            return
+        before, after = self._prints.get(own), fingerprint(agent)
+        batch = event.batch.messages if isinstance(event, Received) else ()
+        messages = [message for message in batch if isinstance(message, Gossip | Hello) and message.sender != agent.name]
+        is_old = [(said.sender, said.incarnation < self._newest.get((*own, said.sender), 0)) for said in messages]
+        others = {sender for sender, old in is_old if not old}
+        alone = not others and len(is_old) == len(batch)
+        for sender in {sender for sender, old in is_old if old} - others:
+            same = before is None or (after == before if alone else after.of(sender) == before.of(sender))
+            need(same, f"{agent.name}: a message of an old incarnation of {sender} changed its state")
+        self._prints[own] = after
+
+    def _check_command(self, command: Command) -> None:
+        limits = self._simulation.scenario.limits
+        speed = math.hypot(*command.velocity)
+        need(speed <= limits.speed * SLACK, f"{command.sender} wants to move at {speed} m/s")
+        need(abs(command.turn_rate) <= limits.turn_rate * SLACK, f"{command.sender} wants to turn at {command.turn_rate} rad/s")
+
+    # ------------------------------------------------------------------ after every tick
+
+    def _on_truth(self, truth: Truth) -> None:
+        """A tick of the world begins: the one before last is complete."""
+        tick = truth.tick - 2
+        estimates = self._collector.estimates.get(tick, {})
+        if self._first_mass is None and tick >= 0:
+            self._first_mass = math.fsum(estimate.mass for estimate in estimates.values())
+        if tick < self._settled:
+            return
+        self._check_unity(tick, estimates)
+        self._compare(tick)
+
+    def _check_unity(self, tick: int, estimates: dict[str, Estimate]) -> None:
+        """All live agents have played the tick and cut the same diagram; in ledger mode nothing has been lost."""
+        alive = set(self._simulation.injector.alive())
+        need(alive == set(estimates), f"tick {tick}: alive are {sorted(alive)}, but {sorted(estimates)} have played")
+        views = {estimate.view for estimate in estimates.values()}
+        need(len(views) == 1, f"tick {tick}: {len(views)} different views though healed")
+        for agent in self._simulation.agents.values():
+            need(agent.outcome.belief.everyone == alive, f"{agent.name} believes that {sorted(agent.outcome.belief.everyone)} are alive")
+        if self._is_ledger and self._first_mass:
+            kept = math.fsum(estimate.mass for estimate in estimates.values()) / self._first_mass
+            need(abs(kept - 1.0) <= self._mass_kept, f"tick {tick}: {kept:.4f} of the mass though healed")
+
+    def _compare(self, tick: int) -> None:
+        """From the settled tick on the agents are the central filter that starts from what they own."""
+        following = self._collector.gossips.get(tick + 1, {})
+        shares = {name: said for name, said in following.items() if said.claim_names}
+        told = {name: share_of(said) for name, said in shares.items()}
+        owned = united({name: share.particles for name, share in told.items()})
+        if len(np.unique(owned.ids)) < len(owned.ids):
+            need(self._is_spoilt, f"tick {tick}: a particle is owned by two agents though healed")
+            return
+        if self._central_filter is None:
+            self._central_filter = CentralFilter(self._simulation.injector.scenario, owned, tick)
+            return
+        self._central_filter.play(self._collector.gossips[tick], {name: share.claim for name, share in told.items()})
+        apart = particle_difference(owned, self._central_filter.particles)
+        need(apart.exact, f"tick {tick}: not the central filter: {apart}")
+
+
+def check_round(agent: Agent, is_first: bool) -> None:
+    """What must hold of an agent whenever it has played a round."""
+    outcome, name = agent.outcome, agent.name
+    belief = outcome.belief
+    assert isinstance(belief, Belief)
+    share, near = belief.mine, belief.copies.near
+    particles = share.particles
+    need(bool(np.all(np.isfinite(particles.states))), f"{name}: a particle that is nowhere")
+    need(bool(np.all(np.isfinite(particles.weights)) and np.all(particles.weights >= 0.0)), f"{name}: a weight that is no mass")
+    need(bool(np.all(particles.ids[1:] > particles.ids[:-1])), f"{name}: ids that do not ascend")
+    need(len(np.unique(near.ids)) == len(near.ids), f"{name}: a particle that counts twice")
+    need(math.isfinite(outcome.mass) and outcome.mass >= 0.0, f"{name}: a mass of {outcome.mass}")
+    need(math.isfinite(outcome.load) and outcome.load >= 0.0, f"{name}: a load of {outcome.load}")
+    need(0.0 <= outcome.unused <= agent.self.facts.capability * SLACK, f"{name}: an unused capacity of {outcome.unused}")
+    need(bool(np.all(np.isfinite(outcome.targets))), f"{name}: a target that is nowhere")
+    arena = agent.config.arena
+    need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
+    need(not (is_first and outcome.belief.stamp > 0 and share.claim.names), f"{name}: a newcomer with a cell before it has listened")
+    need(len(agent.neighbours.inbox.rounds) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.neighbours.inbox.rounds)} ticks")
+    need(len(near.ids) <= 4 * MOST_COPIES, f"{name}: {len(near.ids)} copies")
+
+
+def check_words(agent: Agent) -> None:
+    """The inputs of the newest round are finite numbers, and no capacity exceeds the largest announced one.
+
+    One bad float could win every cell.
+    """
+    outfits = [peer.outfit for peer in agent.neighbours.peers.values() if peer.outfit is not None]
+    most = SLACK * max([agent.self.facts.capability, *(outfit.facts.capability for outfit in outfits)])
+    for name, gossip in agent.neighbours.inbox.last.items():
+        if gossip.tick == agent.outcome.belief.stamp:
+            numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)
+            need(all(map(math.isfinite, numbers)) and gossip.weight >= 0.0, f"{agent.name}: believes {numbers} of {name}")
+            need(bool(np.all(np.isfinite(gossip.states))), f"{agent.name}: took a particle that is nowhere from {name}")
+            need(math.pi * gossip.power_radius**2 <= most, f"{agent.name}: believes a power radius of {gossip.power_radius} of {name}")
+
+
+def check_diagram(agent: Agent) -> None:
+    """Every live peer that was heard in the last `SILENT_ROUNDS` rounds has a generator (rule 7)."""
+    belief, neighbours = agent.outcome.belief, agent.neighbours
+    for name, peer in neighbours.circle.items():
+        last = neighbours.inbox.last.get(name)
+        if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.gone_at is not None:
+            continue
+        lately = belief.stamp - last.tick <= SILENT_ROUNDS
+        need(
+            not lately or name in belief.everyone,
+            f"{agent.name}: {name} is alive, was heard at {last.tick}, no generator at {belief.stamp}",
+        )
+
+
+class Fingerprint(NamedTuple):
+    """Everything about an agent that a message could change, but for the counters."""
+
+    tick: int
+    outcome: int  # identity of its outcome
+    peers: dict[str, tuple[Any, ...]]  # what it knows of each peer
+    held: dict[str, tuple[object, ...]]  # what it holds of each peer's gossips
+
+    def of(self, name: str) -> tuple[Any, ...]:
+        """The part that is about one peer."""
+        return self.peers.get(name), self.held.get(name)
+
+
+def fingerprint(agent: Agent) -> Fingerprint:
+    """The print of an agent; taking it changes nothing about how the agent keeps its gossips."""
+    neighbours = agent.neighbours
+    peers = {name: (p.incarnation, p.token, p.gone_at, p.missed, p.outfit is None) for name, p in neighbours.peers.items()}
+    return Fingerprint(agent.tick, id(agent.outcome), peers, held(neighbours.inbox))
+
+
+def held(inbox: RoundInbox) -> dict[str, tuple[object, ...]]:
+    """What is kept of each peer's gossips, as values to compare."""
+    found: dict[str, list[object]] = {}
+    for tick, gossips in inbox.rounds.items():
+        for name, gossip in gossips.items():
+            found.setdefault(name, []).append((tick, id(gossip)))
+    for name, gossip in inbox.last.items():
+        found.setdefault(name, []).append((gossip.incarnation, gossip.tick))
+    return {name: tuple(values) for name, values in found.items()}

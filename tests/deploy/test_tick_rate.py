@@ -1,0 +1,89 @@
+"""The pace: ticks a second against what was asked, rounds that were left out, and one line of advice where it helps."""
+
+import os
+from typing import Any
+
+import pytest
+
+from deploy.cli.display import tick_rate_words
+from deploy.scenario import Scenario, resolve
+from deploy.scoring.status import TickRate
+from deploy.scoring.tick_rate import TickRateMeter, asked_per_s, too_small
+
+
+def scenario(**run: Any) -> Scenario:
+    return resolve("quick", {"run.dt": 0.25, **{f"run.{field}": value for field, value in run.items()}})
+
+
+def run_at(pace: TickRateMeter, per_second: float, seconds: float, skipped: int = 0, rounds: int = 100) -> None:
+    for tick in range(int(per_second * seconds) + 1):
+        pace.tick(100.0 + tick / per_second, tick)
+    pace.count("s1", 1, {"rounds": rounds, "skipped": skipped, "late": 3})
+
+
+def test_what_is_asked_is_the_rate_of_real_time_or_the_pace_of_lockstep() -> None:
+    assert asked_per_s(scenario(clock="realtime", rate=2.0)) == 8.0
+    assert asked_per_s(scenario(clock="lockstep", pace=2.5)) == 10.0
+    assert asked_per_s(scenario(clock="lockstep")) is None
+
+
+def test_the_speed_is_that_of_the_last_seconds_and_that_of_the_whole_run() -> None:
+    pace = TickRateMeter(scenario(clock="lockstep"))
+    assert pace.now().ticks_per_s is None
+    run_at(pace, 10.0, 10.0)
+    for tick in range(1, 101):
+        pace.tick(110.0 + tick / 20.0, 100 + tick)
+    assert pace.now().ticks_per_s == pytest.approx(20.0)
+    assert pace.whole().ticks_per_s == pytest.approx(200.0 / 15.0)
+
+
+def test_rounds_are_counted_over_all_incarnations() -> None:
+    pace = TickRateMeter(scenario())
+    pace.count("s1", 1, {"rounds": 10, "skipped": 2, "late": 1})
+    pace.count("s1", 1, {"rounds": 20, "skipped": 4})
+    pace.count("s1", 2, {"rounds": 5, "late": 3})
+    pace.count("s2", 1, {"rounds": 7})
+    found = pace.now()
+    assert (found.rounds, found.skipped, found.late) == (32, 4, 3)
+
+
+def test_a_machine_that_keeps_up_gets_no_advice_and_one_that_does_not_gets_a_rate_that_fits() -> None:
+    calm = TickRateMeter(scenario(clock="realtime", rate=2.0))
+    run_at(calm, 8.0, 10.0, skipped=4)
+    assert calm.now().advice == ""
+    busy = TickRateMeter(scenario(clock="realtime", rate=2.0))
+    run_at(busy, 8.0, 10.0, skipped=100)
+    assert busy.now().advice == (
+        "this machine is too small for 6 agents at rate 2 (50 % of the rounds are skipped): take --rate 1 or less, or --lockstep"
+    )
+    slow = TickRateMeter(scenario(clock="realtime", rate=2.0))
+    run_at(slow, 4.0, 10.0)
+    assert "(50 % of the ticks come): take --rate 1 or less" in slow.now().advice
+
+
+def test_there_is_no_advice_in_the_first_seconds_nor_in_lockstep() -> None:
+    early = TickRateMeter(scenario(clock="realtime", rate=2.0))
+    run_at(early, 8.0, 2.0, skipped=100)
+    assert early.now().advice == ""
+    patient = TickRateMeter(scenario(clock="lockstep", pace=2.5))
+    run_at(patient, 1.0, 10.0, skipped=100)
+    assert patient.now().advice == ""
+
+
+def test_too_many_agents_for_the_cores_are_known_before_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3})
+    wanted = {"team.composition": "48E", "run.dt": 0.25, "run.clock": "realtime"}
+    assert too_small(resolve("quick", {**wanted, "run.rate": 0.5})) == ""
+    text = too_small(resolve("quick", {**wanted, "run.rate": 1.0}))
+    assert text == "48 agents at 4 ticks/s will be late on 1 core: take --rate 0.5 or less, fewer agents, or --lockstep"
+    assert too_small(resolve("quick", {**wanted, "run.clock": "lockstep"})) == ""
+
+
+def test_what_is_nothing_is_not_said() -> None:
+    def words(**fields: Any) -> str:
+        status = TickRate(**fields)
+        return tick_rate_words({name: getattr(status, name) for name in status.__struct_fields__})
+
+    assert words() == ""
+    assert words(ticks_per_s=7.12) == "7.1 ticks/s"
+    assert words(ticks_per_s=7.12, asked_per_s=8.0, skipped=3, late=1) == "7.1 of 8 ticks/s, 3 rounds skipped, 1 late"
