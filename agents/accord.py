@@ -3,8 +3,8 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from protocol.agreement import Agreed, disagreement, whole
-from protocol.messages import Beacon, Hello
+from protocol.agreement import disagreement, whole
+from protocol.messages import Agreed, Beacon, Hello
 from protocol.node import Effect, Warn
 
 
@@ -29,12 +29,12 @@ class Accord:
         return [warning for word in words for warning in self._warn(word)]
 
     def _warn(self, word: Hello | Beacon) -> list[Effect]:
-        """A warning, the first time that an incarnation differs: in which sections, which a beacon does not say."""
+        """A warning, the first time that an incarnation differs: in which settings, which a beacon does not say."""
         who = (word.sender, word.incarnation)
         if who in self._warned:
             return []
         self._warned.add(who)
-        sections = disagreement(self.settings, word.settings) if isinstance(word, Hello) else ()
-        where = ", ".join(sections) or "a section that only its Hello names"
+        fields = disagreement(self.settings, word.settings) if isinstance(word, Hello) else ()
+        where = ", ".join(fields) or "a setting that only its Hello names"
         consequence = "" if word.sender == "world" else ": it computes another PHD and is refused"
         return [Warn(f"the settings of {word.sender} differ from those of {self._name} in {where}{consequence}")]

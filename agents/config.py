@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from protocol.agreement import Agreed, agreed, common_sections
+from protocol.agreement import agreed, common_sections
+from protocol.messages import Agreed
 from protocol.settings import Common, Fraction, NotNegative, Positive, Section, Seed
 
 ParticleCount = Annotated[int, msgspec.Meta(ge=1, le=8000)]
@@ -111,7 +112,7 @@ class AgentConfig(Common, frozen=True, kw_only=True):
         return self.filter.seed
 
     def agreed(self) -> Agreed:
-        """What all agents must have in common to compute parts of one PHD and one diagram, a hash for each section."""
+        """What all agents must have in common to compute parts of one PHD and one diagram."""
         timing = {name: getattr(self.timing, name) for name in ("silent_rounds", "overlap", "interest", "tile")}
         own = {"filter": self.filter, "birth": self.birth, "partition": self.partition, "timing": timing}
         return agreed({**common_sections(self), **own})

@@ -81,7 +81,7 @@ class Neighbours:
         return None
 
     def _exclude(self, peer: Peer, differs: tuple[str, ...]) -> None:
-        """Count a peer out whose settings differ in some sections, or in again if they do not."""
+        """Count a peer out whose settings differ from mine in some fields, or in again if they do not."""
         peer.differs, self.changed = differs, True
         named = self.circle.keys() - {peer.name} if differs else self.circle.keys() | {peer.name}
         self.circle = {name: other for name, other in self.peers.items() if name in named}

@@ -27,7 +27,7 @@ class Peer:
     missed: int = 0  # rounds without a word in a row
     beacon: Beacon | None = None  # the newest
     rank: tuple[int, str] = (0, "")  # in the order of names
-    differs: tuple[str, ...] = ()  # refused: its settings are others than mine in these sections
+    differs: tuple[str, ...] = ()  # refused: its settings are others than mine in these fields
 
     def __post_init__(self) -> None:
         self.rank = order(self.name)

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from agents.capacity import place
 from agents.particles import NONE
 from agents.round import AgentContext, RoundResult
-from protocol.agreement import Agreed
 from protocol.fields import pack
-from protocol.messages import Command, Estimate, Gossip, Hello, Observation
+from protocol.messages import Agreed, Command, Estimate, Gossip, Hello, Observation
 from protocol.sensing import WedgeSensor
 
 VERSION = "0.1.0"

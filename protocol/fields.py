@@ -17,6 +17,8 @@ FARTHEST = 1.0e6  # no coordinate of an arena is larger, m
 LARGEST_AREA = FARTHEST**2  # m^2
 LEAST_RADIUS, LEAST_ANGLE, LARGEST_ANGLE = 1.0e-3, 1.0e-6, 7.0  # of a sensor, m and rad
 LATEST = 1.0e12  # no world time is larger, s
+MAX_SETTINGS, VALUE_SIZE = 65536, 8  # characters of all settings of a Hello, and what a number or boolean counts for
+LARGEST_SETTING = 1.0e12
 
 F4, F8, U8 = np.dtype("<f4"), np.dtype("<f8"), np.dtype("<u8")
 

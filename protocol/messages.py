@@ -23,17 +23,20 @@ from protocol.fields import (
     IDS,
     LARGEST_ANGLE,
     LARGEST_AREA,
+    LARGEST_SETTING,
     LATEST,
     LEAST_ANGLE,
     LEAST_RADIUS,
     MAX_DETECTIONS,
     MAX_NAMES,
     MAX_PARTICLES,
+    MAX_SETTINGS,
     POSES,
     STATES,
     TARGET_IDS,
     TARGETS,
     U8,
+    VALUE_SIZE,
     Malformed,
     Name,
     are_plain,
@@ -45,12 +48,14 @@ from protocol.fields import (
 from protocol.once import once
 from protocol.sensing import WedgeSensor
 
-WIRE_VERSION = 1
+WIRE_VERSION = 2
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
 Vector = tuple[float, float]
 Triple = tuple[float, float, float]
+Setting = bool | int | float | str
+Agreed = dict[str, dict[str, Setting]]  # section -> name -> value: what all must have in common (`agreement`)
 
 
 def check_sensor(sensor: WedgeSensor | None) -> None:
@@ -58,6 +63,19 @@ def check_sensor(sensor: WedgeSensor | None) -> None:
     if sensor is not None:
         check_number("sensor.radius", sensor.radius, least=LEAST_RADIUS)
         check_number("sensor.angle", sensor.angle, least=LEAST_ANGLE, most=LARGEST_ANGLE)
+
+
+def check_settings(settings: Agreed) -> None:
+    """Settings are few and finite: names and texts count by their characters, any other value as `VALUE_SIZE`."""
+    size = 0
+    for section, values in settings.items():
+        size += len(section)
+        for name, value in values.items():
+            size += len(name) + (len(value) if isinstance(value, str) else VALUE_SIZE)
+            if isinstance(value, float):
+                check_number(f"settings.{section[:64]}.{name[:64]}", value, -LARGEST_SETTING, LARGEST_SETTING)
+    if size > MAX_SETTINGS:
+        raise Malformed("size", f"settings: {size} characters, at most {MAX_SETTINGS} are allowed")
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, tag_field="type"):
@@ -82,7 +100,7 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     max_turn_rate: float = 0.0  # rad/s
     heard: tuple[str, ...] = ()
     local: bool = False  # True: I hear the world's Hello alone and know my peers by their beacons
-    settings: dict[str, int] = {}  # hash of each section that all must agree on (`agreement`); what is missing is not compared
+    settings: Agreed = {}  # what all must have in common, as far as it is said; what is missing is not compared
 
     def check(self) -> None:
         check_number("max_speed", self.max_speed, least=0.0)
@@ -90,6 +108,8 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
         check_sensor(self.sensor)
         if len(self.heard) > MAX_NAMES:
             raise Malformed("size", f"heard: {len(self.heard)} names, at most {MAX_NAMES} are allowed")
+        if self.settings:
+            check_settings(self.settings)
 
 
 class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):

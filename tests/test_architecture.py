@@ -47,6 +47,7 @@ SHELL = {  # the files where time, sockets and threads live; all others are core
 }
 OUTSIDE_WORLD = {"random", "secrets", "uuid", "time", "datetime", "socket", "asyncio", "threading", "subprocess", "multiprocessing"}
 PURE_RANDOM = {"Generator", "PCG64", "BitGenerator", "SeedSequence"}
+STRANGER = "deploy/examples/stranger.py"
 MOST_LINES = 450  # the subject decides where a file ends; this only asks whether there are two
 AGENT_PACKAGES = {
     "numpy",
@@ -112,8 +113,13 @@ def imports_of_tests(source: Source) -> list[str]:
 
 
 def zenoh_outside_live(source: Source) -> list[str]:
-    """Only protocol/live.py imports zenoh."""
-    return sorted(packages(source) & {"zenoh"}) if source.path != "protocol/live.py" else []
+    """Only protocol/live.py imports zenoh, and the example agent that shares nothing with ours."""
+    return sorted(packages(source) & {"zenoh"}) if source.path not in ("protocol/live.py", STRANGER) else []
+
+
+def ours_in_the_stranger(source: Source) -> list[str]:
+    """The example agent imports the standard library, zenoh and msgpack alone."""
+    return sorted(packages(source) - sys.stdlib_module_names - {"zenoh", "msgpack"}) if source.path == STRANGER else []
 
 
 def heavy_outside_deploy(source: Source) -> list[str]:
@@ -245,6 +251,8 @@ OFFENDERS: list[tuple[Rule, str, str]] = [
     (imports_of_tests, "deploy/x.py", "from tests import helper\n"),
     (zenoh_outside_live, "protocol/x.py", "import zenoh\n"),
     (zenoh_outside_live, "deploy/x.py", "from zenoh.ext import z_serialize\n"),
+    (ours_in_the_stranger, STRANGER, "from protocol.keys import order\n"),
+    (ours_in_the_stranger, STRANGER, "import numpy as np\n"),
     (heavy_outside_deploy, "agents/x.py", "import matplotlib.pyplot as plt\n"),
     (clocks_and_sockets_in_core, "agents/x.py", "import random\n"),
     (clocks_and_sockets_in_core, "world/x.py", "from time import monotonic\n"),

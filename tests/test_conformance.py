@@ -4,6 +4,7 @@ Nothing of ours is used to read a message; the encoder writes it. A second group
 fields of the page against our decoder, so that the page cannot go stale.
 """
 
+import inspect
 import json
 import math
 import re
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 import msgpack
 import pytest
 
+from agents.neighbours import OWN, UNASKED, Neighbours
 from protocol.codec import decode, encode
 from protocol.fields import Malformed
 from protocol.keys import message_key
@@ -69,7 +71,7 @@ FULL: dict[str, Message] = {
         max_turn_rate=5.0,
         heard=("s2",),
         local=True,
-        settings={"arena": 2**32 - 1},
+        settings={"arena": {"width": 40.0}, "filter": {"seed": 7, "border": "cross"}, "birth": {"background": True}},
     ),
     "beacon": Beacon(
         sender="s1",
@@ -180,6 +182,9 @@ def is_of_type(value: Any, row: Row) -> bool:
         return type(value) is list and all(type(part) is str for part in value)
     if row.type == "map of texts to integers":
         return type(value) is dict and all(type(name) is str and type(count) is int for name, count in value.items())
+    if row.type == "map of sections":
+        settings = [setting for section in value.values() for setting in section.values()]
+        return all(type(setting) in (bool, int, float, str) for setting in settings)
     if row.type == "wedge or nil":
         return value is None or (
             list(value) == [part.field for part in SENSOR] and all(is_of_type(value[part.field], part) for part in SENSOR)
@@ -321,7 +326,7 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
     elif row.type == "list of texts" and most:
         assert refusal(kind, {**plain(kind), row.field: ["s1"] * (int(most[1]) + 1)}) in ("size", "shape")  # shape: the array is shorter
     else:
-        assert row.type in ("text", "integer", "boolean", "list of texts", "map of texts to integers", "wedge or nil")
+        assert row.type in ("text", "integer", "boolean", "list of texts", "map of texts to integers", "map of sections", "wedge or nil")
 
 
 @pytest.mark.parametrize("row", SENSOR, ids=lambda row: row.field)
@@ -343,6 +348,19 @@ def test_the_limits_of_a_wedge_are_those_of_the_page(row: Row) -> None:
     )
 
 
+def test_the_limits_of_settings_are_those_of_the_page() -> None:
+    row = next(row for row in FIELDS["hello"] if row.field == "settings")
+    most, value_size, largest = (float(number) for number in re.findall(r"\d[\de+]*", row.limits))
+
+    def with_settings(settings: dict[str, Any]) -> str | None:
+        return refusal("hello", {**plain("hello"), "settings": settings})
+
+    assert with_settings({"a": {"b": "x" * int(most - 2)}}) is None and with_settings({"a": {"b": "x" * int(most - 1)}}) == "size"
+    full = {"x" * int(most - value_size - 1): {"b": 1.5}}
+    assert with_settings(full) is None and with_settings({**full, "a": {}}) == "size"
+    assert with_settings({"a": {"b": -largest}}) is None and with_settings({"a": {"b": math.nextafter(largest, math.inf)}}) == "range"
+
+
 def test_the_version_and_the_size_limit_of_the_page_are_those_of_the_code() -> None:
     assert f"`wire` is the version of this page: **{WIRE_VERSION}**" in PAGE
     assert "more than 524288 bytes" in PAGE
@@ -357,6 +375,12 @@ def test_the_keys_of_the_page_are_those_of_the_code() -> None:
     said = {key.replace("<run>", "demo").replace("<agent>", "s1").replace("<column>/<row>", "4/5") for key in rows if "/alive/" not in key}
     assert said == {message_key("demo", message) for message in FULL.values()}
     assert "covey/<run>/alive/<role>/<name>/<incarnation>" in rows
+
+
+def test_the_page_gives_every_reason_for_which_an_agent_refuses_a_gossip() -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", PAGE.partition("### When a gossip counts")[2].partition("\n## ")[0], re.MULTILINE)
+    source = inspect.getsource(Neighbours._judge).partition('"""')[2].partition('"""')[2]
+    assert set(listed) == {OWN, UNASKED, *re.findall(r'"(\w+)"', source)} and len(listed) == len(set(listed))
 
 
 def test_the_example_in_bytes_is_what_the_encoder_writes() -> None:

@@ -285,8 +285,8 @@ class Supervisor:
             log.warning(text)
             self._tell(text)
 
-    def _on_differing(self, name: str, sections: tuple[str, ...]) -> None:
-        text = f"the settings of {name} are not those of the run in {', '.join(sections)}: the others refuse it"
+    def _on_differing(self, name: str, fields: tuple[str, ...]) -> None:
+        text = f"the settings of {name} are not those of the run in {', '.join(fields)}: the others refuse it"
         log.warning(text)
         self._tell(text)
 

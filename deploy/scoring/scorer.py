@@ -58,12 +58,12 @@ class Scorer(Node):
         self.on_report: Callable[[EventReport], None] = lambda told: None  # called with the effect of an event, once it is known
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
         self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
-        self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, sections: None  # called when settings differ
+        self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, fields: None  # called when settings differ
         self.greeted: set[str] = set()  # names with at least one Hello
         self.deaths = Deaths()
         self.tick_rate = TickRateMeter(scenario)
         self._settings = agent_config(scenario).agreed()
-        self._differing: dict[str, tuple[str, ...]] = {}  # by name: the sections in which settings differ
+        self._differing: dict[str, tuple[str, ...]] = {}  # by name: the fields in which settings differ
         self._scenario = scenario
         self._area = scenario.arena.width * scenario.arena.height
         self._coverage = Coverage(scenario)
@@ -126,7 +126,7 @@ class Scorer(Node):
             self._compare_settings(message)
 
     def _compare_settings(self, hello: Hello) -> None:
-        """Report sections in which the settings of an agent differ from those of the run; its peers refuse it."""
+        """Report the settings of an agent that differ from those of the run; its peers refuse it."""
         differs = disagreement(self._settings, hello.settings)
         if differs != self._differing.get(hello.sender, ()):
             self._differing[hello.sender] = differs

@@ -31,7 +31,7 @@ class AgentStatus(msgspec.Struct, kw_only=True):
     late: int = 0
     paused: bool = False
     round_ms: float = 0.0
-    differs: list[str] = []  # sections in which its settings are not those of the run: its peers refuse it
+    differs: list[str] = []  # settings that are not those of the run: its peers refuse it
 
 
 class Status(msgspec.Struct, kw_only=True):

@@ -260,9 +260,9 @@ def test_an_impossible_word_does_not_raise_the_dead() -> None:
 
 def test_somebody_with_other_settings_is_named_once_counted_each_time_and_still_heard() -> None:
     agent = met()
-    other = {"settings": {**CONFIG.agreed(), "filter": 1, "arena": 2}}
+    other = {"settings": {**CONFIG.agreed(), "filter": {"gate": 1.5}, "arena": {"width": 2.5}}}
     effects = agent.handle(hello("s7", **other), 0.1)
-    text = "the settings of s7 differ from those of s1 in arena, filter: it computes another PHD and is refused"
+    text = "the settings of s7 differ from those of s1 in arena.width, filter.gate: it computes another PHD and is refused"
     assert effects == [Warn(text)] and agent.handle(hello("s7", **other), 0.2) == []
     assert agent.counters["rejected.settings"] == 2
     assert [type(effect) for effect in agent.handle(hello("s7", incarnation=2, **other), 0.3)] == [Warn]  # a process of its own
@@ -274,8 +274,8 @@ def test_somebody_with_other_settings_is_named_once_counted_each_time_and_still_
 def test_a_world_of_another_arena_is_a_warning() -> None:
     agent = Agent(CONFIG, "s1")
     agent.handle(Started(), 0.0)
-    world = Hello(sender="world", incarnation=1, role="world", settings={"arena": 1})
-    assert agent.handle(received(world), 0.1) == [Warn("the settings of world differ from those of s1 in arena")]
+    world = Hello(sender="world", incarnation=1, role="world", settings={"arena": {"height": 1}})
+    assert agent.handle(received(world), 0.1) == [Warn("the settings of world differ from those of s1 in arena.height")]
     assert agent.handle(see(0), 0.2)
 
 

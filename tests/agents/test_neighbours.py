@@ -17,7 +17,7 @@ def hello(name: str, incarnation: int = 1, sensor_class: str = "B") -> Hello:
 
 def differing(name: str) -> Hello:
     """Of somebody who works in another arena."""
-    return msgspec.structs.replace(hello(name), settings={**CONFIG.agreed(), "arena": 1})
+    return msgspec.structs.replace(hello(name), settings={**CONFIG.agreed(), "arena": {"width": 1}})
 
 
 def gossip(name: str, tick: int, incarnation: int = 1, listening: bool = False, radius: float = 2.0, cod: float = 3.0) -> Gossip:
@@ -212,7 +212,7 @@ def test_a_peer_of_other_settings_is_refused_and_waited_for_by_nobody() -> None:
     peers = neighbours("s3")
     peers.alive("s2", 1)
     assert peers.greet(differing("s2")) == "settings"
-    assert peers.peers["s2"].differs == ("arena",) and not peers.strangers()
+    assert peers.peers["s2"].differs == ("arena.width",) and not peers.strangers()
     assert set(peers.missing(0)) == {"s3"} and hear(peers, gossip("s2", 0)) == "settings"
     assert hear(peers, gossip("s3", 0)) is None
     assert generators(peers, 0) == ["s3"] and peers.close(0) == 0

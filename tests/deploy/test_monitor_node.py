@@ -11,7 +11,7 @@ from deploy.scenario import Scenario, agent_config, resolve
 from deploy.scoring.scorer import Scorer, hole_and_overlap
 from protocol.fields import pack
 from protocol.geometry import polygon_area
-from protocol.messages import Estimate, Gossip, Hello, Truth
+from protocol.messages import Agreed, Estimate, Gossip, Hello, Truth
 from protocol.node import Alive, Gone, Received, Started, Subscribe, received
 
 LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])
@@ -209,14 +209,15 @@ def test_two_cells_whose_common_border_differs_in_the_last_digit_do_not_swallow_
 
 def test_an_agent_of_other_settings_is_told_of_once_and_named_in_the_table_of_processes(scenario: Scenario) -> None:
     scorer, told = Scorer(scenario), list[tuple[str, tuple[str, ...]]]()
-    scorer.on_differing = lambda name, sections: told.append((name, sections))
+    scorer.on_differing = lambda name, fields: told.append((name, fields))
     right = agent_config(scenario).agreed()
-    for settings in ({**right, "filter": 1, "arena": 2}, {**right, "filter": 1, "arena": 2}, {}):
+    wrong: Agreed = {**right, "filter": {"gate": 1.5}, "arena": {"width": 2, "height": 3.5}}
+    for settings in (wrong, wrong, {}):
         scorer.handle(received(Hello(sender="b", incarnation=1, settings=settings)), 0.0)
         scorer.handle(received(Hello(sender="a", incarnation=1, settings=right)), 0.0)
         if len(settings):
-            assert [agent.differs for agent in scorer.status().agents] == [[], ["arena", "filter"]]
-    assert told == [("b", ("arena", "filter"))]
+            assert [agent.differs for agent in scorer.status().agents] == [[], ["arena.height", "arena.width", "filter.gate"]]
+    assert told == [("b", ("arena.height", "arena.width", "filter.gate"))]
     assert [agent.differs for agent in scorer.status().agents] == [[], []]
-    row = {"name": "b", "class": "B", "state": "running", "pid": 7, "incarnation": 1, "differs": ["arena", "filter"]}
-    assert process_cells(row)[2] == "running, refused: other arena, filter"
+    row = {"name": "b", "class": "B", "state": "running", "pid": 7, "incarnation": 1, "differs": ["arena.width", "filter.gate"]}
+    assert process_cells(row)[2] == "running, refused: other arena.width, filter.gate"

@@ -80,12 +80,12 @@ def test_who_filters_with_other_settings_is_refused_and_named_to_the_user(covey:
     other = covey.folder / "other.toml"
     other.write_text(text.replace("gate = 6.0", "gate = 5.0"))
     covey.by_hand("s20", 1, "L", other)
-    covey.wait(lambda data: rows(data).get("s20", {}).get("differs") == ["filter"])
+    covey.wait(lambda data: rows(data).get("s20", {}).get("differs") == ["filter.gate"])
     assert "guest, refused: other filter" in covey.run("ps")[1]
     assert covey.run("down")[0] == 0
     output, _ = supervisor.communicate(timeout=60)
-    assert "the settings of s20 are not those of the run in filter: the others refuse it" in output
-    warned = "the settings of s20 differ from those of s1 in filter: it computes another PHD and is refused"
+    assert "the settings of s20 are not those of the run in filter.gate: the others refuse it" in output
+    warned = "the settings of s20 differ from those of s1 in filter.gate: it computes another PHD and is refused"
     assert (covey.runs / "latest" / "logs" / "s1.jsonl").read_text().count(warned) == 1
 
 

@@ -41,6 +41,7 @@ def _samples() -> list[Message]:
             max_turn_rate=5.0,
             heard=("s2", "s3"),
             software="0.1",
+            settings={"run": {"dt": 0.25}, "filter": {"seed": 2**63 - 1, "border": "cross"}, "birth": {"background": True}},
         ),
         Beacon(sender="s1", incarnation=9, tick=4, position=(1.0, 2.0), cod=(2.0, 2.0), power_radius=6.5, reach=8.0, column=1, row=0),
         Gossip(

@@ -1,37 +1,46 @@
-"""Which sections of settings differ between two who should compute the same."""
+"""Which settings differ between two who should compute the same."""
 
 import hashlib
 import json
+import math
+import re
+from pathlib import Path
+from typing import Any
 
+import msgpack
 import msgspec
 import pytest
 
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, FilterSettings, TimingSettings
-from protocol.agreement import disagreement, section_hash, whole
+from protocol.agreement import disagreement, whole
+from protocol.codec import decode, encode
+from protocol.fields import MAX_SETTINGS, Malformed
+from protocol.messages import Hello, Setting
 from protocol.settings import ArenaSettings, DetectionSettings, LimitSettings, RunSettings, SensorSettings
 
 MODEL = {"R": SensorSettings(model="deploy.examples.sensors:RangeFalling")}
 OTHERS = {
-    "run": AgentConfig(run=RunSettings(dt=0.5)),
-    "arena": AgentConfig(arena=ArenaSettings(width=99.0)),
-    "detection": AgentConfig(detection=DetectionSettings(clutter=0.2)),
-    "limits": AgentConfig(limits=LimitSettings(speed=3.0)),
-    "filter": AgentConfig(filter=FilterSettings(seed=1)),
-    "birth": AgentConfig(birth=BirthSettings(copies=9)),
-    "timing": AgentConfig(timing=TimingSettings(tile=36.0)),
+    "run.dt": AgentConfig(run=RunSettings(dt=0.5)),
+    "arena.width": AgentConfig(arena=ArenaSettings(width=99.0)),
+    "detection.clutter": AgentConfig(detection=DetectionSettings(clutter=0.2)),
+    "limits.speed": AgentConfig(limits=LimitSettings(speed=3.0)),
+    "filter.seed": AgentConfig(filter=FilterSettings(seed=1)),
+    "birth.copies": AgentConfig(birth=BirthSettings(copies=9)),
+    "timing.tile": AgentConfig(timing=TimingSettings(tile=36.0)),
 }
 
 
-def test_the_hash_of_a_section_is_what_the_page_says() -> None:
-    written = json.dumps({"height": 100.0, "width": 40.0}, separators=(",", ":")).encode()
-    expected = int.from_bytes(hashlib.blake2b(written, digest_size=4).digest(), "little")
-    assert section_hash(ArenaSettings(width=40.0, height=100.0)) == expected
+def test_the_hash_of_all_settings_is_what_the_page_says() -> None:
+    settings: dict[str, dict[str, Setting]] = {"birth": {"background": True}, "arena": {"width": 40.0, "height": 100.0}}
+    written = json.dumps(settings, separators=(",", ":"), sort_keys=True).encode()
+    expected = int.from_bytes(hashlib.blake2b(written, digest_size=8).digest(), "little")
+    assert whole(settings) == expected // 2 | 1
 
 
-@pytest.mark.parametrize("section", OTHERS)
-def test_a_section_that_differs_is_named_and_no_other(section: str) -> None:
-    mine, theirs = AgentConfig().agreed(), OTHERS[section].agreed()
-    assert disagreement(mine, theirs) == (section,)
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_setting_that_differs_is_named_and_no_other(name: str) -> None:
+    mine, theirs = AgentConfig().agreed(), OTHERS[name].agreed()
+    assert disagreement(mine, theirs) == disagreement(theirs, mine) == (name,)
     assert whole(mine) != whole(theirs)
 
 
@@ -48,9 +57,58 @@ def test_what_is_nobody_elses_concern_need_not_agree() -> None:
 
 def test_models_that_announce_themselves_by_a_name_must_be_the_same_to_both() -> None:
     other = {"R": msgspec.structs.replace(MODEL["R"], parameters={"radius": 9.0})}
-    assert disagreement(AgentConfig(sensors=MODEL).agreed(), AgentConfig(sensors=other).agreed()) == ("sensors.R",)
+    assert disagreement(AgentConfig(sensors=MODEL).agreed(), AgentConfig(sensors=other).agreed()) == ("sensors.R.parameters",)
     assert disagreement(AgentConfig(sensors=MODEL).agreed(), AgentConfig().agreed()) == ()
 
 
 def test_who_says_nothing_of_its_settings_contradicts_nobody() -> None:
     assert disagreement(AgentConfig().agreed(), {}) == disagreement({}, AgentConfig().agreed()) == ()
+
+
+def test_a_setting_that_only_one_says_is_not_compared() -> None:
+    mine = AgentConfig().agreed()
+    assert disagreement(mine, {"filter": {"gate": mine["filter"]["gate"]}, "kitchen": {"chairs": 4}}) == ()
+    assert disagreement(mine, {"filter": {"gate": 1.5, "colour": "red"}}) == ("filter.gate",)
+
+
+def test_the_settings_come_out_of_the_bytes_as_they_went_in() -> None:
+    hello = Hello(sender="s1", incarnation=1, settings=AgentConfig(sensors=MODEL, filter=FilterSettings(seed=2**63 - 1)).agreed())
+    assert decode("covey/demo/hello/s1", encode(hello)) == hello
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"a": {"b": "x" * (MAX_SETTINGS - 1)}}, "size"),
+        ({"a": {f"{number:08}": True for number in range(MAX_SETTINGS // 16)}}, "size"),
+        ({"x" * (MAX_SETTINGS + 1): {}}, "size"),
+        ({"a": {"b": math.nan}}, "range"),
+        ({"a": {"b": -math.inf}}, "range"),
+        ({"a": {"b": 2.0e12}}, "range"),
+        ({"a": {"b": [1.0]}}, "format"),
+        ({"a": {"b": {"c": 1}}}, "format"),
+        ({"a": {"b": None}}, "format"),
+        ({"a": 7}, "format"),
+    ],
+)
+def test_settings_that_are_too_many_or_no_plain_values_are_refused(settings: dict[str, Any], reason: str) -> None:
+    with pytest.raises(Malformed) as refused:
+        decode("covey/demo/hello/s1", msgpack.packb({"sender": "s1", "incarnation": 1, "settings": settings}))
+    assert refused.value.reason == reason
+
+
+def test_settings_of_just_the_largest_size_are_taken() -> None:
+    Hello(sender="s1", incarnation=1, settings={"a": {"b": "x" * (MAX_SETTINGS - 2)}}).check()
+
+
+def test_the_page_lists_just_the_settings_that_a_hello_says() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+    listed: dict[str, set[str]] = {}
+    section = ""
+    for line in page.partition("### Agreement")[2].partition("\n### ")[0].splitlines():
+        row = re.fullmatch(r"\|(?: `([\w.<>]+)`)? \| (`.+?`) \|.*", line)
+        if row:
+            section = row[1] or section
+            listed.setdefault(section, set()).update(re.findall(r"`(\w+)`", row[2]))
+    said = AgentConfig(sensors=MODEL).agreed()
+    assert listed == {name.replace("sensors.R", "sensors.<class>"): set(values) for name, values in said.items()}

@@ -1,0 +1,87 @@
+"""The example agent of another make computes what ours compute, though it shares nothing with them."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from agents import cells, phd
+from agents.claims import make_claim, owned
+from agents.config import AgentConfig, FilterSettings
+from agents.particles import Particles
+from protocol.geometry import polygon_area, rectangle
+from protocol.keys import order
+from protocol.settings import ArenaSettings
+from protocol.streams import key
+
+FILE = Path(__file__).parents[2] / "deploy" / "examples" / "stranger.py"
+
+
+@pytest.fixture(scope="module")
+def stranger() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("stranger", FILE)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def rows_of(particles: Particles) -> list[tuple[float, ...]]:
+    weights, ids = particles.weights.tolist(), particles.ids.tolist()
+    return [(*state, weight, number) for state, weight, number in zip(particles.states.tolist(), weights, ids)]
+
+
+def test_it_is_short_enough_to_be_read() -> None:
+    assert len(FILE.read_text(encoding="utf-8").splitlines()) < 250
+
+
+@pytest.mark.parametrize("border", ["cross", "reflect"])
+def test_its_particles_move_as_ours_do(stranger: ModuleType, border: str) -> None:
+    config = AgentConfig(arena=ArenaSettings(width=30.0, height=20.0), filter=FilterSettings(seed=2**62 + 5, border=border))  # type: ignore[arg-type]
+    rng = np.random.default_rng(5)
+    states = np.column_stack([rng.uniform(0.0, 30.0, 200), rng.uniform(0.0, 20.0, 200), rng.normal(0.0, 2.0, (200, 2))])
+    particles = Particles(states, np.full(200, 0.25), rng.integers(0, 2**64, 200, dtype=np.uint64))
+    moved = phd.predict(particles, 17, config.filter.seed, config.run.dt, config.filter, config.arena)
+    ours = [row for row in rows_of(moved) if row[4] > 0.0]
+    assert stranger.move(rows_of(particles), 17, config.agreed()) == ours
+    assert len(ours) == 200 if border == "reflect" else len(ours) < 200
+
+
+def test_its_keys_are_ours(stranger: ModuleType) -> None:
+    assert stranger.key(2**63 - 1, "north", 12345) == key(2**63 - 1, "north", 12345)
+
+
+def test_its_cells_and_claims_are_ours(stranger: ModuleType) -> None:
+    """Discs of all sizes, two in one place, names of two lengths."""
+    rng, arena = np.random.default_rng(11), ArenaSettings(width=40.0, height=40.0)
+    points, radii = rng.uniform(0.0, 40.0, (12, 2)), rng.uniform(0.0, 12.0, 12)
+    points[7], radii[7] = points[2], radii[2]
+    names = [f"s{number}" for number in range(1, 13)]
+    diagram = [(name, *point, radius) for name, point, radius in zip(names, points.tolist(), radii.tolist())]
+    corners = [tuple(corner) for corner in rectangle(40.0, 40.0).tolist()]
+    grid = np.stack(np.meshgrid(np.arange(0.0, 40.1, 2.0), np.arange(0.0, 40.1, 2.0)), axis=-1).reshape(-1, 2)
+    areas = []
+    for number, row in enumerate(diagram):
+        polygon, claim = stranger.power_cell(row, [other for other in diagram if other is not row], corners)
+        ours = cells.cut(number, points, radii, rectangle(40.0, 40.0))
+        areas.append(polygon_area(np.array(polygon).reshape(-1, 2)))
+        assert areas[-1] == pytest.approx(polygon_area(ours.polygon), abs=1e-9)
+        if areas[-1] == 0.0:
+            continue
+        assert claim[0] == row and {other[0] for other in claim} == {names[bound] for bound in ours.bounds}
+        said = tuple(other[0] for other in claim)
+        stated = make_claim(said, np.array([other[1:] for other in claim]), tuple(order(name) for name in said))
+        assert [stranger.owns(claim, x, y) for x, y in grid.tolist()] == owned(grid, stated, arena).tolist()
+    assert sum(areas) == pytest.approx(1600.0) and areas[7] == 0.0
+
+
+def test_a_draw_keeps_the_mass_and_gives_every_particle_an_id_of_its_own(stranger: ModuleType) -> None:
+    rng = np.random.default_rng(3)
+    particles = [(*row, weight, number) for number, (row, weight) in enumerate(zip(rng.normal(size=(50, 4)).tolist(), rng.random(50)))]
+    drawn = stranger.draw(particles, {"particles_per_target": 4, "least_particles": 30, "most_particles": 2000})
+    assert len(drawn) == round(4 * sum(row[4] for row in particles)) and len({row[4] for row in drawn}) == 1
+    assert sum(row[4] for row in drawn) == pytest.approx(sum(row[4] for row in particles))
+    ids = [row[5] for row in drawn]
+    assert ids == sorted(set(ids)) and stranger.draw([], {}) == []
