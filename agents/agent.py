@@ -7,22 +7,22 @@ and drive. The mathematics lives in `phd`, `belief`, `cells`, `capacity` and `co
 
 from collections import Counter
 
-from agents import speech
-from agents.accord import Accord
 from agents.backend import PLAIN
 from agents.backend import Backend as Arithmetic
-from agents.belief import start
-from agents.births import prior, prior_around, prior_size
 from agents.config import AgentConfig
-from agents.greetings import SOON, Greetings
-from agents.lookout import Lookout
-from agents.neighbours import ACCEPTED, OWN, UNASKED, Neighbours
-from agents.particles import NONE
+from agents.gossip import outbox
+from agents.interest.manager import InterestManager
+from agents.membership.agreement import SettingsAgreement
+from agents.membership.announcements import SOON, AnnouncementSchedule
+from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
 from agents.round import RoundResult, context_of, run_round
+from agents.tracking.belief import start
+from agents.tracking.births import prior, prior_around, prior_size
+from agents.tracking.particles import NONE
+from protocol.failure_detector import FailureDetector
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
-from protocol.node import QUIET, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
-from protocol.presence import Presence
+from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 
 EXIT_FENCED = 3
 MANY = 1 << 30
@@ -42,15 +42,15 @@ class Agent(Node):
         self.config = config
         self.sensor_class = sensor_class or config.members[name]  # empty: as the roster says
         self.counters: Counter[str] = Counter()
-        self.neighbours = Neighbours(config, name)
+        self.neighbours = PeerTable(config, name)
         self.tick = -1  # of the newest observation
         self.self = context_of(config, name, self.sensor_class, arithmetic)
         self.local = self.neighbours.local
         self.sees_all_tokens = not self.local
-        self._lookout = Lookout(self.self, self.neighbours, incarnation) if self.local else None
+        self._lookout = InterestManager(self.self, self.neighbours, incarnation) if self.local else None
         everywhere = NONE if self.local else prior(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena)
         self.outcome = RoundResult(start(everywhere, name), self.self.facts.capability)
-        self._presence = Presence(name, ["world"] if self.local else [*config.others(name), "world"])
+        self._presence = FailureDetector(name, ["world"] if self.local else [*config.others(name), "world"])
         self._world = 0  # incarnation of the world
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # mine, of the open round
@@ -59,9 +59,9 @@ class Agent(Node):
         self._lonely = 0  # and rounds left in which I do not believe that nobody else is there
         self._close_at: float | None = None
         self._answer_at: float | None = None
-        self._greetings = Greetings(0 if self.local else len(config.others(name)), self.neighbours.are_all_there)
+        self._greetings = AnnouncementSchedule(0 if self.local else len(config.others(name)), self.neighbours.are_all_there)
         self._opened_at = 0.0
-        self._accord = Accord(name, self.neighbours.settings, self.counters)
+        self._accord = SettingsAgreement(name, self.neighbours.settings, self.counters)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event; the effects in order (Node)."""
@@ -96,13 +96,13 @@ class Agent(Node):
             return self._on_gossips(batch, now)
         if batch.kind is Beacon:
             return self._on_beacons([message for message in batch.messages if message.sender != self.name], now)
-        effects: list[Effect] = QUIET
+        effects: list[Effect] = NO_EFFECTS
         for message in batch.messages:
             if isinstance(message, Hello):
                 more = self._on_hello(message, now)
             else:
-                more = self._on_observation(message, now) if isinstance(message, Observation) else QUIET
-            effects = more if effects is QUIET else [*effects, *more]
+                more = self._on_observation(message, now) if isinstance(message, Observation) else NO_EFFECTS
+            effects = more if effects is NO_EFFECTS else [*effects, *more]
         return effects
 
     def _expressions(self) -> list[str]:
@@ -144,7 +144,7 @@ class Agent(Node):
 
     def _speak(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: say my gossip, and wait for those of the others."""
-        self._gossip = speech.gossip(self.self, self.incarnation, self.outcome, observation, listening=self._listening > 0)
+        self._gossip = outbox.gossip(self.self, self.incarnation, self.outcome, observation, listening=self._listening > 0)
         self._awaited = self.neighbours.missing(self.tick, newcomer=self._listening > 0)
         self._close_at = now + self.config.patience(missed=self.neighbours.anyone_missed())
         return [self._gossip, *self._close_if_complete(now)]
@@ -172,11 +172,11 @@ class Agent(Node):
             self._presence.speak_all(batch.senders, now)
         if self.tick < 0:
             self._greetings.go_on()
-        effects: list[Effect] = QUIET
+        effects: list[Effect] = NO_EFFECTS
         start = 0
         while start < len(batch):  # a round closes with the gossip that completes it; the rest belongs to what follows
             more, judged = self._accept(batch, start, now)
-            effects = more if effects is QUIET else [*effects, *more]
+            effects = more if effects is NO_EFFECTS else [*effects, *more]
             start += judged
         return effects
 
@@ -192,7 +192,7 @@ class Agent(Node):
         doubts = self._lag(accepted, now) if self._lookout is not None else []
         if self._gossip is not None and not self._awaited:
             return [*doubts, *self._close(now)], len(reasons)
-        return doubts or QUIET, len(reasons)
+        return doubts or NO_EFFECTS, len(reasons)
 
     def _lag(self, gossips: list[Gossip], now: float) -> list[Effect]:
         """A new session, if others have long been more than a tick ahead."""
@@ -207,9 +207,9 @@ class Agent(Node):
 
     def _on_beacons(self, beacons: list[Beacon], now: float) -> list[Effect]:
         if self._lookout is None:
-            return QUIET
+            return NO_EFFECTS
         others = [beacon for beacon in beacons if self._accord.differs(beacon)]
-        warnings = self._accord.refuse(others) if others else QUIET
+        warnings = self._accord.refuse(others) if others else NO_EFFECTS
         if not self._lookout.hear_all([beacon for beacon in beacons if beacon not in others] if others else beacons):
             return warnings
         self._answer_at = now + SOON if self._answer_at is None else self._answer_at
@@ -219,7 +219,7 @@ class Agent(Node):
         if hello.sender == self.name:
             return self._fence(hello.incarnation)
         if hello.role == "agent" and self.neighbours.knows(hello) and self._presence.greet_again(hello.sender, now):
-            return QUIET
+            return NO_EFFECTS
         reason = self.neighbours.greet(hello) if hello.role == "agent" else None
         warnings = self._accord.refuse([hello]) if self._accord.differs(hello) else []  # heard all the same, which others shall know
         if reason and reason != "settings":
@@ -230,7 +230,7 @@ class Agent(Node):
             self._greetings.news(len(self.neighbours.peers), now)
         reason = self._presence.split(hello, now) if hello.role == "agent" else ""
         if not reason:
-            return warnings or ([] if is_new else QUIET)
+            return warnings or ([] if is_new else NO_EFFECTS)
         self.counters["reopened"] += 1
         return [*warnings, Reopen(reason)]
 
@@ -245,7 +245,7 @@ class Agent(Node):
             effects += self._close(now)
         return effects
 
-    def _on_time(self, lookout: Lookout, now: float) -> list[Effect]:
+    def _on_time(self, lookout: InterestManager, now: float) -> list[Effect]:
         effects: list[Effect] = []
         if self._answer_at is not None and now >= self._answer_at:
             self._answer_at = None
@@ -254,13 +254,13 @@ class Agent(Node):
             effects += self._settle(now)
         return effects
 
-    def _look_out(self, lookout: Lookout, gossip: Gossip, now: float) -> list[Effect]:
+    def _look_out(self, lookout: InterestManager, gossip: Gossip, now: float) -> list[Effect]:
         """What follows from a round for who hears me and whom I hear."""
         doubts = lookout.doubt(gossip.tick, now)
         if doubts:
             self.counters["reopened"] += 1
         effects = [*lookout.after(gossip, self.outcome), *doubts]
-        self.outcome.belief.everyone &= self.neighbours.circle.keys() | {self.name}
+        self.outcome.belief.everyone &= self.neighbours.interest_set.keys() | {self.name}
         return effects
 
     def _close_if_complete(self, now: float) -> list[Effect]:
@@ -280,12 +280,12 @@ class Agent(Node):
         self.counters["missing"] += missing
         self.counters["rounds"] += 1
         self._observation = self._gossip = self._close_at = None
-        command = speech.command(self.self, self.incarnation, self.outcome, self.tick)
+        command = outbox.command(self.self, self.incarnation, self.outcome, self.tick)
         effects = self._look_out(self._lookout, gossip, now) if self._lookout else []
         if self.tick % self.config.timing.estimate_every:
             return [*effects, command]
         seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
-        return [*effects, speech.estimate(self.self, self.incarnation, self.outcome, gossip, self.counters, seconds), command]
+        return [*effects, outbox.estimate(self.self, self.incarnation, self.outcome, gossip, self.counters, seconds), command]
 
     def _listen_on(self, heard: int, missing: int) -> None:
         """A listening round is over: I get a cell once I have heard everybody; or after some rounds in which I heard but a part; or
@@ -298,10 +298,10 @@ class Agent(Node):
 
     def _hello(self, now: float) -> Hello:
         heard = self._presence.heard(now if self.tick >= 0 else None)
-        return speech.hello(self.self, self.incarnation, heard, self.neighbours.settings)
+        return outbox.hello(self.self, self.incarnation, heard, self.neighbours.settings)
 
     def _fence(self, incarnation: int) -> list[Effect]:
         """Another process speaks under my name: the older incarnation leaves."""
         if incarnation > self.incarnation:
             return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self.name} is alive")]
-        return QUIET
+        return NO_EFFECTS

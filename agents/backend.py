@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents import cells, claims, regions
-from agents.births import background_births
-from agents.cells import Cell
-from agents.interest import Choice, wanted
-from agents.merge import merge, remote_copies
-from agents.particles import Particles
-from agents.step import Step
+from agents.coverage import cells
+from agents.coverage.cells import Cell
+from agents.interest.selection import Choice, wanted
+from agents.tracking import claims, regions
+from agents.tracking.births import background_births
+from agents.tracking.merge import merge, remote_copies
+from agents.tracking.particles import Particles
+from agents.tracking.step import Step
 
 
 class Backend(NamedTuple):

@@ -12,18 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.backend import Backend
-from agents.belief import ParticlePhd
-from agents.capacity import SensorFacts, power_radius, sensor_facts, unused_capacity
-from agents.cells import NO_CELL, Cell
-from agents.claims import Claim, make_claim
 from agents.config import AgentConfig
-from agents.control import STAND, ControlInput, ControlLaw, Situation, control_law
-from agents.neighbours import LOCAL_VIEW, Neighbours
-from agents.places import Far
+from agents.coverage.capacity import SensorFacts, power_radius, sensor_facts, unused_capacity
+from agents.coverage.cells import NO_CELL, Cell
+from agents.coverage.control import STAND, ControlInput, ControlLaw, Situation, control_law
+from agents.gossip.table import GossipTable, announced_sensor, gossip_table
+from agents.interest.position_table import UnsubscribedGenerators
+from agents.membership.peer_table import LOCAL_VIEW, PeerTable
 from agents.shared_round import claim_of, shared_round
-from agents.step import Step
-from agents.tracker import AnyTracker, Diagram, RegionInput, TrackerState, Update
-from agents.words import Words, announced, side_by_side
+from agents.tracking.belief import ParticlePhd
+from agents.tracking.claims import Claim, make_claim
+from agents.tracking.step import Step
+from agents.tracking.tracker import AnyTracker, Diagram, RegionInput, TrackerState, Update
 from protocol.geometry import EMPTY, distances, polygon_centroid, rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -73,7 +73,7 @@ class RoundResult:
         return power_radius(self.unused)
 
 
-def run_round(me: AgentContext, last: RoundResult, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
+def run_round(me: AgentContext, last: RoundResult, neighbours: PeerTable, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
     """The result of the round of `mine.tick`, given the gossips of that tick by name, in the order of names."""
     config, step = me.config, Step(me.config, mine.tick)
     table = _with_mine(me, neighbours, heard, mine)
@@ -104,40 +104,40 @@ def run_round(me: AgentContext, last: RoundResult, neighbours: Neighbours, mine:
     )
 
 
-def _with_mine(me: AgentContext, neighbours: Neighbours, heard: dict[str, Gossip], mine: Gossip) -> Words:
+def _with_mine(me: AgentContext, neighbours: PeerTable, heard: dict[str, Gossip], mine: Gossip) -> GossipTable:
     """Gossips in the order of names, mine in its place."""
     gossips = list(heard.values())
     gossips.insert(bisect_left(list(heard), order(mine.sender), key=order), mine)
     return _table(me, neighbours, gossips)
 
 
-def _table(me: AgentContext, neighbours: Neighbours, gossips: list[Gossip]) -> Words:
+def _table(me: AgentContext, neighbours: PeerTable, gossips: list[Gossip]) -> GossipTable:
     """Gossips side by side, with the sensors that their senders announced."""
-    circle, own = neighbours.circle, announced(me.name, me.sensor, me.config.detection.clutter)
-    sensors = [own if gossip.sender == me.name else circle[gossip.sender].outfit for gossip in gossips]
-    return side_by_side(gossips, sensors, me.config)  # type: ignore[arg-type]  # who was accepted has announced a sensor
+    interest_set, own = neighbours.interest_set, announced_sensor(me.name, me.sensor, me.config.detection.clutter)
+    sensors = [own if gossip.sender == me.name else interest_set[gossip.sender].announced for gossip in gossips]
+    return gossip_table(gossips, sensors, me.config)  # type: ignore[arg-type]  # who was accepted has announced a sensor
 
 
-def _speaking(me: AgentContext, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip], table: Words) -> Words:
+def _speaking(me: AgentContext, neighbours: PeerTable, mine: Gossip, heard: dict[str, Gossip], table: GossipTable) -> GossipTable:
     """All generators of the tick, mine included unless I listen."""
-    if len(heard) == len(neighbours.circle) and not table.listening:
+    if len(heard) == len(neighbours.interest_set) and not table.listening:
         return table
     speaking = neighbours.generators(mine.tick, heard)
     return _table(me, neighbours, list(speaking.values())) if mine.listening else _with_mine(me, neighbours, speaking, mine)
 
 
-def _view(neighbours: Neighbours, heard: dict[str, Gossip], speaking: Words, claim: Claim) -> int:
+def _view(neighbours: PeerTable, heard: dict[str, Gossip], speaking: GossipTable, claim: Claim) -> int:
     """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, that this part was whole.
 
     Two who heard their whole circles at the same tick cannot differ about a generator that both know. Who owns nothing needs no
     certificate: whom he does not know could only take from him.
     """
-    if neighbours.local and (neighbours.certified or not claim.names) and len(heard) == len(neighbours.circle):
-        return LOCAL_VIEW if neighbours.circle.keys() >= set(claim.names[1:]) else speaking.view
+    if neighbours.local and (neighbours.certified or not claim.names) and len(heard) == len(neighbours.interest_set):
+        return LOCAL_VIEW if neighbours.interest_set.keys() >= set(claim.names[1:]) else speaking.view
     return speaking.view
 
 
-def _own_cell(me: AgentContext, speaking: Words, far: Far) -> Cell:
+def _own_cell(me: AgentContext, speaking: GossipTable, far: UnsubscribedGenerators) -> Cell:
     if me.name not in speaking.names:
         return NO_CELL
     points, radii = speaking.points, speaking.radii
@@ -147,7 +147,7 @@ def _own_cell(me: AgentContext, speaking: Words, far: Far) -> Cell:
     return me.backend.cut_cells([speaking.names.index(me.name)], points, radii, me.arena)[0]
 
 
-def _claim(speaking: Words, cell: Cell, far: Far) -> Claim:
+def _claim(speaking: GossipTable, cell: Cell, far: UnsubscribedGenerators) -> Claim:
     """The cell as generators, the own one first. The names that speak are in order; those far away come behind them in any order."""
     if not cell.bounds or max(cell.bounds) < len(speaking.names):
         return claim_of(cell, speaking.names, speaking.generators)
@@ -167,7 +167,7 @@ def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
     return float(x), float(y)
 
 
-def _situation(me: AgentContext, mine: Gossip, cell: np.ndarray, near: Update, speaking: Words, table: Words) -> Situation:
+def _situation(me: AgentContext, mine: Gossip, cell: np.ndarray, near: Update, speaking: GossipTable, table: GossipTable) -> Situation:
     config = me.config
     return Situation(
         name=me.name,
@@ -189,7 +189,7 @@ def _situation(me: AgentContext, mine: Gossip, cell: np.ndarray, near: Update, s
     )
 
 
-def _fields(me: AgentContext, cell: np.ndarray, table: Words) -> tuple[tuple[SensorModel, Pose], ...]:
+def _fields(me: AgentContext, cell: np.ndarray, table: GossipTable) -> tuple[tuple[SensorModel, Pose], ...]:
     """The sensors whose reach touches the region around my cell and that scanned in this tick, and their poses."""
     scanned = [(each.sensor, gossip.pose) for each, gossip in zip(table.sensors, table.gossips) if gossip.scanned]
     apart = distances(cell, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.backend import Backend
-from agents.cells import Cell
-from agents.claims import NO_CLAIM, Claim
-from agents.step import Step
-from agents.tracker import AnyTracker, RegionInput, Update
-from agents.words import Words
+from agents.coverage.cells import Cell
+from agents.gossip.table import GossipTable
+from agents.tracking.claims import NO_CLAIM, Claim
+from agents.tracking.step import Step
+from agents.tracking.tracker import AnyTracker, RegionInput, Update
 
 ASKED = "asked"  # one agent has asked for the table, or several certainly will
 
@@ -29,7 +29,7 @@ class SharedRound(NamedTuple):
     updates: list[Update]
 
 
-def shared_round(table: Words, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound | None:
+def shared_round(table: GossipTable, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound | None:
     """What the table keeps for these settings; None: this is the first agent that asks, or tables are not shared."""
     if step.config.timing.interest != "all" or table.listening:
         return None
@@ -41,11 +41,11 @@ def shared_round(table: Words, backend: Backend, tracker: AnyTracker, step: Step
     return table.shared if known is not None else None
 
 
-def _computed(table: Words, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound:
+def _computed(table: GossipTable, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound:
     cells = backend.cut_cells(range(len(table.names)), table.points, table.radii, arena)
     regions = [
-        RegionInput(gossip.sender, row, announced.sensor, gossip.pose, cell.polygon, claim_of(cell, table.names, table.generators))
-        for row, (gossip, announced, cell) in enumerate(zip(table.gossips, table.sensors, cells))
+        RegionInput(gossip.sender, row, announced_sensor.sensor, gossip.pose, cell.polygon, claim_of(cell, table.names, table.generators))
+        for row, (gossip, announced_sensor, cell) in enumerate(zip(table.gossips, table.sensors, cells))
     ]
     return SharedRound(step, tracker, cells, regions, [*tracker.update(table, table, regions, step)])
 

@@ -45,7 +45,7 @@ def rare_collections() -> Iterator[None]:
 def compiled() -> Backend:
     """The compiled backend, or the plain one where numba cannot be imported; the bits are the same."""
     try:
-        from agents.fast import FAST
+        from agents.compiled.backend import FAST
     except ImportError:
         return PLAIN
     return FAST

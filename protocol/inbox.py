@@ -30,7 +30,7 @@ def session_of(origin: Any) -> str:
     return origin if isinstance(origin, str) else str(origin.source_id.zid) if origin else ""
 
 
-class Flow:
+class RateLimiter:
     """How much may be said under one key: `most` messages in a second by whomever; a key under which it was more is suspect, and under that
     each session may say `most` at once and as many a second in the long run.
     """

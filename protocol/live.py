@@ -24,13 +24,13 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
-from protocol.inbox import Arrival, Flow, Inbox
-from protocol.linger import Sockets
+from protocol.inbox import Arrival, Inbox, RateLimiter
 from protocol.links import LinkFaults
 from protocol.messages import Message
-from protocol.node import QUIET, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, Warn
+from protocol.node import NO_EFFECTS, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, Warn
 from protocol.reception import Reception
 from protocol.settings import BadSetting, NetworkSettings
+from protocol.so_linger import Sockets
 from protocol.stdin import follow_stdin
 from protocol.tokens import ALONE_SECONDS, Tokens
 from protocol.transport import session_values
@@ -72,7 +72,7 @@ class Driver:
         self._settings = settings
         self._link = link
         self._inbox = Inbox(newest=node.newest_only, patient=node.patient)
-        self._flow = Flow(settings.most_per_second)
+        self._flow = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
         self._reception = Reception(self._tokens, self.counts)
@@ -195,7 +195,7 @@ class Driver:
             return
         try:
             effects = self._node.handle(event, self._loop.time())
-            if effects is not QUIET:
+            if effects is not NO_EFFECTS:
                 for effect in effects:
                     self._carry_out(effect)
                 self._arm()

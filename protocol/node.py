@@ -138,7 +138,7 @@ class Warn:
 
 
 Effect = Message | Subscribe | Unsubscribe | Stop | Reopen | Warn
-QUIET: list[Effect] = []  # this very object as an answer: nothing is to be done, and the deadline is what it was; never to be changed
+NO_EFFECTS: list[Effect] = []  # this very object as an answer: nothing is to be done, and the deadline is what it was; never to be changed
 
 
 class Node(Protocol):

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import codec
+from protocol.delivery import TO_MANY, BusEndpoint, Delivery, Item, MessageRun, is_observation, place_of
 from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.messages import Command, Message
-from protocol.node import QUIET, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.reception import in_batches, read
 from protocol.routes import Routes
-from protocol.seats import TO_MANY, Delivery, Item, MessageRun, Seat, is_observation, place_of
 
 
 class Link(Protocol):
@@ -38,7 +38,7 @@ class _Call:
     function: Callable[[], None]
 
 
-_Entry = tuple[Seat, Item | _Done] | Delivery | _Call  # of the queue
+_Entry = tuple[BusEndpoint, Item | _Done] | Delivery | _Call  # of the queue
 
 
 class VirtualBus:
@@ -55,15 +55,15 @@ class VirtualBus:
         self.batches = True  # messages that come in one instant are handed over together; False: one by one, for comparison
         self._link = link
         self._pace = pace
-        self._seats: dict[str, Seat] = {}
+        self._seats: dict[str, BusEndpoint] = {}
         self._ready: deque[_Entry] = deque()
-        self._boxed: list[Seat] = []  # whose box may hold something
+        self._boxed: list[BusEndpoint] = []  # whose box may hold something
         self._later: list[tuple[float, int, _Entry]] = []
         self._sequence = 0
-        self._routes: Routes[Seat] = Routes(place_of)  # of messages
-        self._all_seeing: dict[Seat, None] = {}  # who sees every token
-        self._holders: dict[str, dict[Seat, None]] = {}  # of tokens, by role and name
-        self._watchers: Routes[Seat] = Routes(place_of)  # of tokens, by those who do not see all of them
+        self._routes: Routes[BusEndpoint] = Routes(place_of)  # of messages
+        self._all_seeing: dict[BusEndpoint, None] = {}  # who sees every token
+        self._holders: dict[str, dict[BusEndpoint, None]] = {}  # of tokens, by role and name
+        self._watchers: Routes[BusEndpoint] = Routes(place_of)  # of tokens, by those who do not see all of them
 
     def nodes(self) -> list[str]:
         """Labels of the nodes on the bus, paused ones included."""
@@ -75,7 +75,7 @@ class VirtualBus:
         if label in self._seats:
             raise ValueError(f"{label} is on the bus already")
         self._sequence += 1
-        seat = self._seats[label] = Seat(node, self._sequence)
+        seat = self._seats[label] = BusEndpoint(node, self._sequence)
         self._ready.append((seat, Started()))
         self._holders.setdefault(_parent(seat.token), {})[seat] = None
         if seat.node.sees_all_tokens:
@@ -127,7 +127,7 @@ class VirtualBus:
         """From now on a node takes `seconds` of work over every observation and looks at nothing else meanwhile; 0: none."""
         self._seats[name].work = seconds
 
-    def _wake(self, seat: Seat) -> None:
+    def _wake(self, seat: BusEndpoint) -> None:
         """Hand a node what has waited for it; of observations the newest only, for nobody works off a queue of them."""
         if seat.paused or seat.at_work:
             return
@@ -184,7 +184,7 @@ class VirtualBus:
         for seat in seats:
             self._empty(seat)
 
-    def _empty(self, seat: Seat) -> None:
+    def _empty(self, seat: BusEndpoint) -> None:
         if self.batches:
             events = seat.empty_box()
         else:
@@ -193,7 +193,7 @@ class VirtualBus:
         for event in events:
             self._hand(seat, event)
 
-    def _hand(self, seat: Seat, event: Event) -> None:
+    def _hand(self, seat: BusEndpoint, event: Event) -> None:
         """Let a node take an event, or keep it until the node can."""
         if seat.box:
             self._empty(seat)
@@ -206,7 +206,7 @@ class VirtualBus:
             self._carry_out(seat, effect)
         if self.tap is not None:
             self.tap(seat.node, event)
-        if effects is QUIET and seat.armed is not None:
+        if effects is NO_EFFECTS and seat.armed is not None:
             return
         if seat.work > 0.0 and is_observation(event):
             seat.at_work = True
@@ -214,7 +214,7 @@ class VirtualBus:
         elif seat.deadline() != seat.armed:
             self._rearm(seat)
 
-    def _time_of(self, seat: Seat) -> float:
+    def _time_of(self, seat: BusEndpoint) -> float:
         """What a node's clock shows; never just short of its deadline by rounding, or its timer would fire for ever."""
         now = self.now + seat.clock
         due = seat.node.deadline() if seat.clock else None
@@ -235,7 +235,7 @@ class VirtualBus:
         """Call a function in `delay` s."""
         self._push(self.now + delay, _Call(function))
 
-    def _schedule(self, seat: Seat, event: Item | _Done, delay: float) -> None:
+    def _schedule(self, seat: BusEndpoint, event: Item | _Done, delay: float) -> None:
         if delay <= 0.0:
             self._ready.append((seat, event))
         else:
@@ -245,7 +245,7 @@ class VirtualBus:
         self._sequence += 1
         heapq.heappush(self._later, (time, self._sequence, entry))
 
-    def _rearm(self, seat: Seat) -> None:
+    def _rearm(self, seat: BusEndpoint) -> None:
         deadline = seat.armed = seat.deadline()
         if deadline is None:
             seat.timer = None
@@ -253,7 +253,7 @@ class VirtualBus:
             seat.timer = max(deadline - seat.clock, self.now)
             self._push(seat.timer, (seat, Timer()))
 
-    def _carry_out(self, seat: Seat, effect: Effect) -> None:
+    def _carry_out(self, seat: BusEndpoint, effect: Effect) -> None:
         if isinstance(effect, Message):
             self._publish(seat, effect)
         elif isinstance(effect, Subscribe):
@@ -265,7 +265,7 @@ class VirtualBus:
                 self.stopped[label] = effect
                 self.remove(label)
 
-    def _subscribe(self, seat: Seat, expression: str) -> None:
+    def _subscribe(self, seat: BusEndpoint, expression: str) -> None:
         seat.expressions[expression] += 1
         if seat.expressions[expression] > 1:
             return
@@ -277,18 +277,18 @@ class VirtualBus:
             if other is not seat:
                 self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
 
-    def _unsubscribe(self, seat: Seat, expression: str) -> None:
+    def _unsubscribe(self, seat: BusEndpoint, expression: str) -> None:
         seat.expressions[expression] -= 1
         if seat.expressions[expression] == 0:
             del seat.expressions[expression]
             (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, seat)
 
-    def _watching(self, token: str) -> dict[Seat, None]:
+    def _watching(self, token: str) -> dict[BusEndpoint, None]:
         """Who sees a token come and go, in the order in which they came to the bus."""
         watching = self._watchers.listeners(token)
         return dict.fromkeys(sorted([*self._all_seeing, *watching], key=place_of)) if watching else self._all_seeing
 
-    def _publish(self, seat: Seat, message: Message) -> None:
+    def _publish(self, seat: BusEndpoint, message: Message) -> None:
         key = message_key(seat.node.run, message)
         listeners = self._routes.listeners(key)
         payload = codec.encode(message)
@@ -300,7 +300,7 @@ class VirtualBus:
             self._ready.append(Delivery(listeners, seat, item))
             self.deliveries += len(listeners)
             return
-        at_once: list[Seat] = []
+        at_once: list[BusEndpoint] = []
         for listener in listeners:
             if listener is not seat:
                 for delay, arrived in self._carried(seat, listener, key, payload):
@@ -312,7 +312,7 @@ class VirtualBus:
         if at_once:
             self._ready.append(Delivery(at_once, seat, item))
 
-    def _carried(self, seat: Seat, listener: Seat, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
+    def _carried(self, seat: BusEndpoint, listener: BusEndpoint, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
         if self._link is None:
             return [(0.0, payload)]
         return self._link.carry(seat.node.name, listener.node.name, key, payload, self.now)

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.births import Scan, prior
-from agents.capacity import centroid_of_detection, detecting_capability, power_radius, unused_capacity
-from agents.cells import power_cell
-from agents.claims import power_distances
 from agents.config import BirthSettings, CapacitySettings, FilterSettings
-from agents.control import STAND, Lloyd, Situation, approach
-from agents.particles import NONE, Particles
-from agents.phd import resample, update
-from agents.regions import in_view, moments
+from agents.coverage.capacity import centroid_of_detection, detecting_capability, power_radius, unused_capacity
+from agents.coverage.cells import power_cell
+from agents.coverage.control import STAND, Lloyd, Situation, approach
+from agents.tracking.births import Scan, prior
+from agents.tracking.claims import power_distances
+from agents.tracking.particles import NONE, Particles
+from agents.tracking.phd import resample, update
+from agents.tracking.regions import in_view, moments
 from deploy.scenario import TeamSettings, resolve, team_counts
 from deploy.simulation import simulate
 from protocol.geometry import EMPTY, distances, polygon_area, polygon_centroid, rectangle

@@ -10,11 +10,11 @@ import math
 import numpy as np
 
 from protocol.agreement import agreed, common_sections
+from protocol.failure_detector import FailureDetector
 from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
 from protocol.messages import Command, Hello, Message, Observation, Truth
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
-from protocol.presence import Presence
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import Bodies, check_given, start_pose
@@ -50,7 +50,7 @@ class World(Node):
         self.rejected_messages = 0
         self.re_anchored = 0  # real time: how often the world was too late to catch up
         self._config, self._roster = config, Roster()
-        self._presence = Presence(self.name, config.members)
+        self._presence = FailureDetector(self.name, config.members)
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
         self._pause = config.run.dt / config.run.pace if self._lockstep and config.run.pace else 0.0  # s between two ticks, at least

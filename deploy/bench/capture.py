@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from agents.neighbours import Neighbours
+from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, RoundResult
 from deploy.scenario import Scenario
 from deploy.simulation import Simulation
@@ -18,7 +18,7 @@ class Captured(NamedTuple):
 
     me: AgentContext
     last: RoundResult
-    neighbours: Neighbours
+    neighbours: PeerTable
     mine: Gossip
     heard: dict[str, Gossip]
 

@@ -6,17 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents import extraction_kernels, kernels, phd
 from agents.backend import Backend
-from agents.births import prior, sensor_row
-from agents.capacity import SensorFacts, place, power_radius, unused_capacity
-from agents.cells import Cell
-from agents.claims import NO_CLAIM, Claim
-from agents.control import Lloyd, Situation
-from agents.particles import NONE, Particles, join
-from agents.step import Step
-from agents.tracker import RegionInput
-from agents.words import Announced, Words, announced
+from agents.compiled import extraction_kernels, particle_kernels
+from agents.coverage.capacity import SensorFacts, place, power_radius, unused_capacity
+from agents.coverage.cells import Cell
+from agents.coverage.control import Lloyd, Situation
+from agents.gossip.table import AnnouncedSensor, GossipTable, announced_sensor
+from agents.tracking import phd
+from agents.tracking.births import prior, sensor_row
+from agents.tracking.claims import NO_CLAIM, Claim
+from agents.tracking.particles import NONE, Particles, join
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config, world_config
 from protocol.fields import pack
 from protocol.geometry import rectangle
@@ -36,7 +37,7 @@ class Member(NamedTuple):
     name: str
     sensor: SensorModel
     facts: SensorFacts
-    announced: Announced
+    announced_sensor: AnnouncedSensor
 
 
 class Central:
@@ -48,7 +49,7 @@ class Central:
         run, arena = scenario.run, scenario.arena
         sensors = {name: sensor_of(scenario, sensor_class) for name, sensor_class in scenario.members.items()}
         clutter = scenario.detection.clutter
-        carried = {name: announced(name, sensor, clutter) for name, sensor in sensors.items()}
+        carried = {name: announced_sensor(name, sensor, clutter) for name, sensor in sensors.items()}
         self._team = [Member(name, sensor, carried[name].facts, carried[name]) for name, sensor in sensors.items()]
         self._targets = Targets(config.targets, arena, run.dt, run.seed)
         self._bodies, self._detector = Bodies(run.dt, scenario.limits), Detector(scenario.detection, run.seed)
@@ -71,7 +72,7 @@ class Central:
         cells = backend.cut_cells(range(len(radii)), points, radii, self._corners)
         for index, (member, cell) in enumerate(zip(self._team, cells)):
             claim = _claim(cell, points, radii)
-            own = Particles(*kernels.take(*updated, claim.generators, claim.first, scenario.arena.width, scenario.arena.height))
+            own = Particles(*particle_kernels.take(*updated, claim.generators, claim.first, scenario.arena.width, scenario.arena.height))
             commands[member.name] = self._command(member, cell, own)
             owned.append(_drawn(own, member.name, step))
             self._unused[index] = self._capacity(member, updated)
@@ -84,7 +85,7 @@ class Central:
         self._tick += 1
         return score
 
-    def _scans(self) -> Words:
+    def _scans(self) -> GossipTable:
         poses, names = [self._bodies.poses[member.name] for member in self._team], [member.name for member in self._team]
         sensors, targets = [member.sensor for member in self._team], self._targets
         seen = sightings(sensors, poses, targets.positions)
@@ -102,16 +103,16 @@ class Central:
             )
             for member, pose, scan, unused in zip(self._team, poses, scans, self._unused)
         ]
-        return Words(said, [member.announced for member in self._team], "power")
+        return GossipTable(said, [member.announced_sensor for member in self._team], "power")
 
     def _capacity(self, member: Member, updated: Particles) -> float:
         eye: np.ndarray = np.array(sensor_row(member.sensor, self._bodies.poses[member.name]))  # type: ignore[arg-type]
-        load, detected = kernels.in_view(updated.states, updated.weights, eye)
+        load, detected = particle_kernels.in_view(updated.states, updated.weights, eye)
         return unused_capacity(member.facts.capability, detected, load, self._scenario.capacity)
 
     def _command(self, member: Member, cell: Cell, own: Particles) -> Command:
         scenario, pose = self._scenario, self._bodies.poses[member.name]
-        mass, east, north = kernels.first_moments(own.states, own.weights)
+        mass, east, north = particle_kernels.first_moments(own.states, own.weights)
         velocity, turn_rate = self._law.command(
             Situation(
                 name=member.name,
@@ -141,11 +142,11 @@ def _claim(cell: Cell, points: np.ndarray, radii: np.ndarray) -> Claim:
 def _drawn(own: Particles, owner: str, step: Step) -> Particles:
     """Compiled `phd.resample`."""
     filters, tick = step.config.filter, step.tick
-    mass = kernels.first_moments(own.states, own.weights)[0]
+    mass = particle_kernels.first_moments(own.states, own.weights)[0]
     if mass <= 0.0:
         return NONE
     count, salt = phd.sample_size(mass, filters), np.uint64(key(filters.seed, "split", tick))
-    states, ids = kernels.resample(*own, mass, count, phd.sample_offset(filters.seed, owner, tick), salt)  # type: ignore[arg-type]
+    states, ids = particle_kernels.resample(*own, mass, count, phd.sample_offset(filters.seed, owner, tick), salt)  # type: ignore[arg-type]
     return Particles(states, np.full(len(ids), mass / count), ids)
 
 

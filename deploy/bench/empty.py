@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from agents import agent
-from agents.belief import Belief, Copies
-from agents.claims import make_claim
-from agents.neighbours import Neighbours
-from agents.particles import NONE, Particles
+from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, RoundResult
-from agents.tracker import OwnedState
+from agents.tracking.belief import Belief, Copies
+from agents.tracking.claims import make_claim
+from agents.tracking.particles import NONE, Particles
+from agents.tracking.tracker import OwnedState
 from deploy import __main__ as command_line
 from deploy.installation import command
 from deploy.live import zygote
@@ -47,7 +47,7 @@ def main() -> None:
     command_line.main()
 
 
-def play(me: AgentContext, last: RoundResult, neighbours: Neighbours, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
+def play(me: AgentContext, last: RoundResult, neighbours: PeerTable, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
     """The outcome of a round in which nothing was computed."""
     config = me.config
     names = (me.name, *list(heard)[:BOUNDS])

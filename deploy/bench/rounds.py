@@ -6,11 +6,11 @@ from functools import partial
 from typing import Any
 
 from agents.backend import Backend
-from agents.belief import ParticlePhd
-from agents.inbox import RoundInbox
-from agents.neighbours import Neighbours
+from agents.gossip.inbox import RoundInbox
+from agents.gossip.table import announced_sensor, forget, gossip_table, newest_table
+from agents.membership.peer_table import PeerTable
 from agents.round import run_round
-from agents.words import announced, forget, newest_table, side_by_side
+from agents.tracking.belief import ParticlePhd
 from deploy.bench.capture import Captured, capture, cold
 from deploy.bench.timing import BenchRow, cpu_seconds, median_seconds
 from deploy.scenario import Scenario, resolve
@@ -51,9 +51,9 @@ def read(captured: Captured) -> None:
     """Put what was said side by side."""
     me, peers = captured.me, captured.neighbours.peers
     forget()
-    own = announced(me.name, me.sensor, me.config.detection.clutter)
-    sensors = [own, *(peers[name].outfit for name in captured.heard)]
-    _ = side_by_side([captured.mine, *captured.heard.values()], sensors, me.config).table  # type: ignore[arg-type]
+    own = announced_sensor(me.name, me.sensor, me.config.detection.clutter)
+    sensors = [own, *(peers[name].announced for name in captured.heard)]
+    _ = gossip_table([captured.mine, *captured.heard.values()], sensors, me.config).table  # type: ignore[arg-type]
 
 
 def per_round(rounds: list[Captured], work: Work, first: Work | None = None) -> float:
@@ -124,7 +124,7 @@ def from_bytes(rounds: list[Captured]) -> BenchRow:
         run, neighbours = captured.me.config.run.name, captured.neighbours
         arrivals = [(message_key(run, gossip), codec.encode(gossip)) for gossip in captured.heard.values()]
 
-        def accept(arrivals: list[tuple[str, bytes]] = arrivals, neighbours: Neighbours = neighbours) -> None:
+        def accept(arrivals: list[tuple[str, bytes]] = arrivals, neighbours: PeerTable = neighbours) -> None:
             forget()
             neighbours.inbox = RoundInbox()
             reasons = neighbours.accept(Batch([one for one in codec.decode_all(arrivals) if isinstance(one, Gossip)]))

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from agents import phd
 from agents.backend import Backend
-from agents.claims import NO_CLAIM
-from agents.particles import Particles
-from agents.step import Step
-from agents.tracker import RegionInput
-from agents.words import Words, announced
+from agents.gossip.table import GossipTable, announced_sensor
+from agents.tracking import phd
+from agents.tracking.claims import NO_CLAIM
+from agents.tracking.particles import Particles
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
 from deploy.bench.timing import BenchRow, median_seconds
 from deploy.scenario import agent_config, resolve
 from protocol.fields import pack
@@ -39,7 +39,7 @@ def our_scan(backend: Backend) -> Any:
     pose = (SIDE / 2.0, SIDE / 2.0, 0.0)
     seen = pack(_points(DETECTIONS, 2), "<f4")
     said = Gossip(sender="s1", incarnation=1, tick=1, pose=pose, cod=pose[:2], power_radius=1.0, unused=0.0, detections_bytes=seen)
-    words = Words([said], [announced("s1", sensor, 0.1)], "power")
+    words = GossipTable([said], [announced_sensor("s1", sensor, 0.1)], "power")
     states = np.hstack([_points(PARTICLES, 1), np.ones((PARTICLES, 2))])
     particles = Particles(states, np.full(PARTICLES, DETECTIONS / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
 

@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from agents.births import LEAST_PRIOR, prior_size
-from agents.capacity import sensor_facts
-from agents.control import CheckedLaw, Situation, control_law
-from agents.particles import Particles
+from agents.coverage.capacity import sensor_facts
+from agents.coverage.control import CheckedLaw, Situation, control_law
+from agents.tracking.births import LEAST_PRIOR, prior_size
+from agents.tracking.particles import Particles
 from deploy.faults.faults import check_fault
 from deploy.scenario import FaultSettings, Scenario, check_names, spelled_out
 from protocol.endpoints import check_endpoints

@@ -52,9 +52,9 @@ def _put_body(marks: Marks, row: dict[str, Any], square: tuple[int, int], column
     _put(marks, square, "+" if row["state"] == "dead" else ARROWS[turn], style)
     number = "".join(character for character in row["name"] if character.isdecimal())
     squares = [(square[0], square[1] + 1 + place) for place in range(len(number))]
-    if all(spot not in marks and spot[1] < columns for spot in squares):
-        for spot, digit in zip(squares, number):
-            _put(marks, spot, digit, style + " dim" if row["state"] == "running" else style)
+    if all(position_row not in marks and position_row[1] < columns for position_row in squares):
+        for position_row, digit in zip(squares, number):
+            _put(marks, position_row, digit, style + " dim" if row["state"] == "running" else style)
 
 
 def _drawn(marks: Marks, columns: int, lines: int) -> Text:

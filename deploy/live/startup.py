@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from agents.numba_cache import loops_on_disk, number_of_loops
+from agents.compiled.cache import loops_on_disk, number_of_loops
 from deploy.live.processes import Child
 from deploy.live.zygote import Zygote
 from deploy.scoring.scorer import Scorer

@@ -11,8 +11,8 @@ from typing import Literal
 
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
+from agents.compiled.cache import compiled_before, loops_on_disk, tidy
 from agents.config import AgentConfig, TimingSettings
-from agents.numba_cache import compiled_before, loops_on_disk, tidy
 from deploy.installation import ROOT, command
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Started, Timer, received
@@ -39,7 +39,7 @@ def warm() -> None:
     What only a fault calls for must be among them, or the first fault on a machine makes all agents compile, and be silent for it.
     Of several processes that begin at once one compiles, and the others wait and load what it has left on disk.
     """
-    from agents.fast import FAST
+    from agents.compiled.backend import FAST
 
     with _one_by_one():
         if not compiled_before() and len(os.sched_getaffinity(0)) > 1:
@@ -62,7 +62,7 @@ def _compile_on_two_cores(fast: Backend) -> None:
 
 def main() -> None:
     """Be the second process: compile everything but the first half."""
-    from agents.fast import FAST
+    from agents.compiled.backend import FAST
     from protocol.process import die_with_parent
 
     die_with_parent()
@@ -72,7 +72,7 @@ def main() -> None:
 @contextlib.contextmanager
 def _one_by_one() -> Iterator[None]:
     """Hold the cache folder alone, after other processes that compile. A process without progress may be stopped and is not waited for."""
-    from agents.update_kernels import update
+    from agents.compiled.correction_kernels import update
 
     descriptor = os.open(str(update.stats.cache_path), os.O_RDONLY)  # the folder in which numba keeps what it has compiled
     try:

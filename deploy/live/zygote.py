@@ -207,8 +207,8 @@ def _report(channel: socket.socket) -> None:
 def _be_agent(words: list[str], descriptors: list[int]) -> NoReturn:
     """In the child: become the agent process that `python -m agents` would be."""
     from agents.__main__ import build
+    from agents.compiled.backend import FAST
     from agents.config import AgentConfig
-    from agents.fast import FAST
     from protocol import process
 
     stdin, output = descriptors

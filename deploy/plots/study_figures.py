@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from agents.capacity import detecting_capability, power_radius
+from agents.coverage.capacity import detecting_capability, power_radius
 from deploy.scenario import TeamSettings, team_counts
 from deploy.studies.paired import Comparison, Group, compare, groups_of, values
 from deploy.studies.trials import Row, methods_of

@@ -301,7 +301,7 @@ class Scorer(Node):
         )
 
     def _agent_status(self, name: str) -> AgentStatus:
-        status = AgentStatus(name=name, alive=name in self._alive, incarnation=self._alive.get(name, 0), gone_at=self._gone_at.get(name))
+        status = AgentStatus(name=name, alive=name in self._alive, incarnation=self._alive.get(name, 0), left_at=self._gone_at.get(name))
         status.paused = name in self.deaths.paused
         status.differs = list(self._differing.get(name, ()))
         if self.truth is not None and name in self.truth.bodies:

@@ -20,7 +20,7 @@ class AgentStatus(msgspec.Struct, kw_only=True):
     name: str
     alive: bool = False
     incarnation: int = 0
-    gone_at: float | None = None  # world time at which it was last lost, s
+    left_at: float | None = None  # world time at which it was last lost, s
     pose: tuple[float, float, float] | None = None  # where its body really is: x, y, heading
     tick: int = -1
     cell: float = 0.0  # area, share of the arena

@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents import phd
 from agents.backend import PLAIN, Backend
-from agents.births import background_births
-from agents.claims import NO_CLAIM, Claim
-from agents.particles import NONE, Particles, canonical, join, select
-from agents.regions import take
-from agents.step import Step
-from agents.tracker import RegionInput
-from agents.words import announced, side_by_side
+from agents.gossip.table import announced_sensor, gossip_table
+from agents.tracking import phd
+from agents.tracking.births import background_births
+from agents.tracking.claims import NO_CLAIM, Claim
+from agents.tracking.particles import NONE, Particles, canonical, join, select
+from agents.tracking.regions import take
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config
 from protocol.geometry import rectangle
 from protocol.keys import order
@@ -42,10 +42,10 @@ class CentralFilter:
         born = background_births(config.filter.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
         said = [gossips[name] for name in sorted(gossips, key=order)]
         clutter = config.detection.clutter
-        sensors = [announced(gossip.sender, sensor_of(config, self._classes[gossip.sender]), clutter) for gossip in said]
+        sensors = [announced_sensor(gossip.sender, sensor_of(config, self._classes[gossip.sender]), clutter) for gossip in said]
         any_sensor = sensor_of(config, next(iter(self._classes.values())))  # its view of the whole is not asked for
         everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
-        [found] = self._backend.update_regions(side_by_side(said, sensors, config), self.particles, born, [everywhere], step)
+        [found] = self._backend.update_regions(gossip_table(said, sensors, config), self.particles, born, [everywhere], step)
         self.updated = found.updated
         self.particles = canonical(join([_drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))
 

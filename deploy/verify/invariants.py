@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.agent import Agent
-from agents.belief import MOST_COPIES, Belief, share_of
-from agents.inbox import MOST_TICKS, RoundInbox
+from agents.gossip.inbox import MOST_TICKS, RoundInbox
 from agents.round import RoundResult
+from agents.tracking.belief import MOST_COPIES, Belief, share_of
 from deploy.simulation import Simulation
 from deploy.verify.central_filter import CentralFilter, particle_difference, united
 from protocol.geometry import polygon_area
@@ -228,8 +228,8 @@ def check_words(agent: Agent) -> None:
 
     One bad float could win every cell.
     """
-    outfits = [peer.outfit for peer in agent.neighbours.peers.values() if peer.outfit is not None]
-    most = SLACK * max([agent.self.facts.capability, *(outfit.facts.capability for outfit in outfits)])
+    carried = [peer.announced for peer in agent.neighbours.peers.values() if peer.announced is not None]
+    most = SLACK * max([agent.self.facts.capability, *(announced.facts.capability for announced in carried)])
     for name, gossip in agent.neighbours.inbox.last.items():
         if gossip.tick == agent.outcome.belief.stamp:
             numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)
@@ -241,9 +241,9 @@ def check_words(agent: Agent) -> None:
 def check_diagram(agent: Agent) -> None:
     """Every live peer that was heard in the last `SILENT_ROUNDS` rounds has a generator (rule 7)."""
     belief, neighbours = agent.outcome.belief, agent.neighbours
-    for name, peer in neighbours.circle.items():
+    for name, peer in neighbours.interest_set.items():
         last = neighbours.inbox.last.get(name)
-        if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.gone_at is not None:
+        if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.left_at is not None:
             continue
         lately = belief.stamp - last.tick <= SILENT_ROUNDS
         need(
@@ -268,7 +268,7 @@ class Fingerprint(NamedTuple):
 def fingerprint(agent: Agent) -> Fingerprint:
     """The print of an agent; taking it changes nothing about how the agent keeps its gossips."""
     neighbours = agent.neighbours
-    peers = {name: (p.incarnation, p.token, p.gone_at, p.missed, p.outfit is None) for name, p in neighbours.peers.items()}
+    peers = {name: (p.incarnation, p.token, p.left_at, p.missed, p.announced is None) for name, p in neighbours.peers.items()}
     return Fingerprint(agent.tick, id(agent.outcome), peers, held(neighbours.inbox))
 
 

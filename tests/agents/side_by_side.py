@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from agents.config import AgentConfig
-from agents.words import Words, announced, side_by_side
+from agents.gossip.table import GossipTable, announced_sensor, gossip_table
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, SensorModel
 
@@ -13,8 +13,8 @@ def table(
     sensor: SensorModel = SENSOR_CLASSES["A"],
     config: AgentConfig = AgentConfig(),
     sensors: Sequence[SensorModel] = (),
-) -> Words:
+) -> GossipTable:
     """The table of a round in which these were said."""
     carried = sensors or [sensor] * len(gossips)
-    found = [announced(gossip.sender, each, config.detection.clutter) for gossip, each in zip(gossips, carried)]
-    return side_by_side(list(gossips), found, config)
+    found = [announced_sensor(gossip.sender, each, config.detection.clutter) for gossip, each in zip(gossips, carried)]
+    return gossip_table(list(gossips), found, config)

@@ -8,18 +8,18 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
-from agents.neighbours import ACCEPTED, OWN, UNASKED, Neighbours
-from agents.peers import TOLERANCE
+from agents.membership.peer import TOLERANCE
+from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
 from protocol.messages import Gossip, Hello, Message, Observation
 from protocol.node import Alive, Batch, Gone, Started, Timer, received
 from protocol.sensing import SENSOR_CLASSES
-from tests.agents.test_neighbours import CONFIG, gossip, hear, hello, neighbours
+from tests.agents.test_peer_table import CONFIG, gossip, hear, hello, neighbours
 from tests.swarm.scene import tracking
 
 OTHERS = ("s2", "s3", "s4")
 
 
-def after_a_round() -> Neighbours:
+def after_a_round() -> PeerTable:
     """The peers of s1 after a round in which nobody was missing."""
     peers = neighbours(*OTHERS)
     assert peers.accept(Batch([gossip(name, 0) for name in OTHERS])) == [ACCEPTED] * 3
@@ -51,7 +51,7 @@ def test_every_row_has_its_reason_and_spoils_no_other() -> None:
 
 def test_who_hears_neighbours_does_not_judge_those_whom_it_did_not_ask() -> None:
     config = msgspec.structs.replace(CONFIG, timing=TimingSettings(interest="neighbours"))
-    assert Neighbours(config, "s1").accept(Batch([gossip("s2", 0), gossip("s1", 0)])) == [UNASKED, OWN]
+    assert PeerTable(config, "s1").accept(Batch([gossip("s2", 0), gossip("s1", 0)])) == [UNASKED, OWN]
 
 
 def test_the_row_that_completes_a_round_is_the_last_that_is_judged() -> None:
@@ -80,7 +80,7 @@ def test_the_bounds_have_one_tolerance() -> None:
 def test_listeners_who_were_told_of_other_sensors_judge_the_same_batch_for_themselves() -> None:
     batch, found = Batch([gossip("s2", 0, radius=15.0)]), []
     for sensor_class in "DAD":
-        peers = Neighbours(CONFIG, "s1")
+        peers = PeerTable(CONFIG, "s1")
         peers.greet(hello("s2", sensor_class=sensor_class))
         found.append(peers.accept(batch))
     assert found == [[ACCEPTED], ["bounds"], [ACCEPTED]]
@@ -146,14 +146,14 @@ def test_every_gossip_that_is_heard_passes_the_one_accept(monkeypatch: pytest.Mo
     from deploy.scenario import FaultSettings
     from deploy.simulation import Simulation
 
-    real, passed = Neighbours.accept, [0]
+    real, passed = PeerTable.accept, [0]
 
-    def counting(self: Neighbours, *arguments: Any) -> list[str]:
+    def counting(self: PeerTable, *arguments: Any) -> list[str]:
         reasons = real(self, *arguments)
         passed[0] += sum(reason == ACCEPTED for reason in reasons)
         return reasons
 
-    monkeypatch.setattr(Neighbours, "accept", counting)
+    monkeypatch.setattr(PeerTable, "accept", counting)
     calm = tracking(run__seconds=6.0)
     lossy = msgspec.structs.replace(calm, faults=(FaultSettings(at=0.0, verb="drop", value=0.1),))
     for scenario, tapped, batches in ((calm, False, True), (lossy, False, True), (calm, True, True), (calm, False, False)):

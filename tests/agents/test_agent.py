@@ -7,7 +7,7 @@ import pytest
 
 from agents.agent import EXIT_FENCED, Agent
 from agents.config import AgentConfig, ControlSettings, TimingSettings
-from agents.greetings import CROWD, EARLY, SOON
+from agents.membership.announcements import CROWD, EARLY, SOON
 from protocol.agreement import whole
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
 from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received

@@ -2,21 +2,21 @@
 
 import numpy as np
 import pytest
+from tests.agents.gossip_table import table
 
 from agents.backend import PLAIN
-from agents.belief import MOST_COPIES, Belief, Copies, ParticlePhd, Round, share_of, start, worth_keeping
-from agents.claims import NO_CLAIM, make_claim
 from agents.config import AgentConfig, TimingSettings
-from agents.particles import NONE, Particles, canonical, join
-from agents.regions import predict
-from agents.step import Step
-from agents.tracker import OwnedState
-from agents.words import Words, particles_of
+from agents.gossip.table import GossipTable, received_particles
+from agents.tracking.belief import MOST_COPIES, Belief, Copies, ParticlePhd, Round, share_of, start, worth_keeping
+from agents.tracking.claims import NO_CLAIM, make_claim
+from agents.tracking.particles import NONE, Particles, canonical, join
+from agents.tracking.regions import predict
+from agents.tracking.step import Step
+from agents.tracking.tracker import OwnedState
 from protocol.fields import pack
 from protocol.keys import order
 from protocol.messages import Gossip
 from protocol.settings import ArenaSettings
-from tests.agents.side_by_side import table
 
 ARENA = ArenaSettings(width=100.0, height=100.0)
 CONFIG = AgentConfig(arena=ARENA, timing=TimingSettings(overlap=3.0))
@@ -38,7 +38,7 @@ def share(owner: str, held: Particles, generators: dict[str, tuple[float, float,
     return OwnedState(owner, make_claim(names, table, tuple(map(order, names))), held, view)
 
 
-def words(belief: Belief, shares: list[OwnedState], tick: int = 5) -> Words:
+def words(belief: Belief, shares: list[OwnedState], tick: int = 5) -> GossipTable:
     """What all say in a tick whose claims and particles these are."""
     said = []
     for held in sorted([belief.mine, *shares], key=lambda held: order(held.owner)):
@@ -64,7 +64,7 @@ def words(belief: Belief, shares: list[OwnedState], tick: int = 5) -> Words:
 
 def merged(belief: Belief, shares: list[OwnedState]) -> list[int]:
     """Ids of everything that counts, ascending."""
-    return canonical(particles_of(TRACKER.merge(belief, words(belief, shares), Step(CONFIG, 5)))).ids.tolist()
+    return canonical(received_particles(TRACKER.merge(belief, words(belief, shares), Step(CONFIG, 5)))).ids.tolist()
 
 
 def test_fresh_claims_replace_the_copies_that_lie_in_them() -> None:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.births import DIRECTIONS, Scan, background_births, birth_density, measurement_births, prior
 from agents.config import BirthSettings, FilterSettings
-from agents.particles import NONE, Particles
+from agents.tracking.births import DIRECTIONS, Scan, background_births, birth_density, measurement_births, prior
+from agents.tracking.particles import NONE, Particles
 from protocol.sensing import WedgeSensor
 from protocol.settings import ArenaSettings
 

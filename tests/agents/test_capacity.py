@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.capacity import centroid_of_detection, detecting_capability, power_radius, sensor_facts, unused_capacity
 from agents.config import CapacitySettings
+from agents.coverage.capacity import centroid_of_detection, detecting_capability, power_radius, sensor_facts, unused_capacity
 from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
 
 

@@ -6,8 +6,8 @@ import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agents.cells import cut, power_cell
-from agents.claims import depths, make_claim, owned, power_distances
+from agents.coverage.cells import cut, power_cell
+from agents.tracking.claims import depths, make_claim, owned, power_distances
 from protocol.geometry import polygon_area, polygon_centroid, rectangle
 from protocol.settings import ArenaSettings
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig, ControlSettings
-from agents.control import LAWS, STAND, ControlInput, Lloyd, RandomWalk, Situation, Static, UniformDensity, approach, control_law
-from agents.particles import NONE
+from agents.coverage.control import LAWS, STAND, ControlInput, Lloyd, RandomWalk, Situation, Static, UniformDensity, approach, control_law
+from agents.tracking.particles import NONE
 from protocol.geometry import EMPTY, rectangle, wrap_angle
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import BadSetting, LimitSettings

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.config import ExtractionSettings
-from agents.extraction import estimate_targets
-from agents.particles import NONE, Particles
+from agents.tracking.extraction import estimate_targets
+from agents.tracking.particles import NONE, Particles
 
 seeds = st.integers(0, 2**32 - 1)
 

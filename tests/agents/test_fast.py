@@ -8,28 +8,29 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from tests.agents.gossip_table import table as table_of
 
 from agents.backend import PLAIN, Backend
-from agents.cells import NO_CELL, Cell, cut
-from agents.claims import end_to_end, make_claim, owned
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings
-from agents.extraction import estimate_targets
-from agents.interest import Ground
-from agents.particles import NONE, Particles, join, select
-from agents.step import Step
-from agents.tiles import Bounds
-from agents.tracker import RegionInput
-from agents.words import Words
+from agents.coverage.cells import NO_CELL, Cell, cut
+from agents.gossip.table import GossipTable
+from agents.interest.selection import Ground
+from agents.interest.tiles import Bounds
+from agents.tracking.claims import end_to_end, make_claim, owned
+from agents.tracking.extraction import estimate_targets
+from agents.tracking.particles import NONE, Particles, join, select
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
 from protocol.fields import pack
 from protocol.geometry import EMPTY, distances, rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 from protocol.streams import scramble
-from tests.agents.side_by_side import table as table_of
 
-fast = pytest.importorskip("agents.fast")
-from agents import claim_kernels, extraction_kernels, kernels  # noqa: E402
+fast = pytest.importorskip("agents.compiled.backend")
+from agents.compiled import claim_kernels, extraction_kernels  # noqa: E402
+from agents.compiled import particle_kernels as kernels  # noqa: E402
 
 FAST = fast.FAST
 SIDE = 40.0
@@ -79,7 +80,7 @@ def diagram(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarra
     return points, radii
 
 
-def words(rng: np.random.Generator, particles: Particles, width: float = math.inf) -> Words:
+def words(rng: np.random.Generator, particles: Particles, width: float = math.inf) -> GossipTable:
     """Up to five scans of the paper's sensors, detections near particles and elsewhere; each says some of the particles, those in a strip
     of some width, m."""
     said, sensors = [], []
@@ -222,8 +223,8 @@ def test_estimate_targets(seed: int, count: int, weight: float, size: float, thr
 class Case(NamedTuple):
     """The arguments of `update_regions`."""
 
-    table: Words
-    received: Words | Particles
+    table: GossipTable
+    received: GossipTable | Particles
     births: Particles
     regions: list[RegionInput]
     step: Step
@@ -245,7 +246,7 @@ def settings_of(rng: np.random.Generator, tick: int, interest: str) -> Step:
     return Step(config, tick)
 
 
-def regions_of(rng: np.random.Generator, table: Words, owners: int) -> list[RegionInput]:
+def regions_of(rng: np.random.Generator, table: GossipTable, owners: int) -> list[RegionInput]:
     """Cells and claims of some of those who speak, some of them empty."""
     points, radii = diagram(rng, max(owners, int(rng.integers(1, 9))))
     generators, found = np.column_stack([points, radii]), []

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from agents.cells import power_cell
-from agents.interest import MARGIN, Ground, owners, wanted
-from agents.tiles import Bounds, Rectangle
+from agents.coverage.cells import power_cell
+from agents.interest.selection import MARGIN, Ground, owners, wanted
+from agents.interest.tiles import Bounds, Rectangle
 from protocol.geometry import EMPTY, distances, rectangle
 
 ARENA = rectangle(200.0, 200.0)
@@ -13,7 +13,7 @@ GROUND = Ground(ARENA, Bounds(reach=25.0, offset=7.0, radius=20.0), drift=5.0, d
 
 
 def table(places: np.ndarray, generators: np.ndarray) -> np.ndarray:
-    """Positions and reaches (N, 3) of others and generators (N + 1, 3), the own one last, side by side (`agents.places`)."""
+    """Positions and reaches (N, 3) of others and generators (N + 1, 3), the own one last, side by side (see `position_table`)."""
     return np.column_stack([np.vstack([places, np.zeros(3)]), generators])
 
 

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import convolve2d
 
-from agents.births import Scan
 from agents.config import BirthSettings, FilterSettings
-from agents.particles import NONE, Particles, select, total
-from agents.phd import exp_minus, likelihood_noise, predict, resample, sample_size, survival_probability, update
+from agents.tracking.births import Scan
+from agents.tracking.particles import NONE, Particles, select, total
+from agents.tracking.phd import exp_minus, likelihood_noise, predict, resample, sample_size, survival_probability, update
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import ArenaSettings
 from protocol.streams import scramble

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig, ControlSettings
-from agents.control import STAND, Situation, control_law
-from agents.particles import NONE, Particles
-from agents.pursuit import STALE, Pursuit
+from agents.coverage.control import STAND, Situation, control_law
+from agents.coverage.pursuit import STALE, Pursuit
+from agents.tracking.particles import NONE, Particles
 from protocol.geometry import EMPTY, rectangle
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import LimitSettings

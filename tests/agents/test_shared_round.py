@@ -2,22 +2,23 @@
 
 import gc
 
+from tests.agents.gossip_table import table as table_of
+
 from agents.backend import PLAIN
-from agents.belief import ParticlePhd
 from agents.config import AgentConfig, TimingSettings
+from agents.gossip.table import GossipTable
 from agents.shared_round import SharedRound, shared_round
-from agents.step import Step
-from agents.words import Words
+from agents.tracking.belief import ParticlePhd
+from agents.tracking.step import Step
 from deploy.simulation import Simulation
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
-from tests.agents.side_by_side import table as table_of
 from tests.swarm.scene import tracking
 
 ARENA = rectangle(40.0, 40.0)
 
 
-def words(*names: str, listening: bool = False) -> Words:
+def words(*names: str, listening: bool = False) -> GossipTable:
     """What some say, side by side."""
     said = [
         Gossip(
@@ -35,7 +36,7 @@ def words(*names: str, listening: bool = False) -> Words:
     return table_of(said)
 
 
-def asked(table: Words, config: AgentConfig, tick: int = 1) -> SharedRound | None:
+def asked(table: GossipTable, config: AgentConfig, tick: int = 1) -> SharedRound | None:
     """What an agent gets that asks for what the table keeps."""
     return shared_round(table, PLAIN, ParticlePhd(PLAIN), Step(config, tick), ARENA)
 
@@ -53,7 +54,7 @@ def test_the_first_that_asks_computes_its_region_alone_and_the_others_share_all(
 
 def test_the_same_gossips_in_another_table_are_asked_for_anew() -> None:
     table, config = words("s1", "s2"), AgentConfig()
-    others = [Words(table.gossips, table.sensors, table.diagram) for _ in range(3)]
+    others = [GossipTable(table.gossips, table.sensors, table.diagram) for _ in range(3)]
     assert [asked(other, config) for other in others] == [None] * 3
 
 
@@ -80,7 +81,7 @@ def test_what_is_shared_goes_with_its_round() -> None:
     try:
         simulation = Simulation(tracking(run__seconds=8.0))
         simulation.run()
-        alive = sum(isinstance(thing, Words) for thing in gc.get_objects())
+        alive = sum(isinstance(thing, GossipTable) for thing in gc.get_objects())
     finally:
         gc.enable()
     assert alive < 10

@@ -4,20 +4,21 @@ import math
 
 import numpy as np
 import pytest
+from tests.agents.gossip_table import table
 
 from agents.backend import PLAIN, Backend
-from agents.births import Scan, measurement_births
-from agents.cells import cut
-from agents.claims import end_to_end, make_claim
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
-from agents.particles import NONE, Particles
-from agents.phd import sample_offset
-from agents.places import NOBODY
-from agents.regions import RegionUpdate
+from agents.coverage.cells import cut
+from agents.gossip.table import KAPPA, GossipTable
+from agents.interest.position_table import NO_GENERATORS
 from agents.round import _claim
-from agents.step import Step
-from agents.tracker import RegionInput
-from agents.words import KAPPA, Words
+from agents.tracking.births import Scan, measurement_births
+from agents.tracking.claims import end_to_end, make_claim
+from agents.tracking.particles import NONE, Particles
+from agents.tracking.phd import sample_offset
+from agents.tracking.regions import RegionUpdate
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
 from deploy.simulation import compiled
 from protocol.fields import pack
 from protocol.geometry import rectangle
@@ -26,7 +27,6 @@ from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings
 from protocol.streams import key
-from tests.agents.side_by_side import table
 
 BOTH = pytest.mark.parametrize("backend", [PLAIN, compiled()], ids=["plain", "compiled"])
 SENSOR = WedgeSensor(math.pi, 20.0, 0.9)
@@ -59,11 +59,11 @@ def said(name: str, pose: tuple[float, float, float], *detections: tuple[float, 
     )
 
 
-def table_of(gossips: list[Gossip]) -> Words:
+def table_of(gossips: list[Gossip]) -> GossipTable:
     return table(gossips, SENSOR, CONFIG)
 
 
-def updated(backend: Backend, received: Particles, table: Words, polygon: np.ndarray) -> RegionUpdate:
+def updated(backend: Backend, received: Particles, table: GossipTable, polygon: np.ndarray) -> RegionUpdate:
     """What s1 with this cell makes of some particles."""
     claim = make_claim(("s1",), np.array([[10.0, 30.0, 0.0]]), (order("s1"),))
     return backend.update_regions(table, received, NONE, [RegionInput("s1", 0, SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
@@ -169,7 +169,7 @@ def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(n
     """s1 before s2 before s10; receivers go by the names."""
     words = table_of([said("s1", (10.0, 10.0, 0.0)), said("s2", (30.0, 10.0, 0.0)), said("s10", (20.0, 40.0, 0.0))])
     cell = cut(words.names.index(name), words.points, words.radii, rectangle(60.0, 60.0))
-    claim = _claim(words, cell, NOBODY)
+    claim = _claim(words, cell, NO_GENERATORS)
     received = make_claim(claim.names, claim.generators, tuple(order(other) for other in claim.names))
     assert claim.names[0] == name and len(claim.names) == 3
     assert claim.first.tolist() == received.first.tolist() == [order(other) < order(name) for other in claim.names]

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from agents.capacity import sensor_facts
-from agents.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
+from agents.coverage.capacity import sensor_facts
+from agents.interest.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings
 

@@ -2,9 +2,9 @@
 
 from agents.agent import Agent
 from agents.config import AgentConfig
+from protocol.failure_detector import FIRST_REST, PATIENCE
 from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Gone, Received, Reopen, Started, Timer, received
-from protocol.presence import FIRST_REST, PATIENCE
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import RunSettings
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.capacity import sensor_facts
+from agents.coverage.capacity import sensor_facts
 from covey.examples.sensors import DATA, RangeFalling, SampledGrid
 from deploy.scenario import resolve
 from deploy.simulation import simulate

@@ -116,7 +116,7 @@ def test_a_lost_agent_leaves_a_hole_that_closes_when_the_cells_of_the_rest_cover
     assert (kill.name, kill.tick, kill.time, kill.closed_seconds, kill.closed_ticks) == ("b", 1, 1.0, 0.75, 1)
     assert result.hole_area == pytest.approx(0.5, abs=1e-12)
     rows = {agent.name: agent for agent in scorer.status().agents}
-    assert not rows["b"].alive and rows["b"].gone_at == 1.0
+    assert not rows["b"].alive and rows["b"].left_at == 1.0
     assert rows["a"].alive and rows["a"].cell == 1.0 and rows["a"].pose == (2.0, 2.0, 2.0)
 
 

@@ -7,10 +7,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from agents import cells, phd
-from agents.claims import make_claim, owned
 from agents.config import AgentConfig, FilterSettings
-from agents.particles import Particles
+from agents.coverage import cells
+from agents.tracking import phd
+from agents.tracking.claims import make_claim, owned
+from agents.tracking.particles import Particles
 from protocol.geometry import polygon_area, rectangle
 from protocol.keys import order
 from protocol.settings import ArenaSettings

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.update_kernels import update
+from agents.compiled.correction_kernels import update
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
@@ -30,7 +30,7 @@ struck += (fault(13.0, "join", "s20", **{"class": "A"}),)
 for scene in (ledger(*struck), tracking(*struck), tracking(*struck, timing__interest="neighbours", filter__border="reflect")):
     for clock in ("realtime", "lockstep"):
         watch(scene, clock=clock, arithmetic=fast())
-from agents.numba_cache import loops_on_disk, number_of_loops
+from agents.compiled.cache import loops_on_disk, number_of_loops
 assert before and loops_on_disk() == number_of_loops()  # what the progress of the first start counts
 print(sorted(compiled() - before))
 """
@@ -50,8 +50,8 @@ def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=880, check=False)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 5.0  # s of the second process
-    program = "from agents.fast import FAST; from deploy.live import warm; warm.warm(); print(warm.compiled_before())"
-    program += "; from agents.region_kernels import update_regions; print(sum(update_regions.stats.cache_misses.values()))"
+    program = "from agents.compiled.backend import FAST; from deploy.live import warm; warm.warm(); print(warm.compiled_before())"
+    program += "; from agents.compiled.region_kernels import update_regions; print(sum(update_regions.stats.cache_misses.values()))"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=110, check=False)
     assert done.stdout.split() == ["True", "0"], done.stderr
 

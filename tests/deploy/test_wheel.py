@@ -23,7 +23,7 @@ BOTH = "import agents, covey, covey.agents.agent; assert agents.Runner; print(co
 
 
 def test_imports_of_rooms_go_below_covey_and_nothing_else_changes() -> None:
-    source = '"""from agents import x"""\nfrom agents.phd import a\ndef f():\n    é = 1; from protocol import (\n        b,\n    )\n'
+    source = '"""from agents import x"""\nfrom agents.agent import a\ndef f():\n    é = 1; from protocol import (\n        b,\n    )\n'
     wanted = source.replace("\nfrom agents", "\nfrom covey.agents").replace("; from protocol", "; from covey.protocol")
     assert rewritten(source) == wanted
     assert (

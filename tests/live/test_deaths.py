@@ -16,7 +16,7 @@ T_DEAD = 1.0  # s
 HOLE_AFTER, NOTICED = 0.02, 2  # of the area, and ticks of 0.25 s after a death was noticed (the failure model)
 SLOW = """
 import time
-from agents.control import Lloyd
+from agents.coverage.control import Lloyd
 
 class Slow(Lloyd):
     def command(self, situation):

@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.numba_cache import HERE, SOURCES, folder
+from agents.compiled.cache import HERE, SOURCES, folder
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = Path(__file__).parent / "table.toml"

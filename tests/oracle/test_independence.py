@@ -31,7 +31,7 @@ def test_the_oracle_imports_numpy_scipy_shapely_the_standard_library_and_the_mes
 
 def test_the_rule_finds_offenders() -> None:
     offenders = [
-        "agents.capacity",
+        "agents.coverage.capacity",
         "world.score",
         "deploy.simulation",
         "protocol.sensing",

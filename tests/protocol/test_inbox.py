@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocol.inbox import Arrival, Flow, Inbox, Quarantine
+from protocol.inbox import Arrival, Inbox, Quarantine, RateLimiter
 
 UNKNOWN = object()  # an origin that cannot say which session it is
 
@@ -92,7 +92,7 @@ def test_what_another_session_says_under_a_key_makes_nothing_void() -> None:
 
 
 def test_a_flood_under_one_key_is_held_to_its_rate_and_nobody_else_is() -> None:
-    flow = Flow(most=100)
+    flow = RateLimiter(most=100)
     assert sum(flow.admits("k", "one", 0.0) for _ in range(1000)) == 200, "as much until it is suspect, and the burst of a session"
     assert sum(flow.admits("k", "one", 0.001 * step) for step in range(1, 1001)) == 100
     assert sum(flow.admits("k", "one", 9.0) for _ in range(1000)) == 100
@@ -100,17 +100,17 @@ def test_a_flood_under_one_key_is_held_to_its_rate_and_nobody_else_is() -> None:
 
 
 def test_who_stays_below_the_rate_is_never_suspect_and_never_asked_for_its_name() -> None:
-    flow = Flow(most=100)
+    flow = RateLimiter(most=100)
     assert all(flow.admits("k", UNKNOWN, 0.01 * number) for number in range(3000))
     with pytest.raises(AttributeError):
         all(flow.admits("k", UNKNOWN, 40.0) for number in range(101))
 
 
 def test_the_flow_remembers_a_bounded_number_of_keys() -> None:
-    flow = Flow(most=1)
-    for number in range(9 * Flow.MOST_KEYS):
+    flow = RateLimiter(most=1)
+    for number in range(9 * RateLimiter.MOST_KEYS):
         flow.admits(f"k{number // 3}", "x", 0.0)
-    assert len(flow._left) == len(flow._suspect) == Flow.MOST_KEYS and len(flow._said) <= Flow.MOST_KEYS + 1
+    assert len(flow._left) == len(flow._suspect) == RateLimiter.MOST_KEYS and len(flow._said) <= RateLimiter.MOST_KEYS + 1
 
 
 def test_patient_messages_call_the_loop_only_once_enough_of_them_have_come() -> None:

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from protocol.linger import Sockets
+from protocol.so_linger import Sockets
 
 pytestmark = pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason=f"needs /proc/self/fd, which {sys.platform} has not")
 

@@ -10,17 +10,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents import regions, speech
 from agents import round as rounds
 from agents.backend import PLAIN
-from agents.inbox import RoundInbox
-from agents.neighbours import Neighbours, Peer
-from agents.particles import Particles, select
-from agents.regions import RegionUpdate
+from agents.gossip import outbox
+from agents.gossip.inbox import RoundInbox
+from agents.gossip.table import WEIGHT, GossipTable
+from agents.membership.peer_table import Peer, PeerTable
 from agents.round import AgentContext, RoundResult
-from agents.step import Step
-from agents.tracker import RegionInput
-from agents.words import WEIGHT, Words
+from agents.tracking import regions
+from agents.tracking.particles import Particles, select
+from agents.tracking.regions import RegionUpdate
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
 from deploy.verify import fuzz
 from deploy.verify.fuzz import Case
 from protocol.messages import Gossip, Observation
@@ -36,7 +37,7 @@ def sorted_only(particles: Particles) -> Particles:
 
 def no_dedupe_by_id(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     """Acts in cases with `timing.overlap` alone: else one of two claims counts where they meet, and no id is told twice."""
-    for module in ("agents.belief", "agents.merge", "agents.regions", "agents.phd"):
+    for module in ("agents.tracking.belief", "agents.tracking.merge", "agents.tracking.regions", "agents.tracking.phd"):
         patch.setattr(f"{module}.canonical", sorted_only)
     return fuzz.play(case, arithmetic=PLAIN)
 
@@ -55,13 +56,13 @@ def no_keyed_noise(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right, owners = regions.correct, [""]
 
-    def correct(particles: Particles, table: Words, polygon: np.ndarray, step: Step) -> Particles:
+    def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step: Step) -> Particles:
         updated = right(particles, table, polygon, step)
         salt = key(step.config.filter.seed, "birth", step.tick, key("sensor", owners[-1]))
         mine = scramble(np.arange(10000, dtype=np.uint64), salt)
         return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
 
-    def update_regions(table: Words, received: Any, births: Particles, each: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
+    def update_regions(table: GossipTable, received: Any, births: Particles, each: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
         found = []
         for region in each:
             owners.append(region.owner)
@@ -86,24 +87,24 @@ def generator_dropped_after_one_silent_round(case: Case, patch: pytest.MonkeyPat
 
 
 def latest_heard_view(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    patch.setattr(Neighbours, "missing", lambda self, tick, *, newcomer=False: set())
+    patch.setattr(PeerTable, "missing", lambda self, tick, *, newcomer=False: set())
     return fuzz.play(case)
 
 
 def nan_let_through(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     for check in ("check_rows", "check_vector", "check_number"):
         patch.setattr(f"protocol.messages.{check}", lambda *values, **limits: None)
-    patch.setattr("agents.peers.plausible", lambda gossip, outfit: True)
+    patch.setattr("agents.membership.peer.plausible", lambda gossip, announced: True)
     return fuzz.play(case)
 
 
 def old_incarnation_kept(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    right = Neighbours._peer
+    right = PeerTable._peer
 
-    def lenient(self: Neighbours, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
+    def lenient(self: PeerTable, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
         return right(self, name, incarnation, token=token) or self.peers.get(name)
 
-    patch.setattr(Neighbours, "_peer", lenient)
+    patch.setattr(PeerTable, "_peer", lenient)
     return fuzz.play(case)
 
 
@@ -115,13 +116,13 @@ def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    right = speech.gossip
+    right = outbox.gossip
 
     def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
         outcome.belief.stamp = observation.tick - 1
         return right(me, incarnation, outcome, observation, listening=listening)
 
-    patch.setattr(speech, "gossip", gossip)
+    patch.setattr(outbox, "gossip", gossip)
     return fuzz.play(case)
 
 
@@ -137,25 +138,25 @@ def row_of_another_sender(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def stale_tick_accepted(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    right = Neighbours._judge
+    right = PeerTable._judge
 
-    def judge(self: Neighbours, gossip: Gossip, fits: bool) -> str:
+    def judge(self: PeerTable, gossip: Gossip, fits: bool) -> str:
         reason = right(self, gossip, fits)
         return "" if reason == "stale" else reason
 
-    patch.setattr(Neighbours, "_judge", judge)
+    patch.setattr(PeerTable, "_judge", judge)
     return fuzz.play(case)
 
 
 def incarnation_not_compared(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    right = Neighbours._judge
+    right = PeerTable._judge
 
-    def judge(self: Neighbours, gossip: Gossip, fits: bool) -> str:
-        peer = self.circle.get(gossip.sender)
+    def judge(self: PeerTable, gossip: Gossip, fits: bool) -> str:
+        peer = self.interest_set.get(gossip.sender)
         changed = gossip if peer is None else msgspec.structs.replace(gossip, incarnation=peer.incarnation)
         return right(self, changed, fits)
 
-    patch.setattr(Neighbours, "_judge", judge)
+    patch.setattr(PeerTable, "_judge", judge)
     return fuzz.play(case)
 
 
@@ -164,7 +165,7 @@ def mask_off_by_one(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = RoundInbox.put
     rows = [0]
 
-    def accept(self: Neighbours, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
+    def accept(self: PeerTable, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
         rows[0] = len(batch) - start if len(batch) >= 3 else 0
         return accept_all(self, batch, start, tick, awaited)
 
@@ -173,21 +174,21 @@ def mask_off_by_one(case: Case, patch: pytest.MonkeyPatch) -> str | None:
         if rows[0] != 0:
             right(self, gossip)
 
-    accept_all = Neighbours.accept
-    patch.setattr(Neighbours, "accept", accept)
+    accept_all = PeerTable.accept
+    patch.setattr(PeerTable, "accept", accept)
     patch.setattr(RoundInbox, "put", put)
     return fuzz.play(case)
 
 
 def listener_changes_the_shared_table(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    right = rounds.side_by_side
+    right = rounds.gossip_table
 
-    def side_by_side(*arguments: Any) -> Words:
+    def gossip_table(*arguments: Any) -> GossipTable:
         words = right(*arguments)
         words.table[:, WEIGHT] *= 0.99
         return words
 
-    patch.setattr(rounds, "side_by_side", side_by_side)
+    patch.setattr(rounds, "side_by_side", gossip_table)
     return fuzz.play(case)
 
 

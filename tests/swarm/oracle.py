@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
-from agents.claims import Claim
-from agents.extraction import estimate_targets
-from agents.particles import Particles
+from agents.tracking.claims import Claim
+from agents.tracking.extraction import estimate_targets
+from agents.tracking.particles import Particles
 from deploy.scenario import Scenario
 from deploy.simulation import Simulation
 from deploy.verify.central_filter import CentralFilter, ParticleDifference, particle_difference, united

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import msgspec
 import pytest
 
-from agents.neighbours import LOCAL_VIEW
+from agents.membership.peer_table import LOCAL_VIEW
 from deploy.bench.simulations import crowd
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
@@ -64,7 +64,7 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
     print(f"seed {seed}")
     (_, everything), (simulation, all_the_same) = (play(large(seed, team, interest)) for interest in ("all", "neighbours"))
     assert everything == all_the_same
-    heard = [len(agent.neighbours.circle) for agent in simulation.agents.values()]
+    heard = [len(agent.neighbours.interest_set) for agent in simulation.agents.values()]
     assert sum(heard) < 0.6 * len(heard) * (len(heard) - 1)
 
 

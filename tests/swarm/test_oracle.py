@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.backend import PLAIN
-from agents.particles import Particles
+from agents.tracking.particles import Particles
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import compiled
 from deploy.verify.central_filter import particle_difference

@@ -12,7 +12,7 @@ from protocol.streams import scramble, uniform
 from world import detector as detector_module
 from world.detector import Detector, clutter_points, count_in_view, poisson_table, sightings
 
-QUIET = DetectionSettings(noise=0.25, clutter=0.0)
+NO_EFFECTS = DetectionSettings(noise=0.25, clutter=0.0)
 SEED = 11
 DISC = WedgeSensor(2.0 * math.pi, 10.0, 1.0)
 
@@ -98,7 +98,7 @@ def test_a_target_that_two_sensors_see_counts_once() -> None:
 
 
 def test_nobody_to_see_and_nothing_to_see_are_fine() -> None:
-    detector = Detector(QUIET, SEED)
+    detector = Detector(NO_EFFECTS, SEED)
     assert count_in_view(sightings([], [], np.zeros((3, 2)))) == 0
     assert scan(detector, DISC, (0.0, 0.0, 0.0), np.empty((0, 2))).shape == (0, 2)
     nothing = np.empty((0, 2))
@@ -106,14 +106,14 @@ def test_nobody_to_see_and_nothing_to_see_are_fine() -> None:
 
 
 def test_a_sensor_of_class_c_detects_seven_targets_of_ten() -> None:
-    detector, positions = Detector(QUIET, SEED), np.array([[4.0, 0.0]])
+    detector, positions = Detector(NO_EFFECTS, SEED), np.array([[4.0, 0.0]])
     hits = sum(len(scan(detector, SENSOR_CLASSES["C"], (0.0, 0.0, 0.0), positions, tick)) for tick in range(3000))
     assert hits / 3000 == pytest.approx(0.7, abs=3.5 * math.sqrt(0.7 * 0.3 / 3000)), f"seed {SEED}"
 
 
 def test_the_noise_is_gaussian_with_the_set_deviation_on_both_axes() -> None:
     positions = np.tile([3.0, -2.0], (4000, 1))
-    errors = scan(Detector(QUIET, SEED), DISC, (0.0, 0.0, 0.0), positions) - np.array([3.0, -2.0])
+    errors = scan(Detector(NO_EFFECTS, SEED), DISC, (0.0, 0.0, 0.0), positions) - np.array([3.0, -2.0])
     assert errors.shape == (4000, 2)
     np.testing.assert_allclose(errors.mean(axis=0), [0.0, 0.0], atol=3.5 * 0.25 / math.sqrt(4000))
     np.testing.assert_allclose(errors.std(axis=0), [0.25, 0.25], rtol=0.04)
@@ -182,7 +182,7 @@ class Fading:
 
 def test_a_sensor_whose_probability_falls_off_detects_accordingly() -> None:
     near, far = np.full((2000, 2), [2.5, 0.0]), np.full((2000, 2), [0.0, 7.5])
-    detections = scan(Detector(QUIET, SEED), Fading(), (0.0, 0.0, 0.0), np.vstack([near, far]))
+    detections = scan(Detector(NO_EFFECTS, SEED), Fading(), (0.0, 0.0, 0.0), np.vstack([near, far]))
     assert np.sum(detections[:, 0] > 1.25) / 2000 == pytest.approx(0.75, abs=0.034)
     assert np.sum(detections[:, 0] < 1.25) / 2000 == pytest.approx(0.25, abs=0.034)
 
@@ -197,7 +197,7 @@ def test_detections_are_sorted_float32_and_do_not_follow_the_order_of_the_target
 
 def test_the_same_targets_in_another_order_give_the_same_scan() -> None:
     positions = np.array([[6.0, 0.0], [2.0, 1.0], [4.0, -1.0]])
-    detector, ids, back = Detector(QUIET, SEED), np.array([3, 1, 2], dtype=np.uint64), [2, 0, 1]
+    detector, ids, back = Detector(NO_EFFECTS, SEED), np.array([3, 1, 2], dtype=np.uint64), [2, 0, 1]
     first = detector.scan(DISC, (0.0, 0.0, 0.0), "s1", positions, ids, 5)
     second = detector.scan(DISC, (0.0, 0.0, 0.0), "s1", positions[back], ids[back], 5)
     assert first.tobytes() == second.tobytes()
@@ -217,7 +217,7 @@ def test_a_scan_is_the_same_in_any_company() -> None:
 
 
 def test_other_targets_do_not_change_how_one_is_seen() -> None:
-    detector, ids = Detector(QUIET, SEED), np.array([7, 8], dtype=np.uint64)
+    detector, ids = Detector(NO_EFFECTS, SEED), np.array([7, 8], dtype=np.uint64)
     both = detector.scan(DISC, (0.0, 0.0, 0.0), "s1", np.array([[1.0, 0.0], [5.0, 0.0]]), ids, 2)
     one = detector.scan(DISC, (0.0, 0.0, 0.0), "s1", np.array([[1.0, 0.0]]), ids[:1], 2)
     assert one.tobytes() == both[:1].tobytes()
@@ -227,8 +227,8 @@ def test_other_targets_do_not_change_how_one_is_seen() -> None:
 def test_seed_sensor_and_tick_each_make_other_dice(other: tuple[int, str, int]) -> None:
     seed, name, tick = other
     positions = np.array([[3.0, 0.0]])
-    mine = scan(Detector(QUIET, SEED), DISC, (0.0, 0.0, 0.0), positions)
-    assert scan(Detector(QUIET, seed), DISC, (0.0, 0.0, 0.0), positions, tick, name).tobytes() != mine.tobytes()
+    mine = scan(Detector(NO_EFFECTS, SEED), DISC, (0.0, 0.0, 0.0), positions)
+    assert scan(Detector(NO_EFFECTS, seed), DISC, (0.0, 0.0, 0.0), positions, tick, name).tobytes() != mine.tobytes()
 
 
 def test_the_dice_of_two_sensors_and_of_two_ticks_are_unrelated() -> None:

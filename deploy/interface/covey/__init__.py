@@ -13,7 +13,7 @@ raises `BadSetting`, a ValueError of one line. Every name is imported when it is
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from agents.control import STAND, ControlInput, ControlLaw, Situation, approach
+    from agents.coverage.control import STAND, ControlInput, ControlLaw, Situation, approach
     from covey.runs import Run, load, scenario, simulate
     from covey.studies import Study, load_study, study
     from deploy.installation import VERSION as __version__
@@ -60,7 +60,7 @@ def __getattr__(name: str) -> Any:
 
         found = getattr(sensing, name)
     elif name in _CONTROL:
-        from agents import control
+        from agents.coverage import control
 
         found = getattr(control, name)
     elif name == "BadSetting":

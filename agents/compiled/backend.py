@@ -1,0 +1,242 @@
+"""The compiled backend: the loops of the kernels behind the signatures of the plain functions.
+
+Importing this file imports numba. Regions that a sensor other than a wedge looks at are computed by the plain functions.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from agents.backend import Backend
+from agents.compiled import birth_kernels, cell_kernels, claim_kernels, merge_kernels, region_kernels, selection_kernels
+from agents.config import AgentConfig
+from agents.coverage.cells import NO_CELL, TOUCH, Cell
+from agents.gossip.table import COLUMNS, KIND, OTHER, REACH, GossipTable
+from agents.interest import selection
+from agents.interest.tiles import Rectangle
+from agents.tracking import phd, regions
+from agents.tracking.births import DIRECTIONS, inflow, starting_on_border
+from agents.tracking.claims import Claim, Claims
+from agents.tracking.particles import NONE, Particles
+from agents.tracking.regions import RegionUpdate
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
+from protocol import geometry
+from protocol.sensing import WedgeSensor
+from protocol.settings import ArenaSettings
+from protocol.streams import key
+
+
+def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
+    """See `cells.cut_cells`."""
+    corners, bounds, starts = cell_kernels.cut_cells(np.array(indices, dtype=np.int64), points, radii, arena, TOUCH)
+    chosen, places = bounds.tolist(), starts.tolist()
+    return [
+        Cell(corners[first:last], tuple(chosen[bound:end])) if end > bound else NO_CELL for (first, bound), (last, end) in pairwise(places)
+    ]
+
+
+def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
+    """See `claims.resolve_conflicts`."""
+    ends, stated = claims.ends, np.array(views)
+    return claim_kernels.resolve_conflicts(points, np.array(sizes), claims.generators, ends, stated, overlap)  # type: ignore[no-any-return]
+
+
+def orphaned(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.ndarray:
+    """See `claims.orphaned`."""
+    return claim_kernels.orphaned(points, *claims[1:], arena.width, arena.height)  # type: ignore[no-any-return]
+
+
+MotionArguments = tuple[np.uint64, np.uint64, np.uint64, float, float, float, float, float, bool, float, float]
+
+
+def motion(step: Step) -> MotionArguments:
+    """A step of prediction as the kernels want it: three keys, dt, half the turn per deviation, speed, noise, survival, border, arena."""
+    config, tick = step.config, step.tick
+    run, settings, arena = config.run, config.filter, config.arena
+    return (
+        np.uint64(key(settings.seed, "turn", tick)),
+        np.uint64(key(settings.seed, "east", tick)),
+        np.uint64(key(settings.seed, "north", tick)),
+        run.dt,
+        0.5 * settings.heading_noise * math.sqrt(run.dt),
+        settings.speed,
+        settings.position_noise,
+        phd.survival_probability(run.dt, settings),
+        settings.border == "reflect",
+        arena.width,
+        arena.height,
+    )
+
+
+# A pure memo, because in virtual time every agent asks: the births of the last two (configuration, tick).
+_BORN: deque[tuple[AgentConfig, int, Particles]] = deque(maxlen=2)
+
+
+def background_births(step: Step) -> Particles:
+    """See `births.background_births`."""
+    config, tick = step
+    for known, at, found in _BORN:
+        if at == tick and known is config:
+            return found
+    birth, arena, mass = config.birth, config.arena, inflow(config.run.dt, config.filter, config.arena)
+    count, salt = birth.background_particles, np.uint64(key(config.filter.seed, "background", tick))
+    if not birth.background or mass <= 0.0:
+        return NONE
+    on_border = starting_on_border(config.filter, birth)
+    states, ids = birth_kernels.background(count, on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
+    found = Particles(states, np.full(count, mass / count), ids)
+    _BORN.append((config, tick, found))
+    return found
+
+
+def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
+    """See `merge.remote_copies`."""
+    cell, halo, moved = polygon if len(polygon) else _NO_CORNERS, step.config.filter.halo, motion(step)
+    return Particles(*merge_kernels.remote_copies(tuple(near), tuple(received), cell, claim.generators, claim.first, halo, horizon, moved))
+
+
+def merge(received: Particles, kept: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
+    """See `merge.merge`."""
+    return Particles(*merge_kernels.merge(tuple(received), kept, tuple(copies), free))
+
+
+_NO_CORNERS = np.empty((0, 2))  # not read-only, for the sake of one compilation
+_NOTHING_SAID = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty((0, COLUMNS))
+# A pure memo, because all agents of a simulation share a configuration: settings and keys of the last eight.
+_PREPARED: deque[tuple[AgentConfig, np.ndarray, np.ndarray]] = deque(maxlen=8)
+
+
+def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Settings and keys of a run in the order of `region_kernels`."""
+    for known, settings, keys in _PREPARED:
+        if known is config:
+            return settings, keys
+    filters, birth, noise = config.filter, config.birth, config.detection.noise
+    step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
+    numbers = [*motion(step)[3:], filters.halo, step.reach, noise, width, (filters.gate * width) ** 2]
+    numbers += [filters.certainty, filters.vicinity / phd.BINS]
+    numbers += [birth.measurement, birth.copies, birth.radius, birth.least_density, birth.least_share, birth.most_density]
+    numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
+    numbers += [config.extraction.bin, config.extraction.threshold]
+    salts = [key(config.filter.seed, word) for word in ("turn", "east", "north", "birth", "split")]
+    settings, keys = np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
+    _PREPARED.append((config, settings, keys))
+    return settings, keys
+
+
+def said_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States, ids and rows of the gossips that say something of what is near a region."""
+    (x, y), reach, width = region.pose[:2], region.sensor.reach + step.reach, step.config.filter.halo + step.reach
+    near = region_kernels.touching(table.boxes, region.polygon if len(region.polygon) else _NO_CORNERS, width, x, y, reach)
+    return *table.stated_by(near.tolist()), table.table[near]
+
+
+def update_regions(
+    table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
+) -> list[RegionUpdate]:
+    """See `regions.update_regions`."""
+    wedges = [type(region.sensor) is WedgeSensor for region in regions_]
+    if table.all_wedges and len(table.table) and False not in wedges:
+        return _update_wedges(table, received, births, regions_, step)
+    return _update_mixed(table, received, births, regions_, step)
+
+
+def _update_mixed(
+    table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
+) -> list[RegionUpdate]:
+    """The same in a team in which some sensors are no wedges: what none of these looks at is computed by the compiled loops."""
+    others, halo = table.table[table.table[:, KIND] == OTHER], step.config.filter.halo
+    found = []
+    for region in regions_:
+        reached = bool((geometry.distances(region.polygon, others) <= halo + others[:, REACH]).any())
+        is_plain = reached or type(region.sensor) is not WedgeSensor or not len(table.table)
+        found += (regions.update_regions if is_plain else _update_wedges)(table, received, births, [region], step)
+    return found
+
+
+def _update_wedges(
+    table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
+) -> list[RegionUpdate]:
+    if not regions_:
+        return []
+    config = step.config
+    settings, keys = prepared(config)
+    said, others = _NOTHING_SAID, NONE
+    if not isinstance(received, GossipTable):
+        others = received
+    elif config.timing.interest == "all" or len(regions_) > 1 or received.stands_ready:
+        said = *received.stated, received.table
+    else:
+        said = said_near(received, regions_[0], step)
+    corners = _end_to_end([region.polygon for region in regions_])
+    updated, own, kept, targets, results = region_kernels.update_regions(
+        settings,
+        keys,
+        step.tick,
+        table.table,
+        table.salts,
+        table.detections,
+        said,
+        tuple(others),
+        tuple(births),
+        np.array([(region.row, len(region.polygon), len(region.claim.first)) for region in regions_]),
+        corners if len(corners) else _NO_CORNERS,
+        _end_to_end([region.claim.generators for region in regions_]),
+        _end_to_end([region.claim.first for region in regions_]),
+        _draws(config.filter.seed, tuple([region.owner for region in regions_])),
+        DIRECTIONS,
+    )
+    if len(regions_) == 1:
+        _, _, _, _, mass, east, north, load, detected = results[0].tolist()
+        return [RegionUpdate(Particles(*updated), Particles(*own), Particles(*kept), mass, east, north, load, detected, targets)]
+    ends, found = np.cumsum(results[:, : region_kernels.SIZES], axis=0, dtype=np.int64).tolist(), []
+    for before, after, result in zip([[0] * region_kernels.SIZES, *ends], ends, results.tolist()):
+        near, mine, drawn = [_rows(*part) for part in zip((updated, own, kept), before, after)]
+        mass, east, north, load, detected = result[region_kernels.SIZES :]
+        found.append(RegionUpdate(near, mine, drawn, mass, east, north, load, detected, targets[before[3] : after[3]]))
+    return found
+
+
+@lru_cache(maxsize=1024)
+def _draws(seed: int, names: tuple[str, ...]) -> np.ndarray:
+    """Keys of the draws of some owners, a pure memo of the last 1024 groups."""
+    return np.array([key(seed, "resample", name) for name in names], dtype=np.uint64)
+
+
+def _rows(whole: tuple[np.ndarray, np.ndarray, np.ndarray], start: int, end: int) -> Particles:
+    states, weights, ids = whole
+    return Particles(states[start:end], weights[start:end], ids[start:end])
+
+
+def _end_to_end(arrays: list[np.ndarray]) -> np.ndarray:
+    """Some arrays, at least one, end to end."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+_MARGINS = selection.MARGIN, selection.APPEARING, selection.SPACING, selection.THRESHOLD, selection.BEHIND
+
+
+def select_peers(
+    cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.Ground
+) -> selection.Choice:
+    """See `interest.wanted`."""
+    home, bounds = cell if len(cell) else _NO_CORNERS, (ground.bounds.reach, ground.bounds.offset, ground.bounds.radius)
+    chosen, needed = selection_kernels.wanted(home, eye, reach, halo, table, ground.arena, bounds, ground.drift, _MARGINS)
+    return selection.Choice(chosen, Rectangle(*needed))
+
+
+FAST = Backend(
+    cut_cells=cut_cells,
+    background_births=background_births,
+    update_regions=update_regions,
+    resolve_conflicts=resolve_conflicts,
+    orphaned=orphaned,
+    remote_copies=remote_copies,
+    merge=merge,
+    select_peers=select_peers,
+)

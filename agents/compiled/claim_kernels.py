@@ -1,0 +1,150 @@
+"""Compiled claims: the loops of `claims` for numba, each the bit-for-bit twin of a numpy function.
+
+Same rules as `kernels`: no fast-math, the reference's order and rounding of every operation, compiled code cached on disk. Several claims
+are given as their generators (G, 3) end to end, and where each of them ends.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from agents.compiled.cache import cached
+
+
+@njit
+def _power_distance(x: float, y: float, generators: np.ndarray, place: int) -> float:
+    """|x - p|^2 - r^2 of a point to one generator, m^2."""
+    dx, dy = x - generators[place, 0], y - generators[place, 1]
+    return dx * dx + dy * dy - generators[place, 2] * generators[place, 2]
+
+
+@njit
+def _hold(
+    x: np.ndarray, y: np.ndarray, generators: np.ndarray, first: np.ndarray, start: int, end: int, own: np.ndarray, held: np.ndarray
+) -> None:
+    """Which points lie in the cell of the generator `start`, which those up to `end` bound: into `held`. `own` is room."""
+    east, north, squared = generators[start, 0], generators[start, 1], generators[start, 2] * generators[start, 2]
+    for n in range(len(x)):
+        dx, dy = x[n] - east, y[n] - north
+        own[n], held[n] = dx * dx + dy * dy - squared, True
+    for g in range(start + 1, end):  # without branches, for several points at once
+        east, north, squared, wins = generators[g, 0], generators[g, 1], generators[g, 2] * generators[g, 2], first[g]
+        for n in range(len(x)):
+            dx, dy = x[n] - east, y[n] - north
+            other = dx * dx + dy * dy - squared
+            held[n] &= (own[n] < other) | ((own[n] == other) & (not wins))
+
+
+@cached
+def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
+    """Twin of `claims.owned`: which points lie in the arena and in the cell of generator 0."""
+    number, mine = len(points), np.empty(len(points), dtype=np.bool_)
+    if len(generators) == 0:
+        mine[:] = False
+        return mine
+    x, y = points[:, 0].copy(), points[:, 1].copy()
+    _hold(x, y, generators, first, 0, len(generators), np.empty(number), mine)
+    for n in range(number):
+        mine[n] &= (x[n] >= 0.0) & (x[n] <= width) & (y[n] >= 0.0) & (y[n] <= height)
+    return mine
+
+
+@njit
+def _starts(ends: np.ndarray) -> np.ndarray:
+    """Where each claim starts, (C,)."""
+    starts = np.zeros_like(ends)
+    starts[1:] = ends[:-1]
+    return starts
+
+
+@njit
+def _likely(x: np.ndarray, y: np.ndarray, generators: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """For each point the nearest of the generators at these places, in power distance, as an index of `places`: good enough for a first
+    guess, so in single precision, and indices as such numbers, because then twice as many are chosen at once."""
+    number = len(x)
+    east, north = np.empty(number, np.float32), np.empty(number, np.float32)
+    nearest, least = np.zeros(number, np.float32), np.full(number, np.float32(np.inf))
+    for n in range(number):
+        east[n], north[n] = np.float32(x[n]), np.float32(y[n])
+    for k in range(len(places)):
+        generator = generators[places[k]]
+        there_x, there_y, squared = np.float32(generator[0]), np.float32(generator[1]), np.float32(generator[2] * generator[2])
+        index = np.float32(k)
+        for n in range(number):
+            dx, dy = east[n] - there_x, north[n] - there_y
+            apart = dx * dx + dy * dy - squared
+            nearest[n] = index if apart < least[n] else nearest[n]
+            least[n] = min(least[n], apart)
+    return nearest
+
+
+@cached
+def orphaned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends: np.ndarray, width: float, height: float) -> np.ndarray:
+    """Twin of `claims.orphaned`. It asks the nearest owner first: as a rule the point is in his cell; and all owners about the rest."""
+    free, starts = np.ones(len(points), dtype=np.bool_), _starts(ends)
+    owners = np.nonzero(starts < ends)[0]
+    rows = np.nonzero((points[:, 0] >= 0.0) & (points[:, 0] <= width) & (points[:, 1] >= 0.0) & (points[:, 1] <= height))[0]
+    if len(owners) == 0 or len(rows) == 0:
+        return free
+    likely, begins = _likely(points[rows, 0], points[rows, 1], generators, starts[owners]), np.zeros(len(owners) + 1, np.int64)
+    for n in range(len(rows)):
+        begins[int(likely[n]) + 1] += 1
+    begins = np.cumsum(begins)
+    order, filled = np.empty(len(rows), np.int64), begins[:-1].copy()
+    for n in range(len(rows)):  # those of an owner side by side
+        k = int(likely[n])
+        order[filled[k]] = rows[n]
+        filled[k] += 1
+    x, y, own, held = points[order, 0], points[order, 1], np.empty(len(rows)), np.empty(len(rows), np.bool_)
+    for k in range(len(owners)):
+        part, owner = slice(begins[k], begins[k + 1]), owners[k]
+        _hold(x[part], y[part], generators, first, starts[owner], ends[owner], own[part], held[part])
+    free[order[held]] = False
+    left = order[~held]
+    x, y, taken = points[left, 0], points[left, 1], np.zeros(len(left), np.bool_)
+    for owner in owners:
+        _hold(x, y, generators, first, starts[owner], ends[owner], own[: len(left)], held[: len(left)])
+        taken |= held[: len(left)]
+    free[left] = ~taken
+    return free
+
+
+@njit
+def _depth(x: float, y: float, generators: np.ndarray, start: int, end: int) -> float:
+    """Twin of `claims.depths` for one point and the claim from `start` to `end`."""
+    own, least = _power_distance(x, y, generators, start), np.inf
+    for g in range(start + 1, end):
+        dx, dy = generators[g, 0] - generators[start, 0], generators[g, 1] - generators[start, 1]
+        span = math.sqrt(dx * dx + dy * dy)
+        least = min(least, (_power_distance(x, y, generators, g) - own) / (2.0 * max(span, 1e-9)))
+    return least
+
+
+@cached
+def resolve_conflicts(
+    points: np.ndarray, sizes: np.ndarray, generators: np.ndarray, ends: np.ndarray, views: np.ndarray, overlap: float
+) -> np.ndarray:
+    """Twin of `claims.resolve_conflicts`."""
+    number, keep, starts, begin = len(points), np.ones(len(points), dtype=np.bool_), _starts(ends), 0
+    x, y, own, seen = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, views.dtype)
+    for c in range(len(sizes)):
+        for n in range(begin, begin + sizes[c]):
+            own[n], seen[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
+        begin += sizes[c]
+    outdone = np.zeros(number, np.bool_)
+    for owner in np.nonzero(starts < ends)[0]:  # as a rule nobody is nearer; without branches, for several points at once
+        east, north, radius = generators[starts[owner]]
+        squared, view = radius * radius, views[owner]
+        for n in range(number):
+            dx, dy = x[n] - east, y[n] - north
+            outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (seen[n] != view)
+    for row in np.nonzero(outdone)[0]:
+        for rival in range(len(ends)):
+            start, end = starts[rival], ends[rival]
+            if views[rival] == seen[row] or start == end or not _power_distance(x[row], y[row], generators, start) < own[row]:
+                continue
+            if _depth(x[row], y[row], generators, start, end) > overlap:
+                keep[row] = False
+                break
+    return keep

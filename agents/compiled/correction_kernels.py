@@ -1,0 +1,295 @@
+"""The compiled corrector: the loops of `phd.update` and `births` for numba, bit for bit; rules as in `kernels`.
+
+What can be done for several particles at once stands in loops of its own without branches, because the compiler then does so.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from agents.compiled.cache import cached
+from agents.compiled.cell_kernels import around, distance
+from agents.compiled.extraction_kernels import block
+from agents.compiled.particle_kernels import normal, scramble, wedge
+
+_S52 = np.uint64(52)
+_FARTHEST = 3.47  # deviations: more than any keyed normal number (`streams.NORMAL_BOUND`)
+_TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
+
+
+@njit
+def _exp_minus(value: float) -> float:
+    small = value * (1.0 / 64.0)
+    result = 1.0 / 3628800.0
+    for coefficient in _TAYLOR:
+        result = result * -small + coefficient
+    for _ in range(6):
+        result = result * result
+    return result
+
+
+@cached
+def _nearby(x: np.ndarray, y: np.ndarray, weights: np.ndarray, detections: np.ndarray, radius: float) -> np.ndarray:
+    """The masses (M,) within a radius of the detections (M, 2) of all scans, for `_birth_densities`."""
+    number = len(detections)
+    at_x, at_y, found = detections[:, 0].copy(), detections[:, 1].copy(), np.zeros(number)
+    for n in range(len(weights)):  # one particle after the other for the sake of the sums, and without branches
+        px, py, weight = x[n], y[n], weights[n]
+        for m in range(number):
+            dx, dy = px - at_x[m], py - at_y[m]
+            found[m] += weight if dx * dx + dy * dy <= radius * radius else 0.0
+    return found
+
+
+@njit
+def _birth_densities(points: np.ndarray, sums: np.ndarray, kappa: float, nearby: np.ndarray, birth: tuple) -> None:
+    """Twin of `births.birth_density` for the detections (M, 2) of a scan: the densities instead of the masses `nearby`; `sums` (M,) is
+    what the particles make of each detection."""
+    _, _, radius, least, least_share, most, _, _, _ = birth
+    lowest, area = max(least, min(least_share * kappa, 0.5 * most)), math.pi * radius * radius
+    for m in range(len(points)):
+        known = 0.0
+        for other in range(len(points)):
+            dx, dy = points[other, 0] - points[m, 0], points[other, 1] - points[m, 1]
+            if dx * dx + dy * dy <= radius * radius and sums[other] > 0.0:
+                known += sums[other] / (kappa + sums[other])
+        nearby[m] = min(max((nearby[m] - known) / area, lowest), most)
+
+
+@njit
+def _raster(x: np.ndarray, y: np.ndarray, detections: np.ndarray, spread: float, side: float) -> tuple:
+    """A grid of bins of a side in m for `_missed`, large enough for particles, detections and births within `spread` m of them: the
+    column and the row where it begins, the masses, what is explained, and the factors."""
+    west, south, east, north = math.inf, math.inf, -math.inf, -math.inf
+    for n in range(len(x)):
+        west, south, east, north = min(west, x[n]), min(south, y[n]), max(east, x[n]), max(north, y[n])
+    for m in range(len(detections)):
+        px, py = detections[m, 0], detections[m, 1]
+        west, south, east, north = min(west, px - spread), min(south, py - spread), max(east, px + spread), max(north, py + spread)
+    if west > east:
+        return 0, 0, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))
+    left, low = np.int64(math.floor(west / side)) - 2, np.int64(math.floor(south / side)) - 2
+    shape = np.int64(math.floor(north / side)) - low + 3, np.int64(math.floor(east / side)) - left + 3
+    return left, low, np.zeros(shape), np.zeros(shape), np.full(shape, -1.0)
+
+
+@cached
+def _missed(
+    x: np.ndarray,
+    y: np.ndarray,
+    weights: np.ndarray,
+    seen: np.ndarray,
+    probability: float,
+    gained: np.ndarray,
+    points: np.ndarray,
+    born: np.ndarray,
+    miss: tuple,
+    raster: tuple,
+) -> None:
+    """Twin of `phd.missed`: multiply weights by their factors; the raster is as before afterwards."""
+    certainty, side = miss
+    left, low, masses, explained, factors = raster
+    columns, rows = np.empty(len(x), np.int64), np.empty(len(x), np.int64)
+    for n in range(len(x)):
+        columns[n], rows[n] = np.int64(math.floor(x[n] / side)) - left, np.int64(math.floor(y[n] / side)) - low
+    for n in range(len(x)):
+        if seen[n]:
+            masses[rows[n], columns[n]] += weights[n]
+            explained[rows[n], columns[n]] += gained[n]
+    for m in range(len(points)):
+        column, row = np.int64(math.floor(points[m, 0] / side)) - left, np.int64(math.floor(points[m, 1] / side)) - low
+        explained[row, column] += born[m]
+    for n in range(len(x)):
+        if seen[n]:
+            row, column = rows[n], columns[n]
+            if factors[row, column] < 0.0:
+                mass = block(masses, row, column)
+                rest = max(mass - block(explained, row, column), 0.0)
+                odds = (1.0 - probability) / (1.0 - probability * min(rest, certainty))
+                factors[row, column] = rest / (mass if mass > 0.0 else 1.0) * odds
+            weights[n] = weights[n] * factors[row, column]
+    for n in range(len(x)):
+        masses[rows[n], columns[n]], explained[rows[n], columns[n]], factors[rows[n], columns[n]] = 0.0, 0.0, -1.0
+    for m in range(len(points)):
+        column, row = np.int64(math.floor(points[m, 0] / side)) - left, np.int64(math.floor(points[m, 1] / side)) - low
+        explained[row, column] = 0.0
+
+
+@cached
+def _mark_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, seen: np.ndarray) -> None:
+    """Mark which points lie in a wedge (a row of `words`), without branches, so that it is done for several at once."""
+    eye_x, eye_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
+    for n in range(len(x)):
+        dx, dy = x[n] - eye_x, y[n] - eye_y
+        range2 = dx * dx + dy * dy
+        seen[n] = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2))
+
+
+@cached
+def _pairs(
+    x: np.ndarray,
+    y: np.ndarray,
+    weights: np.ndarray,
+    seen: np.ndarray,
+    probability: float,
+    detections: np.ndarray,
+    gate2: float,
+    found: tuple,
+) -> int:
+    """Every particle in view within the gate of a detection, into `found`: its row, the detection, squared distance m^2, weight times
+    p_d. The number of pairs, or -1 when `found` may be too small."""
+    rows, columns, squares, shares = found
+    number, pairs = len(x), 0
+    apart, hits = np.empty(number), np.empty(number, np.bool_)
+    for m in range(len(detections)):
+        at_x, at_y = detections[m, 0], detections[m, 1]
+        for n in range(number):
+            dx, dy = x[n] - at_x, y[n] - at_y
+            apart[n] = dx * dx + dy * dy
+            hits[n] = seen[n] & (apart[n] <= gate2)
+        if pairs + number > len(rows):
+            return -1
+        for n in range(number):  # what is no hit is written over
+            rows[pairs], columns[pairs], squares[pairs], shares[pairs] = n, m, apart[n], weights[n] * probability
+            pairs += hits[n]
+    return pairs
+
+
+@cached
+def _room(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    return np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(size)
+
+
+@cached
+def _likelihoods(squares: np.ndarray, shares: np.ndarray, noise: float) -> None:
+    """Multiply shares by the Gaussian density at squared distances m^2."""
+    scale, exponent_scale = 1.0 / (2.0 * math.pi * noise * noise), 0.5 / (noise * noise)
+    for p in range(len(squares)):
+        shares[p] = shares[p] * (_exp_minus(squares[p] * exponent_scale) * scale)
+
+
+@njit
+def _scans(table: np.ndarray, polygon: np.ndarray, box: tuple[float, float, float, float], halo: float) -> tuple[np.ndarray, np.ndarray]:
+    """The rows whose scans reach the halo of the cell, whose box this is, by ascending p_d and then as they stand in the table; and where
+    the detections of each begin."""
+    sensors, begins = np.empty(len(table), np.int64), np.empty(len(table), np.int64)
+    scans = first = 0
+    for s in range(len(table)):
+        row = table[s]
+        if row[8] != 0.0 and not _beyond(box, row[0], row[1], halo + row[4]) and distance(polygon, row[0], row[1]) <= halo + row[4]:
+            place = scans
+            while place > 0 and table[sensors[place - 1], 6] > row[6]:
+                sensors[place], begins[place] = sensors[place - 1], begins[place - 1]
+                place -= 1
+            sensors[place], begins[place] = s, first
+            scans += 1
+        first += np.int64(row[9])
+    return sensors[:scans], begins[:scans]
+
+
+@njit
+def _pick(
+    row: np.ndarray,
+    first: int,
+    polygon: np.ndarray,
+    box: tuple[float, float, float, float],
+    halo: float,
+    detections: np.ndarray,
+    picked: np.ndarray,
+    count: int,
+) -> int:
+    """Append to `picked` the detections of a scan within the halo of the cell, whose box this is; the new count."""
+    for m in range(first, first + np.int64(row[9])):
+        x, y = detections[m, 0], detections[m, 1]
+        if not _beyond(box, x, y, halo) and distance(polygon, x, y) <= halo:
+            picked[count] = m
+            count += 1
+    return count
+
+
+@njit
+def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: float) -> bool:
+    """Whether a point is farther than `width` m from a box for certain, and so from all that lies in it."""
+    west, south, east, north = box
+    wide = width + 1e-6
+    return x < west - wide or x > east + wide or y < south - wide or y > north + wide
+
+
+@cached
+def update(
+    states: np.ndarray,
+    weights: np.ndarray,
+    ids: np.ndarray,
+    table: np.ndarray,
+    salts: np.ndarray,
+    all_detections: np.ndarray,
+    polygon: np.ndarray,
+    halo: float,
+    noises: tuple,
+    miss: tuple,
+    birth: tuple,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Twin of `arithmetic.update` for wedges; `noises` are that of the sensors, that of the likelihood and its gate squared, `miss` is
+    (certainty, side of a bin), `birth` (on, copies, radius, least, least share, most, speed, key of the births, directions)."""
+    on, copies, radius, _, _, _, speed, births_key, directions = birth
+    noise, likelihood_noise, gate2 = noises
+    box = around(polygon, 0.0)
+    sensors, begins = _scans(table, polygon, box, halo)
+    scans, starts, close = len(sensors), np.zeros(len(sensors) + 1, np.int64), 0
+    picked = np.empty(len(all_detections), np.int64)
+    for s in range(scans):
+        close = starts[s + 1] = _pick(table[sensors[s]], begins[s], polygon, box, halo, all_detections, picked, close)
+    count = len(weights)
+    room = count + (close * copies if on else 0)
+    new_states, new_weights, new_ids = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64)
+    new_states[:count], new_weights[:count], new_ids[:count] = states, weights, ids
+    x, y, seen = np.empty(room), np.empty(room), np.empty(room, np.bool_)
+    x[:count], y[:count] = states[:, 0], states[:, 1]
+    detections, densities = np.empty((close, 2)), np.zeros(close)
+    for m in range(close):
+        detections[m] = all_detections[picked[m]]
+    if on:
+        densities = _nearby(x[:count], y[:count], weights, detections, radius)
+    found, gained = _room(2 * count + 256), np.empty(room)
+    raster = _raster(x[:count], y[:count], detections, _FARTHEST * noise, miss[1])
+    for s in range(scans):
+        sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
+        _mark_view(x[:count], y[:count], sensor, seen)
+        pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
+        while pairs < 0:
+            found = _room(4 * len(found[0]))
+            pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
+        rows, columns, squares, shares = found
+        _likelihoods(squares[:pairs], shares[:pairs], likelihood_noise)
+        norms = np.zeros(len(points))
+        for p in range(pairs):
+            norms[columns[p]] += shares[p]
+        born = densities[starts[s] : starts[s + 1]]
+        if on:
+            _birth_densities(points, norms, sensor[7], born, birth)
+        for m in range(len(points)):
+            fresh = wedge(points[m, 0], points[m, 1], sensor) * born[m]
+            norm = sensor[7] + fresh + norms[m]
+            norms[m] = norm if norm > 0.0 else 1.0
+            born[m] = fresh / norms[m]
+        gained[:count] = 0.0
+        for p in range(pairs):
+            gained[rows[p]] += shares[p] / norms[columns[p]]
+        _missed(x[:count], y[:count], new_weights, seen, sensor[6], gained, points, born, miss, raster)
+        for n in range(count):
+            new_weights[n] += gained[n]
+        if on:
+            salt = scramble(salts[sensors[s]], births_key)
+            for m in range(len(points)):
+                number = np.uint64(picked[starts[s] + m] - begins[s])
+                for copy in range(copies):
+                    word = scramble(number * np.uint64(copies) + np.uint64(copy), salt)
+                    x[count] = points[m, 0] + normal(scramble(word, np.uint64(1))) * noise
+                    y[count] = points[m, 1] + normal(scramble(word, np.uint64(2))) * noise
+                    direction = np.int64(scramble(word, np.uint64(3)) >> _S52)
+                    new_states[count, 0], new_states[count, 1] = x[count], y[count]
+                    new_states[count, 2], new_states[count, 3] = directions[direction, 0] * speed, directions[direction, 1] * speed
+                    new_ids[count], new_weights[count] = word, born[m] / np.float64(copies)
+                    count += 1
+    return new_states, new_weights, new_ids

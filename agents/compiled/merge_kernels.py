@@ -1,0 +1,104 @@
+"""Compiled merging: copies of what others own, and what counts of them and of what is received, each the twin of a numpy function.
+
+Same rules as `kernels`.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from agents.compiled.cache import cached
+from agents.compiled.cell_kernels import apart, around
+from agents.compiled.claim_kernels import owned
+from agents.compiled.particle_kernels import blank, move_one, sort_by_id
+
+_Particles = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@njit
+def _farther(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, halo: float, horizon: float) -> np.ndarray:
+    """Which points are farther than `halo` m from a polygon, and no farther than `horizon` m; without a horizon it is not worked out how
+    far those are that lie outside of the box around it."""
+    (west, south, east, north), wide, found = around(polygon, 0.0), halo + 1e-6, np.empty(len(x), np.bool_)
+    for n in range(len(x)):
+        found[n] = (x[n] < west - wide) | (x[n] > east + wide) | (y[n] < south - wide) | (y[n] > north + wide)
+    rows = np.arange(len(x)) if horizon < np.inf else np.nonzero(~found)[0]
+    nearest, within = apart(polygon, x[rows], y[rows])
+    for k in range(len(rows)):
+        away = 0.0 if within[k] else math.sqrt(nearest[k])
+        found[rows[k]] = away > halo and (away <= horizon or horizon == np.inf)
+    return found
+
+
+@cached
+def remote_copies(
+    near: tuple,
+    received: tuple,
+    polygon: np.ndarray,
+    generators: np.ndarray,
+    first: np.ndarray,
+    halo: float,
+    horizon: float,
+    motion: tuple,
+) -> _Particles:
+    """Twin of `merge.remote_copies`; `motion` is `fast.motion`."""
+    near_states, near_weights, near_ids = near
+    states, weights, ids = received
+    width, height = motion[9], motion[10]
+    found, found_weights, found_ids = blank(len(near_ids) + len(ids))
+    mine, count = owned(near_states, generators, first, width, height), 0
+    for n in range(len(near_ids)):
+        x, y = near_states[n, 0], near_states[n, 1]
+        if near_weights[n] > 0.0 and not mine[n] and 0.0 <= x <= width and 0.0 <= y <= height:
+            for axis in range(4):
+                found[count, axis] = near_states[n, axis]
+            found_weights[count], found_ids[count] = near_weights[n], near_ids[n]
+            count += 1
+    moved, moved_weights, number = np.empty((len(ids), 4)), np.empty(len(ids)), 0
+    rows, east, north = np.empty(len(ids), np.int64), np.empty(len(ids)), np.empty(len(ids))
+    for n in range(len(ids)):
+        x, y, vx, vy, inside = move_one(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
+        weight = weights[n] * motion[7] if inside else 0.0
+        if weight > 0.0:
+            moved[number, 0], moved[number, 1], moved[number, 2], moved[number, 3] = x, y, vx, vy
+            moved_weights[number], rows[number], east[number], north[number] = weight, n, x, y
+            number += 1
+    outside = _farther(polygon, east[:number], north[:number], halo, horizon)
+    for k in range(number):
+        if outside[k]:
+            for axis in range(4):
+                found[count, axis] = moved[k, axis]
+            found_weights[count], found_ids[count] = moved_weights[k], ids[rows[k]]
+            count += 1
+    return found[:count], found_weights[:count], found_ids[:count]
+
+
+@cached
+def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
+    """Twin of `merge.merge`."""
+    received_states, received_weights, received_ids = received
+    states, weights, ids = copies
+    number = len(received_ids)
+    rows, names, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
+    for n in range(number):
+        rows[count], names[count] = n, received_ids[n]
+        count += kept[n]
+    for n in range(len(ids)):
+        rows[count], names[count] = number + n, ids[n]
+        count += free[n]
+    names = names[:count]
+    order, known = sort_by_id(names, np.arange(count)), 0
+    merged, merged_weights, merged_ids = blank(count)
+    for rank in range(count):
+        k = order[rank]
+        if rank > 0 and names[k] == names[order[rank - 1]]:
+            continue
+        n = rows[k]
+        source, weight = (received_states, received_weights[n]) if n < number else (states, weights[n - number])
+        at = n if n < number else n - number
+        for axis in range(4):
+            merged[known, axis] = source[at, axis]
+        merged_weights[known], merged_ids[known] = weight, names[k]
+        known += 1
+    return merged[:known], merged_weights[:known], merged_ids[:known]

@@ -1,0 +1,207 @@
+"""Compiled particle kernels: prediction, selection and resampling for numba, each the bit-for-bit twin of a numpy function.
+
+The numpy functions are the reference and the oracle of the tests; `fast` wraps these loops in their signatures. No fast-math: the
+order and the rounding of every operation are those of the reference. Compiled code is kept on disk (`numba_cache`).
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from agents.compiled.cache import cached
+from agents.compiled.cell_kernels import insert
+from agents.compiled.claim_kernels import owned
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
+_LOW = np.uint64(0xFFFF)
+_NORMAL_SCALE = 3.0**0.5 / 65536.0
+_MOST_BITS, _FULLEST = 14, 64  # of ids that choose a bucket; and how many may lie in one
+
+
+@njit
+def scramble(word: np.uint64, salt: np.uint64) -> np.uint64:
+    """Twin of `streams.scramble`."""
+    word = (word ^ salt) + _GOLDEN
+    word = (word ^ (word >> _S30)) * _MIX1
+    word = (word ^ (word >> _S27)) * _MIX2
+    return word ^ (word >> _S31)
+
+
+@njit
+def normal(bits: np.uint64) -> float:
+    """Twin of `streams.normal`."""
+    total = (bits & _LOW) + ((bits >> _S16) & _LOW) + ((bits >> _S32) & _LOW) + (bits >> _S48)
+    return (np.float64(total) - 131070.0) * _NORMAL_SCALE
+
+
+@njit
+def move_one(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
+    """One particle a step on, and whether it is still in the arena; `motion` is `fast.motion`."""
+    turn_salt, east_salt, north_salt, dt, half_turn, speed, position_noise, _, reflect, width, height = motion
+    turn = normal(scramble(name, turn_salt)) * half_turn
+    scale = speed / max(math.sqrt(vx * vx + vy * vy), 1e-12)
+    cos, sin = (1.0 - turn * turn) / (1.0 + turn * turn), 2.0 * turn / (1.0 + turn * turn)
+    vx, vy = (cos * vx - sin * vy) * scale, (sin * vx + cos * vy) * scale
+    x = x + vx * dt + normal(scramble(name, east_salt)) * position_noise
+    y = y + vy * dt + normal(scramble(name, north_salt)) * position_noise
+    if reflect:
+        if x < 0.0:
+            x, vx = -x, -vx
+        elif x > width:
+            x, vx = 2.0 * width - x, -vx
+        if y < 0.0:
+            y, vy = -y, -vy
+        elif y > height:
+            y, vy = 2.0 * height - y, -vy
+    return x, y, vx, vy, 0.0 <= x <= width and 0.0 <= y <= height
+
+
+@njit
+def blank(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States, weights and ids of so many particles, still to be written."""
+    return np.empty((number, 4)), np.empty(number), np.empty(number, np.uint64)
+
+
+@cached
+def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """The indices `order` in ascending order of id, stable.
+
+    Ids are hashes, so that their first bits spread them over buckets of about one each, and little is left to be put right by insertion.
+    What is sorted already is given back, and what does not spread is merged run by run.
+    """
+    count, runs = len(order), 1
+    for n in range(1, count):
+        runs += ids[order[n]] < ids[order[n - 1]]
+    if runs == 1:
+        return order
+    bits = 1
+    while 1 << bits < count:
+        bits += 1
+    shift = np.uint64(64 - min(bits, _MOST_BITS))
+    starts, fullest = np.zeros((1 << min(bits, _MOST_BITS)) + 1, np.int64), 0
+    for n in range(count):
+        starts[np.int64(ids[order[n]] >> shift) + 1] += 1
+    for bucket in range(1, len(starts)):
+        fullest = max(fullest, starts[bucket])
+        starts[bucket] += starts[bucket - 1]
+    if fullest > _FULLEST:
+        return _merge_runs(ids, order)
+    found = np.empty_like(order)
+    for n in range(count):
+        bucket = np.int64(ids[order[n]] >> shift)
+        found[starts[bucket]] = order[n]
+        starts[bucket] += 1
+    insert(found, count, ids)
+    return found
+
+
+@njit
+def _merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """The same by a natural merge sort."""
+    count = len(order)
+    source, target, starts = order, np.empty_like(order), np.empty(count + 1, np.int64)
+    while True:
+        runs = 0
+        for n in range(count):
+            if n == 0 or ids[source[n]] < ids[source[n - 1]]:
+                starts[runs] = n
+                runs += 1
+        if runs <= 1:
+            return source
+        starts[runs] = count
+        for run in range(0, runs, 2):
+            low, middle = starts[run], starts[min(run + 1, runs)]
+            high = starts[min(run + 2, runs)]
+            left, right = low, middle
+            for n in range(low, high):
+                if left < middle and (right >= high or ids[source[left]] <= ids[source[right]]):
+                    target[n] = source[left]
+                    left += 1
+                else:
+                    target[n] = source[right]
+                    right += 1
+        source, target = target, source
+
+
+@njit
+def wedge(x: float, y: float, sensor: np.ndarray) -> float:
+    """p_d at a point; `sensor` is a row of `words.GossipTable`, or its first seven columns."""
+    dx, dy = x - sensor[0], y - sensor[1]
+    range2 = dx * dx + dy * dy
+    seen = (range2 <= sensor[4] * sensor[4]) & (dx * sensor[2] + dy * sensor[3] >= sensor[5] * math.sqrt(range2))
+    return sensor[6] if seen else 0.0
+
+
+@cached
+def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tuple[float, float]:
+    """Twin of `regions.in_view`: mass in the footprint of a wedge, and that mass times p_d."""
+    load = detected = 0.0
+    for n in range(len(weights)):
+        probability = wedge(states[n, 0], states[n, 1], sensor)
+        load += weights[n] if probability > 0.0 else 0.0
+        detected += weights[n] * probability
+    return load, detected
+
+
+@cached
+def resample(
+    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, mass: float, count: int, offset: float, salt: np.uint64
+) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of the systematic draw of `phd.resample`: states (count, 4) float32-rounded and ids, ascending."""
+    chosen, names, parents = np.empty((count, 4)), np.empty(count, np.uint64), np.empty(count, np.int64)
+    step = mass / count
+    parent, reached, copy, last = 0, weights[0], 0, -1
+    for n in range(count):
+        mark = (n + offset) * step
+        while reached <= mark and parent < len(weights) - 1:
+            parent += 1
+            reached += weights[parent]
+        copy = copy + 1 if parent == last else 0
+        last = parent
+        names[n] = ids[parent] if copy == 0 else scramble(ids[parent] + np.uint64(copy), salt)
+        parents[n] = parent
+    order = sort_by_id(names, np.arange(count))
+    sorted_names, unique = np.empty(count, np.uint64), 0
+    for rank in range(count):
+        n = order[rank]
+        if rank > 0 and names[n] == names[order[rank - 1]]:
+            continue
+        sorted_names[unique] = names[n]
+        for axis in range(4):
+            chosen[unique, axis] = np.float64(np.float32(states[parents[n], axis]))
+        unique += 1
+    return chosen[:unique], sorted_names[:unique]
+
+
+@cached
+def take(
+    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Twin of `regions.take`."""
+    chosen, count = np.empty(len(ids), np.int64), 0
+    inside = owned(states, generators, first, width, height)
+    for n in range(len(ids)):
+        chosen[count] = n
+        count += inside[n]
+    order = sort_by_id(ids, chosen[:count])
+    own_states, own_weights, own_ids, own = np.empty((count, 4)), np.empty(count), np.empty(count, np.uint64), 0
+    for rank in range(count):
+        n = order[rank]
+        if rank == 0 or ids[n] != ids[order[rank - 1]]:
+            own_states[own], own_weights[own], own_ids[own] = states[n], weights[n], ids[n]
+            own += 1
+    return own_states[:own], own_weights[:own], own_ids[:own]
+
+
+@cached
+def first_moments(states: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
+    """Twin of `regions.moments`: mass, and mass-weighted x and y, one after the other."""
+    mass = east = north = 0.0
+    for n in range(len(weights)):
+        mass += weights[n]
+        east += weights[n] * states[n, 0]
+        north += weights[n] * states[n, 1]
+    return mass, east, north

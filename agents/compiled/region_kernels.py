@@ -1,0 +1,289 @@
+"""The compiled computation of a round: the bit-for-bit twin of `regions.update_regions` for wedges, one call for all owners.
+
+What cannot come near any owner is not even predicted; the rest is sorted and predicted once, and each owner takes its part. What may go
+either way is written down and counted without branches, because no processor foresees them. Rules as in `kernels`.
+"""
+
+import numpy as np
+from numba import njit
+
+from agents.compiled.cache import cached
+from agents.compiled.cell_kernels import around, near
+from agents.compiled.claim_kernels import owned
+from agents.compiled.correction_kernels import update
+from agents.compiled.extraction_kernels import estimate_targets
+from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take
+from agents.gossip.table import PARTICLES, WEIGHT
+
+BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
+SIZES = 4  # first columns of a result: how many particles were updated, are owned and were drawn, and how many targets are reported
+SUMS = 5  # and the next: mass, its sums of x and y, load and detected
+
+# Columns of the settings, and of the keys to which the tick is still to be added.
+DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, LIKELIHOOD_NOISE, GATE2 = range(13)
+CERTAINTY, MISS_BIN, BIRTHS, COPIES, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
+PER_TARGET, LEAST, MOST, BIN, THRESHOLD = range(21, 26)
+TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
+
+_S11 = np.uint64(11)
+
+
+@cached
+def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
+    """Which of these boxes (N, 4) hold any candidate, by their indices in ascending order."""
+    west, south, east, north = around(polygon, width)
+    found, count = np.empty(len(boxes), np.int64), 0
+    for n in range(len(boxes)):
+        left, low, right, high = boxes[n]
+        near = left <= east and right >= west and low <= north and high >= south
+        if near or (left <= x + reach and right >= x - reach and low <= y + reach and high >= y - reach):
+            found[count] = n
+            count += 1
+    return found[:count]
+
+
+@njit
+def _surroundings(
+    corners: np.ndarray, table: np.ndarray, spans: np.ndarray, width: float, step: float
+) -> tuple[BoxLimits, tuple[float, float, float]]:
+    """A box around all cells and a disc (x, y, radius) around all footprints, m; of a single owner just its own."""
+    x, y, radius = table[spans[0, 0], 0], table[spans[0, 0], 1], 0.0
+    for k in range(len(spans)):
+        eye = table[spans[k, 0]]
+        dx, dy = eye[0] - x, eye[1] - y
+        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (eye[4] + step))
+    return around(corners, width), (x, y, radius)
+
+
+@njit
+def _within(x: float, y: float, box: BoxLimits, disc: tuple[float, float, float]) -> bool:
+    """Whether a place lies in a box or in a disc."""
+    dx, dy = x - disc[0], y - disc[1]
+    return ((box[0] <= x) & (x <= box[2]) & (box[1] <= y) & (y <= box[3])) | (dx * dx + dy * dy <= disc[2] * disc[2])
+
+
+@njit
+def _candidates(said: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the particles in gossips (states float32, ids, and rows that say how many each and their weight) and of others behind them
+    (states, weights, ids): those in a box or in a disc, as places, ids and weights."""
+    said_states, said_ids, table = said
+    states, weights, ids = others
+    number, size, count = len(said_ids), len(said_ids) + len(ids), 0
+    within, places = np.empty(size, np.bool_), np.empty(size, np.int64)
+    for n in range(number):
+        within[n] = _within(np.float64(said_states[n, 0]), np.float64(said_states[n, 1]), box, disc)
+    for n in range(len(ids)):
+        within[number + n] = _within(states[n, 0], states[n, 1], box, disc)
+    for n in range(size):
+        places[count] = n
+        count += within[n]
+    names, masses, row, end = np.empty(count, np.uint64), np.empty(count), -1, 0
+    for k in range(count):
+        n = places[k]
+        if n >= number:
+            names[k], masses[k] = ids[n - number], weights[n - number]
+            continue
+        while n >= end:
+            row += 1
+            end += int(table[row, PARTICLES])
+        names[k], masses[k] = said_ids[n], table[row, WEIGHT]
+    return places[:count], names, masses
+
+
+@njit
+def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
+    """The candidates in ascending order of id and one step on, each id once, and the births behind them: x, y, states, weights, ids, and
+    the number of those that are no births."""
+    places, names, masses = _candidates(said, others, box, disc)
+    order, number, born, known = sort_by_id(names, np.arange(len(names))), len(said[1]), len(births[2]), 0
+    states, weights, ids = blank(len(names) + born)
+    for rank in range(len(names)):
+        k = order[rank]
+        if rank > 0 and names[k] == names[order[rank - 1]]:
+            continue
+        n = places[k]
+        if n < number:
+            x, y, vx, vy = said[0][n, 0], said[0][n, 1], said[0][n, 2], said[0][n, 3]
+            moved = move_one(np.float64(x), np.float64(y), np.float64(vx), np.float64(vy), names[k], motion)
+        else:
+            n -= number
+            moved = move_one(others[0][n, 0], others[0][n, 1], others[0][n, 2], others[0][n, 3], names[k], motion)
+        states[known, 0], states[known, 1], states[known, 2], states[known, 3], inside = moved
+        weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, names[k]
+        known += 1
+    end = known + born
+    states[known:end], weights[known:end], ids[known:end] = births
+    return states[:end, 0].copy(), states[:end, 1].copy(), states, weights, ids, known
+
+
+@njit
+def _gate(predicted: tuple, polygon: np.ndarray, halo: float, eye: np.ndarray, room: tuple) -> tuple:
+    """Twin of `regions.gate` for one owner: states, weights and ids of the particles near its cell, and of those only in its reach."""
+    x, y, states, weights, ids, known = predicted
+    boxed, seen, rows, some = room
+    west, south, east, north = around(polygon, halo)
+    far2, count, near_count, far_count = eye[4] * eye[4], 0, 0, 0
+    for n in range(len(x)):  # without branches, for several at once
+        dx, dy = x[n] - eye[0], y[n] - eye[1]
+        boxed[n] = (west <= x[n]) & (x[n] <= east) & (south <= y[n]) & (y[n] <= north)
+        seen[n] = dx * dx + dy * dy <= far2
+    for n in range(len(x)):
+        rows[count] = n
+        count += boxed[n]
+    close = near(polygon, x[rows[:count]], y[rows[:count]], halo)
+    for k in range(count):
+        some[near_count] = rows[k]
+        near_count += close[k]
+    near_rows = some[:near_count]
+    for k in range(near_count):
+        seen[near_rows[k]] = False
+    for n in range(known):
+        rows[far_count] = n
+        far_count += seen[n]
+    return *_rows(near_rows, states, weights, ids), *_rows(rows[:far_count], states, weights, ids)
+
+
+@njit
+def _rows(rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Some particles."""
+    some_states, some_weights, some_ids = blank(len(rows))
+    for k in range(len(rows)):
+        n = rows[k]
+        for axis in range(4):
+            some_states[k, axis] = states[n, axis]
+        some_weights[k], some_ids[k] = weights[n], ids[n]
+    return some_states, some_weights, some_ids
+
+
+@njit
+def _motion(settings: np.ndarray, keys: np.ndarray, now: np.uint64) -> tuple:
+    """`fast.motion` of a tick."""
+    return (
+        scramble(now, keys[TURN]),
+        scramble(now, keys[EASTWARD]),
+        scramble(now, keys[NORTHWARD]),
+        settings[DT],
+        settings[HALF_TURN],
+        settings[SPEED],
+        settings[POSITION_NOISE],
+        settings[SURVIVAL],
+        settings[REFLECT] != 0.0,
+        settings[WIDTH],
+        settings[HEIGHT],
+    )
+
+
+@njit
+def _update_region(
+    settings: np.ndarray,
+    keys: np.ndarray,
+    now: np.uint64,
+    eye: np.ndarray,
+    table: np.ndarray,
+    salts: np.ndarray,
+    detections: np.ndarray,
+    gated: tuple,
+    polygon: np.ndarray,
+    generators: np.ndarray,
+    first: np.ndarray,
+    owner: np.uint64,
+    directions: np.ndarray,
+) -> tuple:
+    """The steps of `regions.update_regions` for one owner once its particles are gated; `eye` is its sensor, a row of numbers."""
+    near_states, near_weights, near_ids, far_states, far_weights, _ = gated
+    halo = settings[HALO]
+    birth = (
+        settings[BIRTHS] != 0.0,
+        np.int64(settings[COPIES]),
+        settings[BIRTH_RADIUS],
+        settings[LEAST_DENSITY],
+        settings[LEAST_SHARE],
+        settings[MOST_DENSITY],
+        settings[SPEED],
+        scramble(now, keys[BIRTH]),
+        directions,
+    )
+    noise, miss = (settings[NOISE], settings[LIKELIHOOD_NOISE], settings[GATE2]), (settings[CERTAINTY], settings[MISS_BIN])
+    states, weights, ids = update(near_states, near_weights, near_ids, table, salts, detections, polygon, halo, noise, miss, birth)
+    own_states, own_weights, own_ids = take(states, weights, ids, generators, first, settings[WIDTH], settings[HEIGHT])
+    mass, east, north = first_moments(own_states, own_weights)
+    near_load, near_detected = in_view(states, weights, eye)
+    far_load, far_detected = in_view(far_states, far_weights, eye)
+    kept_states, kept_ids, each = np.empty((0, 4)), np.empty(0, np.uint64), 0.0
+    if mass > 0.0:
+        count = int(min(max(np.rint(settings[PER_TARGET] * mass), settings[LEAST]), settings[MOST]))
+        offset = np.float64(scramble(now, owner) >> _S11) * 2.0**-53
+        kept_states, kept_ids = resample(own_states, own_weights, own_ids, mass, count, offset, scramble(now, keys[SPLIT]))
+        each = mass / count
+    targets = np.empty((0, 2))
+    if len(generators) > 0 and len(weights) > 0:
+        targets = estimate_targets(states, weights, settings[BIN], settings[THRESHOLD])
+        targets = targets[owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])]
+    updated, own, kept = (states, weights, ids), (own_states, own_weights, own_ids), (kept_states, np.full(len(kept_ids), each), kept_ids)
+    return updated, own, kept, mass, east, north, near_load + far_load, near_detected + far_detected, targets
+
+
+@njit
+def _append(whole: tuple, size: int, part: tuple, room: int) -> tuple:
+    """Particles behind the first `size` ones of others, with more room where it is needed, at least `room`; the first part is the whole."""
+    states, weights, ids = whole
+    end = size + len(part[2])
+    if size == 0:
+        return part
+    if end > len(ids):
+        more = max(2 * end, room)
+        wider, heavier, longer = blank(more)
+        wider[:size], heavier[:size], longer[:size] = states[:size], weights[:size], ids[:size]
+        states, weights, ids = wider, heavier, longer
+    states[size:end], weights[size:end], ids[size:end] = part
+    return states, weights, ids
+
+
+@cached
+def update_regions(
+    settings: np.ndarray,
+    keys: np.ndarray,
+    tick: int,
+    table: np.ndarray,
+    salts: np.ndarray,
+    detections: np.ndarray,
+    said: tuple,
+    others: tuple,
+    births: tuple,
+    spans: np.ndarray,
+    corners: np.ndarray,
+    generators: np.ndarray,
+    first: np.ndarray,
+    draws: np.ndarray,
+    directions: np.ndarray,
+) -> tuple:
+    """What K owners make of their parts: updated, own and drawn particles and targets (T, 2), each owner after owner, and their numbers
+    and sums (K, SIZES + SUMS).
+
+    `spans` (K, 3) are each owner's row of the table, and how many corners and generators are its; `draws` (K,) are the keys of their draws.
+    """
+    now, number, halo, step = np.uint64(tick), len(spans), settings[HALO], settings[STEP]
+    box, disc = _surroundings(corners, table, spans, halo + step, step)
+    predicted = _predict(said, others, births, box, disc, _motion(settings, keys, now))
+    size = len(predicted[0])
+    room = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
+    updated, own, kept, targets = blank(0), blank(0), blank(0), np.empty((0, 2))
+    results, start = np.empty((number, SIZES + SUMS)), np.zeros(SIZES, np.int64)
+    corner = bound = 0
+    for k in range(number):
+        eye, polygon = table[spans[k, 0]], corners[corner : corner + spans[k, 1]]
+        claimed = slice(bound, bound + spans[k, 2])
+        corner, bound = corner + spans[k, 1], bound + spans[k, 2]
+        gated = _gate(predicted, polygon, halo, eye, room)
+        claim = generators[claimed], first[claimed]
+        found = _update_region(settings, keys, now, eye, table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions)
+        updated, own = _append(updated, start[0], found[0], 2 * size), _append(own, start[1], found[1], 2 * size)
+        kept = _append(kept, start[2], found[2], 2 * size)
+        targets = np.concatenate((targets, found[8])) if k > 0 else found[8]
+        sizes = len(found[0][2]), len(found[1][2]), len(found[2][2]), len(found[8])
+        for column in range(SIZES):
+            start[column] += sizes[column]
+            results[k, column] = sizes[column]
+        for column, value in enumerate(found[3:8]):
+            results[k, SIZES + column] = value
+    return updated, own, kept, targets, results

@@ -1,0 +1,199 @@
+"""Compiled choice of whom to hear: the bit-for-bit twin of `interest.wanted`, in one call. Same rules as `kernels`."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from agents.compiled.cache import cached
+from agents.compiled.cell_kernels import distance
+
+Limits = tuple[float, float, float, float]
+BLOCK = 4  # points of a grid along each side of a block
+
+
+@njit
+def _limits(corners: np.ndarray) -> Limits:
+    """West, south, east and north of some points."""
+    west = east = corners[0, 0]
+    south = north = corners[0, 1]
+    for c in range(1, len(corners)):
+        west, east = min(west, corners[c, 0]), max(east, corners[c, 0])
+        south, north = min(south, corners[c, 1]), max(north, corners[c, 1])
+    return west, south, east, north
+
+
+@njit
+def _rivals(points: np.ndarray, table: np.ndarray, spacing: float) -> np.ndarray:
+    """Twin of `interest._within_reach`, of whole rows: the generators (K, 3) behind their row numbers, (K, 4)."""
+    west, south, east, north = _limits(points)
+    x, y = 0.5 * (west + east), 0.5 * (south + north)
+    farthest = 0.0
+    for p in range(len(points)):
+        dx, dy = points[p, 0] - x, points[p, 1] - y
+        farthest = max(farthest, dx * dx + dy * dy)
+    radius = math.sqrt(farthest) + spacing
+    number, limit = len(table), np.inf
+    least = np.empty(number)
+    for n in range(number):
+        dx, dy = table[n, 3] - x, table[n, 4] - y
+        away, squared = math.sqrt(dx * dx + dy * dy), table[n, 5] * table[n, 5]
+        near, far = max(away - radius, 0.0), away + radius
+        least[n] = near * near - squared
+        limit = min(limit, far * far - squared)
+    found, count = np.empty((number, 4)), 0
+    for n in range(number):
+        if least[n] <= limit:
+            found[count, 0], found[count, 1], found[count, 2], found[count, 3] = n, table[n, 3], table[n, 4], table[n, 5] * table[n, 5]
+            count += 1
+    return found[:count]
+
+
+@njit
+def _candidates(points: np.ndarray, rivals: np.ndarray, behind: float, away: np.ndarray, found: np.ndarray) -> int:
+    """The indices of those rivals (K, 4) that may own anything near one of a few points, in ascending order: how many are `found`.
+    `away`: room for (K,).
+
+    From a circle around the points: the best of all is no worse anywhere in it than from its far side, at best the others are as near
+    as it allows, and who is best cannot be farther than his power distance and the largest radius say.
+    """
+    west, south, east, north = _limits(points)
+    x, y = 0.5 * (west + east), 0.5 * (south + north)
+    dx, dy = 0.5 * (east - west), 0.5 * (north - south)
+    radius, limit, most = math.sqrt(dx * dx + dy * dy), np.inf, 0.0
+    for n in range(len(rivals)):
+        dx, dy = rivals[n, 1] - x, rivals[n, 2] - y
+        away[n] = math.sqrt(dx * dx + dy * dy)
+        far = away[n] + radius
+        limit, most = min(limit, far * far - rivals[n, 3]), max(most, rivals[n, 3])
+    slack, count = behind * (2.0 * radius + math.sqrt(max(limit + most, 0.0))) + 1e-6, 0
+    for n in range(len(rivals)):
+        near = max(away[n] - radius, 0.0)
+        if near * near - rivals[n, 3] - behind * near <= limit + slack:
+            found[count] = n
+            count += 1
+    return count
+
+
+@njit
+def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray, spacing: float, behind: float) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `interest.owners`, of points that come in blocks."""
+    rivals = _rivals(points, table, spacing)
+    number = len(rivals)
+    power, near = np.empty(number), np.empty(number, np.int64)
+    found, least, start = np.zeros(len(table), np.bool_), np.empty(len(points)), 0
+    for end in ends:
+        count = _candidates(points[start:end], rivals, behind, power, near)
+        for p in range(start, end):
+            best, smallest = 0, np.inf
+            for m in range(count):
+                n = near[m]
+                dx, dy = rivals[n, 1] - points[p, 0], rivals[n, 2] - points[p, 1]
+                power[m] = dx * dx + dy * dy - rivals[n, 3]
+                if power[m] < smallest:
+                    best, smallest = n, power[m]
+            least[p] = smallest
+            for m in range(count):
+                n = near[m]
+                row = int(rivals[n, 0])
+                if not found[row]:
+                    dx, dy = rivals[n, 1] - rivals[best, 1], rivals[n, 2] - rivals[best, 2]
+                    found[row] = power[m] - smallest <= behind * math.sqrt(dx * dx + dy * dy)
+        start = end
+    return found, least
+
+
+@njit
+def _region(
+    cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float, arena: np.ndarray, margin: float, spacing: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `interest.region`, block after block of neighbouring points, and where each block ends."""
+    west, south, east, north = _limits(cell)
+    width = max(halo, reach) + margin + spacing
+    first, bottom, last, top = _limits(arena)
+    first, bottom = max(min(west, eye[0]) - width, first), max(min(south, eye[1]) - width, bottom)
+    last, top = min(max(east, eye[0]) + width, last), min(max(north, eye[1]) + width, top)
+    columns, rows = 2 + int(max(last - first, 0.0) / spacing), 2 + int(max(top - bottom, 0.0) / spacing)
+    points, count = np.empty((columns * rows, 2)), 0
+    ends, blocks = np.empty(columns * rows, np.int64), 0
+    disc, ring = (reach + margin + spacing) * (reach + margin + spacing), halo + margin + spacing
+    for south_row in range(0, rows, BLOCK):
+        for west_column in range(0, columns, BLOCK):
+            start = count
+            for row in range(south_row, min(south_row + BLOCK, rows)):
+                y = bottom + spacing * row
+                for column in range(west_column, min(west_column + BLOCK, columns)):
+                    x = first + spacing * column
+                    dx, dy = x - eye[0], y - eye[1]
+                    if dx * dx + dy * dy <= disc or distance(cell, x, y) <= ring:
+                        points[count, 0], points[count, 1] = x, y
+                        count += 1
+            if count > start:
+                ends[blocks] = count
+                blocks += 1
+    return points[:count], ends[:blocks]
+
+
+@njit
+def _threshold(table: np.ndarray, arena: np.ndarray, around: float, spacing: float) -> np.ndarray:
+    """Twin of `interest._threshold`."""
+    number, home = len(table), np.empty((1, 2))
+    x, y, squared = table[number - 1, 3], table[number - 1, 4], table[number - 1, 5] * table[number - 1, 5]
+    home[0, 0], home[0, 1] = x, y
+    if number == 1:
+        return home
+    west, south, east, north = _limits(arena)
+    west, south, east, north = max(west, x - around), max(south, y - around), min(east, x + around), min(north, y + around)
+    columns, rows = 2 + int(max(east - west, 0.0) / (2.0 * spacing)), 2 + int(max(north - south, 0.0) / (2.0 * spacing))
+    across, up = (east - west) / (columns - 1), (north - south) / (rows - 1)
+    px, py, best = np.empty(columns * rows), np.empty(columns * rows), np.full(columns * rows, np.inf)
+    for p in range(len(best)):
+        px[p], py[p] = west + across * (p % columns), south + up * (p // columns)
+    for n in range(number - 1):
+        there_x, there_y, radius = table[n, 3], table[n, 4], table[n, 5]
+        for p in range(len(best)):  # without branches, for several at once
+            dx, dy = there_x - px[p], there_y - py[p]
+            best[p] = min(best[p], dx * dx + dy * dy - radius * radius)
+    smallest = np.inf
+    for p in range(len(best)):
+        dx, dy = x - px[p], y - py[p]
+        outdone = dx * dx + dy * dy - squared - best[p]
+        if outdone < smallest:
+            smallest, home[0, 0], home[0, 1] = outdone, px[p], py[p]
+    return home
+
+
+@cached
+def wanted(
+    cell: np.ndarray,
+    eye: tuple[float, float],
+    reach: float,
+    halo: float,
+    table: np.ndarray,
+    arena: np.ndarray,
+    bounds: tuple[float, float, float],
+    drift: float,
+    settings: tuple[float, float, float, float, float],
+) -> tuple[np.ndarray, Limits]:
+    """Twin of `interest.wanted`: who is chosen, and the needed ground. `bounds` and `drift` are those of the Ground; `settings` are
+    MARGIN, APPEARING, SPACING, THRESHOLD and BEHIND."""
+    margin, appearing, spacing, around, behind = settings
+    number, home = len(table) - 1, cell
+    if len(cell) == 0:
+        home, halo = _threshold(table, arena, around, spacing), halo + appearing
+    points, ends = _region(home, eye, halo, reach, arena, margin, spacing)
+    owning, least = _owners(points, ends, table, spacing, behind)
+    west, south, east, north = _limits(home)
+    chosen = owning[:number]
+    for n in range(number):
+        if not chosen[n]:
+            x, y, width = table[n, 0], table[n, 1], halo + margin + table[n, 2]
+            away = max(max(west - x, x - east), max(south - y, y - north))  # no more than the distance
+            chosen[n] = away <= width + 1e-6 and distance(home, x, y) <= width
+    look = halo + margin + bounds[0] + drift
+    west, south, east, north = west - look, south - look, east + look, north + look
+    for p in range(len(points)):
+        far = math.sqrt(max(least[p] + bounds[2] * bounds[2], 0.0)) + (bounds[1] + drift)
+        west, south = min(west, points[p, 0] - far), min(south, points[p, 1] - far)
+        east, north = max(east, points[p, 0] + far), max(north, points[p, 1] + far)
+    return chosen, (west, south, east, north)

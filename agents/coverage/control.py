@@ -1,0 +1,141 @@
+"""Control laws: from an agent's situation to the velocity in m/s and turn rate in rad/s of its body (18).
+
+A control law is a class without arguments whose `command(situation)` returns ((vx, vy), turn rate); a scenario names a user's own
+as `module:Class`.
+"""
+
+import math
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from agents.config import AgentConfig
+from agents.tracking.particles import Particles
+from protocol.foreign import fault_of, shown
+from protocol.geometry import EMPTY, polygon_centroid, wrap_angle
+from protocol.sensing import Pose, SensorModel
+from protocol.settings import BadSetting, LimitSettings, load_named
+from protocol.streams import key
+
+ControlInput = tuple[tuple[float, float], float]
+STAND: ControlInput = ((0.0, 0.0), 0.0)
+
+
+class Situation(NamedTuple):
+    """All that a control law may know."""
+
+    name: str
+    seed: int
+    tick: int
+    dt: float
+    pose: Pose
+    driven: tuple[float, float]  # the point that is driven to the centroid: the COD, or the position for plain Voronoi cells
+    cell: np.ndarray  # (V, 2), empty when the agent has no cell
+    centroid: tuple[float, float] | None  # of the PHD in the cell, of its area when there is no mass, None without a cell (17)
+    particles: Particles  # in the cell
+    sensor: SensorModel
+    limits: LimitSettings
+    heading: str  # "centroid" or "literal"
+    arena: tuple[float, float]  # width, height
+    fields: tuple[tuple[SensorModel, Pose], ...] = ()  # sensors around the cell that scanned; for laws that say `uses_fields = True`
+    generators: np.ndarray = EMPTY  # (N, 2) of the diagram
+    own_generator: int = -1  # its row; -1 without one
+
+
+class ControlLaw(Protocol):
+    """What drives a body."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        """The velocity and turn rate until the next tick."""
+
+
+class Lloyd:
+    """Drive the COD to the centroid of the own cell and face it; without a cell stand still (18)."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        return approach(situation, situation.centroid) if situation.centroid else STAND
+
+
+class UniformDensity:
+    """Lloyd's algorithm for a uniform density: the centroid of the cell's area."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        if not len(situation.cell):
+            return STAND
+        x, y = polygon_centroid(situation.cell)
+        return approach(situation, (float(x), float(y)))
+
+
+class Static:
+    """Never move."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        return STAND
+
+
+class RandomWalk:
+    """Drive to a random place of the arena, another one every 20 s."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        leg = int(situation.tick * situation.dt // 20.0)
+        bits = key(situation.seed, "waypoint", situation.name, leg)
+        goal = ((bits >> 32) * 2.0**-32 * situation.arena[0], (bits & 0xFFFFFFFF) * 2.0**-32 * situation.arena[1])
+        return approach(situation, goal)
+
+
+LAWS: dict[str, type[ControlLaw]] = {"lloyd": Lloyd, "uniform-density": UniformDensity, "static": Static, "random": RandomWalk}
+OWN_FILES = {"pursuit": f"{__package__}.pursuit:Pursuit"}  # laws that build on this file
+
+
+def control_law(config: AgentConfig) -> ControlLaw:
+    """The control law that the scenario names; raises BadSetting naming what there is."""
+    mode = OWN_FILES.get(config.control.mode, config.control.mode)
+    if mode in LAWS:
+        return LAWS[mode]()
+    if ":" not in mode:
+        raise BadSetting(f"control.mode = {mode!r}: known are {', '.join([*LAWS, *OWN_FILES])}, or your own as module:Class")
+    try:
+        law = load_named(mode)()
+    except (ValueError, ImportError, TypeError) as error:
+        raise BadSetting(f"control.mode = {mode!r}: {error}") from None
+    except (Exception, SystemExit) as error:
+        raise BadSetting(f"control.mode = {mode!r}: raised {type(error).__name__}: {error}") from error
+    if not callable(getattr(law, "command", None)):
+        raise BadSetting(f"control.mode = {mode!r}: the class needs a method command(situation)")
+    return law if config.control.mode in OWN_FILES else CheckedLaw(law, mode)
+
+
+class CheckedLaw:
+    """A control law of the user's own: an answer that is no command raises BadSetting naming the class."""
+
+    def __init__(self, law: ControlLaw, name: str) -> None:
+        self._law, self._name = law, name
+        self.uses_fields = bool(getattr(law, "uses_fields", False))
+
+    def command(self, situation: Situation) -> ControlInput:
+        """As the law says."""
+        with fault_of(f"{self._name}.command"):
+            answer = self._law.command(situation)
+        try:
+            (vx, vy), turn_rate = answer
+            numbers = tuple(map(float, (vx, vy, turn_rate)))
+        except (TypeError, ValueError):
+            numbers = (math.nan,)
+        if not all(map(math.isfinite, numbers)) or isinstance(answer, str):
+            raise BadSetting(
+                f"{self._name}.command returned {shown(answer)}: should be ((vx, vy), turn_rate), finite numbers in m/s and rad/s"
+            )
+        return (numbers[0], numbers[1]), numbers[2]
+
+
+def approach(situation: Situation, goal: tuple[float, float]) -> ControlInput:
+    """Move the driven point to the goal within one step if the limits allow, and turn towards it as fast as they allow (18)."""
+    limits, dt = situation.limits, situation.dt
+    vx, vy = (goal[0] - situation.driven[0]) / dt, (goal[1] - situation.driven[1]) / dt
+    speed = math.sqrt(vx * vx + vy * vy)
+    if speed > limits.speed:
+        vx, vy = vx * limits.speed / speed, vy * limits.speed / speed
+    seen_from = situation.driven if situation.heading == "literal" else situation.pose
+    dx, dy = goal[0] - seen_from[0], goal[1] - seen_from[1]
+    turn = wrap_angle(math.atan2(dy, dx) - situation.pose[2]) / dt if dx or dy else 0.0
+    return (vx, vy), max(-limits.turn_rate, min(limits.turn_rate, turn))

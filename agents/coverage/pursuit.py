@@ -1,0 +1,107 @@
+"""Pursuit: a control law of ours that looks where it has not looked for a while; the paper's law is `control.Lloyd`.
+
+Two things differ. The heading is, of those that can be reached within the step, the one whose footprint holds the most mass of the
+own cell, mass out of sight counting more. And the position is led so that the centroid comes to lie at the distance of the COD, in
+whatever direction, instead of the COD onto the centroid. An agent without a cell drives to the middle of its Voronoi cell.
+"""
+
+import math
+
+import numpy as np
+
+from agents.coverage.capacity import sensor_facts
+from agents.coverage.cells import power_cell
+from agents.coverage.control import STAND, ControlInput, Situation
+from protocol.geometry import polygon_centroid, rectangle, wrap_angle
+
+HEADINGS = 37  # that are compared, between the extremes that can be reached
+LEAST = 0.1  # weight of mass in view right now
+FORGOTTEN = 0.5  # s: mass out of sight for so long has regained most of its weight
+STALE = 5.0  # s: mass out of sight for longer counts little in the centroid
+STALE_WEIGHT = 0.1
+UNKNOWN = 2.5  # s: what comes into the cell is taken as out of sight for so long
+
+
+class Pursuit:
+    """Remembers by particle id when each particle of the own cell was last in any field of view."""
+
+    uses_fields = True
+
+    def __init__(self) -> None:
+        self._ids = np.empty(0, dtype=np.uint64)  # ascending
+        self._seen = np.empty(0)  # s of world time
+        self._offset: float | None = None
+
+    def command(self, situation: Situation) -> ControlInput:
+        """Velocity and turn rate until the next tick."""
+        ages = self._ages(situation)
+        goal = _goal(situation, ages)
+        if goal is None:
+            return STAND
+        if self._offset is None:
+            self._offset = math.hypot(*sensor_facts(situation.sensor).cod_offset)
+        x, y, heading = situation.pose
+        vx, vy = _lead((x, y), goal, self._offset, situation)
+        place = x + vx * situation.dt, y + vy * situation.dt
+        turn = _best_turn(situation, ages, place)
+        if turn is None:
+            turn = wrap_angle(math.atan2(goal[1] - place[1], goal[0] - place[0]) - heading)
+        most = situation.limits.turn_rate
+        return (vx, vy), max(-most, min(most, turn / situation.dt))
+
+    def _ages(self, situation: Situation) -> np.ndarray:
+        """For how long each particle has been out of sight, s: (N,)."""
+        particles, now = situation.particles, situation.tick * situation.dt
+        seen = np.full(len(particles.ids), now - UNKNOWN)
+        if len(self._ids):
+            places = np.minimum(np.searchsorted(self._ids, particles.ids), len(self._ids) - 1)
+            seen = np.where(self._ids[places] == particles.ids, self._seen[places], seen)
+        for sensor, pose in situation.fields:
+            seen[sensor.probability(particles.states[:, :2], pose) > 0.0] = now
+        self._ids, self._seen = particles.ids, seen
+        return now - seen
+
+
+def _goal(situation: Situation, ages: np.ndarray) -> tuple[float, float] | None:
+    """The centroid of the mass in the cell, stale mass counting little; of the cell; of the Voronoi cell where there is none."""
+    weights = situation.particles.weights * np.where(ages > STALE, STALE_WEIGHT, 1.0)
+    mass = float(weights.sum())
+    if mass > 0.0:
+        x, y = weights @ situation.particles.states[:, :2] / mass
+        return float(x), float(y)
+    if situation.centroid is not None:
+        return situation.centroid
+    if situation.own_generator < 0:
+        return None
+    arena, points = rectangle(*situation.arena), situation.generators
+    cell = power_cell(situation.own_generator, points, np.zeros(len(points)), arena)
+    if not len(cell):
+        return None
+    x, y = polygon_centroid(cell)
+    return float(x), float(y)
+
+
+def _lead(place: tuple[float, float], goal: tuple[float, float], offset: float, situation: Situation) -> tuple[float, float]:
+    """The velocity, m/s, that brings the distance from `place` to the goal to `offset` m as far as one step can."""
+    dx, dy = goal[0] - place[0], goal[1] - place[1]
+    apart = math.hypot(dx, dy)
+    if apart == 0.0:
+        return 0.0, 0.0
+    speed = max(-situation.limits.speed, min(situation.limits.speed, (apart - offset) / situation.dt))
+    return speed * dx / apart, speed * dy / apart
+
+
+def _best_turn(situation: Situation, ages: np.ndarray, place: tuple[float, float]) -> float | None:
+    """The turn, rad, after which the footprint at `place` holds the most mass out of sight; None when no turn finds any."""
+    particles, heading = situation.particles, situation.pose[2]
+    reach = situation.sensor.reach
+    near = np.hypot(particles.states[:, 0] - place[0], particles.states[:, 1] - place[1]) <= reach
+    if not near.any():
+        return None
+    points = particles.states[near, :2]
+    values = particles.weights[near] * (LEAST + 1.0 - np.exp(-ages[near] / FORGOTTEN))
+    most = min(math.pi, situation.limits.turn_rate * situation.dt)
+    turns = sorted(np.linspace(-most, most, HEADINGS).tolist(), key=abs)  # of equally good ones the least turn
+    held = [float(situation.sensor.probability(points, (*place, heading + turn)) @ values) for turn in turns]
+    best = max(range(HEADINGS), key=held.__getitem__)
+    return turns[best] if held[best] > 0.0 else None

@@ -1,0 +1,1 @@
+"""What agents say to each other in a round: the messages that go out, those that were accepted, and their table."""

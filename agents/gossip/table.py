@@ -1,0 +1,215 @@
+"""The gossips of a round side by side: one row of numbers each, and their detections and particles end to end.
+
+Rows are in the order of names. A row holds what the gossip says and what its sender's sensor is, so that a round over many gossips is a
+few operations on whole arrays.
+"""
+
+import hashlib
+import struct
+from collections import deque
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agents.config import AgentConfig
+from agents.coverage.capacity import SensorFacts, sensor_facts
+from agents.tracking.births import Scan
+from agents.tracking.particles import Particles
+from protocol.messages import GOSSIP_NUMBERS, Gossip
+from protocol.once import once
+from protocol.sensing import SensorModel, WedgeSensor
+from protocol.streams import key
+
+COLUMNS = 16
+X, Y, COS, SIN, REACH, COS_HALF, PROB, KAPPA, KIND, DETECTIONS, WEIGHT, EAST, NORTH, RADIUS, PARTICLES, SALT = range(COLUMNS)
+SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
+
+_SENSOR = struct.Struct("<5dQ")
+_SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT]
+_MOST_ANNOUNCED = 20000
+
+
+class AnnouncedSensor(NamedTuple):
+    """The sensor that an agent announced."""
+
+    sensor: SensorModel
+    facts: SensorFacts
+    columns: bytes  # its part of a row: reach m, cosine of half the angle, p_d, clutter density per m^2, kind of scan, key of the name
+
+
+def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
+    """The sensor of an agent, with `clutter` expected points a scan; the same object for all in a process who ask the same."""
+    return _announced(name, sensor, clutter)  # type: ignore[arg-type]  # a sensor model is hashable
+
+
+@lru_cache(maxsize=_MOST_ANNOUNCED)
+def _announced(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
+    """A pure memo."""
+    half, probability, kind = 0.0, 0.0, OTHER
+    if isinstance(sensor, WedgeSensor):
+        half, probability, kind = sensor.cos_half_angle, sensor.prob_detection, WEDGE
+    packed = _SENSOR.pack(sensor.reach, half, probability, clutter / sensor.area, kind, key("sensor", name))
+    return AnnouncedSensor(sensor, _facts(sensor), packed)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=1024)
+def _facts(sensor: SensorModel) -> SensorFacts:
+    """`sensor_facts`, a pure memo: many agents carry sensors of one class."""
+    return sensor_facts(sensor)
+
+
+Stated = tuple[np.ndarray, np.ndarray]  # states (N, 4) float32 and ids (N,) uint64
+
+
+class GossipTable:
+    """Gossips of one round in the order of names. It is never changed; what is derived from it is computed once."""
+
+    def __init__(self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], diagram: str) -> None:
+        """`sensors`: of the senders; `diagram`: "power", "voronoi-cod" or "voronoi", which says what the generators are."""
+        self.gossips, self.sensors, self.diagram = gossips, sensors, diagram
+        self.names = tuple([gossip.sender for gossip in gossips])
+        self.shared: Any = None  # what all agents of a process that hold this table compute alike (`shared_round`)
+
+    @once
+    def table(self) -> np.ndarray:
+        """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
+        said = np.frombuffer(b"".join([gossip.numbers for gossip in self.gossips])).reshape(-1, GOSSIP_NUMBERS)
+        table = np.empty((len(said), COLUMNS))
+        table[:, : SIN + 1] = said[:, :4]
+        table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, 6)
+        table[:, KIND] *= said[:, 11]
+        table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = said[:, 9], said[:, 8], said[:, 10]
+        table[:, EAST : NORTH + 1] = said[:, :2] if self.diagram == "voronoi" else said[:, 4:6]
+        table[:, RADIUS] = said[:, 6] if self.diagram == "power" else 0.0
+        return table
+
+    @once
+    def salts(self) -> np.ndarray:
+        """Keys of the sensors' names (N,) uint64."""
+        return self.table[:, SALT].copy().view(np.uint64)
+
+    @once
+    def everyone(self) -> frozenset[str]:
+        """The names once more, to look them up."""
+        return frozenset(self.names)
+
+    @once
+    def generators(self) -> np.ndarray:
+        """(N, 3): point x, y and power radius, m."""
+        return self.table[:, EAST : RADIUS + 1].copy()
+
+    @once
+    def points(self) -> np.ndarray:
+        """Of the generators (N, 2), m."""
+        return self.generators[:, :2].copy()
+
+    @once
+    def radii(self) -> np.ndarray:
+        """Of the generators (N,), m."""
+        return self.generators[:, 2].copy()
+
+    @once
+    def view(self) -> int:
+        """The hash of all generators: agents with equal hashes cut the same diagram; never 0."""
+        digest = hashlib.blake2b("\n".join(self.names).encode(), digest_size=7)
+        digest.update(self.generators.tobytes())
+        return int.from_bytes(digest.digest(), "little") | 1
+
+    @once
+    def detections(self) -> np.ndarray:
+        """All detections (D, 2) float64, scan after scan, m."""
+        joined = bytearray().join([gossip.detections_bytes for gossip in self.gossips])
+        return np.frombuffer(joined, dtype="<f4").reshape(-1, 2).astype(float)
+
+    @once
+    def listening(self) -> bool:
+        """Whether one of them has no cell yet."""
+        return True in [gossip.listening for gossip in self.gossips]
+
+    @once
+    def all_wedges(self) -> bool:
+        """Whether no other sensor has spoken."""
+        return OTHER not in self.table[:, KIND].tolist()
+
+    @once
+    def claimed(self) -> tuple[int, int] | None:
+        """The stamp and the view that all these claims share, if they do."""
+        shared = {(gossip.claim_tick, gossip.view) for gossip in self.gossips}
+        return shared.pop() if len(shared) == 1 else None
+
+    @property
+    def stated(self) -> Stated:
+        """States (N, 4) float32 and ids (N,) of all their particles, gossip after gossip, as they were stamped.
+
+        It is most of what a round reads, and nobody else asks before the next one: so only the last that was asked keeps it.
+        """
+        if not self.stands_ready:
+            _LATEST.append((self, self.stated_by([*range(len(self.gossips))])))
+        return _LATEST[0][1]
+
+    @property
+    def stands_ready(self) -> bool:
+        """Whether what is `stated` has been put together already."""
+        return bool(_LATEST) and _LATEST[0][0] is self
+
+    def stated_by(self, rows: list[int]) -> Stated:
+        """What is `stated` by some of them."""
+        gossips = self.gossips
+        states = np.frombuffer(bytearray().join([gossips[row].states_bytes for row in rows]), dtype=np.float32)
+        ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
+        return states.reshape(-1, 4), ids
+
+    @once
+    def boxes(self) -> np.ndarray:
+        """West, south, east and north of the particles of each (N, 4), m."""
+        return np.frombuffer(b"".join([gossip.box for gossip in self.gossips])).reshape(-1, 4)
+
+    @once
+    def particles(self) -> Particles:
+        """The same with their weights."""
+        states, ids = self.stated
+        return Particles(states.astype(float), self.table[:, WEIGHT].repeat(self.table[:, PARTICLES].astype(np.int64)), ids)
+
+    def scans(self) -> list[Scan]:
+        """The scans one by one, those of the silent left out, in the order in which they count: by ascending p_d, then by name."""
+        found, ends = [], np.cumsum(self.table[:, DETECTIONS]).astype(np.int64)
+        for gossip, announced_sensor, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
+            if numbers[KIND] != SILENT:
+                detections = self.detections[end - np.int64(numbers[DETECTIONS]) : end]
+                order = np.arange(len(detections), dtype=np.uint64)
+                scan = Scan(key("sensor", gossip.sender), announced_sensor.sensor, gossip.pose, detections, order, float(numbers[KAPPA]))
+                found.append((float(numbers[PROB]), scan))
+        return [scan for _, scan in sorted(found, key=lambda one: one[0])]
+
+
+def received_particles(told: GossipTable | Particles) -> Particles:
+    """Particles, whether they stand in gossips or by themselves."""
+    return told.particles if isinstance(told, GossipTable) else told
+
+
+_LATEST: deque[tuple[GossipTable, Stated]] = deque(maxlen=1)  # who was asked last
+_RECENT: deque[GossipTable] = deque(maxlen=2)  # a pure memo: in a simulation all agents hear the same
+
+
+def gossip_table(gossips: list[Gossip], sensors: list[AnnouncedSensor], config: AgentConfig) -> GossipTable:
+    """The gossips side by side, with the sensors of their senders; the same object for the same gossips as in the last two calls."""
+    diagram = config.partition.kind
+    for known in _RECENT:
+        if known.diagram == diagram and known.sensors == sensors and known.gossips == gossips:
+            return known
+    words = GossipTable(gossips, sensors, diagram)
+    _RECENT.append(words)
+    return words
+
+
+def newest_table() -> GossipTable:
+    """The last that was put side by side, for measurements."""
+    return _RECENT[-1]
+
+
+def forget() -> None:
+    """Share nothing of what was asked for so far, so that figures are those of a process of its own."""
+    _RECENT.clear()
+    _LATEST.clear()

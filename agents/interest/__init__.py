@@ -1,0 +1,1 @@
+"""Whom an agent listens to that hears its neighbours only: tiles, positions of peers, selection, subscriptions."""

@@ -1,0 +1,89 @@
+"""The tiles of the arena in which beacons are said (docs/protocol.md), and what bounds a generator of which no beacon was heard."""
+
+import math
+from typing import NamedTuple
+
+from agents.coverage.capacity import SensorFacts, power_radius
+from protocol.keys import Tile
+from protocol.sensing import SensorModel
+from protocol.settings import ArenaSettings
+
+
+class Rectangle(NamedTuple):
+    """Sides in m."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+    def holds(self, other: "Rectangle") -> bool:
+        """Whether another rectangle lies in this one."""
+        return self.west <= other.west and self.south <= other.south and self.east >= other.east and self.north >= other.north
+
+    def wider(self, width: float) -> "Rectangle":
+        """The rectangle with all sides moved outward by `width` m."""
+        return Rectangle(self.west - width, self.south - width, self.east + width, self.north + width)
+
+
+class Box(NamedTuple):
+    """A block of tiles: first and last column and row."""
+
+    west: int
+    south: int
+    east: int
+    north: int
+
+    def tiles(self) -> list[Tile]:
+        """All tiles of the block."""
+        return [(column, row) for column in range(self.west, self.east + 1) for row in range(self.south, self.north + 1)]
+
+
+class Bounds(NamedTuple):
+    """What some agents do not exceed, in m: reach of the sensor, distance from it to the COD, power radius."""
+
+    reach: float
+    offset: float
+    radius: float
+
+    def wider(self, other: "Bounds") -> "Bounds":
+        """What neither these agents nor others exceed; the same object if that is nothing new."""
+        both = Bounds(*map(max, self, other))
+        return self if both == self else both
+
+
+def bounds_of(sensor: SensorModel, facts: SensorFacts) -> Bounds:
+    """The bounds of whoever carries that sensor."""
+    return Bounds(sensor.reach, math.hypot(*facts.cod_offset), power_radius(facts.capability))
+
+
+class Tiling:
+    """Square tiles of `side` m from (0, 0); what lies outside the arena counts to the nearest tile."""
+
+    def __init__(self, side: float, arena: ArenaSettings) -> None:
+        self.side = side
+        self._last = max(1, math.ceil(arena.width / self.side)) - 1, max(1, math.ceil(arena.height / self.side)) - 1
+
+    def tile(self, point: tuple[float, float]) -> Tile:
+        """The tile of a point."""
+        (x, y), (column, row), side = point, self._last, self.side
+        return max(0, min(column, math.floor(x / side))), max(0, min(row, math.floor(y / side)))
+
+    def box(self, rectangle: Rectangle) -> Box:
+        """The tiles that a rectangle touches."""
+        return Box(*self.tile(rectangle[:2]), *self.tile(rectangle[2:]))
+
+    def around(self, tile: Tile, width: int) -> Box:
+        """The block of up to `width` tiles on every side of one."""
+        (column, row), (columns, rows) = tile, self._last
+        return Box(max(0, column - width), max(0, row - width), min(columns, column + width), min(rows, row + width))
+
+    def ground(self, box: Box) -> Rectangle:
+        """Where everybody says his beacons in these tiles; without end where the arena ends."""
+        (west, south, east, north), (column, row), side = box, self._last, self.side
+        return Rectangle(
+            west * side if west > 0 else -math.inf,
+            south * side if south > 0 else -math.inf,
+            (east + 1) * side if east < column else math.inf,
+            (north + 1) * side if north < row else math.inf,
+        )

@@ -1,0 +1,284 @@
+"""Who else is there: peers, what they announced, what they said last, and whose word a round waits for.
+
+A *peer* is a live agent. Its liveliness token is a suspicion: when the token goes the peer stops being a generator at once, and
+the first gossip of the same incarnation that it cannot have said before brings it back. A peer that falls silent with its token up
+stays a generator, where it was last heard, for `silent_rounds` rounds.
+"""
+
+from itertools import compress
+from operator import attrgetter
+
+import numpy as np
+
+from agents.config import AgentConfig
+from agents.gossip.inbox import RoundInbox
+from agents.interest.peer_positions import PeerPositions
+from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
+from agents.interest.selection import Choice
+from agents.membership.peer import Peer, all_plausible, announced_by, plausible, steady
+from protocol.agreement import disagreement
+from protocol.keys import order
+from protocol.messages import Beacon, Gossip, Hello
+from protocol.node import Batch
+
+LOCAL_VIEW = 1  # of all who have heard everybody whom they must hear: their cells are those of one diagram
+ACCEPTED = ""
+OWN, UNASKED = "own", "unasked"  # reasons that are no fault of the sender
+
+
+class PeerTable:
+    """The peers of one agent."""
+
+    def __init__(self, config: AgentConfig, name: str) -> None:
+        self.local = config.timing.interest == "neighbours"  # peers are known by their beacons, and I listen to those I choose
+        self.peers: dict[str, Peer] = {}  # in the order of names, unless local
+        self.interest_set: dict[str, Peer] = {}  # those whose gossip I listen to, in the order of names; all, unless local
+        self.far = NO_GENERATORS  # the others, if local
+        self.places = PeerPositions(config)  # local: of those who are there, by the newest word of each
+        self.certified = False  # local: nobody whom I do not know could own anything that matters to me
+        self.acquainted, self._version = frozenset[str](), -1  # local: whose claims fit mine, and by which version of the places
+        self.changed = False  # local: somebody has come or gone since the circle was chosen
+        self._config, self._silent = config, config.timing.silent_rounds
+        self._name, self.settings = name, config.agreed()
+        self.inbox = RoundInbox()
+        self._calm = False  # all in the circle are alive and missed no round, and nothing has changed since
+
+    def alive(self, name: str, incarnation: int) -> None:
+        """A token appeared."""
+        peer = self._peer(name, incarnation, token=True)
+        if peer:
+            self.changed |= peer.left_at is not None
+            peer.token, peer.left_at = True, None
+            if peer.beacon is not None:
+                self.places.see(peer, peer.beacon)
+
+    def gone(self, name: str, incarnation: int, tick: int) -> None:
+        """A token vanished in the round `tick`. The peer may have been a tick ahead, and its last words may still be on their way."""
+        peer = self.peers.get(name)
+        if peer and peer.incarnation == incarnation:
+            peer.token, peer.left_at, self._calm = False, tick + 1, False
+            self.places.remove(name)
+            self.changed = True
+
+    def greet(self, hello: Hello) -> str | None:
+        """A Hello arrived: remember the announced sensor. The reason for refusing it, if there is one.
+
+        The newest counts: what was spoilt in one Hello is put right by the next.
+        """
+        peer = self._peer(hello.sender, hello.incarnation)
+        if peer is None:
+            return "incarnation"
+        differs = disagreement(self.settings, hello.settings)
+        if differs != peer.differs and peer.announced is None:  # a peer that agreed is kept: one wrong bit must not silence it
+            self._exclude(peer, differs)
+        if differs:
+            return "settings"
+        if peer.announced is None or (hello.sensor is not None and hello.sensor != peer.announced.sensor):
+            announced = announced_by(hello, self._config)
+            if announced is None:
+                return "sensor"
+            peer.announced = announced
+        return None
+
+    def _exclude(self, peer: Peer, differs: tuple[str, ...]) -> None:
+        """Count a peer out whose settings differ from mine in some fields, or in again if they do not."""
+        peer.differs, self.changed = differs, True
+        named = self.interest_set.keys() - {peer.name} if differs else self.interest_set.keys() | {peer.name}
+        self.interest_set = {name: other for name, other in self.peers.items() if name in named}
+        self._calm = False
+
+    def knows(self, hello: Hello) -> bool:
+        """Whether `greet` would learn nothing from it."""
+        peer = self.peers.get(hello.sender)
+        announced = peer.announced if peer is not None and peer.incarnation == hello.incarnation else None
+        return announced is not None and (hello.sensor is None or hello.sensor is announced.sensor or hello.sensor == announced.sensor)
+
+    def accept(self, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
+        """Judge gossips that arrived together, from the row `start` on, and keep those that are accepted.
+
+        Who of `awaited` speaks of `tick` is awaited no longer; the row with which nobody is awaited any more is the last that is judged,
+        because it completes the round. Returns for each judged row the reason for refusing it, empty if it is accepted.
+
+        own: it is mine; unasked: of a peer that I do not listen to; incarnation: of an older one than is known; stranger: its sensor is
+        unknown; settings: its settings differ from mine; stale: a later tick of the same peer is closed; dead: it was said before the
+        peer's token vanished; bounds: its sensor cannot do what it says.
+        """
+        interest_set, reasons = self.interest_set, []
+        peers = [interest_set.get(name) for name in batch.senders]
+        carried = [peer.announced if peer is not None else None for peer in peers]
+        fit = all_plausible(batch, carried)
+        for gossip, fits in zip(batch.messages[start:], fit[start:]):
+            reason = self._judge(gossip, fits)
+            reasons.append(reason)
+            if reason:
+                continue
+            self.inbox.put(gossip)
+            if awaited and gossip.tick == tick:
+                awaited.discard(gossip.sender)
+                if not awaited:
+                    break
+        return reasons
+
+    def _judge(self, gossip: Gossip, fits: bool) -> str:
+        """Why a gossip is refused; empty if it is accepted, which its sender's record shows from then on."""
+        name, tick = gossip.sender, gossip.tick
+        peer = self.interest_set.get(name)
+        if peer is None or peer.incarnation != gossip.incarnation:
+            if name == self._name:
+                return OWN
+            if self.local and name not in self.interest_set:
+                return UNASKED
+            peer = self._peer(name, gossip.incarnation)
+            if peer is None:
+                return "incarnation"
+            fits = peer.announced is not None and plausible(gossip, peer.announced)
+        if peer.announced is None:
+            return "settings" if peer.differs else "stranger"
+        last = self.inbox.last.get(name)
+        if last is not None and tick <= last.tick:
+            return "stale"
+        if peer.left_at is not None and tick <= peer.left_at:
+            return "dead"
+        if not fits:
+            return "bounds"
+        peer.missed = 0
+        if peer.left_at is not None:
+            peer.left_at, self.changed = None, True
+        return ACCEPTED
+
+    def fresh(self, tick: int) -> dict[str, Gossip]:
+        """The gossips of `tick` by living peers, in the order of names."""
+        said = self.inbox.of(tick)
+        return {name: said[name] for name, peer in self.interest_set.items() if name in said and peer.left_at is None}
+
+    def missing(self, tick: int, *, newcomer: bool = False) -> set[str]:
+        """The peers whose word for `tick` is still to come: alive, known to speak, and not silent for long.
+
+        A newcomer waits for every live peer, since it has heard none of them yet.
+        """
+        said = self.inbox.of(tick)
+        if self._calm or len(said) == len(self.interest_set):
+            return self.interest_set.keys() - said.keys()
+        if self.local:  # a beacon was heard just now
+            return {
+                name for name, peer in self.interest_set.items() if peer.left_at is None and peer.missed < self._silent and name not in said
+            }
+        silent, others = self._silent, [peer for name, peer in self.interest_set.items() if name not in said and peer.token]
+        return {peer.name for peer in others if (peer.missed < silent if self.inbox.knows(peer.name) else newcomer or tick == 0)}
+
+    def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
+        """The gossip from which each peer's generator in the diagram of `tick` is read: fresh, or the last of the lately silent."""
+        found, oldest = {}, tick - self._silent
+        for name, peer in self.interest_set.items():
+            gossip = fresh.get(name) or self.inbox.newest(name, tick)
+            if gossip is not None and gossip.tick >= oldest and not gossip.listening and peer.left_at is None:
+                found[name] = gossip
+        return found
+
+    def close(self, tick: int, *, newcomer: bool = False) -> int:
+        """The round `tick` is over: put away what it used, count who was missing; how many were."""
+        missing = self.missing(tick, newcomer=newcomer)
+        for name in missing:
+            self.peers[name].missed += 1
+            if self.peers[name].missed >= self._silent:
+                self.places.remove(name)
+        complete = len(self.inbox.of(tick)) == len(self.interest_set)
+        self._calm = complete and (self._calm or steady(self.interest_set.values(), self.local))
+        for said in self.inbox.close(tick, len(self.interest_set)):
+            if self.local:
+                self.places.close(said)
+        return len(missing)
+
+    def anyone_missed(self) -> bool:
+        """Whether some peer was silent in the last round."""
+        return not self._calm and any(peer.missed for peer in self.interest_set.values())
+
+    def are_all_there(self) -> bool:
+        """Whether the tokens of all others of the roster are up; local: only the world's greeting counts, so none is waited for."""
+        return self.local or all(name in self.peers and self.peers[name].token for name in self._config.others(self._name))
+
+    def strangers(self) -> bool:
+        """Whether somebody alive has not said yet in a Hello what its sensor is."""
+        return not self.local and any(peer.token and peer.announced is None and not peer.differs for peer in self.peers.values())
+
+    def see(self, beacon: Beacon) -> bool:
+        """A beacon arrived: where a peer is. Whether that peer is new, or was gone or silent: then it may not know me either."""
+        peer = known = self.peers.get(beacon.sender)
+        if peer is None or peer.incarnation != beacon.incarnation:
+            before = self.changed
+            peer = self._peer(beacon.sender, beacon.incarnation)
+            if known is None:
+                self.changed = before or self.places.matters(beacon)
+        if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
+            return False
+        if peer.announced is None:
+            peer.announced = announced_by(beacon, self._config)
+        back = peer.left_at is not None and beacon.tick > peer.left_at + 1  # a beacon says where somebody will be
+        silent = peer.missed >= self._silent
+        if back or silent:
+            peer.left_at, peer.missed, self.changed = None if back else peer.left_at, 0, True
+        peer.beacon = beacon
+        self.places.see(peer, beacon)
+        return back or silent or peer is not known
+
+    def forget(self, since: int) -> bool:
+        """Who has not said for long where he is is not there any more; `since` is a tick. Whether there was such a one."""
+        self.places.catch_up(self.peers, steady=self._calm)
+        before = len(self.peers)
+        for name in self.places.forget(since):
+            del self.peers[name]
+        if len(self.peers) > len(self.places):
+            self.peers = {name: peer for name, peer in self.peers.items() if name in self.places or (peer.left_at or -1) >= since}
+        forgot = len(self.peers) < before
+        if forgot and not self.interest_set.keys() <= self.peers.keys():
+            self._listen_to([peer for name, peer in self.interest_set.items() if name in self.peers], [])
+        return forgot
+
+    def choose(self, table: np.ndarray, choice: Choice) -> None:
+        """From now on listen to the chosen of those N whose places stand in a table (N or more, 6)."""
+        chosen, self.places.needed = choice
+        places, before, number = self.places, self.far, len(self.places)
+        if self._version != places.version:
+            self.acquainted, self._version = places.everybody(), places.version
+            names = tuple(places.names)
+        else:
+            names = before.everybody
+        if names is not before.everybody or chosen.tobytes() != before.chosen.tobytes():
+            wanted = set(compress(names, chosen.tolist()))
+            if self.interest_set.keys() != wanted:
+                kept = [peer for name, peer in self.interest_set.items() if name in wanted]
+                added = [self.peers[name] for name in wanted - self.interest_set.keys()]
+                self._listen_to(sorted([*kept, *added], key=attrgetter("rank")) if added else kept, added)
+        self.changed, self.far = (
+            False,
+            UnsubscribedGenerators(table[:number].compress(~chosen, axis=0)[:, EAST : RADIUS + 1], names, chosen),
+        )
+
+    def _listen_to(self, interest_set: list[Peer], added: list[Peer]) -> None:
+        """Count these in, in the order of names, and nobody else; some are `added`."""
+        before, self.interest_set = self.interest_set, {peer.name: peer for peer in interest_set}
+        if len(interest_set) < len(before) + len(added):
+            self.inbox.drop_closed(before.keys() - self.interest_set.keys())
+        self._calm = steady(added if self._calm else interest_set, self.local)
+
+    def _peer(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
+        """The peer of that incarnation, made anew for a younger one; None for an older one.
+
+        While a token is up only a token can say that a younger one is there: one wrong bit in a message must not silence a peer.
+        """
+        peer = self.peers.get(name)
+        younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
+        guess = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.left_at is None
+        if peer is None or younger or guess:
+            peer, known = Peer(name, incarnation), name in self.peers
+            self.peers[name] = peer
+            self.places.remove(name)
+            if not self.local and not known:
+                self.peers = {other: self.peers[other] for other in sorted(self.peers, key=order)}
+            if not self.local or name in self.interest_set:
+                self.interest_set = {other: known for other, known in self.peers.items() if other == name or other in self.interest_set}
+            self.changed = True
+            if not self.local or name in self.interest_set:
+                self._calm = False
+                self.inbox.forget(name)
+        return peer if incarnation == peer.incarnation else None

@@ -1,0 +1,178 @@
+"""Where new particles come from: the prior, the background, and the detections.
+
+Every birth is public: a pure function of keys that everybody knows, its id included, so that all who cover a place make the same
+particles there and the cell decides who owns them.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.config import BirthSettings, FilterSettings
+from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances
+from protocol.sensing import Pose, SensorModel, WedgeSensor
+from protocol.settings import ArenaSettings
+from protocol.streams import key, normal, scramble, uniform
+
+DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
+
+
+SQUARE = 25.0  # m
+LEAST_PRIOR = 0.3  # particles per m^2: `least_particles` for each of the 16 agents of team 1 in its 40 x 40 m, the paper's densest team
+
+
+class Scan(NamedTuple):
+    """What one sensor returned in a tick, or the part of it that matters here."""
+
+    salt: int  # the key of the sensor's name
+    sensor: SensorModel
+    pose: Pose
+    detections: np.ndarray  # (M, 2) float64, m
+    numbers: np.ndarray  # (M,) uint64: the place of each detection in the whole scan
+    clutter_density: float  # kappa, per m^2
+
+
+def sensor_row(sensor: WedgeSensor, pose: Pose) -> tuple[float, ...]:
+    """A posed wedge as the kernels want it: x, y, cos and sin of the heading, radius, cos of half the angle, p_d."""
+    return pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), sensor.radius, sensor.cos_half_angle, sensor.prob_detection
+
+
+def near_part(scan: Scan, close: np.ndarray) -> Scan:
+    """The scan with only those detections that a mask (M,) names."""
+    return scan if close.all() else scan._replace(detections=scan.detections[close], numbers=scan.numbers[close])
+
+
+def prior_size(filters: FilterSettings, arena: ArenaSettings) -> int:
+    """Particles of the prior over the whole arena, the same for all: enough for its mass, and some for every cell, whoever takes part."""
+    return round(max(filters.particles_per_target * filters.prior_density, LEAST_PRIOR) * arena.width * arena.height)
+
+
+def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings) -> Particles:
+    """The uniform PHD of density `prior_density` that everybody starts with, as `count` particles."""
+    mass = settings.prior_density * arena.width * arena.height
+    if count == 0 or mass == 0.0:
+        return NONE
+    ids = _numbered(key(seed, "prior"), count)
+    x = uniform(scramble(ids, 1)) * arena.width
+    y = uniform(scramble(ids, 2)) * arena.height
+    states = np.column_stack([x, y, _directions(scramble(ids, 3)) * settings.speed])
+    return canonical(Particles(states.astype(WIRE).astype(float), np.full(count, mass / count), ids))
+
+
+@lru_cache(maxsize=2)
+def _prior_by_tile(
+    seed: int, count: int, settings: FilterSettings, arena: ArenaSettings
+) -> tuple[Particles, dict[tuple[int, int], np.ndarray]]:
+    """The prior, and which of its particles lie in which square of `SQUARE` m."""
+    everywhere = prior(seed, count, settings, arena)
+    columns, rows = (everywhere.states[:, :2] // SQUARE).astype(np.int64).T
+    order = np.lexsort((rows, columns))
+    breaks = np.flatnonzero(np.diff(columns[order]) | np.diff(rows[order])) + 1
+    groups = np.split(order, breaks) if len(order) else []
+    return everywhere, {(int(columns[group[0]]), int(rows[group[0]])): group for group in groups}
+
+
+def prior_around(
+    seed: int, count: int, settings: FilterSettings, arena: ArenaSettings, box: tuple[float, float, float, float]
+) -> Particles:
+    """The particles of the prior that lie in or a little around a rectangle: west, south, east, north in m.
+
+    The prior is remembered in squares, because in virtual time every agent asks.
+    """
+    everywhere, squares = _prior_by_tile(seed, count, settings, arena)
+    west, south = (max(0, int(side // SQUARE)) for side in box[:2])
+    east, north = int(min(box[2], arena.width) // SQUARE), int(min(box[3], arena.height) // SQUARE)
+    found = [squares.get((column, row)) for column in range(west, east + 1) for row in range(south, north + 1)]
+    groups = [group for group in found if group is not None]
+    return select(everywhere, np.sort(np.concatenate(groups))) if groups else NONE
+
+
+@lru_cache(maxsize=8)
+def background_births(seed: int, tick: int, dt: float, settings: FilterSettings, birth: BirthSettings, arena: ArenaSettings) -> Particles:
+    """New particles of `tick` over the whole arena, a pure function of (seed, tick).
+
+    Their mass is the `inflow`. The share `border_share` starts on the border with headings inward (cosine law), the rest anywhere;
+    all of it anywhere when nothing crosses the border. Remembered, because in virtual time every agent asks.
+    """
+    mass, count = inflow(dt, settings, arena), birth.background_particles
+    if not birth.background or mass <= 0.0:
+        return NONE
+    width, height = arena.width, arena.height
+    ids = _numbered(key(seed, "background", tick), count)
+    on_border = np.arange(count) < starting_on_border(settings, birth)
+    along = uniform(scramble(ids, 1)) * (2.0 * (width + height))
+    sideways = 2.0 * uniform(scramble(ids, 2)) - 1.0  # the sine of a cosine-law heading is uniform
+    inward = np.sqrt(1.0 - sideways * sideways)
+    side = np.searchsorted([width, width + height, 2.0 * width + height], along, side="right")
+    rest = along - np.array([0.0, width, width + height, 2.0 * width + height])[side]
+    border = np.array([(1.0, 0.0, 0.0, 1.0), (0.0, 1.0, -1.0, 0.0), (-1.0, 0.0, 0.0, -1.0), (0.0, -1.0, 1.0, 0.0)])[side]  # tangent, inward
+    corner = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])[side]
+    anywhere = np.column_stack([along / (2.0 * (width + height)) * width, uniform(scramble(ids, 4)) * height])
+    places = np.where(on_border[:, None], corner + border[:, :2] * rest[:, None], anywhere)
+    headings = border[:, :2] * sideways[:, None] + border[:, 2:] * inward[:, None]
+    headings = np.where(on_border[:, None], headings, _directions(scramble(ids, 3)))
+    return Particles(np.column_stack([places, headings * settings.speed]), np.full(count, mass / count), ids)
+
+
+def inflow(dt: float, settings: FilterSettings, arena: ArenaSettings) -> float:
+    """Expected targets that come in `dt` s when the density is `prior_density` and stays so.
+
+    They cross the border inwards: density x speed x perimeter / pi per second. Over a border that reflects nothing comes, and births
+    make up for those that die: what nobody sees keeps the mass of the prior.
+    """
+    if settings.border == "reflect":
+        return settings.prior_density * arena.width * arena.height * (1.0 - survival_probability(dt, settings))
+    return settings.prior_density * settings.speed * 2.0 * (arena.width + arena.height) / math.pi * dt
+
+
+def survival_probability(dt: float, settings: FilterSettings) -> float:
+    """Probability that a target of mean lifetime `lifetime` s lives another dt s."""
+    return math.exp(-dt / settings.lifetime) if settings.lifetime > 0.0 else 1.0
+
+
+def starting_on_border(settings: FilterSettings, birth: BirthSettings) -> int:
+    """How many of the background births start on the border."""
+    return 0 if settings.border == "reflect" else birth.on_border
+
+
+def _numbered(salt: int, count: int) -> np.ndarray:
+    return scramble(np.arange(count, dtype=np.uint64), salt)
+
+
+def _directions(bits: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 2) in one of 4096 directions."""
+    return DIRECTIONS[(bits >> np.uint64(52)).astype(np.int64)]
+
+
+def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth: BirthSettings) -> np.ndarray:
+    """Density of unrepresented targets at each detection, per m^2: the predicted PHD within `radius`, less what explains the detections
+    there, by its area; clipped. `explained` (M,): how far the PHD explains each detection, in targets; the densities are (M,)."""
+    if not birth.measurement:
+        return np.zeros(len(scan.detections))
+    radius2, near = birth.radius * birth.radius, squared_distances(predicted.states, scan.detections)
+    masses = column_sums(np.where(near <= radius2, predicted.weights[:, None], 0.0))
+    others = np.column_stack([scan.detections, scan.detections])
+    known = column_sums(np.where(squared_distances(others, scan.detections) <= radius2, explained[:, None], 0.0))
+    local = (masses - known) / (math.pi * birth.radius * birth.radius)
+    return np.minimum(np.maximum(local, least_density(scan.clutter_density, birth)), birth.most_density)
+
+
+def least_density(clutter_density: float, birth: BirthSettings) -> float:
+    """What a birth density is at least, per m^2: without clutter more than 0, with much of it no more than half the most."""
+    return max(birth.least_density, min(birth.least_share * clutter_density, 0.5 * birth.most_density))
+
+
+def measurement_births(
+    scan: Scan, per_copy: np.ndarray, tick: int, seed: int, noise: float, settings: FilterSettings, birth: BirthSettings
+) -> Particles:
+    """New particles around every detection, a pure function of (seed, sensor, detection number, tick, copy) but for the weight."""
+    copies = birth.copies
+    numbers = np.repeat(scan.numbers * np.uint64(copies), copies) + np.tile(np.arange(copies, dtype=np.uint64), len(scan.numbers))
+    ids = scramble(numbers, key(seed, "birth", tick, scan.salt))
+    places = np.repeat(scan.detections, copies, axis=0)
+    x = places[:, 0] + normal(scramble(ids, 1)) * noise
+    y = places[:, 1] + normal(scramble(ids, 2)) * noise
+    velocities = _directions(scramble(ids, 3)) * settings.speed
+    return Particles(np.column_stack([x, y, velocities]), np.repeat(per_copy, copies), ids)

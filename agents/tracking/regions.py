@@ -1,0 +1,104 @@
+"""The computation of a round: what each owner makes of the PHD around its cell, step by step.
+
+Particles are predicted, those around the cell are corrected with every scan that reaches it, and what lies in the cell is drawn anew.
+These functions are the reference; `region_kernels` gives the same bits.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.gossip.table import GossipTable, received_particles
+from agents.tracking import claims, phd
+from agents.tracking.births import near_part
+from agents.tracking.claims import Claim
+from agents.tracking.extraction import estimate_targets
+from agents.tracking.particles import Particles, canonical, join, select, total
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
+from protocol import geometry
+from protocol.sensing import Pose, SensorModel
+
+
+class RegionUpdate(NamedTuple):
+    """What an owner makes of the particles around its cell."""
+
+    updated: Particles  # within the halo of the cell, after all scans
+    own: Particles  # of those in the cell
+    kept: Particles  # drawn from the own ones
+    mass: float  # in the cell, expected targets
+    east: float  # the mass-weighted sums of x and y in the cell, m (17)
+    north: float
+    load: float  # the integrals of v and of p_d v over the footprint (10), expected targets
+    detected: float
+    targets: np.ndarray  # estimates in the cell (M, 2), m
+
+
+def update_regions(
+    table: GossipTable, received: GossipTable | Particles, births: Particles, regions: Sequence[RegionInput], step: Step
+) -> list[RegionUpdate]:
+    """One update per owner: `received` is everything that counts one tick before, `table` holds the scans of the tick, `births` the new
+    particles of the background."""
+    predicted = predict(canonical(received_particles(received)), step)
+    return [_update_region(table, predicted, births, region, step) for region in regions]
+
+
+def _update_region(table: GossipTable, predicted: Particles, births: Particles, region: RegionInput, step: Step) -> RegionUpdate:
+    config, claim = step.config, region.claim
+    near, seen = gate(predicted, births, region, step)
+    updated = correct(near, table, region.polygon, step)
+    own = take(updated, claim, step)
+    mass, east, north = moments(own)
+    near_load, near_detected = in_view(updated, region.sensor, region.pose)
+    far_load, far_detected = in_view(seen, region.sensor, region.pose)
+    kept = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
+    targets = np.empty((0, 2))
+    if claim.names:
+        targets = estimate_targets(updated, config.extraction)
+        targets = targets[claims.owned(targets, claim, config.arena)]
+    return RegionUpdate(updated, own, kept, mass, east, north, near_load + far_load, near_detected + far_detected, targets)
+
+
+def predict(particles: Particles, step: Step) -> Particles:
+    """The particles one step on (`phd.predict`)."""
+    config = step.config
+    return phd.predict(particles, step.tick, config.filter.seed, config.run.dt, config.filter, config.arena)
+
+
+def gate(predicted: Particles, births: Particles, region: RegionInput, step: Step) -> tuple[Particles, Particles]:
+    """The predicted particles within the halo of a cell, with the births that lie there behind them; and of the other predicted ones
+    those within reach of the sensor."""
+    halo, (x, y), reach = step.config.filter.halo, region.pose[:2], region.sensor.reach
+    close = geometry.distances(region.polygon, predicted.states) <= halo
+    born = select(births, geometry.distances(region.polygon, births.states) <= halo)
+    dx, dy = predicted.states[:, 0] - x, predicted.states[:, 1] - y
+    return join([select(predicted, close), born]), select(predicted, ~close & (dx * dx + dy * dy <= reach * reach))
+
+
+def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step: Step) -> Particles:
+    """The PHD around a cell after all scans that reach it, of which the detections within the halo of the cell matter (`phd.update`)."""
+    config, close = step.config, []
+    for scan in table.scans():
+        apart = geometry.distances(polygon, np.array([scan.pose]))[0]
+        if apart <= config.filter.halo + scan.sensor.reach:
+            close.append(near_part(scan, geometry.distances(polygon, scan.detections) <= config.filter.halo))
+    return phd.update(particles, close, step.tick, config.filter.seed, config.detection.noise, config.filter, config.birth)
+
+
+def take(particles: Particles, claim: Claim, step: Step) -> Particles:
+    """The particles in a claimed cell, in canonical order."""
+    return canonical(select(particles, claims.owned(particles.states, claim, step.config.arena)))
+
+
+def moments(particles: Particles) -> tuple[float, float, float]:
+    """Mass (expected targets), and the mass-weighted sums of x and y in m (17)."""
+    weights, states = particles.weights, particles.states
+    return total(weights), total(weights * states[:, 0]), total(weights * states[:, 1])
+
+
+def in_view(particles: Particles, sensor: SensorModel, pose: Pose) -> tuple[float, float]:
+    """The integrals of v and of p_d v over the footprint (10), expected targets."""
+    probability = sensor.probability(particles.states[:, :2], pose)
+    seen = np.where(probability > 0.0, particles.weights, 0.0)
+    return total(seen), total(seen * probability)

@@ -1,0 +1,140 @@
+"""What is compiled and kept on disk is never older than its source."""
+
+import ast
+import fcntl
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agents.compiled import cache
+from agents.compiled.cache import HERE, SOURCES
+
+ROOT = HERE.parent
+INNER = """
+from numba import njit
+
+@njit
+def inner(x):
+    return x + 1.0
+"""
+OUTER = """
+from agents.compiled.inner_kernels import inner
+from agents.compiled.cache import cached
+
+@cached
+def outer(x):
+    return 2.0 * inner(x)
+"""
+PROGRAM = """
+from agents.compiled.outer_kernels import outer
+print(outer(3.0), sum(outer.stats.cache_hits.values()), outer.stats.cache_path)
+"""
+
+
+def run(place: Path) -> tuple[float, int, Path]:
+    """What the outer loop of a small package makes of 3, how often it was on disk, and where that is."""
+    env = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=place, env=env, capture_output=True, text=True, timeout=110, check=False)
+    assert done.returncode == 0, done.stderr
+    found, hits, path = done.stdout.split()
+    return float(found), int(hits), Path(path)
+
+
+def test_a_loop_is_compiled_anew_when_one_that_it_calls_in_another_file_changes(tmp_path: Path) -> None:
+    package = tmp_path / "agents" / "compiled"
+    package.mkdir(parents=True)
+    (package.parent / "__init__.py").touch()
+    shutil.copy(HERE / "cache.py", package)
+    (package / "__init__.py").touch()
+    (package / "outer_kernels.py").write_text(OUTER)
+    source = package / "inner_kernels.py"
+    source.write_text(INNER)
+    assert run(tmp_path)[:2] == (8.0, 0)
+    found, hits, path = run(tmp_path)
+    assert (found, hits) == (8.0, 1) and path.is_relative_to(package / "__pycache__")
+    source.write_text(INNER.replace("x + 1.0", "x + 2.0"))
+    assert run(tmp_path)[:2] == (10.0, 0)
+    source.write_text(INNER)
+    assert run(tmp_path)[:2] == (8.0, 1)  # as before
+
+
+def test_a_process_that_has_compiled_a_loop_keeps_it_when_no_other_does(tmp_path: Path) -> None:
+    package = tmp_path / "agents" / "compiled"
+    package.mkdir(parents=True)
+    (package.parent / "__init__.py").touch()
+    shutil.copy(HERE / "cache.py", package)
+    (package / "__init__.py").touch()
+    (package / "outer_kernels.py").write_text(OUTER)
+    (package / "inner_kernels.py").write_text(INNER)
+    place = run(tmp_path)[2].parent
+    (package / "inner_kernels.py").write_text(INNER.replace("1.0", "3.0"))
+    place = place.with_name(folder_of(tmp_path))
+    place.mkdir()
+    held = os.open(place, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    try:
+        with subprocess.Popen([sys.executable, "-c", PROGRAM], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as other:
+            with pytest.raises(subprocess.TimeoutExpired):
+                other.wait(5.0)
+            assert not list(place.glob("*/*.nb?"))
+            os.close(held)
+            held = -1
+            assert other.communicate(timeout=110)[0].startswith("12.0 0 ")
+        assert len(list(place.glob("*/*.nb?"))) == 2
+    finally:
+        if held >= 0:
+            os.close(held)
+
+
+def folder_of(place: Path) -> str:
+    """The name of the folder for the loops of a small package."""
+    program = "from agents.compiled.cache import folder; print(folder().name)"
+    return subprocess.run(
+        [sys.executable, "-c", program], cwd=place, capture_output=True, text=True, timeout=110, check=True
+    ).stdout.strip()
+
+
+def test_where_the_sources_cannot_be_written_loops_lie_in_the_folder_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "HERE", tmp_path / "installed")
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
+    assert cache._base() == tmp_path / "user" / "covey"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
+    assert cache._base() == tmp_path / "chosen" / "covey"
+    (tmp_path / "installed").mkdir()
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    assert cache._base() == tmp_path / "installed" / "__pycache__"
+
+
+def test_old_loops_are_removed_but_the_newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path / "kernels-now")
+    for age, name in enumerate(("now", "a", "b", "c", "d", "e")):
+        (tmp_path / f"kernels-{name}").mkdir()
+        (tmp_path / f"kernels-{name}" / "loop.nbi").touch()
+        os.utime(tmp_path / f"kernels-{name}", (1e9 - age, 1e9 - age))
+    os.utime(tmp_path / "kernels-now", (1e8, 1e8))
+    (tmp_path / "other").mkdir()
+    cache.tidy()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kernels-a", "kernels-b", "kernels-c", "kernels-now", "other"]
+
+
+def test_compiled_loops_are_made_of_nothing_but_what_their_folder_is_named_after() -> None:
+    sources = {path for pattern in SOURCES for path in ROOT.glob(pattern)}
+    compiled = [path for path in sources if path.match("*kernels.py")]
+    assert len(compiled) == len(list((ROOT / "agents").rglob("*kernels.py"))) >= 9
+    for path in compiled:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in ("agents", "protocol"):
+                files = {ROOT / (node.module.replace(".", "/") + ".py")}
+                if node.module == "agents.compiled":
+                    files = {HERE / f"{alias.name}.py" for alias in node.names}
+                assert files <= sources | {HERE / "cache.py"}, f"{path.name} imports {node.module}"
+
+
+def test_every_loop_with_a_cache_is_kept_there() -> None:
+    for path in HERE.glob("*.py"):
+        assert "cache=True" not in path.read_text() or path.name == "cache.py"

@@ -1,0 +1,92 @@
+"""Where peers are is what they said last; those who are not there are nowhere, and who is far away changes no choice."""
+
+import numpy as np
+
+from agents.config import AgentConfig, TimingSettings
+from agents.interest.position_table import EYE_X, beacon_row
+from agents.interest.selection import Choice
+from agents.interest.tiles import Rectangle
+from agents.membership.peer_table import PeerTable
+from protocol.messages import Beacon, Gossip
+from tests.agents.test_peer_table import gossip, hear
+
+CONFIG = AgentConfig(members={"s1": "A", "s2": "B", "s3": "C"}, timing=TimingSettings(interest="neighbours"))
+
+
+def beacon(name: str, tick: int, x: float, incarnation: int = 1) -> Beacon:
+    place = x, 20.0
+    return Beacon(
+        sender=name,
+        incarnation=incarnation,
+        tick=tick,
+        position=place,
+        cod=place,
+        power_radius=2.0,
+        reach=5.0,
+        column=0,
+        row=0,
+        sensor_class="B",
+    )
+
+
+def peers() -> PeerTable:
+    """Of s1, who hears s2 and s3 and has chosen for the ground up to 50 m east."""
+    found = PeerTable(CONFIG, "s1")
+    assert found.see(beacon("s2", 0, 10.0)) and found.see(beacon("s3", 0, 20.0))
+    choose(found)
+    return found
+
+
+def choose(found: PeerTable) -> None:
+    """Listen to everybody who is known."""
+    found.forget(-1)
+    table = found.places.table(beacon_row(beacon("s1", 0, 0.0), "power"))
+    everybody = [True] * len(found.places)
+    found.choose(table, Choice(np.array(everybody), Rectangle(-50.0, -50.0, 50.0, 50.0)))
+
+
+def eyes(found: PeerTable) -> dict[str, float]:
+    """Where everybody's sensor is, m east."""
+    found.forget(-1)
+    table = found.places.table(beacon_row(beacon("s1", 0, 0.0), "power"))
+    return dict(zip(found.places.names, table[:, EYE_X].tolist()))
+
+
+def test_a_closed_round_says_where_peers_are_once_somebody_asks() -> None:
+    found = peers()
+    for tick in (0, 1):
+        words: list[Gossip] = [gossip("s2", tick), gossip("s3", tick)]
+        assert [hear(found, word) for word in words] == [None, None]
+        found.close(tick)
+    assert eyes(found) == {"s2": 10.0, "s3": 10.0}  # all gossips of these tests are said there
+
+
+def test_who_has_gone_since_it_spoke_is_nowhere() -> None:
+    found = peers()
+    assert [hear(found, gossip(name, 0)) for name in ("s2", "s3")] == [None, None]
+    found.close(0)
+    found.gone("s2", 1, 0)
+    assert eyes(found) == {"s3": 10.0}
+
+
+def test_beacons_of_the_well_known_are_noted_and_the_others_are_given_back() -> None:
+    found = peers()
+    plain, stale, younger, stranger = (
+        beacon("s2", 4, 12.0),
+        beacon("s3", -1, 99.0),
+        beacon("s3", 4, 99.0, incarnation=2),
+        beacon("s4", 4, 40.0),
+    )
+    assert found.places.see_all([plain, younger, stranger], found.peers) == [younger, stranger]
+    assert found.places.see_all([stale], found.peers) == [stale]
+    assert eyes(found) == {"s2": 12.0, "s3": 20.0} and found.peers["s2"].beacon is plain
+
+
+def test_a_newcomer_calls_for_a_choice_only_where_it_may_matter() -> None:
+    found = peers()
+    assert found.see(beacon("s4", 1, 60.0)) and not found.changed
+    assert found.see(beacon("s5", 1, 40.0)) and found.changed
+    choose(found)
+    assert found.see(beacon("s4", 1, 60.0, incarnation=2)) and found.changed  # somebody known has been restarted
+    choose(found)
+    assert not found.see(beacon("s4", 2, 60.0, incarnation=1)) and not found.changed  # an older incarnation is nobody

@@ -1,0 +1,236 @@
+"""Who is there: tokens, greetings and gossips decide who bounds the diagram of a tick and whose word a round waits for."""
+
+import msgspec
+
+from agents.config import AgentConfig
+from agents.membership.peer_table import PeerTable
+from protocol.messages import Gossip, Hello
+from protocol.node import Batch
+from protocol.sensing import SENSOR_CLASSES, WedgeSensor
+
+CONFIG = AgentConfig(members={"s1": "A", "s2": "B", "s3": "C"})  # a silent peer stays for 4 rounds
+
+
+def hello(name: str, incarnation: int = 1, sensor_class: str = "B") -> Hello:
+    return Hello(sender=name, incarnation=incarnation, sensor_class=sensor_class)
+
+
+def differing(name: str) -> Hello:
+    """Of somebody who works in another arena."""
+    return msgspec.structs.replace(hello(name), settings={**CONFIG.agreed(), "arena": {"width": 1}})
+
+
+def gossip(name: str, tick: int, incarnation: int = 1, listening: bool = False, radius: float = 2.0, cod: float = 3.0) -> Gossip:
+    return Gossip(
+        sender=name,
+        incarnation=incarnation,
+        tick=tick,
+        pose=(10.0, 20.0, 0.0),
+        cod=(10.0 + cod, 20.0),
+        power_radius=radius,
+        unused=radius * radius * 3.0,
+        listening=listening,
+    )
+
+
+def neighbours(*names: str) -> PeerTable:
+    """The peers of s1, alive and greeted."""
+    found = PeerTable(CONFIG, "s1")
+    for name in names:
+        found.alive(name, 1)
+        assert found.greet(hello(name)) is None
+    return found
+
+
+def hear(peers: PeerTable, said: Gossip) -> str | None:
+    """The reason for which a gossip that arrives alone is refused; None: it is accepted."""
+    [reason] = peers.accept(Batch([said]))
+    return reason or None
+
+
+def generators(peers: PeerTable, tick: int) -> list[str]:
+    """Names of the generators of a tick."""
+    return list(peers.generators(tick, peers.fresh(tick)))
+
+
+def test_a_round_waits_for_everybody_alive_until_all_have_spoken() -> None:
+    peers = neighbours("s2", "s3")
+    assert set(peers.missing(0)) == {"s2", "s3"}
+    assert hear(peers, gossip("s3", 0)) is None
+    assert set(peers.missing(0)) == {"s2"}
+    assert hear(peers, gossip("s2", 0)) is None
+    assert not peers.missing(0) and list(peers.fresh(0)) == ["s2", "s3"]
+
+
+def test_names_are_ordered_by_number_whoever_came_first() -> None:
+    peers = neighbours("s10", "s2", "s9")
+    for name in ("s10", "s9", "s2"):
+        hear(peers, gossip(name, 0))
+    assert list(peers.fresh(0)) == generators(peers, 0) == ["s2", "s9", "s10"]
+
+
+def test_nobody_waits_for_a_late_comer_before_its_first_word() -> None:
+    peers = neighbours("s2")
+    hear(peers, gossip("s2", 6))
+    peers.close(6)
+    peers.alive("s3", 1)
+    peers.greet(hello("s3"))
+    assert set(peers.missing(7)) == {"s2"}
+
+
+def test_a_silent_peer_stays_a_generator_for_four_rounds_where_it_was_last_heard() -> None:
+    peers = neighbours("s2")
+    hear(peers, gossip("s2", 0))
+    peers.close(0)
+    present = []
+    for tick in range(1, 7):
+        present.append(generators(peers, tick) == ["s2"])
+        peers.close(tick)
+    assert present == [True] * 4 + [False] * 2
+    assert peers.generators(4, {}).keys() == {"s2"} and not peers.missing(7)
+
+
+def test_the_loss_of_a_token_removes_the_generator_in_the_same_round() -> None:
+    peers = neighbours("s2", "s3")
+    for name in ("s2", "s3"):
+        hear(peers, gossip(name, 0))
+    peers.gone("s2", 1, 0)
+    assert generators(peers, 0) == ["s3"] and list(peers.fresh(0)) == ["s3"] and not peers.missing(0)
+
+
+def test_a_flapping_token_costs_one_round_and_one_that_stays_away_two() -> None:
+    peers = neighbours("s2")
+    for tick, back in ((4, True), (9, False)):
+        hear(peers, gossip("s2", tick))
+        peers.gone("s2", 1, tick)
+        peers.close(tick)
+        if back:
+            peers.alive("s2", 1)
+        assert hear(peers, gossip("s2", tick + 1)) == (None if back else "dead")
+        assert generators(peers, tick + 1) == (["s2"] if back else [])
+        peers.close(tick + 1)
+        assert hear(peers, gossip("s2", tick + 2)) is None
+        assert generators(peers, tick + 2) == ["s2"]
+
+
+def test_what_a_dead_peer_said_before_is_refused_also_when_it_was_a_tick_ahead() -> None:
+    """Tokens and gossips come through different threads, and the dead may have been told of the next tick first."""
+    peers = neighbours("s2")
+    peers.gone("s2", 1, 5)
+    assert hear(peers, gossip("s2", 5)) == "dead" and hear(peers, gossip("s2", 6)) == "dead"
+    assert generators(peers, 6) == [] and not peers.missing(6)
+
+
+def test_a_younger_incarnation_replaces_the_older_whose_word_counts_no_more() -> None:
+    peers = neighbours("s2")
+    hear(peers, gossip("s2", 0))
+    peers.alive("s2", 2)
+    assert generators(peers, 0) == []
+    assert hear(peers, gossip("s2", 1)) == "incarnation" and peers.greet(hello("s2")) == "incarnation"
+    assert hear(peers, gossip("s2", 1, incarnation=2)) == "stranger"
+    assert peers.greet(hello("s2", 2)) is None and hear(peers, gossip("s2", 1, incarnation=2)) is None
+    peers.gone("s2", 1, 1)  # the token of the old process goes late
+    assert generators(peers, 1) == ["s2"]
+
+
+def test_one_wrong_bit_in_an_incarnation_silences_nobody_whose_token_is_up() -> None:
+    peers = neighbours("s2")
+    assert peers.greet(hello("s2", 2**40)) == "incarnation" and hear(peers, gossip("s2", 0, incarnation=3)) == "incarnation"
+    assert hear(peers, gossip("s2", 0)) is None
+    peers.greet(hello("s3", 9))  # wrong, and heard before the token
+    peers.alive("s3", 1)
+    assert peers.greet(hello("s3")) is None and hear(peers, gossip("s3", 0)) is None
+
+
+def test_the_newest_hello_counts_so_that_a_spoilt_one_is_put_right() -> None:
+    peers = neighbours()
+    peers.alive("s2", 1)
+    wrong = Hello(sender="s2", incarnation=1, sensor_class="B", sensor=WedgeSensor(1.0, 2.0, 0.5))
+    peers.greet(wrong)
+    assert hear(peers, gossip("s2", 0)) == "bounds"
+    peers.greet(Hello(sender="s2", incarnation=1, sensor_class="B", sensor=SENSOR_CLASSES["B"]))
+    assert hear(peers, gossip("s2", 0)) is None
+
+
+def test_a_listener_is_heard_but_has_no_cell() -> None:
+    peers = neighbours("s2")
+    hear(peers, gossip("s2", 3, listening=True))
+    assert list(peers.fresh(3)) == ["s2"] and generators(peers, 3) == []
+
+
+def test_a_gossip_of_a_closed_round_is_stale() -> None:
+    peers = neighbours("s2")
+    hear(peers, gossip("s2", 3))
+    peers.close(3)
+    assert hear(peers, gossip("s2", 3)) == "stale" and hear(peers, gossip("s2", 2)) == "stale"
+
+
+def test_a_gossip_beyond_what_its_sensor_can_do_is_refused() -> None:
+    """Class B has D = 24.88 m^2, hence g(U) <= 2.81 m, and reaches 8 m."""
+    peers = neighbours("s2")
+    assert hear(peers, gossip("s2", 0, radius=2.9)) == "bounds"
+    assert hear(peers, gossip("s2", 0, cod=8.1)) == "bounds"
+    assert hear(peers, gossip("s2", 0, radius=2.8, cod=7.9)) is None
+
+
+def test_strangers_and_unknown_sensors_are_refused() -> None:
+    peers = PeerTable(CONFIG, "s1")
+    assert hear(peers, gossip("s2", 0)) == "stranger"
+    assert peers.greet(hello("s2", sensor_class="Z")) == "sensor"
+    assert peers.greet(hello("s2")) is None
+    announced = peers.peers["s2"].announced
+    assert announced is not None and announced.sensor is SENSOR_CLASSES["B"]
+
+
+def test_a_round_counts_who_was_missing() -> None:
+    peers = neighbours("s2", "s3")
+    hear(peers, gossip("s2", 0))
+    assert peers.close(0) == 1
+    assert peers.close(1) == 1  # s3 has never spoken, and after the first tick nobody waits for it
+
+
+def test_who_takes_the_sender_for_another_sensor_judges_its_words_for_himself() -> None:
+    """In virtual time one message has many listeners, of whom some may have been told wrong what its sender is."""
+    for classes in ("DA", "AD"):
+        said, believed = gossip("s2", 0, radius=15.0), []
+        for sensor_class in classes:
+            listener = PeerTable(CONFIG, "s1")
+            listener.greet(hello("s2", sensor_class=sensor_class))
+            believed.append(hear(listener, said) is None)
+        assert believed == [sensor_class == "D" for sensor_class in classes]
+    said, sensors = gossip("s2", 0), []
+    for sensor_class in "ABA":
+        listener = PeerTable(CONFIG, "s1")
+        listener.greet(hello("s2", sensor_class=sensor_class))
+        hear(listener, said)
+        carried = [listener.peers[name].announced for name in listener.fresh(0)]
+        sensors.append([announced.sensor for announced in carried if announced is not None])
+    assert sensors == [[SENSOR_CLASSES[sensor_class]] for sensor_class in "ABA"]
+
+
+def test_a_peer_of_other_settings_is_refused_and_waited_for_by_nobody() -> None:
+    peers = neighbours("s3")
+    peers.alive("s2", 1)
+    assert peers.greet(differing("s2")) == "settings"
+    assert peers.peers["s2"].differs == ("arena.width",) and not peers.strangers()
+    assert set(peers.missing(0)) == {"s3"} and hear(peers, gossip("s2", 0)) == "settings"
+    assert hear(peers, gossip("s3", 0)) is None
+    assert generators(peers, 0) == ["s3"] and peers.close(0) == 0
+
+
+def test_a_spoilt_greeting_neither_shuts_out_a_peer_that_agreed_nor_keeps_one_out_for_ever() -> None:
+    peers = neighbours("s2")
+    assert peers.greet(differing("s2")) == "settings"
+    assert hear(peers, gossip("s2", 0)) is None
+    peers.alive("s3", 1)
+    assert peers.greet(differing("s3")) == "settings" and peers.greet(hello("s3")) is None
+    assert hear(peers, gossip("s3", 0)) is None and generators(peers, 0) == ["s2", "s3"]
+
+
+def test_a_peer_that_comes_back_with_the_right_settings_is_a_peer_again() -> None:
+    peers = neighbours("s2")
+    peers.alive("s3", 1)
+    peers.greet(differing("s3"))
+    peers.gone("s3", 1, 3)
+    peers.alive("s3", 2)
+    assert peers.greet(hello("s3", 2)) is None and list(peers.interest_set) == ["s2", "s3"]
