@@ -13,7 +13,7 @@ import pytest
 from agents.compiled import cache
 from agents.compiled.cache import HERE, SOURCES
 
-ROOT = HERE.parent
+ROOT = HERE.parents[1]
 INNER = """
 from numba import njit
 
