@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.agents.gossip_table import table
 
 from agents.backend import PLAIN
 from agents.config import AgentConfig, TimingSettings
@@ -17,6 +16,7 @@ from protocol.fields import pack
 from protocol.keys import order
 from protocol.messages import Gossip
 from protocol.settings import ArenaSettings
+from tests.agents.gossip_table import table
 
 ARENA = ArenaSettings(width=100.0, height=100.0)
 CONFIG = AgentConfig(arena=ARENA, timing=TimingSettings(overlap=3.0))

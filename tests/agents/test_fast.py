@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from tests.agents.gossip_table import table as table_of
 
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, ExtractionSettings, FilterSettings, TimingSettings
@@ -27,6 +26,7 @@ from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 from protocol.streams import scramble
+from tests.agents.gossip_table import table as table_of
 
 fast = pytest.importorskip("agents.compiled.backend")
 from agents.compiled import claim_kernels, extraction_kernels  # noqa: E402

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.agents.gossip_table import table
 
 from agents.config import AgentConfig, PartitionSettings
 from agents.gossip.table import GossipTable
@@ -10,6 +9,7 @@ from protocol.fields import pack
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
 from protocol.streams import key
+from tests.agents.gossip_table import table
 
 DOTS = np.array([[1.5, 2.5], [3.5, 4.5]])
 

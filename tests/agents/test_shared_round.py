@@ -2,8 +2,6 @@
 
 import gc
 
-from tests.agents.gossip_table import table as table_of
-
 from agents.backend import PLAIN
 from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import GossipTable
@@ -13,6 +11,7 @@ from agents.tracking.step import Step
 from deploy.simulation import Simulation
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
+from tests.agents.gossip_table import table as table_of
 from tests.swarm.scene import tracking
 
 ARENA = rectangle(40.0, 40.0)

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from tests.agents.gossip_table import table
 
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
@@ -27,6 +26,7 @@ from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings
 from protocol.streams import key
+from tests.agents.gossip_table import table
 
 BOTH = pytest.mark.parametrize("backend", [PLAIN, compiled()], ids=["plain", "compiled"])
 SENSOR = WedgeSensor(math.pi, 20.0, 0.9)

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from tests.agents.gossip_table import table
 
 from agents.backend import PLAIN
 from agents.config import AgentConfig
@@ -21,6 +20,7 @@ from agents.tracking.particles import NONE
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
+from tests.agents.gossip_table import table
 from tests.agents.test_belief import merged, particles, share
 
 CONFIG = AgentConfig()
