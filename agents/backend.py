@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.coverage import cells
 from agents.coverage.cells import Cell
-from agents.interest.selection import Choice, wanted
+from agents.interest.selection import Choice, select_peers
 from agents.tracking import claims, regions
 from agents.tracking.births import background_births
 from agents.tracking.merge import merge, remote_copies
@@ -45,5 +45,5 @@ PLAIN = Backend(
     orphaned=claims.orphaned,
     remote_copies=remote_copies,
     merge=merge,
-    select_peers=wanted,
+    select_peers=select_peers,
 )

@@ -121,7 +121,7 @@ class AgentConfig(Common, frozen=True, kw_only=True):
         """The other agents of the roster, which is a hint: who may be expected at the start. It may be empty, and anybody may join."""
         return [other for other in self.members if other != name]
 
-    def patience(self, *, missed: bool) -> float:
+    def gossip_timeout(self, *, missed: bool) -> float:
         """How long an open round waits for missing gossips, s: less for peers that were missing already.
 
         A share of what the world waits for a command, or the command of a round that has waited would always come too late.

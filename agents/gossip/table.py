@@ -75,14 +75,14 @@ class GossipTable:
     @once
     def table(self) -> np.ndarray:
         """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
-        said = np.frombuffer(b"".join([gossip.numbers for gossip in self.gossips])).reshape(-1, GOSSIP_NUMBERS)
-        table = np.empty((len(said), COLUMNS))
-        table[:, : SIN + 1] = said[:, :4]
+        numbers = np.frombuffer(b"".join([gossip.numbers for gossip in self.gossips])).reshape(-1, GOSSIP_NUMBERS)
+        table = np.empty((len(numbers), COLUMNS))
+        table[:, : SIN + 1] = numbers[:, :4]
         table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, 6)
-        table[:, KIND] *= said[:, 11]
-        table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = said[:, 9], said[:, 8], said[:, 10]
-        table[:, EAST : NORTH + 1] = said[:, :2] if self.diagram == "voronoi" else said[:, 4:6]
-        table[:, RADIUS] = said[:, 6] if self.diagram == "power" else 0.0
+        table[:, KIND] *= numbers[:, 11]
+        table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = numbers[:, 9], numbers[:, 8], numbers[:, 10]
+        table[:, EAST : NORTH + 1] = numbers[:, :2] if self.diagram == "voronoi" else numbers[:, 4:6]
+        table[:, RADIUS] = numbers[:, 6] if self.diagram == "power" else 0.0
         return table
 
     @once
@@ -184,9 +184,9 @@ class GossipTable:
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 
 
-def received_particles(told: GossipTable | Particles) -> Particles:
+def received_particles(received: GossipTable | Particles) -> Particles:
     """Particles, whether they stand in gossips or by themselves."""
-    return told.particles if isinstance(told, GossipTable) else told
+    return received.particles if isinstance(received, GossipTable) else received
 
 
 _LATEST: deque[tuple[GossipTable, Stated]] = deque(maxlen=1)  # who was asked last
@@ -199,9 +199,9 @@ def gossip_table(gossips: list[Gossip], sensors: list[AnnouncedSensor], config: 
     for known in _RECENT:
         if known.diagram == diagram and known.sensors == sensors and known.gossips == gossips:
             return known
-    words = GossipTable(gossips, sensors, diagram)
-    _RECENT.append(words)
-    return words
+    table = GossipTable(gossips, sensors, diagram)
+    _RECENT.append(table)
+    return table
 
 
 def newest_table() -> GossipTable:

@@ -1,4 +1,4 @@
-"""Where peers are, as far as they have said so themselves: for an agent that hears its neighbours only and chooses whom to hear."""
+"""Where peers are, as far as they have gossips so themselves: for an agent that hears its neighbours only and chooses whom to hear."""
 
 from agents.config import AgentConfig
 from agents.interest.position_table import PositionTable, beacon_row, position_row
@@ -13,18 +13,18 @@ class PeerPositions(PositionTable):
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
         self._diagram, self._silent = config.partition.kind, config.timing.silent_rounds
-        self._said: dict[str, Gossip] = {}  # in rounds that are over, the newest of each, not noted yet
+        self._pending: dict[str, Gossip] = {}  # in rounds that are over, the newest of each, not noted yet
         self.needed: Rectangle | None = None  # outside of this nobody matters before the next choice
 
-    def see(self, peer: Peer, beacon: Beacon) -> None:
+    def note(self, peer: Peer, beacon: Beacon) -> None:
         """Note where a peer is, if it is anywhere."""
         if self._counts(peer):
             self.put(peer.name, beacon.tick, beacon_row(beacon, self._diagram))
 
-    def see_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
+    def note_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
         """Note where those are who are well known, and ask for nothing; the beacons of the others."""
         others, silent = [], self._silent
-        seen: list[tuple[str, int, bytes]] = []
+        noted: list[tuple[str, int, bytes]] = []
         for beacon in beacons:
             peer = peers.get(beacon.sender)
             if (
@@ -39,8 +39,8 @@ class PeerPositions(PositionTable):
                 others.append(beacon)
             else:
                 peer.beacon = beacon
-                seen.append((beacon.sender, beacon.tick, beacon_row(beacon, self._diagram)))
-        self.put_all(seen)
+                noted.append((beacon.sender, beacon.tick, beacon_row(beacon, self._diagram)))
+        self.put_all(noted)
         return others
 
     def matters(self, beacon: Beacon) -> bool:
@@ -48,15 +48,15 @@ class PeerPositions(PositionTable):
         x, y = beacon.position
         return self.needed is None or self.needed.holds(Rectangle(x, y, x, y))
 
-    def close(self, said: dict[str, Gossip]) -> None:
-        """A round is over in which this was said; it is noted once somebody asks where all are, which is not so after every round."""
-        self._said.update(said)
+    def close(self, gossips: dict[str, Gossip]) -> None:
+        """A round is over in which this was gossips; it is noted once somebody asks where all are, which is not so after every round."""
+        self._pending.update(gossips)
 
     def catch_up(self, peers: dict[str, Peer], *, steady: bool = False) -> None:
-        """Note what was said in the rounds that are over. `steady`: all count who said something."""
-        said, self._said = self._said, {}
+        """Note what was gossips in the rounds that are over. `steady`: all count who gossips something."""
+        gossips, self._pending = self._pending, {}
         found = []
-        for name, gossip in said.items():
+        for name, gossip in gossips.items():
             peer = peers.get(name)
             if peer is not None and peer.announced is not None and (steady or self._counts(peer)):
                 reach = peer.announced.sensor.reach

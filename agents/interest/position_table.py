@@ -1,4 +1,4 @@
-"""Where everybody was last known to be: a row of numbers for each peer, kept up as its words arrive."""
+"""Where everybody was last known to be: a row of numbers for each peer, kept up as its entries arrive."""
 
 import struct
 from collections.abc import Iterable
@@ -12,12 +12,12 @@ from protocol.messages import Beacon
 Point = tuple[float, float]  # x, y, m
 POSITION_ROW = struct.Struct("<6d")
 SIZE = POSITION_ROW.size  # bytes
-EYE_X, EYE_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
+SENSOR_X, SENSOR_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
 
 
-def position_row(eye: Point, reach: float, cod: Point, radius: float, diagram: str) -> bytes:
+def position_row(position: Point, reach: float, cod: Point, radius: float, diagram: str) -> bytes:
     """The row of a sensor with its reach and of what is its generator in a diagram, m."""
-    return POSITION_ROW.pack(*eye, reach, *(eye if diagram == "voronoi" else cod), radius if diagram == "power" else 0.0)
+    return POSITION_ROW.pack(*position, reach, *(position if diagram == "voronoi" else cod), radius if diagram == "power" else 0.0)
 
 
 def beacon_row(beacon: Beacon, diagram: str) -> bytes:
@@ -46,7 +46,7 @@ class PositionTable:
     def __init__(self) -> None:
         self.names: list[str] = []  # of the rows
         self.version = 0  # another one whenever somebody has come or gone
-        self._ticks: list[int] = []  # of the words
+        self._ticks: list[int] = []  # of the entries
         self._oldest = 0  # none of them is older
         self._rows: dict[str, int] = {}
         self._numbers = bytearray(SIZE * 8)
@@ -74,10 +74,10 @@ class PositionTable:
             self._ticks[row] = tick
         self._numbers[SIZE * row : SIZE * (row + 1)] = packed
 
-    def put_all(self, words: Iterable[tuple[str, int, bytes]]) -> None:
+    def put_all(self, entries: Iterable[tuple[str, int, bytes]]) -> None:
         """Put one after the other: names, ticks and rows."""
         rows, ticks, numbers, put = self._rows, self._ticks, self._numbers, self.put
-        for name, tick, packed in words:
+        for name, tick, packed in entries:
             row = rows.get(name)
             if row is None:
                 put(name, tick, packed)

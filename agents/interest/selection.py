@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.interest.position_table import EAST, EYE_X, RADIUS, REACH
+from agents.interest.position_table import EAST, RADIUS, REACH, SENSOR_X
 from agents.interest.tiles import Bounds, Rectangle
 
 Distances = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (P, 2 or more) to a polygon (V, 2), m
@@ -19,11 +19,11 @@ Distances = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (P, 2 or
 PERIOD = 4.0  # s of world time between two beacons of an agent that stays about where it is
 CHOICE = 1.0  # s of world time between two choices
 JUMP = 4.0  # m: who will be farther than this from what its last beacon says, position, generator or radius, says another at once
-MARGIN = 14.0  # m: so far a COD jumps in one tick when a class D sensor turns round; 10 m were too little in 2 of 20 runs of 100 s
-APPEARING = 8.0  # m more around the place at which an empty cell is expected to appear
+MARGIN = 14.0  # m: so far a COD jumps in one tick when a class D position turns round; 10 m were too little in 2 of 20 runs of 100 s
+APPEARANCE = 8.0  # m more around the place at which an empty cell is expected to appear
 SPACING = 6.0  # m between the points at which owners are looked for; no owner is so small that it is missed
 BEHIND = math.sqrt(2.0) * SPACING  # m^2 per m: see `owners`
-THRESHOLD = 40.0  # m: an empty cell is looked for this far around its generator
+SEARCH = 40.0  # m: an empty cell is looked for this far around its generator
 
 
 class Ground(NamedTuple):
@@ -78,30 +78,30 @@ def _axis(low: float, high: float, step: float) -> np.ndarray:
     return low + step * np.arange(2 + int(max(high - low, 0.0) / step))
 
 
-def region(cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float, ground: Ground) -> np.ndarray:
-    """Points (P, 2) of a grid over the arena within the halo of a cell or within `reach` m of the sensor, `MARGIN` m wider."""
-    around, arena = np.vstack([cell, [eye]]), ground.arena
+def region(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, ground: Ground) -> np.ndarray:
+    """Points (P, 2) of a grid over the arena within the halo of a cell or within `reach` m of the position, `MARGIN` m wider."""
+    around, arena = np.vstack([cell, [position]]), ground.arena
     width = max(halo, reach) + MARGIN + SPACING
     low = np.maximum(around.min(axis=0) - width, arena.min(axis=0))
     high = np.minimum(around.max(axis=0) + width, arena.max(axis=0))
     points = np.stack(np.meshgrid(*(_axis(low[axis], high[axis], SPACING) for axis in (0, 1))), axis=-1).reshape(-1, 2)
-    dx, dy = points[:, 0] - eye[0], points[:, 1] - eye[1]
+    dx, dy = points[:, 0] - position[0], points[:, 1] - position[1]
     seen = reach + MARGIN + SPACING
     near = dx * dx + dy * dy <= seen * seen
     return points[near | (ground.distances(cell, points) <= halo + MARGIN + SPACING)]
 
 
-def wanted(cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: Ground) -> Choice:
+def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: Ground) -> Choice:
     """Whom to hear, of N others; `table` (N + 1, 6) says where they are (`places`) and, last, where I am."""
     generators = table[:, EAST : RADIUS + 1]
     if len(cell):
         home = cell
     else:
-        home, halo = _threshold(generators, ground.arena), halo + APPEARING
-    looking = ground.distances(home, table[:-1, EYE_X:REACH]) <= halo + MARGIN + table[:-1, REACH]
-    points = region(home, eye, halo, reach, ground)
+        home, halo = _likeliest_cell(generators, ground.arena), halo + APPEARANCE
+    observing = ground.distances(home, table[:-1, SENSOR_X:REACH]) <= halo + MARGIN + table[:-1, REACH]
+    points = region(home, position, halo, reach, ground)
     owning, least = owners(points, generators)
-    return Choice(looking | owning[:-1], _needed(home, points, least, halo, ground))
+    return Choice(observing | owning[:-1], _needed(home, points, least, halo, ground))
 
 
 def _needed(home: np.ndarray, points: np.ndarray, least: np.ndarray, halo: float, ground: Ground) -> Rectangle:
@@ -115,12 +115,12 @@ def _needed(home: np.ndarray, points: np.ndarray, least: np.ndarray, halo: float
     return Rectangle(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _threshold(generators: np.ndarray, arena: np.ndarray) -> np.ndarray:
+def _likeliest_cell(generators: np.ndarray, arena: np.ndarray) -> np.ndarray:
     """Where an empty cell, of the last generator, would appear first: the place (1, 2) near it at which it is least outdone."""
     if len(generators) == 1:
         return generators[:, :2]
-    low = np.maximum(arena.min(axis=0), generators[-1, :2] - THRESHOLD)
-    high = np.minimum(arena.max(axis=0), generators[-1, :2] + THRESHOLD)
+    low = np.maximum(arena.min(axis=0), generators[-1, :2] - SEARCH)
+    high = np.minimum(arena.max(axis=0), generators[-1, :2] + SEARCH)
     counts = [2 + int(max(high[axis] - low[axis], 0.0) / (2.0 * SPACING)) for axis in (0, 1)]
     axes = [low[axis] + (high[axis] - low[axis]) / (counts[axis] - 1) * np.arange(counts[axis]) for axis in (0, 1)]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)

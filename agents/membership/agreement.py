@@ -13,28 +13,28 @@ class SettingsAgreement:
 
     def __init__(self, name: str, settings: Agreed, counters: Counter[str]) -> None:
         self.settings = settings
-        self._name, self._seal = name, whole(settings)
+        self._name, self._digest = name, whole(settings)
         self._counters = counters
         self._warned: set[tuple[str, int]] = set()  # name and incarnation
 
-    def differs(self, word: Hello | Beacon) -> bool:
+    def differs(self, message: Hello | Beacon) -> bool:
         """Whether somebody announces other settings."""
-        if isinstance(word, Beacon):
-            return word.settings not in (0, self._seal)
-        return bool(disagreement(self.settings, word.settings))
+        if isinstance(message, Beacon):
+            return message.settings not in (0, self._digest)
+        return bool(disagreement(self.settings, message.settings))
 
-    def refuse(self, words: Sequence[Hello | Beacon]) -> list[Effect]:
+    def refuse(self, messages: Sequence[Hello | Beacon]) -> list[Effect]:
         """Count those who differ; a warning for each that is new."""
-        self._counters["rejected.settings"] += len(words)
-        return [warning for word in words for warning in self._warn(word)]
+        self._counters["rejected.settings"] += len(messages)
+        return [warning for message in messages for warning in self._warn(message)]
 
-    def _warn(self, word: Hello | Beacon) -> list[Effect]:
+    def _warn(self, message: Hello | Beacon) -> list[Effect]:
         """A warning, the first time that an incarnation differs: in which settings, which a beacon does not say."""
-        who = (word.sender, word.incarnation)
-        if who in self._warned:
+        announcer = (message.sender, message.incarnation)
+        if announcer in self._warned:
             return []
-        self._warned.add(who)
-        fields = disagreement(self.settings, word.settings) if isinstance(word, Hello) else ()
+        self._warned.add(announcer)
+        fields = disagreement(self.settings, message.settings) if isinstance(message, Hello) else ()
         where = ", ".join(fields) or "a setting that only its Hello names"
-        consequence = "" if word.sender == "world" else ": it computes another PHD and is refused"
-        return [Warn(f"the settings of {word.sender} differ from those of {self._name} in {where}{consequence}")]
+        consequence = "" if message.sender == "world" else ": it computes another PHD and is refused"
+        return [Warn(f"the settings of {message.sender} differ from those of {self._name} in {where}{consequence}")]

@@ -17,29 +17,29 @@ MANY = 48  # peers from which on the later rhythm slows down too
 class AnnouncementSchedule:
     """The next greeting of one agent; times are `now` of its node, s."""
 
-    def __init__(self, team: int, gathered: Callable[[], bool]) -> None:
-        """`team`: how many others are expected; `gathered`: whether they are all there."""
+    def __init__(self, team: int, is_complete: Callable[[], bool]) -> None:
+        """`team`: how many others are expected; `is_complete`: whether they are all there."""
         self.due: float | None = None
-        self._team, self._gathered = team, gathered
-        self._going_on = False
+        self._team, self._is_complete = team, is_complete
+        self._run_started = False
 
     def start(self, now: float) -> None:
         """I have just greeted for the first time."""
         self.due = now + self._early(0)
 
-    def news(self, peers: int, now: float) -> None:
+    def peer_appeared(self, peers: int, now: float) -> None:
         """Somebody is new, who makes it so many peers: greet, but once for all who appear within a moment."""
-        if self._going_on or self._gathered():
+        if self._run_started or self._is_complete():
             soon = now + SOON * max(1.0, peers / THRONG)
             self.due = soon if self.due is None else min(self.due, soon)
 
-    def go_on(self) -> None:
+    def run_started(self) -> None:
         """The run goes on, with or without me: from now on whoever is new is greeted soon."""
-        self._going_on = True
+        self._run_started = True
 
-    def observe(self, now: float) -> None:
+    def observation_arrived(self, now: float) -> None:
         """An observation has come."""
-        self.go_on()
+        self.run_started()
         if self.due is not None:
             self.due = min(self.due, now + LATEST)  # later only if the clock has jumped back
 

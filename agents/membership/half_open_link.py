@@ -1,4 +1,4 @@
-"""Signs of a session that has stayed split, where neighbours alone are heard: they name whom I do not know, or go on without me.
+"""Signs of a session that has stayed split, where neighbours alone are claims: they name whom I do not know, or go on without me.
 
 Two Zenoh peers can be left with half a session (`protocol.failure_detector`), and who hears its neighbours only is told by no Hello whom
 the others hear. Their claims tell it: they name who bounds their cells, and where. Whoever stands where I listen to all beacons, is named
@@ -24,27 +24,29 @@ class Since(NamedTuple):
 class HalfOpenLinkDetector:
     """Who is spoken of, and since when."""
 
-    def __init__(self, name: str, patience: int) -> None:
-        """`patience`: ticks for which somebody must be named; it takes `PATIENCE` s of `now` as well, for in lockstep ticks fly."""
-        self._name, self._patience = name, patience
+    def __init__(self, name: str, timeout: int) -> None:
+        """`timeout`: ticks for which somebody must be named; it takes `PATIENCE` s of `now` as well, for in lockstep ticks fly."""
+        self._name, self._timeout = name, timeout
         self._named: dict[str, Since] = {}
         self._rest, self._not_before = FIRST_REST, NEVER
 
-    def listen(self, gossips: Iterable[Gossip], known: Collection[str], overlooks: Callable[[Place], bool], tick: int, now: float) -> str:
-        """Of whom I should have heard by now, after the round `tick`; empty: nobody.
+    def find_unheard(
+        self, gossips: Iterable[Gossip], known: Collection[str], is_covered: Callable[[Place], bool], tick: int, now: float
+    ) -> str:
+        """Of whom I should have claims by now, after the round `tick`; empty: nobody.
 
-        `known`: whom I do know; `overlooks`: whether I hear the beacons of whoever has his generator at a place.
+        `known`: whom I do know; `is_covered`: whether I hear the beacons of whoever has his generator at a place.
         """
-        heard, own = list(gossips), {self._name}
-        unknown = set().union(*[gossip.claim_names for gossip in heard]).difference(known, own)  # as a rule there is nobody
+        claims, own = list(gossips), {self._name}
+        unknown = set().union(*[gossip.claim_names for gossip in claims]).difference(known, own)  # as a rule there is nobody
         named = {
             name: self._named.get(name, Since(tick, now))
-            for gossip in heard
+            for gossip in claims
             for name in unknown.intersection(gossip.claim_names)
-            if overlooks(_place(gossip, name))
+            if is_covered(_place(gossip, name))
         }
         self._named = named
-        late = [name for name, since in named.items() if tick - since.tick >= self._patience and now - since.now >= PATIENCE]
+        late = [name for name, since in named.items() if tick - since.tick >= self._timeout and now - since.now >= PATIENCE]
         if not late or now < self._not_before:
             return ""
         self._named = {}
@@ -62,7 +64,7 @@ class LagDetector:
         self._since = Since(-1, NEVER)
         self._rest, self._not_before = FIRST_REST, NEVER
 
-    def hear(self, tick: int, now: float) -> bool:
+    def is_behind(self, tick: int, now: float) -> bool:
         """Somebody speaks of a tick that is more than one ahead of mine, `tick`; whether my session is to be opened anew."""
         if tick != self._since.tick or now < self._since.now:
             self._since = Since(tick, now)
