@@ -1,8 +1,10 @@
-"""One agent: the round of a masterless sensor, as a Node.
+"""One agent: the Node of one sensor.
 
-In comes an `Observation` of tick k; out goes at once a `Gossip` of tick k. When the gossips of all peers that are expected are in,
-or at the deadline, the round closes: merge, predict, cut the cell, correct with every scan that was heard, resample what is owned,
-and drive. The mathematics lives in `phd`, `belief`, `cells`, `capacity` and `control`; this file keeps the order and the time.
+An `Observation` of tick k opens the round k, and the agent publishes its `Gossip` of tick k at once. The round closes when the gossips of
+all expected peers are in, or at the deadline. `run_round` computes what follows from it.
+
+This file keeps the order of events and the time. `agents.round` holds the steps of a round, `agents.tracking` and `agents.coverage` their
+mathematics.
 """
 
 from collections import Counter
@@ -28,19 +30,20 @@ MANY = 1 << 30
 
 
 class Agent(Node):
-    """The Node of one sensor."""
+    """The Node of one sensor. Its rounds follow the ticks of the observations; `counters` counts what happened, by name."""
 
     role = "agent"
-    patient = "/gossip/"  # one gossip is no reason to wake up
+    patient = "/gossip/"  # a driver may hold gossips back until `awaiting` of them have come
     newest_only = "/observation/"
 
     def __init__(self, config: AgentConfig, name: str, incarnation: int = 1, backend: Backend = PLAIN, sensor_class: str = "") -> None:
+        """`incarnation` grows with every restart under the same name; `sensor_class` empty: the one that the roster names."""
         self.name, self.incarnation, self.run = name, incarnation, config.run.name
         self.config = config
-        self.sensor_class = sensor_class or config.members[name]  # empty: as the roster says
+        self.sensor_class = sensor_class or config.members[name]  # empty: the class that the roster names
         self.counters: Counter[str] = Counter()
         self.neighbours = PeerTable(config, name)
-        self.tick = -1  # of the newest observation
+        self.tick = -1  # of the newest observation; -1: none has come
         self.context = context_of(config, name, self.sensor_class, backend)
         self.local = self.neighbours.local
         self.sees_all_tokens = not self.local
@@ -50,10 +53,10 @@ class Agent(Node):
         self._failure_detector = FailureDetector(name, ["world"] if self.local else [*config.others(name), "world"])
         self._world_incarnation = 0  # incarnation of the world
         self._observation: Observation | None = None  # of the open round
-        self._gossip: Gossip | None = None  # mine, of the open round
-        self._awaited: set[str] = set()  # whose gossip the open round waits for
-        self._listening_rounds = 0  # rounds left in which I have no cell, though others speak
-        self._rounds_alone = 0  # and rounds left in which I do not believe that nobody else is there
+        self._gossip: Gossip | None = None  # the own one of the open round; None: no round is open
+        self._awaited: set[str] = set()  # peers for whose gossips the open round waits
+        self._listening_rounds = 0  # rounds left in which the agent listens and has no cell
+        self._rounds_alone = 0  # listening rounds left without any gossip, before the agent takes itself to be alone
         self._close_at: float | None = None
         self._answer_at: float | None = None
         self._announcements = AnnouncementSchedule(0 if self.local else len(config.others(name)), self.neighbours.is_roster_alive)
@@ -61,7 +64,7 @@ class Agent(Node):
         self._agreement = SettingsAgreement(name, self.neighbours.settings, self.counters)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
-        """Take one event; the effects in order (Node)."""
+        """Take one event at `now`, s. Return the effects in order; `NO_EFFECTS` when nothing follows (Node)."""
         if type(event) is Received:
             return self._on_batch(event.batch, now)
         match event:
@@ -88,7 +91,7 @@ class Agent(Node):
         return []
 
     def _on_batch(self, batch: Batch, now: float) -> list[Effect]:
-        """Take messages that arrived together."""
+        """Take messages of one kind that arrived together."""
         if batch.kind is Gossip:
             return self._on_gossips(batch, now)
         if batch.kind is Beacon:
@@ -103,18 +106,20 @@ class Agent(Node):
         return effects
 
     def _expressions(self) -> list[str]:
-        """What I listen to from the beginning."""
+        """The key expressions to which the agent subscribes at the start."""
         if not self.local:
             return [all_of(self.run, "hello"), all_of(self.run, "gossip")]
         return [one_of(self.run, "hello", "world"), tokens_of(self.run, "agent", self.name), tokens_of(self.run, "world", "world")]
 
     @property
     def awaiting(self) -> int:
-        """How many gossips the open round waits for; while none is open they wait for the observation (Node)."""
+        """The number of gossips for which the open round waits (Node). Without an open round, gossips wait for the observation."""
         return len(self._awaited) if self._gossip else MANY
 
     def deadline(self) -> float | None:
-        """When the open round closes, or the next greeting, answer or choice is due, whichever is earliest (Node)."""
+        """When to call with `Timer`, s: the earliest of the end of the round, the next Hello, the next answer and the next selection
+        (Node).
+        """
         if self._interest is None:
             close, announce = self._close_at, self._announcements.due
             return announce if close is None or (announce is not None and announce < close) else close
@@ -122,6 +127,7 @@ class Agent(Node):
         return min(times, default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
+        """Close a round that is still open, and open that of the observation. An old observation is counted and ignored."""
         if observation.incarnation < self._world_incarnation or observation.tick <= self.tick:
             self.counters["rejected.stale"] += 1
             return []
@@ -140,14 +146,14 @@ class Agent(Node):
         return [*effects, *self._open_round(observation, now)]
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
-        """Open the round: say my gossip, and wait for those of the others."""
+        """Open the round: publish the own gossip, and determine which gossips it waits for."""
         self._gossip = outbox.gossip(self.context, self.incarnation, self.outcome, observation, listening=self._listening_rounds > 0)
         self._awaited = self.neighbours.missing(self.tick, newcomer=self._listening_rounds > 0)
         self._close_at = now + self.config.gossip_timeout(missed=self.neighbours.any_missed())
         return [self._gossip, *self._close_if_complete(now)]
 
     def _join(self, now: float) -> list[Effect]:
-        """The interest asks who is there, and in the end I take part."""
+        """Ask for peers until the interest manager is settled. Then start the filter around the expected cell and open the first round."""
         observation, interest = self._observation, self._interest
         assert observation is not None and interest is not None
         effects = interest.on_timer(observation, self.outcome, now)
@@ -160,7 +166,7 @@ class Agent(Node):
         return [*effects, *self._open_round(observation, now)]
 
     def _on_gossips(self, batch: Batch, now: float) -> list[Effect]:
-        """Take gossips that arrived together; the open round closes when nobody is awaited any more."""
+        """Take gossips that arrived together. The open round closes when none is awaited any more."""
         if self.name in batch.senders:
             for message in batch.messages:
                 if message.sender == self.name and message.incarnation > self.incarnation:
@@ -171,14 +177,17 @@ class Agent(Node):
             self._announcements.run_started()
         effects: list[Effect] = NO_EFFECTS
         start = 0
-        while start < len(batch):  # a round closes with the gossip that completes it; the rest belongs to what follows
+        while start < len(batch):  # a round closes with the gossip that completes it; later rows belong to the next one
             more, judged = self._accept(batch, start, now)
             effects = more if effects is NO_EFFECTS else [*effects, *more]
             start += judged
         return effects
 
     def _accept(self, batch: Batch, start: int, now: float) -> tuple[list[Effect], int]:
-        """Take gossips from a row on, until the open round is complete or all are taken; what follows, and how many were taken."""
+        """Take gossips from the row `start` on, until the open round is complete or the batch ends.
+
+        Returns the effects and the number of rows taken.
+        """
         reasons = self.neighbours.accept(batch, start, self.tick, self._awaited if self._gossip is not None else None)
         accepted = [gossip for gossip, reason in zip(batch.messages[start:], reasons) if reason == ACCEPTED]
         if len(accepted) < len(reasons):
@@ -192,7 +201,7 @@ class Agent(Node):
         return reopenings or NO_EFFECTS, len(reasons)
 
     def _reopen_if_behind(self, gossips: list[Gossip], now: float) -> list[Effect]:
-        """A new session, if others have long been more than a tick ahead."""
+        """The effects that open a new session, if peers have been more than one tick ahead for long; else none."""
         assert self._interest is not None
         for gossip in gossips:
             if gossip.tick > self.tick + 1:
@@ -203,6 +212,7 @@ class Agent(Node):
         return []
 
     def _on_beacons(self, beacons: list[Beacon], now: float) -> list[Effect]:
+        """Take the beacons of other agents, and plan an answer if one of them needs it."""
         if self._interest is None:
             return NO_EFFECTS
         refused = [beacon for beacon in beacons if self._agreement.differs(beacon)]
@@ -213,12 +223,15 @@ class Agent(Node):
         return [*warnings]
 
     def _on_hello(self, hello: Hello, now: float) -> list[Effect]:
+        """Take a Hello: remember the announced sensor, compare the settings, and check the session for a half-open link."""
         if hello.sender == self.name:
             return self._fence(hello.incarnation)
         if hello.role == "agent" and self.neighbours.has_announced(hello) and self._failure_detector.greet_again(hello.sender, now):
             return NO_EFFECTS
         reason = self.neighbours.take_hello(hello) if hello.role == "agent" else None
-        warnings = self._agreement.refuse([hello]) if self._agreement.differs(hello) else []  # heard all the same, which others shall know
+        warnings = (
+            self._agreement.refuse([hello]) if self._agreement.differs(hello) else []
+        )  # its Hello counts as heard, and the own Hello says so
         if reason and reason != "settings":
             self.counters[f"rejected.{reason}"] += 1
             return warnings
@@ -232,6 +245,7 @@ class Agent(Node):
         return [*warnings, Reopen(reason)]
 
     def _on_timer(self, now: float) -> list[Effect]:
+        """Do everything that is due."""
         effects: list[Effect] = []
         if self._announcements.is_due(len(self.neighbours.peers), self.tick < 0 or self.neighbours.lacks_announcements(), now):
             effects.append(self._hello(now))
@@ -243,6 +257,7 @@ class Agent(Node):
         return effects
 
     def _on_interest_timer(self, interest: InterestManager, now: float) -> list[Effect]:
+        """Answer a beacon, or continue to join, if that is due."""
         effects: list[Effect] = []
         if self._answer_at is not None and now >= self._answer_at:
             self._answer_at = None
@@ -252,7 +267,7 @@ class Agent(Node):
         return effects
 
     def _update_interest(self, interest: InterestManager, gossip: Gossip, now: float) -> list[Effect]:
-        """What follows from a round for who hears me and whom I hear."""
+        """Check for half-open links, publish a beacon and select peers anew where they are due; the effects of that."""
         reopenings = interest.reopen_if_unheard(gossip.tick, now)
         if reopenings:
             self.counters["reopened"] += 1
@@ -261,19 +276,20 @@ class Agent(Node):
         return effects
 
     def _close_if_complete(self, now: float) -> list[Effect]:
+        """Close the open round if it awaits no gossip."""
         if self._gossip is None or self._awaited:
             return []
         return self._close(now)
 
     def _close(self, now: float) -> list[Effect]:
-        """Play the open round and say what follows from it."""
+        """Run the open round; the effects are its command and, where due, its estimate and the changes of interest."""
         observation, gossip = self._observation, self._gossip
         assert observation is not None and gossip is not None
-        heard = self.neighbours.fresh(self.tick)
-        self.outcome = run_round(self.context, self.outcome, self.neighbours, gossip, heard)
+        fresh = self.neighbours.fresh(self.tick)
+        self.outcome = run_round(self.context, self.outcome, self.neighbours, gossip, fresh)
         missing = self.neighbours.close(self.tick, newcomer=self._listening_rounds > 0)
         if self._listening_rounds:
-            self._count_listening_round(len(heard), missing)
+            self._count_listening_round(len(fresh), missing)
         self.counters["missing"] += missing
         self.counters["rounds"] += 1
         self._observation = self._gossip = self._close_at = None
@@ -284,21 +300,24 @@ class Agent(Node):
         seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
         return [*effects, outbox.estimate(self.context, self.incarnation, self.outcome, gossip, self.counters, seconds), command]
 
-    def _count_listening_round(self, heard: int, missing: int) -> None:
-        """A listening round is over: I get a cell once I have heard everybody; or after some rounds in which I heard but a part; or
-        after more rounds in which I heard nobody."""
-        if heard:
+    def _count_listening_round(self, fresh: int, missing: int) -> None:
+        """Count a listening round, in which the agent has no cell.
+
+        Listening ends with a complete round, after `listening_rounds` incomplete rounds, or after more rounds without any gossip.
+        """
+        if fresh:
             self._listening_rounds = self._listening_rounds - 1 if missing else 0
         else:
             self._rounds_alone -= 1
             self._listening_rounds = self._listening_rounds if self._rounds_alone > 0 else 0
 
     def _hello(self, now: float) -> Hello:
+        """The Hello of this agent at `now`. Before the first observation it lists all peers that ever sent a Hello and are alive."""
         heard = self._failure_detector.heard(now if self.tick >= 0 else None)
         return outbox.hello(self.context, self.incarnation, heard, self.neighbours.settings)
 
     def _fence(self, incarnation: int) -> list[Effect]:
-        """Another process speaks under my name: the older incarnation leaves."""
+        """Stop if another process with the same name has a younger incarnation."""
         if incarnation > self.incarnation:
             return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self.name} is alive")]
         return NO_EFFECTS

@@ -1,6 +1,6 @@
-"""The backend: what a round computes per particle or per corner, in plain numpy or compiled, with equal bits.
+"""The backend: the functions of a round that exist twice, in plain numpy and compiled, with equal bits.
 
-An agent is given one backend when it is made. `PLAIN` is the reference; `fast.FAST` holds the compiled twins.
+An agent gets one backend when it is made. `PLAIN` is the reference; `agents.compiled.backend.FAST` holds the compiled functions.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class Backend(NamedTuple):
 
 
 def births_of(step: Step) -> Particles:
-    """The new particles of the background (`births.background_births`)."""
+    """The particles of the background births in this step (`births.background_births`)."""
     config = step.config
     return background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
 

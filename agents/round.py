@@ -1,7 +1,7 @@
-"""One closed round: from what was fresh of a tick to the belief, the cell and the command that follow.
+"""One closed round: the belief, the cell and the command that follow from the gossips of a tick.
 
-`run_round` is a pure function of the result of the last round and of the gossips of this one, the agent's own included. How targets are
-tracked is the tracker's.
+`run_round` is a pure function of the last result, the peer table and the gossips of this tick, the own one included. The tracker decides
+how targets are tracked.
 """
 
 import math
@@ -30,12 +30,12 @@ from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import sensor_of
 
-HORIZON = 40.0  # m around the own cell: who hears but a part keeps no older copies of what lies farther away
+HORIZON = 40.0  # m around the own cell; with neighbours only, an agent keeps no older copies of particles farther away
 NO_TARGETS = np.empty((0, 2))
 
 
 class AgentContext(NamedTuple):
-    """What does not change about an agent."""
+    """What stays constant about an agent: its name, sensor, settings, backend and tracker."""
 
     name: str
     sensor: SensorModel
@@ -44,12 +44,12 @@ class AgentContext(NamedTuple):
     backend: Backend
     tracker: AnyTracker
     config: AgentConfig
-    arena: np.ndarray  # its corners
+    arena: np.ndarray  # corners (4, 2), m
     sensor_class: str = ""
 
 
 def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
-    """The agent of that name with a sensor of that class."""
+    """The context of the agent `name` with a sensor of that class. Raises BadSetting for an unknown class."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
     law, tracker = control_law(config), ParticlePhd(backend)
     return AgentContext(name, sensor, sensor_facts(sensor), law, backend, tracker, config, corners, sensor_class)
@@ -57,7 +57,7 @@ def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backe
 
 @dataclass
 class RoundResult:
-    """What a round leaves behind."""
+    """The result of a round."""
 
     belief: TrackerState
     unused: float  # U, m^2
@@ -74,7 +74,10 @@ class RoundResult:
 
 
 def run_round(context: AgentContext, last: RoundResult, neighbours: PeerTable, own: Gossip, fresh: dict[str, Gossip]) -> RoundResult:
-    """The result of the round of `own.tick`, given the gossips of that tick by name, in the order of names."""
+    """The result of the round of `own.tick`.
+
+    `fresh` holds the gossips of that tick by name, in the order of names. `own` is the gossip of this agent.
+    """
     config, step = context.config, Step(context.config, own.tick)
     table = _with_own(context, neighbours, fresh, own)
     generator_table = _generator_table(context, neighbours, own, fresh, table)
@@ -105,23 +108,23 @@ def run_round(context: AgentContext, last: RoundResult, neighbours: PeerTable, o
 
 
 def _with_own(context: AgentContext, neighbours: PeerTable, fresh: dict[str, Gossip], own: Gossip) -> GossipTable:
-    """Gossips in the order of names, own in its place."""
+    """The gossips in the order of names, the own one in its place."""
     gossips = list(fresh.values())
     gossips.insert(bisect_left(list(fresh), order(own.sender), key=order), own)
     return _table(context, neighbours, gossips)
 
 
 def _table(context: AgentContext, neighbours: PeerTable, gossips: list[Gossip]) -> GossipTable:
-    """Gossips side by side, with the sensors that their senders announced."""
+    """The gossips side by side, with the sensors that their senders announced."""
     interest_set, own_sensor = neighbours.interest_set, announced_sensor(context.name, context.sensor, context.config.detection.clutter)
     sensors = [own_sensor if gossip.sender == context.name else interest_set[gossip.sender].announced for gossip in gossips]
-    return gossip_table(gossips, sensors, context.config)  # type: ignore[arg-type]  # who was accepted has announced a sensor
+    return gossip_table(gossips, sensors, context.config)  # type: ignore[arg-type]  # every accepted sender has announced a sensor
 
 
 def _generator_table(
     context: AgentContext, neighbours: PeerTable, own: Gossip, fresh: dict[str, Gossip], table: GossipTable
 ) -> GossipTable:
-    """All generators of the tick, own included unless I listen."""
+    """The gossips that give the generators of the tick. The own one is among them unless the agent listens."""
     if len(fresh) == len(neighbours.interest_set) and not table.listening:
         return table
     latest = neighbours.generators(own.tick, fresh)
@@ -129,10 +132,11 @@ def _generator_table(
 
 
 def _view(neighbours: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
-    """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, that this part was whole.
+    """The view of a round: agents with equal views cut the same diagram.
 
-    Two who fresh their whole circles at the same tick cannot differ about a generator that both know. Who owns nothing needs no
-    certificate: whom he does not know could only take from him.
+    In a swarm that hears everybody the view is a hash of all generators. With neighbours only, `LOCAL_VIEW` states that all gossips of
+    the interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
+    agent with an empty cell needs no certificate: unknown peers could only shrink its cell.
     """
     if neighbours.local and (neighbours.certified or not claim.names) and len(fresh) == len(neighbours.interest_set):
         return LOCAL_VIEW if neighbours.interest_set.keys() >= set(claim.names[1:]) else generator_table.view
@@ -140,6 +144,7 @@ def _view(neighbours: PeerTable, fresh: dict[str, Gossip], generator_table: Goss
 
 
 def _own_cell(context: AgentContext, generator_table: GossipTable, far: UnsubscribedGenerators) -> Cell:
+    """The own cell; `NO_CELL` while the agent listens."""
     if context.name not in generator_table.names:
         return NO_CELL
     points, radii = generator_table.points, generator_table.radii
@@ -150,7 +155,7 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, far: Unsubscr
 
 
 def _claim(generator_table: GossipTable, cell: Cell, far: UnsubscribedGenerators) -> Claim:
-    """The cell as generators, the own one first. The names that speak are in order; those far away come behind them in any order."""
+    """The cell as generators, the own one first. The names in the table are in order; those of `far` follow in any order."""
     if not cell.bounds or max(cell.bounds) < len(generator_table.names):
         return claim_of(cell, generator_table.names, generator_table.generators)
     everyone = (*generator_table.names, *far.names())
@@ -160,7 +165,7 @@ def _claim(generator_table: GossipTable, cell: Cell, far: UnsubscribedGenerators
 
 
 def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
-    """Centroid in m of the PHD in the cell (17); of the cell's area when there is no mass; None without a cell."""
+    """The centroid in m of the PHD in the cell (17). Without mass it is that of the cell's area; None without a cell."""
     if near.mass > 0.0:
         return near.east / near.mass, near.north / near.mass
     if not len(cell):
@@ -172,6 +177,7 @@ def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
 def _situation(
     context: AgentContext, own: Gossip, cell: np.ndarray, near: Update, generator_table: GossipTable, table: GossipTable
 ) -> Situation:
+    """What the control law reads."""
     config = context.config
     return Situation(
         name=context.name,
@@ -194,7 +200,7 @@ def _situation(
 
 
 def _fields(context: AgentContext, cell: np.ndarray, table: GossipTable) -> tuple[tuple[SensorModel, Pose], ...]:
-    """The sensors whose reach touches the region around my cell and that scanned in this tick, and their poses."""
+    """Sensor and pose of each agent that scanned in this tick and reaches the surroundings of the cell."""
     scanned = [(each.sensor, gossip.pose) for each, gossip in zip(table.sensors, table.gossips) if gossip.scanned]
     apart = distances(cell, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()
     return tuple(field for field, distance in zip(scanned, apart) if distance <= context.config.filter.halo + field[0].reach)

@@ -1,4 +1,4 @@
-"""What an agent says: its messages, made of what it is and of what its last round left behind."""
+"""The messages that an agent sends, made of its context and the result of its last round."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ VERSION = "0.1.0"
 
 
 def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], settings: Agreed) -> Hello:
-    """That I am here, with which sensor and settings, and whom I hear."""
+    """The Hello of an agent: its sensor, its settings, and `heard`, the names of the peers that it hears."""
     return Hello(
         sender=context.name,
         incarnation=incarnation,
@@ -29,7 +29,7 @@ def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], setti
 
 
 def gossip(context: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
-    """The gossip of a tick: my pose and scan, and what I own if my last round was the one before."""
+    """The gossip of a tick: pose, scan and generator; and the owned particles, if the last round is that of the tick before."""
     owned = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1
     particles = owned.particles if current else NONE
@@ -54,7 +54,7 @@ def gossip(context: AgentContext, incarnation: int, outcome: RoundResult, observ
 
 
 def command(context: AgentContext, incarnation: int, outcome: RoundResult, tick: int) -> Command:
-    """Where I drive after the round `tick`."""
+    """The command to the own body after the round `tick`."""
     velocity, turn_rate = outcome.command
     return Command(sender=context.name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
 
@@ -62,7 +62,7 @@ def command(context: AgentContext, incarnation: int, outcome: RoundResult, tick:
 def estimate(
     context: AgentContext, incarnation: int, outcome: RoundResult, sent: Gossip, counters: Mapping[str, int], seconds: float
 ) -> Estimate:
-    """For whoever watches: what has come of the round in which I had `said` this, and which took so many s."""
+    """The estimate for observers: the result of the round in which the agent `sent` a gossip, and its duration in `seconds`."""
     return Estimate(
         sender=context.name,
         incarnation=incarnation,

@@ -1,4 +1,4 @@
-"""Whose settings are mine: who differs computes parts of another PHD, is refused, and is named once."""
+"""The settings that a swarm must share. An agent with other settings computes another PHD: it is refused, and named once in a warning."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from protocol.node import Effect, Warn
 
 
 class SettingsAgreement:
-    """The settings of one agent, beside those that others announce."""
+    """The settings of one agent, compared with those that others announce."""
 
     def __init__(self, name: str, settings: Agreed, counters: Counter[str]) -> None:
         self.settings = settings
@@ -18,18 +18,18 @@ class SettingsAgreement:
         self._warned: set[tuple[str, int]] = set()  # name and incarnation
 
     def differs(self, message: Hello | Beacon) -> bool:
-        """Whether somebody announces other settings."""
+        """Whether a message announces other settings."""
         if isinstance(message, Beacon):
             return message.settings not in (0, self._digest)
         return bool(disagreement(self.settings, message.settings))
 
     def refuse(self, messages: Sequence[Hello | Beacon]) -> list[Effect]:
-        """Count those who differ; a warning for each that is new."""
+        """Count messages with other settings, and return a warning for each new sender."""
         self._counters["rejected.settings"] += len(messages)
         return [warning for message in messages for warning in self._warn(message)]
 
     def _warn(self, message: Hello | Beacon) -> list[Effect]:
-        """A warning, the first time that an incarnation differs: in which settings, which a beacon does not say."""
+        """A warning, the first time that an incarnation differs. A Hello names the settings that differ; a beacon holds only their hash."""
         announcer = (message.sender, message.incarnation)
         if announcer in self._warned:
             return []
