@@ -117,9 +117,7 @@ class Agent(Node):
         return len(self._awaited) if self._gossip else MANY
 
     def deadline(self) -> float | None:
-        """When to call with `Timer`, s: the earliest of the end of the round, the next Hello, the next answer and the next selection
-        (Node).
-        """
+        """When to call with `Timer`, s (Node): the earliest of the round's end, the next Hello, the next answer and the next selection."""
         if self._interest is None:
             close, announce = self._close_at, self._announcements.due
             return announce if close is None or (announce is not None and announce < close) else close
@@ -229,9 +227,8 @@ class Agent(Node):
         if hello.role == "agent" and self.neighbours.has_announced(hello) and self._failure_detector.greet_again(hello.sender, now):
             return NO_EFFECTS
         reason = self.neighbours.take_hello(hello) if hello.role == "agent" else None
-        warnings = (
-            self._agreement.refuse([hello]) if self._agreement.differs(hello) else []
-        )  # its Hello counts as heard, and the own Hello says so
+        # a refused sender still counts as heard, and the own Hello lists it
+        warnings = self._agreement.refuse([hello]) if self._agreement.differs(hello) else []
         if reason and reason != "settings":
             self.counters[f"rejected.{reason}"] += 1
             return warnings

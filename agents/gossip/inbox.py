@@ -43,9 +43,9 @@ class RoundInbox:
         for name in names:
             self.last.pop(name, None)
 
-    def close(self, tick: int, everybody: int) -> list[dict[str, Gossip]]:
-        """Close the rounds up to `tick`, and return the gossips of each by name. `everybody`: the number of peers."""
+    def close(self, tick: int, peers: int) -> list[dict[str, Gossip]]:
+        """Close the rounds up to `tick`, and return the gossips of each by name. `peers`: the number of peers."""
         closed = [self.rounds.pop(stamp) for stamp in sorted([stamp for stamp in self.rounds if stamp <= tick])]
         for gossips in closed:
-            self.last = gossips if len(gossips) == everybody else {**self.last, **gossips}
+            self.last = gossips if len(gossips) == peers else {**self.last, **gossips}
         return closed

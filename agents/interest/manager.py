@@ -52,9 +52,8 @@ class InterestManager:
         self.due: float | None = None  # when to call `on_timer`
         self._context, self._neighbours, self._incarnation = context, neighbours, incarnation
         self._tiling = Tiling(config.timing.tile, config.arena)
-        self._ground = Ground(
-            context.arena, bounds_of(context.sensor, context.facts), JUMP + config.limits.speed * config.run.dt, distances
-        )
+        drift = JUMP + config.limits.speed * config.run.dt
+        self._ground = Ground(context.arena, bounds_of(context.sensor, context.facts), drift, distances)
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE, LINGER))
         self._phase = key("beacon", context.name) % self._period
         self._unknown_until = 0  # until this tick the others may not know this agent
@@ -63,9 +62,7 @@ class InterestManager:
         self._last_beacon: Beacon | None = None
         self._box: Box | None = None  # the tiles to which the agent subscribes
         self.known: Rectangle | None = None  # the rectangle in which all agents are known; None: nowhere yet
-        self._known_from: list[
-            tuple[int, Rectangle]
-        ] = []  # ticks from which on larger rectangles are known, the earliest and smallest first
+        self._known_from: list[tuple[int, Rectangle]] = []  # ticks from which on larger rectangles are known, the earliest first
         self._chosen_at = 0
         self._link_detector, self._lag_detector = HalfOpenLinkDetector(context.name, 2 * self._period), LagDetector()
         self._last_interest_set: dict[str, Peer] = {}  # the interest set of the last selection
@@ -83,9 +80,8 @@ class InterestManager:
             self._unknown_until = observation.tick + 2 * self._period
         self.due, self._join_at = now + SETTLE, now + ROUNDS * SETTLE
         tile = self._tiling.tile(observation.pose[:2])
-        self._last_beacon = question(
-            self._own_beacon(observation, outcome), tile
-        )  # it reaches all agents that subscribe to as many tiles around their own
+        # the question reaches all agents that have subscribed to `FIRST` tiles around their own
+        self._last_beacon = question(self._own_beacon(observation, outcome), tile)
         return [*self._subscribe_tiles(self._tiling.around(tile, FIRST)), self._last_beacon]
 
     def on_timer(self, observation: Observation, outcome: RoundResult, now: float) -> list[Effect]:
@@ -162,8 +158,9 @@ class InterestManager:
         return [msgspec.structs.replace(self._last_beacon, asks=False, widest_reach=reach, widest_offset=offset, widest_radius=radius)]
 
     def _learn_bounds(self, beacon: Beacon) -> None:
-        """Widen the bounds of all agents by those in a beacon: a larger agent matters from farther away. The next own beacon passes them
-        on.
+        """Widen the bounds of all agents by those in a beacon; the next own beacon passes them on.
+
+        A larger agent matters from farther away.
         """
         announced = Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius)
         peer = self._neighbours.peers.get(beacon.sender)

@@ -46,11 +46,11 @@ class Choice(NamedTuple):
 
 
 def owners(points: np.ndarray, generators: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The generators (N, 3) that own anything within `SPACING` / sqrt(2) m of any of the points (P, 2), (N,) bool; and the least power
-    distance at each point, (P,) m^2.
+    """The generators that own anything near the points, and the least power distance at each point.
 
-    The difference of two power distances is linear with slope 2 |p - q|. So the owner of a place this close to a point has at the point a
-    power distance at most sqrt(2) SPACING |p - q| above the least one.
+    Of the generators (N, 3) those are found, (N,) bool, that own anything within `SPACING` / sqrt(2) m of any of the points (P, 2). The
+    power distances are (P,) m^2. The difference of two power distances is linear with slope 2 |p - q|. So the owner of a place this close
+    to a point has at the point a power distance at most sqrt(2) SPACING |p - q| above the least one.
     """
     found = np.zeros(len(generators), dtype=bool)
     rows = np.nonzero(_within_reach(points, generators))[0]
@@ -97,8 +97,9 @@ def region(cell: np.ndarray, position: tuple[float, float], halo: float, reach: 
 
 
 def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: Ground) -> Choice:
-    """The selection among N peers. `table` (N + 1, 6) holds their positions (`position_table`) and, last, the own one; `position`: that
-    of the own sensor, m.
+    """The selection among N peers, for a cell and a sensor at `position`, m.
+
+    `table` (N + 1, 6) holds the positions of the peers (`position_table`) and, last, the own one.
     """
     generators = table[:, EAST : RADIUS + 1]
     if len(cell):
@@ -119,9 +120,9 @@ def _needed(home: np.ndarray, points: np.ndarray, least: np.ndarray, halo: float
     """
     bounds = ground.bounds
     far = np.sqrt(np.maximum(least + bounds.radius * bounds.radius, 0.0))[:, None] + (bounds.offset + ground.drift)
-    look = halo + MARGIN + bounds.reach + ground.drift
-    low = np.minimum((points - far).min(axis=0), home.min(axis=0) - look)
-    high = np.maximum((points + far).max(axis=0), home.max(axis=0) + look)
+    observed = halo + MARGIN + bounds.reach + ground.drift
+    low = np.minimum((points - far).min(axis=0), home.min(axis=0) - observed)
+    high = np.maximum((points + far).max(axis=0), home.max(axis=0) + observed)
     return Rectangle(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 

@@ -45,9 +45,7 @@ class AnnouncementSchedule:
             self.due = min(self.due, now + LATEST)  # `due` lies later only if the clock has jumped back
 
     def is_due(self, peers: int, early: bool, now: float) -> bool:
-        """Whether a Hello is due now; if so the next one is planned. `early`: a peer's sensor is unknown, or nothing has been observed
-        yet.
-        """
+        """Whether a Hello is due now; if so the next one is planned. `early`: a sensor is unknown, or nothing has been observed."""
         if self.due is None or now < self.due:
             return False
         late = min(LATE * max(1.0, peers / MANY), LATEST)

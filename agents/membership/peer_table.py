@@ -39,10 +39,7 @@ class PeerTable:
         self.far = NO_GENERATORS  # local: the generators of all other peers
         self.positions = PeerPositions(config)  # local: the positions of live peers, by the newest message of each
         self.certified = False  # local: no unknown peer can own a point that matters in this round
-        self.acquainted, self._version = (
-            frozenset[str](),
-            -1,
-        )  # local: the peers whose claims fit the own one; the version of the positions behind that
+        self.acquainted, self._version = frozenset[str](), -1  # local: peers whose claims fit the own one; by which version of positions
         self.changed = False  # local: a peer has come or gone since the last selection
         self._config, self._silent = config, config.timing.silent_rounds
         self._name, self.settings = name, config.agreed()
@@ -180,8 +177,9 @@ class PeerTable:
         return {peer.name for peer in others if (peer.missed < silent if self.inbox.knows(peer.name) else newcomer or tick == 0)}
 
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
-        """For each generator of the diagram of `tick` the gossip that states it: a fresh one, or the last of a peer silent for a short
-        time.
+        """For each generator of the diagram of `tick` the gossip that states it.
+
+        It is a fresh gossip, or the last one of a peer that has been silent for a short time.
         """
         found, oldest = {}, tick - self._silent
         for name, peer in self.interest_set.items():
