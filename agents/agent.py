@@ -1,14 +1,15 @@
-"""One agent: the round of a masterless sensor, as a Node.
+"""One agent: the Node of one sensor.
 
-In comes an `Observation` of tick k; out goes at once a `Gossip` of tick k. When the gossips of all peers that are expected are in,
-or at the deadline, the round closes: merge, predict, cut the cell, correct with every scan that was heard, resample what is owned,
-and drive. The mathematics lives in `phd`, `belief`, `cells`, `capacity` and `control`; this file keeps the order and the time.
+An `Observation` of tick k opens the round k, and the agent publishes its `Gossip` of tick k at once. The round closes when the gossips of
+all expected peers are in, or at the deadline. `run_round` computes what follows from it.
+
+This file keeps the order of events and the time. `agents.round` holds the steps of a round, `agents.tracking` and `agents.coverage` their
+mathematics.
 """
 
 from collections import Counter
 
-from agents.backend import PLAIN
-from agents.backend import Backend as Arithmetic
+from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.gossip import outbox
 from agents.interest.manager import InterestManager
@@ -29,42 +30,41 @@ MANY = 1 << 30
 
 
 class Agent(Node):
-    """The Node of one sensor."""
+    """The Node of one sensor. Its rounds follow the ticks of the observations; `counters` counts what happened, by name."""
 
     role = "agent"
-    patient = "/gossip/"  # one gossip is no reason to wake up
+    patient = "/gossip/"  # a driver may hold gossips back until `awaiting` of them have come
     newest_only = "/observation/"
 
-    def __init__(
-        self, config: AgentConfig, name: str, incarnation: int = 1, arithmetic: Arithmetic = PLAIN, sensor_class: str = ""
-    ) -> None:
+    def __init__(self, config: AgentConfig, name: str, incarnation: int = 1, backend: Backend = PLAIN, sensor_class: str = "") -> None:
+        """`incarnation` grows with every restart under the same name; `sensor_class` empty: the one that the roster names."""
         self.name, self.incarnation, self.run = name, incarnation, config.run.name
         self.config = config
-        self.sensor_class = sensor_class or config.members[name]  # empty: as the roster says
+        self.sensor_class = sensor_class or config.members[name]  # empty: the class that the roster names
         self.counters: Counter[str] = Counter()
         self.neighbours = PeerTable(config, name)
-        self.tick = -1  # of the newest observation
-        self.self = context_of(config, name, self.sensor_class, arithmetic)
+        self.tick = -1  # of the newest observation; -1: none has come
+        self.context = context_of(config, name, self.sensor_class, backend)
         self.local = self.neighbours.local
         self.sees_all_tokens = not self.local
-        self._lookout = InterestManager(self.self, self.neighbours, incarnation) if self.local else None
+        self._interest = InterestManager(self.context, self.neighbours, incarnation) if self.local else None
         everywhere = NONE if self.local else prior(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena)
-        self.outcome = RoundResult(start(everywhere, name), self.self.facts.capability)
-        self._presence = FailureDetector(name, ["world"] if self.local else [*config.others(name), "world"])
-        self._world = 0  # incarnation of the world
+        self.outcome = RoundResult(start(everywhere, name), self.context.facts.capability)
+        self._failure_detector = FailureDetector(name, ["world"] if self.local else [*config.others(name), "world"])
+        self._world_incarnation = 0  # incarnation of the world
         self._observation: Observation | None = None  # of the open round
-        self._gossip: Gossip | None = None  # mine, of the open round
-        self._awaited: set[str] = set()  # whose gossip the open round waits for
-        self._listening = 0  # rounds left in which I have no cell, though others speak
-        self._lonely = 0  # and rounds left in which I do not believe that nobody else is there
+        self._gossip: Gossip | None = None  # the own one of the open round; None: no round is open
+        self._awaited: set[str] = set()  # peers for whose gossips the open round waits
+        self._listening_rounds = 0  # rounds left in which the agent listens and has no cell
+        self._rounds_alone = 0  # listening rounds left without any gossip, before the agent takes itself to be alone
         self._close_at: float | None = None
         self._answer_at: float | None = None
-        self._greetings = AnnouncementSchedule(0 if self.local else len(config.others(name)), self.neighbours.are_all_there)
+        self._announcements = AnnouncementSchedule(0 if self.local else len(config.others(name)), self.neighbours.is_roster_alive)
         self._opened_at = 0.0
-        self._accord = SettingsAgreement(name, self.neighbours.settings, self.counters)
+        self._agreement = SettingsAgreement(name, self.neighbours.settings, self.counters)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
-        """Take one event; the effects in order (Node)."""
+        """Take one event at `now`, s. Return the effects in order; `NO_EFFECTS` when nothing follows (Node)."""
         if type(event) is Received:
             return self._on_batch(event.batch, now)
         match event:
@@ -74,24 +74,24 @@ class Agent(Node):
                 return self._fence(event.incarnation)
             case Alive():
                 if event.role == "agent":
-                    self._presence.appear(event.name, event.incarnation)
+                    self._failure_detector.appear(event.name, event.incarnation)
                     self.neighbours.alive(event.name, event.incarnation)
                 if event.role != "agent" or not self.local:
-                    self._greetings.news(len(self.neighbours.peers), now)
+                    self._announcements.peer_appeared(len(self.neighbours.peers), now)
             case Gone(role="agent"):
-                self._presence.leave(event.name, event.incarnation)
+                self._failure_detector.leave(event.name, event.incarnation)
                 self.neighbours.gone(event.name, event.incarnation, self.tick)
                 self._awaited.discard(event.name)
                 return self._close_if_complete(now)
             case Started():
-                self._greetings.start(now)
+                self._announcements.start(now)
                 return [*map(Subscribe, [*self._expressions(), one_of(self.run, "observation", self.name)]), self._hello(now)]
             case Rejected(reason=reason):
                 self.counters[f"rejected.{reason}"] += 1
         return []
 
     def _on_batch(self, batch: Batch, now: float) -> list[Effect]:
-        """Take messages that arrived together."""
+        """Take messages of one kind that arrived together."""
         if batch.kind is Gossip:
             return self._on_gossips(batch, now)
         if batch.kind is Beacon:
@@ -106,82 +106,86 @@ class Agent(Node):
         return effects
 
     def _expressions(self) -> list[str]:
-        """What I listen to from the beginning."""
+        """The key expressions to which the agent subscribes at the start."""
         if not self.local:
             return [all_of(self.run, "hello"), all_of(self.run, "gossip")]
         return [one_of(self.run, "hello", "world"), tokens_of(self.run, "agent", self.name), tokens_of(self.run, "world", "world")]
 
     @property
     def awaiting(self) -> int:
-        """How many gossips the open round waits for; while none is open they wait for the observation (Node)."""
+        """The number of gossips for which the open round waits (Node). Without an open round, gossips wait for the observation."""
         return len(self._awaited) if self._gossip else MANY
 
     def deadline(self) -> float | None:
-        """When the open round closes, or the next greeting, answer or choice is due, whichever is earliest (Node)."""
-        if self._lookout is None:
-            close, greet = self._close_at, self._greetings.due
-            return greet if close is None or (greet is not None and greet < close) else close
-        times = [time for time in (self._close_at, self._greetings.due, self._answer_at, self._lookout.due) if time is not None]
+        """When to call with `Timer`, s (Node): the earliest of the round's end, the next Hello, the next answer and the next selection."""
+        if self._interest is None:
+            close, announce = self._close_at, self._announcements.due
+            return announce if close is None or (announce is not None and announce < close) else close
+        times = [time for time in (self._close_at, self._announcements.due, self._answer_at, self._interest.due) if time is not None]
         return min(times, default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
-        if observation.incarnation < self._world or observation.tick <= self.tick:
+        """Close a round that is still open, and open that of the observation. An old observation is counted and ignored."""
+        if observation.incarnation < self._world_incarnation or observation.tick <= self.tick:
             self.counters["rejected.stale"] += 1
             return []
-        self._world = observation.incarnation
-        self._presence.speak(observation.sender, now)
+        self._world_incarnation = observation.incarnation
+        self._failure_detector.speak(observation.sender, now)
         effects = self._close(now) if self._gossip else []
         if self.tick < 0:
-            self._listening = self.config.timing.listening_rounds if observation.tick > 0 else 0
-            self._lonely = 2 * self.config.timing.silent_rounds
+            self._listening_rounds = self.config.timing.listening_rounds if observation.tick > 0 else 0
+            self._rounds_alone = 2 * self.config.timing.silent_rounds
         elif observation.tick > self.tick + 1:
             self.counters["skipped"] += observation.tick - self.tick - 1
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
-        self._greetings.observe(now)
-        if self._lookout is not None and not self._lookout.settled:
-            return [*effects, *self._lookout.arrive(observation, self.outcome, now)]
-        return [*effects, *self._speak(observation, now)]
+        self._announcements.observation_arrived(now)
+        if self._interest is not None and not self._interest.settled:
+            return [*effects, *self._interest.start(observation, self.outcome, now)]
+        return [*effects, *self._open_round(observation, now)]
 
-    def _speak(self, observation: Observation, now: float) -> list[Effect]:
-        """Open the round: say my gossip, and wait for those of the others."""
-        self._gossip = outbox.gossip(self.self, self.incarnation, self.outcome, observation, listening=self._listening > 0)
-        self._awaited = self.neighbours.missing(self.tick, newcomer=self._listening > 0)
-        self._close_at = now + self.config.patience(missed=self.neighbours.anyone_missed())
+    def _open_round(self, observation: Observation, now: float) -> list[Effect]:
+        """Open the round: publish the own gossip, and determine which gossips it waits for."""
+        self._gossip = outbox.gossip(self.context, self.incarnation, self.outcome, observation, listening=self._listening_rounds > 0)
+        self._awaited = self.neighbours.missing(self.tick, newcomer=self._listening_rounds > 0)
+        self._close_at = now + self.config.gossip_timeout(missed=self.neighbours.any_missed())
         return [self._gossip, *self._close_if_complete(now)]
 
-    def _settle(self, now: float) -> list[Effect]:
-        """The lookout asks who is there, and in the end I take part."""
-        observation, lookout = self._observation, self._lookout
-        assert observation is not None and lookout is not None
-        effects = lookout.on_time(observation, self.outcome, now)
-        if not lookout.settled:
+    def _join(self, now: float) -> list[Effect]:
+        """Ask for peers until the interest manager is settled. Then start the filter around the expected cell and open the first round."""
+        observation, interest = self._observation, self._interest
+        assert observation is not None and interest is not None
+        effects = interest.on_timer(observation, self.outcome, now)
+        if not interest.settled:
             return effects
-        nearby = lookout.surroundings(observation, self.outcome)
+        nearby = interest.surroundings(observation, self.outcome)
         config = self.config
         known = prior_around(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena, nearby)
-        self.outcome = RoundResult(start(known, self.name), self.self.facts.capability)
-        return [*effects, *self._speak(observation, now)]
+        self.outcome = RoundResult(start(known, self.name), self.context.facts.capability)
+        return [*effects, *self._open_round(observation, now)]
 
     def _on_gossips(self, batch: Batch, now: float) -> list[Effect]:
-        """Take gossips that arrived together; the open round closes when nobody is awaited any more."""
+        """Take gossips that arrived together. The open round closes when none is awaited any more."""
         if self.name in batch.senders:
             for message in batch.messages:
                 if message.sender == self.name and message.incarnation > self.incarnation:
                     return self._fence(message.incarnation)
         if not self.local:
-            self._presence.speak_all(batch.senders, now)
+            self._failure_detector.speak_all(batch.senders, now)
         if self.tick < 0:
-            self._greetings.go_on()
+            self._announcements.run_started()
         effects: list[Effect] = NO_EFFECTS
         start = 0
-        while start < len(batch):  # a round closes with the gossip that completes it; the rest belongs to what follows
+        while start < len(batch):  # a round closes with the gossip that completes it; later rows belong to the next one
             more, judged = self._accept(batch, start, now)
             effects = more if effects is NO_EFFECTS else [*effects, *more]
             start += judged
         return effects
 
     def _accept(self, batch: Batch, start: int, now: float) -> tuple[list[Effect], int]:
-        """Take gossips from a row on, until the open round is complete or all are taken; what follows, and how many were taken."""
+        """Take gossips from the row `start` on, until the open round is complete or the batch ends.
+
+        Returns the effects and the number of rows taken.
+        """
         reasons = self.neighbours.accept(batch, start, self.tick, self._awaited if self._gossip is not None else None)
         accepted = [gossip for gossip, reason in zip(batch.messages[start:], reasons) if reason == ACCEPTED]
         if len(accepted) < len(reasons):
@@ -189,119 +193,128 @@ class Agent(Node):
             self.counters.update([f"rejected.{reason}" for reason in refused])
         if accepted:
             self.counters["heard"] += len(accepted)
-        doubts = self._lag(accepted, now) if self._lookout is not None else []
+        reopenings = self._reopen_if_behind(accepted, now) if self._interest is not None else []
         if self._gossip is not None and not self._awaited:
-            return [*doubts, *self._close(now)], len(reasons)
-        return doubts or NO_EFFECTS, len(reasons)
+            return [*reopenings, *self._close(now)], len(reasons)
+        return reopenings or NO_EFFECTS, len(reasons)
 
-    def _lag(self, gossips: list[Gossip], now: float) -> list[Effect]:
-        """A new session, if others have long been more than a tick ahead."""
-        assert self._lookout is not None
+    def _reopen_if_behind(self, gossips: list[Gossip], now: float) -> list[Effect]:
+        """The effects that open a new session, if peers have been more than one tick ahead for long; else none."""
+        assert self._interest is not None
         for gossip in gossips:
             if gossip.tick > self.tick + 1:
-                doubts = self._lookout.lag(self.tick, now)
-                self.counters["reopened"] += len(doubts)
-                if doubts:
-                    return doubts
+                reopenings = self._interest.reopen_if_behind(self.tick, now)
+                self.counters["reopened"] += len(reopenings)
+                if reopenings:
+                    return reopenings
         return []
 
     def _on_beacons(self, beacons: list[Beacon], now: float) -> list[Effect]:
-        if self._lookout is None:
+        """Take the beacons of other agents, and plan an answer if one of them needs it."""
+        if self._interest is None:
             return NO_EFFECTS
-        others = [beacon for beacon in beacons if self._accord.differs(beacon)]
-        warnings = self._accord.refuse(others) if others else NO_EFFECTS
-        if not self._lookout.hear_all([beacon for beacon in beacons if beacon not in others] if others else beacons):
+        refused = [beacon for beacon in beacons if self._agreement.differs(beacon)]
+        warnings = self._agreement.refuse(refused) if refused else NO_EFFECTS
+        if not self._interest.take_beacons([beacon for beacon in beacons if beacon not in refused] if refused else beacons):
             return warnings
         self._answer_at = now + SOON if self._answer_at is None else self._answer_at
         return [*warnings]
 
     def _on_hello(self, hello: Hello, now: float) -> list[Effect]:
+        """Take a Hello: remember the announced sensor, compare the settings, and check the session for a half-open link."""
         if hello.sender == self.name:
             return self._fence(hello.incarnation)
-        if hello.role == "agent" and self.neighbours.knows(hello) and self._presence.greet_again(hello.sender, now):
+        if hello.role == "agent" and self.neighbours.has_announced(hello) and self._failure_detector.greet_again(hello.sender, now):
             return NO_EFFECTS
-        reason = self.neighbours.greet(hello) if hello.role == "agent" else None
-        warnings = self._accord.refuse([hello]) if self._accord.differs(hello) else []  # heard all the same, which others shall know
+        reason = self.neighbours.take_hello(hello) if hello.role == "agent" else None
+        # a refused sender still counts as heard, and the own Hello lists it
+        warnings = self._agreement.refuse([hello]) if self._agreement.differs(hello) else []
         if reason and reason != "settings":
             self.counters[f"rejected.{reason}"] += 1
             return warnings
-        is_new = self._presence.greet(hello.sender, now)
+        is_new = self._failure_detector.greet(hello.sender, now)
         if is_new:
-            self._greetings.news(len(self.neighbours.peers), now)
-        reason = self._presence.split(hello, now) if hello.role == "agent" else ""
+            self._announcements.peer_appeared(len(self.neighbours.peers), now)
+        reason = self._failure_detector.split(hello, now) if hello.role == "agent" else ""
         if not reason:
             return warnings or ([] if is_new else NO_EFFECTS)
         self.counters["reopened"] += 1
         return [*warnings, Reopen(reason)]
 
     def _on_timer(self, now: float) -> list[Effect]:
+        """Do everything that is due."""
         effects: list[Effect] = []
-        if self._greetings.is_due(len(self.neighbours.peers), self.tick < 0 or self.neighbours.strangers(), now):
+        if self._announcements.is_due(len(self.neighbours.peers), self.tick < 0 or self.neighbours.lacks_announcements(), now):
             effects.append(self._hello(now))
-        if self._lookout is not None:
-            effects += self._on_time(self._lookout, now)
+        if self._interest is not None:
+            effects += self._on_interest_timer(self._interest, now)
         if self._close_at is not None and now >= self._close_at:
             self.counters["late"] += 1
             effects += self._close(now)
         return effects
 
-    def _on_time(self, lookout: InterestManager, now: float) -> list[Effect]:
+    def _on_interest_timer(self, interest: InterestManager, now: float) -> list[Effect]:
+        """Answer a beacon, or continue to join, if that is due."""
         effects: list[Effect] = []
         if self._answer_at is not None and now >= self._answer_at:
             self._answer_at = None
-            effects += lookout.answer()
-        if lookout.due is not None and now >= lookout.due:
-            effects += self._settle(now)
+            effects += interest.answer()
+        if interest.due is not None and now >= interest.due:
+            effects += self._join(now)
         return effects
 
-    def _look_out(self, lookout: InterestManager, gossip: Gossip, now: float) -> list[Effect]:
-        """What follows from a round for who hears me and whom I hear."""
-        doubts = lookout.doubt(gossip.tick, now)
-        if doubts:
+    def _update_interest(self, interest: InterestManager, gossip: Gossip, now: float) -> list[Effect]:
+        """Check for half-open links, publish a beacon and select peers anew where they are due; the effects of that."""
+        reopenings = interest.reopen_if_unheard(gossip.tick, now)
+        if reopenings:
             self.counters["reopened"] += 1
-        effects = [*lookout.after(gossip, self.outcome), *doubts]
+        effects = [*interest.close_round(gossip, self.outcome), *reopenings]
         self.outcome.belief.everyone &= self.neighbours.interest_set.keys() | {self.name}
         return effects
 
     def _close_if_complete(self, now: float) -> list[Effect]:
+        """Close the open round if it awaits no gossip."""
         if self._gossip is None or self._awaited:
             return []
         return self._close(now)
 
     def _close(self, now: float) -> list[Effect]:
-        """Play the open round and say what follows from it."""
+        """Run the open round; the effects are its command and, where due, its estimate and the changes of interest."""
         observation, gossip = self._observation, self._gossip
         assert observation is not None and gossip is not None
-        heard = self.neighbours.fresh(self.tick)
-        self.outcome = run_round(self.self, self.outcome, self.neighbours, gossip, heard)
-        missing = self.neighbours.close(self.tick, newcomer=self._listening > 0)
-        if self._listening:
-            self._listen_on(len(heard), missing)
+        fresh = self.neighbours.fresh(self.tick)
+        self.outcome = run_round(self.context, self.outcome, self.neighbours, gossip, fresh)
+        missing = self.neighbours.close(self.tick, newcomer=self._listening_rounds > 0)
+        if self._listening_rounds:
+            self._count_listening_round(len(fresh), missing)
         self.counters["missing"] += missing
         self.counters["rounds"] += 1
         self._observation = self._gossip = self._close_at = None
-        command = outbox.command(self.self, self.incarnation, self.outcome, self.tick)
-        effects = self._look_out(self._lookout, gossip, now) if self._lookout else []
+        command = outbox.command(self.context, self.incarnation, self.outcome, self.tick)
+        effects = self._update_interest(self._interest, gossip, now) if self._interest else []
         if self.tick % self.config.timing.estimate_every:
             return [*effects, command]
         seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
-        return [*effects, outbox.estimate(self.self, self.incarnation, self.outcome, gossip, self.counters, seconds), command]
+        return [*effects, outbox.estimate(self.context, self.incarnation, self.outcome, gossip, self.counters, seconds), command]
 
-    def _listen_on(self, heard: int, missing: int) -> None:
-        """A listening round is over: I get a cell once I have heard everybody; or after some rounds in which I heard but a part; or
-        after more rounds in which I heard nobody."""
-        if heard:
-            self._listening = self._listening - 1 if missing else 0
+    def _count_listening_round(self, fresh: int, missing: int) -> None:
+        """Count a listening round, in which the agent has no cell.
+
+        Listening ends with a complete round, after `listening_rounds` incomplete rounds, or after more rounds without any gossip.
+        """
+        if fresh:
+            self._listening_rounds = self._listening_rounds - 1 if missing else 0
         else:
-            self._lonely -= 1
-            self._listening = self._listening if self._lonely > 0 else 0
+            self._rounds_alone -= 1
+            self._listening_rounds = self._listening_rounds if self._rounds_alone > 0 else 0
 
     def _hello(self, now: float) -> Hello:
-        heard = self._presence.heard(now if self.tick >= 0 else None)
-        return outbox.hello(self.self, self.incarnation, heard, self.neighbours.settings)
+        """The Hello of this agent at `now`. Before the first observation it lists all peers that ever sent a Hello and are alive."""
+        heard = self._failure_detector.heard(now if self.tick >= 0 else None)
+        return outbox.hello(self.context, self.incarnation, heard, self.neighbours.settings)
 
     def _fence(self, incarnation: int) -> list[Effect]:
-        """Another process speaks under my name: the older incarnation leaves."""
+        """Stop if another process with the same name has a younger incarnation."""
         if incarnation > self.incarnation:
             return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self.name} is alive")]
         return NO_EFFECTS

@@ -1,6 +1,6 @@
-"""The backend: what a round computes per particle or per corner, in plain numpy or compiled, with equal bits.
+"""The backend: the functions of a round that exist twice, in plain numpy and compiled, with equal bits.
 
-An agent is given one backend when it is made. `PLAIN` is the reference; `fast.FAST` holds the compiled twins.
+An agent gets one backend when it is made. `PLAIN` is the reference; `agents.compiled.backend.FAST` holds the compiled functions.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.coverage import cells
 from agents.coverage.cells import Cell
-from agents.interest.selection import Choice, wanted
+from agents.interest.selection import Choice, select_peers
 from agents.tracking import claims, regions
 from agents.tracking.births import background_births
 from agents.tracking.merge import merge, remote_copies
@@ -32,7 +32,7 @@ class Backend(NamedTuple):
 
 
 def births_of(step: Step) -> Particles:
-    """The new particles of the background (`births.background_births`)."""
+    """The particles of the background births in this step (`births.background_births`)."""
     config = step.config
     return background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
 
@@ -45,5 +45,5 @@ PLAIN = Backend(
     orphaned=claims.orphaned,
     remote_copies=remote_copies,
     merge=merge,
-    select_peers=wanted,
+    select_peers=select_peers,
 )

@@ -96,7 +96,7 @@ class TimingSettings(Section, frozen=True, kw_only=True):
 
 
 class AgentConfig(Common, frozen=True, kw_only=True):
-    """Everything an agent process needs."""
+    """The settings of an agent process."""
 
     filter: FilterSettings = FilterSettings()
     birth: BirthSettings = BirthSettings()
@@ -112,19 +112,23 @@ class AgentConfig(Common, frozen=True, kw_only=True):
         return self.filter.seed
 
     def agreed(self) -> Agreed:
-        """What all agents must have in common to compute parts of one PHD and one diagram."""
+        """The settings that all agents must share to compute parts of one PHD and one diagram."""
         timing = {name: getattr(self.timing, name) for name in ("silent_rounds", "overlap", "interest", "tile")}
         own = {"filter": self.filter, "birth": self.birth, "partition": self.partition, "timing": timing}
         return agreed({**common_sections(self), **own})
 
     def others(self, name: str) -> list[str]:
-        """The other agents of the roster, which is a hint: who may be expected at the start. It may be empty, and anybody may join."""
+        """The other agents of the roster, in its order.
+
+        The roster is a hint: it names the agents expected at the start, may be empty, and other agents may join.
+        """
         return [other for other in self.members if other != name]
 
-    def patience(self, *, missed: bool) -> float:
-        """How long an open round waits for missing gossips, s: less for peers that were missing already.
+    def gossip_timeout(self, *, missed: bool) -> float:
+        """How long an open round waits for missing gossips, s.
 
-        A share of what the world waits for a command, or the command of a round that has waited would always come too late.
+        `missed`: some peer was silent in the last round; in lockstep the round then waits a tenth as long. The timeout is a share of the
+        time for which the world waits for a command: a round that waited all that time would always send its command too late.
         """
         if self.run.clock == "realtime":
             return self.timing.deadline * self.run.dt / self.run.rate

@@ -1,7 +1,7 @@
-"""One closed round: from what was heard of a tick to the belief, the cell and the command that follow.
+"""One closed round: the belief, the cell and the command that follow from the gossips of a tick.
 
-`run_round` is a pure function of the result of the last round and of the gossips of this one, the agent's own included. How targets are
-tracked is the tracker's.
+`run_round` is a pure function of the last result, the peer table and the gossips of this tick, the own one included. The tracker decides
+how targets are tracked.
 """
 
 import math
@@ -30,12 +30,12 @@ from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import sensor_of
 
-HORIZON = 40.0  # m around the own cell: who hears but a part keeps no older copies of what lies farther away
+HORIZON = 40.0  # m around the own cell; with neighbours only, an agent keeps no older copies of particles farther away
 NO_TARGETS = np.empty((0, 2))
 
 
 class AgentContext(NamedTuple):
-    """What does not change about an agent."""
+    """What stays constant about an agent: its name, sensor, settings, backend and tracker."""
 
     name: str
     sensor: SensorModel
@@ -44,12 +44,12 @@ class AgentContext(NamedTuple):
     backend: Backend
     tracker: AnyTracker
     config: AgentConfig
-    arena: np.ndarray  # its corners
+    arena: np.ndarray  # corners (4, 2), m
     sensor_class: str = ""
 
 
 def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
-    """The agent of that name with a sensor of that class."""
+    """The context of the agent `name` with a sensor of that class. Raises BadSetting for an unknown class."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
     law, tracker = control_law(config), ParticlePhd(backend)
     return AgentContext(name, sensor, sensor_facts(sensor), law, backend, tracker, config, corners, sensor_class)
@@ -57,7 +57,7 @@ def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backe
 
 @dataclass
 class RoundResult:
-    """What a round leaves behind."""
+    """The result of a round."""
 
     belief: TrackerState
     unused: float  # U, m^2
@@ -73,92 +73,99 @@ class RoundResult:
         return power_radius(self.unused)
 
 
-def run_round(me: AgentContext, last: RoundResult, neighbours: PeerTable, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
-    """The result of the round of `mine.tick`, given the gossips of that tick by name, in the order of names."""
-    config, step = me.config, Step(me.config, mine.tick)
-    table = _with_mine(me, neighbours, heard, mine)
-    speaking = _speaking(me, neighbours, mine, heard, table)
-    received = me.tracker.merge(me.tracker.predict(last.belief, step), table, step)
-    shared = shared_round(table, me.backend, me.tracker, step, me.arena) if speaking is table is received else None
-    row = table.names.index(me.name)
+def run_round(context: AgentContext, last: RoundResult, neighbours: PeerTable, own: Gossip, fresh: dict[str, Gossip]) -> RoundResult:
+    """The result of the round of `own.tick`.
+
+    `fresh` holds the gossips of that tick by name, in the order of names. `own` is the gossip of this agent.
+    """
+    config, step = context.config, Step(context.config, own.tick)
+    table = _with_own(context, neighbours, fresh, own)
+    generator_table = _generator_table(context, neighbours, own, fresh, table)
+    received = context.tracker.merge(context.tracker.predict(last.belief, step), table, step)
+    shared = shared_round(table, context.backend, context.tracker, step, context.arena) if generator_table is table is received else None
+    row = table.names.index(context.name)
     if shared is not None:
         region, near = shared.regions[row], shared.updates[row]
     else:
-        cell = _own_cell(me, speaking, neighbours.far)
-        region = RegionInput(me.name, row, me.sensor, mine.pose, cell.polygon, _claim(speaking, cell, neighbours.far))
-        near = me.tracker.update(received, table, [region], step)[0]
+        cell = _own_cell(context, generator_table, neighbours.far)
+        region = RegionInput(context.name, row, context.sensor, own.pose, cell.polygon, _claim(generator_table, cell, neighbours.far))
+        near = context.tracker.update(received, table, [region], step)[0]
     diagram = Diagram(
-        view=_view(neighbours, heard, speaking, region.claim),
-        everyone=speaking.everyone,
+        view=_view(neighbours, fresh, generator_table, region.claim),
+        everyone=generator_table.everyone,
         acquainted=neighbours.acquainted if neighbours.local else None,
         horizon=HORIZON if neighbours.local else math.inf,
     )
     return RoundResult(
-        belief=me.tracker.share(received, region, near, diagram, step),
-        unused=unused_capacity(me.facts.capability, near.detected, near.load, config.capacity),
+        belief=context.tracker.share(received, region, near, diagram, step),
+        unused=unused_capacity(context.facts.capability, near.detected, near.load, config.capacity),
         load=near.load,
         mass=near.mass,
         cell=region.polygon,
         targets=near.targets,
-        command=me.law.command(_situation(me, mine, region.polygon, near, speaking, table)),
+        command=context.law.command(_situation(context, own, region.polygon, near, generator_table, table)),
     )
 
 
-def _with_mine(me: AgentContext, neighbours: PeerTable, heard: dict[str, Gossip], mine: Gossip) -> GossipTable:
-    """Gossips in the order of names, mine in its place."""
-    gossips = list(heard.values())
-    gossips.insert(bisect_left(list(heard), order(mine.sender), key=order), mine)
-    return _table(me, neighbours, gossips)
+def _with_own(context: AgentContext, neighbours: PeerTable, fresh: dict[str, Gossip], own: Gossip) -> GossipTable:
+    """The gossips in the order of names, the own one in its place."""
+    gossips = list(fresh.values())
+    gossips.insert(bisect_left(list(fresh), order(own.sender), key=order), own)
+    return _table(context, neighbours, gossips)
 
 
-def _table(me: AgentContext, neighbours: PeerTable, gossips: list[Gossip]) -> GossipTable:
-    """Gossips side by side, with the sensors that their senders announced."""
-    interest_set, own = neighbours.interest_set, announced_sensor(me.name, me.sensor, me.config.detection.clutter)
-    sensors = [own if gossip.sender == me.name else interest_set[gossip.sender].announced for gossip in gossips]
-    return gossip_table(gossips, sensors, me.config)  # type: ignore[arg-type]  # who was accepted has announced a sensor
+def _table(context: AgentContext, neighbours: PeerTable, gossips: list[Gossip]) -> GossipTable:
+    """The gossips side by side, with the sensors that their senders announced."""
+    interest_set, own_sensor = neighbours.interest_set, announced_sensor(context.name, context.sensor, context.config.detection.clutter)
+    sensors = [own_sensor if gossip.sender == context.name else interest_set[gossip.sender].announced for gossip in gossips]
+    return gossip_table(gossips, sensors, context.config)  # type: ignore[arg-type]  # every accepted sender has announced a sensor
 
 
-def _speaking(me: AgentContext, neighbours: PeerTable, mine: Gossip, heard: dict[str, Gossip], table: GossipTable) -> GossipTable:
-    """All generators of the tick, mine included unless I listen."""
-    if len(heard) == len(neighbours.interest_set) and not table.listening:
+def _generator_table(
+    context: AgentContext, neighbours: PeerTable, own: Gossip, fresh: dict[str, Gossip], table: GossipTable
+) -> GossipTable:
+    """The gossips that give the generators of the tick. The own one is among them unless the agent listens."""
+    if len(fresh) == len(neighbours.interest_set) and not table.listening:
         return table
-    speaking = neighbours.generators(mine.tick, heard)
-    return _table(me, neighbours, list(speaking.values())) if mine.listening else _with_mine(me, neighbours, speaking, mine)
+    latest = neighbours.generators(own.tick, fresh)
+    return _table(context, neighbours, list(latest.values())) if own.listening else _with_own(context, neighbours, latest, own)
 
 
-def _view(neighbours: PeerTable, heard: dict[str, Gossip], speaking: GossipTable, claim: Claim) -> int:
-    """Agents with equal views cut the same diagram: all that they know of it, or, when each hears a part only, that this part was whole.
+def _view(neighbours: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
+    """The view of a round: agents with equal views cut the same diagram.
 
-    Two who heard their whole circles at the same tick cannot differ about a generator that both know. Who owns nothing needs no
-    certificate: whom he does not know could only take from him.
+    In a swarm that hears everybody the view is a hash of all generators. With neighbours only, `LOCAL_VIEW` states that all gossips of
+    the interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
+    agent with an empty cell needs no certificate: unknown peers could only shrink its cell.
     """
-    if neighbours.local and (neighbours.certified or not claim.names) and len(heard) == len(neighbours.interest_set):
-        return LOCAL_VIEW if neighbours.interest_set.keys() >= set(claim.names[1:]) else speaking.view
-    return speaking.view
+    if neighbours.local and (neighbours.certified or not claim.names) and len(fresh) == len(neighbours.interest_set):
+        return LOCAL_VIEW if neighbours.interest_set.keys() >= set(claim.names[1:]) else generator_table.view
+    return generator_table.view
 
 
-def _own_cell(me: AgentContext, speaking: GossipTable, far: UnsubscribedGenerators) -> Cell:
-    if me.name not in speaking.names:
+def _own_cell(context: AgentContext, generator_table: GossipTable, far: UnsubscribedGenerators) -> Cell:
+    """The own cell; `NO_CELL` while the agent listens."""
+    if context.name not in generator_table.names:
         return NO_CELL
-    points, radii = speaking.points, speaking.radii
+    points, radii = generator_table.points, generator_table.radii
     if len(far.generators):
-        generators = np.concatenate([speaking.generators, far.generators])
+        generators = np.concatenate([generator_table.generators, far.generators])
         points, radii = generators[:, :2].copy(), generators[:, 2].copy()
-    return me.backend.cut_cells([speaking.names.index(me.name)], points, radii, me.arena)[0]
+    return context.backend.cut_cells([generator_table.names.index(context.name)], points, radii, context.arena)[0]
 
 
-def _claim(speaking: GossipTable, cell: Cell, far: UnsubscribedGenerators) -> Claim:
-    """The cell as generators, the own one first. The names that speak are in order; those far away come behind them in any order."""
-    if not cell.bounds or max(cell.bounds) < len(speaking.names):
-        return claim_of(cell, speaking.names, speaking.generators)
-    everybody = (*speaking.names, *far.names())
-    names = tuple([everybody[index] for index in cell.bounds])
-    generators = np.concatenate([speaking.generators, far.generators])[np.array(cell.bounds)]
+def _claim(generator_table: GossipTable, cell: Cell, far: UnsubscribedGenerators) -> Claim:
+    """The cell as generators, the own one first. The names in the table are in order; those of `far` follow in any order."""
+    if not cell.bounds or max(cell.bounds) < len(generator_table.names):
+        return claim_of(cell, generator_table.names, generator_table.generators)
+    everyone = (*generator_table.names, *far.names())
+    names = tuple([everyone[index] for index in cell.bounds])
+    generators = np.concatenate([generator_table.generators, far.generators])[np.array(cell.bounds)]
     return make_claim(names, generators, tuple([order(name) for name in names]))
 
 
 def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
-    """Centroid in m of the PHD in the cell (17); of the cell's area when there is no mass; None without a cell."""
+    """The centroid in m of the PHD in the cell (17). Without mass it is that of the cell's area; None without a cell."""
     if near.mass > 0.0:
         return near.east / near.mass, near.north / near.mass
     if not len(cell):
@@ -167,30 +174,33 @@ def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
     return float(x), float(y)
 
 
-def _situation(me: AgentContext, mine: Gossip, cell: np.ndarray, near: Update, speaking: GossipTable, table: GossipTable) -> Situation:
-    config = me.config
+def _situation(
+    context: AgentContext, own: Gossip, cell: np.ndarray, near: Update, generator_table: GossipTable, table: GossipTable
+) -> Situation:
+    """What the control law reads."""
+    config = context.config
     return Situation(
-        name=me.name,
+        name=context.name,
         seed=config.filter.seed,
-        tick=mine.tick,
+        tick=own.tick,
         dt=config.run.dt,
-        pose=mine.pose,
-        driven=mine.pose[:2] if config.partition.kind == "voronoi" else mine.cod,
+        pose=own.pose,
+        driven=own.pose[:2] if config.partition.kind == "voronoi" else own.cod,
         cell=cell,
         centroid=_centroid(near, cell),
         particles=near.own,
-        sensor=me.sensor,
+        sensor=context.sensor,
         limits=config.limits,
         heading=config.control.heading,
         arena=(config.arena.width, config.arena.height),
-        fields=_fields(me, cell, table) if getattr(me.law, "uses_fields", False) else (),
-        generators=speaking.points,
-        own_generator=speaking.names.index(me.name) if me.name in speaking.names else -1,
+        fields=_fields(context, cell, table) if getattr(context.law, "uses_fields", False) else (),
+        generators=generator_table.points,
+        own_generator=generator_table.names.index(context.name) if context.name in generator_table.names else -1,
     )
 
 
-def _fields(me: AgentContext, cell: np.ndarray, table: GossipTable) -> tuple[tuple[SensorModel, Pose], ...]:
-    """The sensors whose reach touches the region around my cell and that scanned in this tick, and their poses."""
+def _fields(context: AgentContext, cell: np.ndarray, table: GossipTable) -> tuple[tuple[SensorModel, Pose], ...]:
+    """Sensor and pose of each agent that scanned in this tick and reaches the surroundings of the cell."""
     scanned = [(each.sensor, gossip.pose) for each, gossip in zip(table.sensors, table.gossips) if gossip.scanned]
     apart = distances(cell, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()
-    return tuple(field for field, distance in zip(scanned, apart) if distance <= me.config.filter.halo + field[0].reach)
+    return tuple(field for field, distance in zip(scanned, apart) if distance <= context.config.filter.halo + field[0].reach)

@@ -1,8 +1,8 @@
-"""What all agents that hold the same table of gossips compute alike: the cells, the claims, and the update of every region.
+"""What all agents with the same table of gossips compute alike: the cells, the claims and the update of every region.
 
-A table keeps it, once it has been computed for all. The first agent that asks computes its own region alone, because in a process of
-its own it is the only one; the second request for the same table object shows that several agents share a process, and is answered
-with all regions in one call. The bits are the same either way.
+The first agent that asks computes its own region alone: in a process of its own it is the only one. A second request for the same table
+object shows that several agents share a process. Then all regions are computed in one call, and the table keeps them. The bits are the
+same either way.
 """
 
 from typing import NamedTuple
@@ -16,11 +16,11 @@ from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.step import Step
 from agents.tracking.tracker import AnyTracker, RegionInput, Update
 
-ASKED = "asked"  # one agent has asked for the table, or several certainly will
+ASKED = "asked"  # one agent has asked for the table, or several are certain to ask
 
 
 class SharedRound(NamedTuple):
-    """The regions of all whose gossips the table holds, in its order, and their updates."""
+    """The regions of all senders in a table, in its order, and their updates."""
 
     step: Step
     tracker: AnyTracker
@@ -30,7 +30,10 @@ class SharedRound(NamedTuple):
 
 
 def shared_round(table: GossipTable, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound | None:
-    """What the table keeps for these settings; None: this is the first agent that asks, or tables are not shared."""
+    """The shared round of a table, computed on the second request.
+
+    None for the first request, where agents hear neighbours only, and while a sender listens.
+    """
     if step.config.timing.interest != "all" or table.listening:
         return None
     known, table.shared = table.shared, table.shared or ASKED
@@ -42,6 +45,7 @@ def shared_round(table: GossipTable, backend: Backend, tracker: AnyTracker, step
 
 
 def _computed(table: GossipTable, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound:
+    """All regions of a table and their updates."""
     cells = backend.cut_cells(range(len(table.names)), table.points, table.radii, arena)
     regions = [
         RegionInput(gossip.sender, row, announced_sensor.sensor, gossip.pose, cell.polygon, claim_of(cell, table.names, table.generators))
@@ -51,7 +55,7 @@ def _computed(table: GossipTable, backend: Backend, tracker: AnyTracker, step: S
 
 
 def claim_of(cell: Cell, names: tuple[str, ...], generators: np.ndarray) -> Claim:
-    """A cell as generators, the own one first; the names are in order, so the generator of the smaller index comes first."""
+    """A cell as generators, the own one first. The names are in order, so the generator with the smaller index comes first."""
     if not cell.bounds:
         return NO_CLAIM
     bounds = np.array(cell.bounds)

@@ -62,7 +62,7 @@ class Simulation:
         scenario: Scenario,
         *,
         link: Link | None = None,
-        arithmetic: Backend | None = None,
+        backend: Backend | None = None,
         clock: Literal["lockstep", "realtime"] = "lockstep",
         build: Build = Agent,
         scores: bool = True,
@@ -76,7 +76,7 @@ class Simulation:
         pace = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
         self.bus = VirtualBus(link=link or (self.links if faulty else None), pace=pace)
         self.scorer = Scorer(self.scenario, scores=scores)
-        self.injector = Injector(self.bus, self.links, self.scenario, arithmetic or compiled(), build)
+        self.injector = Injector(self.bus, self.links, self.scenario, backend or compiled(), build)
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick, after the faults of the tick
         self._schedule = Schedule(scenario.run.seed, scenario.faults)
         self._started = time.perf_counter()

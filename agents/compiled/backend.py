@@ -218,13 +218,13 @@ def _end_to_end(arrays: list[np.ndarray]) -> np.ndarray:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
-_MARGINS = selection.MARGIN, selection.APPEARING, selection.SPACING, selection.THRESHOLD, selection.BEHIND
+_MARGINS = selection.MARGIN, selection.APPEARANCE, selection.SPACING, selection.SEARCH, selection.BEHIND
 
 
 def select_peers(
     cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.Ground
 ) -> selection.Choice:
-    """See `interest.wanted`."""
+    """See `selection.select_peers`."""
     home, bounds = cell if len(cell) else _NO_CORNERS, (ground.bounds.reach, ground.bounds.offset, ground.bounds.radius)
     chosen, needed = selection_kernels.wanted(home, eye, reach, halo, table, ground.arena, bounds, ground.drift, _MARGINS)
     return selection.Choice(chosen, Rectangle(*needed))

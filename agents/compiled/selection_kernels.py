@@ -1,4 +1,4 @@
-"""Compiled choice of whom to hear: the bit-for-bit twin of `interest.wanted`, in one call. Same rules as `kernels`."""
+"""Compiled choice of whom to hear: the bit-for-bit twin of `selection.select_peers`, in one call. Same rules as `kernels`."""
 
 import math
 
@@ -175,7 +175,7 @@ def wanted(
     drift: float,
     settings: tuple[float, float, float, float, float],
 ) -> tuple[np.ndarray, Limits]:
-    """Twin of `interest.wanted`: who is chosen, and the needed ground. `bounds` and `drift` are those of the Ground; `settings` are
+    """Twin of `selection.select_peers`: who is chosen, and the needed ground. `bounds` and `drift` are those of the Ground; `settings` are
     MARGIN, APPEARING, SPACING, THRESHOLD and BEHIND."""
     margin, appearing, spacing, around, behind = settings
     number, home = len(table) - 1, cell

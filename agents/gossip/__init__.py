@@ -1,1 +1,1 @@
-"""What agents say to each other in a round: the messages that go out, those that were accepted, and their table."""
+"""The messages of a round: those that an agent sends, those that it has accepted, and their table."""

@@ -1,10 +1,10 @@
-"""The gossips that one agent has accepted: those of rounds that are not closed yet, and the newest of each peer in closed ones."""
+"""The gossips that one agent has accepted: all of the open rounds, and the newest of each peer in closed rounds."""
 
 from collections.abc import Iterable
 
 from protocol.messages import Gossip
 
-MOST_TICKS = 16  # for which gossips wait; the newest count
+MOST_TICKS = 16  # most ticks whose gossips are kept; older ones are dropped
 
 
 class RoundInbox:
@@ -15,7 +15,7 @@ class RoundInbox:
         self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
 
     def put(self, gossip: Gossip) -> None:
-        """Keep a gossip that was accepted."""
+        """Keep an accepted gossip. Beyond `MOST_TICKS` ticks the oldest is dropped."""
         self.rounds.setdefault(gossip.tick, {})[gossip.sender] = gossip
         if len(self.rounds) > MOST_TICKS:
             del self.rounds[min(self.rounds)]
@@ -25,11 +25,11 @@ class RoundInbox:
         return self.rounds.get(tick, {})
 
     def knows(self, name: str) -> bool:
-        """Whether there is any gossip of a peer."""
+        """Whether the inbox holds any gossip of a peer."""
         return name in self.last or any(name in gossips for gossips in self.rounds.values())
 
     def newest(self, name: str, tick: int) -> Gossip | None:
-        """The newest gossip of a peer that is not younger than `tick`."""
+        """The newest gossip of a peer that is not later than `tick`; None: there is none."""
         stamps = [stamp for stamp, gossips in self.rounds.items() if stamp <= tick and name in gossips]
         return self.rounds[max(stamps)][name] if stamps else self.last.get(name)
 
@@ -43,9 +43,9 @@ class RoundInbox:
         for name in names:
             self.last.pop(name, None)
 
-    def close(self, tick: int, everybody: int) -> list[dict[str, Gossip]]:
-        """Close the round `tick`; what was kept of it and of earlier ticks, each by name. `everybody`: the number of peers."""
+    def close(self, tick: int, peers: int) -> list[dict[str, Gossip]]:
+        """Close the rounds up to `tick`, and return the gossips of each by name. `peers`: the number of peers."""
         closed = [self.rounds.pop(stamp) for stamp in sorted([stamp for stamp in self.rounds if stamp <= tick])]
         for gossips in closed:
-            self.last = gossips if len(gossips) == everybody else {**self.last, **gossips}
+            self.last = gossips if len(gossips) == peers else {**self.last, **gossips}
         return closed

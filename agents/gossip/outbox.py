@@ -1,4 +1,4 @@
-"""What an agent says: its messages, made of what it is and of what its last round left behind."""
+"""The messages that an agent sends, made of its context and the result of its last round."""
 
 from collections.abc import Mapping
 
@@ -12,64 +12,64 @@ from protocol.sensing import WedgeSensor
 VERSION = "0.1.0"
 
 
-def hello(me: AgentContext, incarnation: int, heard: tuple[str, ...], settings: Agreed) -> Hello:
-    """That I am here, with which sensor and settings, and whom I hear."""
+def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], settings: Agreed) -> Hello:
+    """The Hello of an agent: its sensor, its settings, and `heard`, the names of the peers that it hears."""
     return Hello(
-        sender=me.name,
+        sender=context.name,
         incarnation=incarnation,
         software=f"covey {VERSION}",
-        sensor_class=me.sensor_class,
-        sensor=me.sensor if isinstance(me.sensor, WedgeSensor) else None,
-        max_speed=me.config.limits.speed,
-        max_turn_rate=me.config.limits.turn_rate,
+        sensor_class=context.sensor_class,
+        sensor=context.sensor if isinstance(context.sensor, WedgeSensor) else None,
+        max_speed=context.config.limits.speed,
+        max_turn_rate=context.config.limits.turn_rate,
         heard=heard,
-        local=me.config.timing.interest == "neighbours",
+        local=context.config.timing.interest == "neighbours",
         settings=settings,
     )
 
 
-def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
-    """The gossip of a tick: my pose and scan, and what I own if my last round was the one before."""
-    share = outcome.belief.mine
+def gossip(context: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
+    """The gossip of a tick: pose, scan and generator; and the owned particles, if the last round is that of the tick before."""
+    owned = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1
-    particles = share.particles if current else NONE
+    particles = owned.particles if current else NONE
     return Gossip(
-        sender=me.name,
+        sender=context.name,
         incarnation=incarnation,
         tick=observation.tick,
         pose=observation.pose,
-        cod=place(me.facts.cod_offset, observation.pose),
+        cod=place(context.facts.cod_offset, observation.pose),
         power_radius=outcome.power_radius,
         unused=outcome.unused,
         detections_bytes=observation.detections_bytes,
         listening=listening,
         claim_tick=max(0, observation.tick - 1),
-        claim_names=share.claim.names if current else (),
-        claim_bytes=pack(share.claim.generators, "<f8") if current else b"",
-        view=share.view if current else 0,
+        claim_names=owned.claim.names if current else (),
+        claim_bytes=pack(owned.claim.generators, "<f8") if current else b"",
+        view=owned.view if current else 0,
         weight=float(particles.weights[0]) if len(particles.weights) else 0.0,
         states_bytes=pack(particles.states, "<f4"),
         ids_bytes=pack(particles.ids, "<u8"),
     )
 
 
-def command(me: AgentContext, incarnation: int, outcome: RoundResult, tick: int) -> Command:
-    """Where I drive after the round `tick`."""
+def command(context: AgentContext, incarnation: int, outcome: RoundResult, tick: int) -> Command:
+    """The command to the own body after the round `tick`."""
     velocity, turn_rate = outcome.command
-    return Command(sender=me.name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
+    return Command(sender=context.name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
 
 
 def estimate(
-    me: AgentContext, incarnation: int, outcome: RoundResult, said: Gossip, counters: Mapping[str, int], seconds: float
+    context: AgentContext, incarnation: int, outcome: RoundResult, sent: Gossip, counters: Mapping[str, int], seconds: float
 ) -> Estimate:
-    """For whoever watches: what has come of the round in which I had `said` this, and which took so many s."""
+    """The estimate for observers: the result of the round in which the agent `sent` a gossip, and its duration in `seconds`."""
     return Estimate(
-        sender=me.name,
+        sender=context.name,
         incarnation=incarnation,
-        tick=said.tick,
-        pose=said.pose,
-        cod=said.cod,
-        power_radius=said.power_radius,
+        tick=sent.tick,
+        pose=sent.pose,
+        cod=sent.cod,
+        power_radius=sent.power_radius,
         unused=outcome.unused,
         load=outcome.load,
         mass=outcome.mass,

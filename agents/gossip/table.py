@@ -1,7 +1,7 @@
-"""The gossips of a round side by side: one row of numbers each, and their detections and particles end to end.
+"""The gossips of a round side by side: a row of numbers for each, and their detections and particles end to end.
 
-Rows are in the order of names. A row holds what the gossip says and what its sender's sensor is, so that a round over many gossips is a
-few operations on whole arrays.
+Rows are in the order of names. A row holds the numbers of a gossip and those of its sender's sensor. A round over many gossips is a few
+operations on whole arrays.
 """
 
 import hashlib
@@ -36,17 +36,17 @@ class AnnouncedSensor(NamedTuple):
 
     sensor: SensorModel
     facts: SensorFacts
-    columns: bytes  # its part of a row: reach m, cosine of half the angle, p_d, clutter density per m^2, kind of scan, key of the name
+    columns: bytes  # its part of a row: reach m, cosine of the half angle, p_d, clutter density per m^2, kind of scan, key of the name
 
 
 def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
-    """The sensor of an agent, with `clutter` expected points a scan; the same object for all in a process who ask the same."""
+    """The sensor of an agent, with `clutter` expected points a scan. Equal arguments give the same object within a process."""
     return _announced(name, sensor, clutter)  # type: ignore[arg-type]  # a sensor model is hashable
 
 
 @lru_cache(maxsize=_MOST_ANNOUNCED)
 def _announced(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
-    """A pure memo."""
+    """`announced_sensor`, a pure memo."""
     half, probability, kind = 0.0, 0.0, OTHER
     if isinstance(sensor, WedgeSensor):
         half, probability, kind = sensor.cos_half_angle, sensor.prob_detection, WEDGE
@@ -64,25 +64,25 @@ Stated = tuple[np.ndarray, np.ndarray]  # states (N, 4) float32 and ids (N,) uin
 
 
 class GossipTable:
-    """Gossips of one round in the order of names. It is never changed; what is derived from it is computed once."""
+    """Gossips of one round in the order of names. A table never changes; derived arrays are computed once."""
 
     def __init__(self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], diagram: str) -> None:
-        """`sensors`: of the senders; `diagram`: "power", "voronoi-cod" or "voronoi", which says what the generators are."""
+        """`sensors`: of the senders. `diagram`: "power", "voronoi-cod" or "voronoi"; it determines the generators."""
         self.gossips, self.sensors, self.diagram = gossips, sensors, diagram
         self.names = tuple([gossip.sender for gossip in gossips])
-        self.shared: Any = None  # what all agents of a process that hold this table compute alike (`shared_round`)
+        self.shared: Any = None  # the results that all agents with this table share (`shared_round`)
 
     @once
     def table(self) -> np.ndarray:
         """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
-        said = np.frombuffer(b"".join([gossip.numbers for gossip in self.gossips])).reshape(-1, GOSSIP_NUMBERS)
-        table = np.empty((len(said), COLUMNS))
-        table[:, : SIN + 1] = said[:, :4]
+        numbers = np.frombuffer(b"".join([gossip.numbers for gossip in self.gossips])).reshape(-1, GOSSIP_NUMBERS)
+        table = np.empty((len(numbers), COLUMNS))
+        table[:, : SIN + 1] = numbers[:, :4]
         table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, 6)
-        table[:, KIND] *= said[:, 11]
-        table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = said[:, 9], said[:, 8], said[:, 10]
-        table[:, EAST : NORTH + 1] = said[:, :2] if self.diagram == "voronoi" else said[:, 4:6]
-        table[:, RADIUS] = said[:, 6] if self.diagram == "power" else 0.0
+        table[:, KIND] *= numbers[:, 11]
+        table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = numbers[:, 9], numbers[:, 8], numbers[:, 10]
+        table[:, EAST : NORTH + 1] = numbers[:, :2] if self.diagram == "voronoi" else numbers[:, 4:6]
+        table[:, RADIUS] = numbers[:, 6] if self.diagram == "power" else 0.0
         return table
 
     @once
@@ -92,27 +92,27 @@ class GossipTable:
 
     @once
     def everyone(self) -> frozenset[str]:
-        """The names once more, to look them up."""
+        """The names as a set."""
         return frozenset(self.names)
 
     @once
     def generators(self) -> np.ndarray:
-        """(N, 3): point x, y and power radius, m."""
+        """The generators (N, 3): point x, y and power radius, m."""
         return self.table[:, EAST : RADIUS + 1].copy()
 
     @once
     def points(self) -> np.ndarray:
-        """Of the generators (N, 2), m."""
+        """The points of the generators (N, 2), m."""
         return self.generators[:, :2].copy()
 
     @once
     def radii(self) -> np.ndarray:
-        """Of the generators (N,), m."""
+        """The power radii of the generators (N,), m."""
         return self.generators[:, 2].copy()
 
     @once
     def view(self) -> int:
-        """The hash of all generators: agents with equal hashes cut the same diagram; never 0."""
+        """The hash of all generators; never 0. Agents with equal hashes cut the same diagram."""
         digest = hashlib.blake2b("\n".join(self.names).encode(), digest_size=7)
         digest.update(self.generators.tobytes())
         return int.from_bytes(digest.digest(), "little") | 1
@@ -125,25 +125,25 @@ class GossipTable:
 
     @once
     def listening(self) -> bool:
-        """Whether one of them has no cell yet."""
+        """Whether a sender listens, and has no cell yet."""
         return True in [gossip.listening for gossip in self.gossips]
 
     @once
     def all_wedges(self) -> bool:
-        """Whether no other sensor has spoken."""
+        """Whether every scan is that of a wedge sensor."""
         return OTHER not in self.table[:, KIND].tolist()
 
     @once
     def claimed(self) -> tuple[int, int] | None:
-        """The stamp and the view that all these claims share, if they do."""
+        """The tick and the view that all claims share; None when they differ."""
         shared = {(gossip.claim_tick, gossip.view) for gossip in self.gossips}
         return shared.pop() if len(shared) == 1 else None
 
     @property
     def stated(self) -> Stated:
-        """States (N, 4) float32 and ids (N,) of all their particles, gossip after gossip, as they were stamped.
+        """States (N, 4) float32 and ids (N,) uint64 of all particles, gossip after gossip, at the tick of their claims.
 
-        It is most of what a round reads, and nobody else asks before the next one: so only the last that was asked keeps it.
+        These arrays are the largest of a round, and no later round reads them. Only the last table that computed them keeps them.
         """
         if not self.stands_ready:
             _LATEST.append((self, self.stated_by([*range(len(self.gossips))])))
@@ -151,11 +151,11 @@ class GossipTable:
 
     @property
     def stands_ready(self) -> bool:
-        """Whether what is `stated` has been put together already."""
+        """Whether `stated` is already computed."""
         return bool(_LATEST) and _LATEST[0][0] is self
 
     def stated_by(self, rows: list[int]) -> Stated:
-        """What is `stated` by some of them."""
+        """The part of `stated` that comes from some rows."""
         gossips = self.gossips
         states = np.frombuffer(bytearray().join([gossips[row].states_bytes for row in rows]), dtype=np.float32)
         ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
@@ -163,17 +163,17 @@ class GossipTable:
 
     @once
     def boxes(self) -> np.ndarray:
-        """West, south, east and north of the particles of each (N, 4), m."""
+        """The bounding box of each gossip's particles (N, 4): west, south, east and north, m."""
         return np.frombuffer(b"".join([gossip.box for gossip in self.gossips])).reshape(-1, 4)
 
     @once
     def particles(self) -> Particles:
-        """The same with their weights."""
+        """The particles of `stated` with their weights."""
         states, ids = self.stated
         return Particles(states.astype(float), self.table[:, WEIGHT].repeat(self.table[:, PARTICLES].astype(np.int64)), ids)
 
     def scans(self) -> list[Scan]:
-        """The scans one by one, those of the silent left out, in the order in which they count: by ascending p_d, then by name."""
+        """The scans of this tick, in the order of the update: by ascending p_d, then by name."""
         found, ends = [], np.cumsum(self.table[:, DETECTIONS]).astype(np.int64)
         for gossip, announced_sensor, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
             if numbers[KIND] != SILENT:
@@ -184,32 +184,32 @@ class GossipTable:
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 
 
-def received_particles(told: GossipTable | Particles) -> Particles:
-    """Particles, whether they stand in gossips or by themselves."""
-    return told.particles if isinstance(told, GossipTable) else told
+def received_particles(received: GossipTable | Particles) -> Particles:
+    """The particles of a table, or the particles themselves."""
+    return received.particles if isinstance(received, GossipTable) else received
 
 
-_LATEST: deque[tuple[GossipTable, Stated]] = deque(maxlen=1)  # who was asked last
-_RECENT: deque[GossipTable] = deque(maxlen=2)  # a pure memo: in a simulation all agents hear the same
+_LATEST: deque[tuple[GossipTable, Stated]] = deque(maxlen=1)  # the table whose `stated` was computed last
+_RECENT: deque[GossipTable] = deque(maxlen=2)  # a pure memo: in a simulation all agents hear the same gossips
 
 
 def gossip_table(gossips: list[Gossip], sensors: list[AnnouncedSensor], config: AgentConfig) -> GossipTable:
-    """The gossips side by side, with the sensors of their senders; the same object for the same gossips as in the last two calls."""
+    """The table of some gossips and the sensors of their senders. Equal arguments give a table of one of the last two calls."""
     diagram = config.partition.kind
     for known in _RECENT:
         if known.diagram == diagram and known.sensors == sensors and known.gossips == gossips:
             return known
-    words = GossipTable(gossips, sensors, diagram)
-    _RECENT.append(words)
-    return words
+    table = GossipTable(gossips, sensors, diagram)
+    _RECENT.append(table)
+    return table
 
 
 def newest_table() -> GossipTable:
-    """The last that was put side by side, for measurements."""
+    """The table that was made last, for measurements."""
     return _RECENT[-1]
 
 
 def forget() -> None:
-    """Share nothing of what was asked for so far, so that figures are those of a process of its own."""
+    """Drop the memos of this file, so that a measurement is that of a process of its own."""
     _RECENT.clear()
     _LATEST.clear()

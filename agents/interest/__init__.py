@@ -1,1 +1,1 @@
-"""Whom an agent listens to that hears its neighbours only: tiles, positions of peers, selection, subscriptions."""
+"""The peers to which an agent with neighbours only subscribes: tiles, positions, selection and subscriptions."""

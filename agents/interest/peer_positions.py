@@ -1,4 +1,4 @@
-"""Where peers are, as far as they have said so themselves: for an agent that hears its neighbours only and chooses whom to hear."""
+"""The positions of peers, as they state them in beacons and gossips, for an agent that hears neighbours only."""
 
 from agents.config import AgentConfig
 from agents.interest.position_table import PositionTable, beacon_row, position_row
@@ -8,23 +8,23 @@ from protocol.messages import Beacon, Gossip
 
 
 class PeerPositions(PositionTable):
-    """The places of peers, by their beacons and gossips."""
+    """The positions of peers, by their beacons and gossips."""
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
         self._diagram, self._silent = config.partition.kind, config.timing.silent_rounds
-        self._said: dict[str, Gossip] = {}  # in rounds that are over, the newest of each, not noted yet
-        self.needed: Rectangle | None = None  # outside of this nobody matters before the next choice
+        self._pending: dict[str, Gossip] = {}  # the newest gossip of each peer in closed rounds, not noted yet
+        self.needed: Rectangle | None = None  # outside of this no new peer matters before the next selection
 
-    def see(self, peer: Peer, beacon: Beacon) -> None:
-        """Note where a peer is, if it is anywhere."""
+    def note(self, peer: Peer, beacon: Beacon) -> None:
+        """Note the position in a beacon, if the peer is live."""
         if self._counts(peer):
             self.put(peer.name, beacon.tick, beacon_row(beacon, self._diagram))
 
-    def see_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
-        """Note where those are who are well known, and ask for nothing; the beacons of the others."""
+    def note_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
+        """Note the beacons that change nothing but the position of a live, known peer; return the other beacons."""
         others, silent = [], self._silent
-        seen: list[tuple[str, int, bytes]] = []
+        noted: list[tuple[str, int, bytes]] = []
         for beacon in beacons:
             peer = peers.get(beacon.sender)
             if (
@@ -39,24 +39,24 @@ class PeerPositions(PositionTable):
                 others.append(beacon)
             else:
                 peer.beacon = beacon
-                seen.append((beacon.sender, beacon.tick, beacon_row(beacon, self._diagram)))
-        self.put_all(seen)
+                noted.append((beacon.sender, beacon.tick, beacon_row(beacon, self._diagram)))
+        self.put_all(noted)
         return others
 
     def matters(self, beacon: Beacon) -> bool:
-        """Whether somebody who says this could make a difference before the next choice: it is made for where nobody is unknown."""
+        """Whether a new peer with this beacon could change the selection before the next one is due."""
         x, y = beacon.position
         return self.needed is None or self.needed.holds(Rectangle(x, y, x, y))
 
-    def close(self, said: dict[str, Gossip]) -> None:
-        """A round is over in which this was said; it is noted once somebody asks where all are, which is not so after every round."""
-        self._said.update(said)
+    def close(self, gossips: dict[str, Gossip]) -> None:
+        """Keep the gossips of a closed round. Their positions are noted by `catch_up`, which not every round needs."""
+        self._pending.update(gossips)
 
     def catch_up(self, peers: dict[str, Peer], *, steady: bool = False) -> None:
-        """Note what was said in the rounds that are over. `steady`: all count who said something."""
-        said, self._said = self._said, {}
+        """Note the positions in the gossips of closed rounds. `steady`: all their senders are live."""
+        gossips, self._pending = self._pending, {}
         found = []
-        for name, gossip in said.items():
+        for name, gossip in gossips.items():
             peer = peers.get(name)
             if peer is not None and peer.announced is not None and (steady or self._counts(peer)):
                 reach = peer.announced.sensor.reach
@@ -64,5 +64,5 @@ class PeerPositions(PositionTable):
         self.put_all(found)
 
     def _counts(self, peer: Peer) -> bool:
-        """Whether a peer is somewhere: it has not gone, and has not been silent for long."""
+        """Whether a peer has a position: it has not gone, its sensor is known, and it has not been silent for long."""
         return peer.left_at is None and peer.announced is not None and peer.missed < self._silent

@@ -1,4 +1,4 @@
-"""Where everybody was last known to be: a row of numbers for each peer, kept up as its words arrive."""
+"""The last known positions of peers: a row of numbers for each, updated by every message that states one."""
 
 import struct
 from collections.abc import Iterable
@@ -12,28 +12,28 @@ from protocol.messages import Beacon
 Point = tuple[float, float]  # x, y, m
 POSITION_ROW = struct.Struct("<6d")
 SIZE = POSITION_ROW.size  # bytes
-EYE_X, EYE_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
+SENSOR_X, SENSOR_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
 
 
-def position_row(eye: Point, reach: float, cod: Point, radius: float, diagram: str) -> bytes:
-    """The row of a sensor with its reach and of what is its generator in a diagram, m."""
-    return POSITION_ROW.pack(*eye, reach, *(eye if diagram == "voronoi" else cod), radius if diagram == "power" else 0.0)
+def position_row(position: Point, reach: float, cod: Point, radius: float, diagram: str) -> bytes:
+    """The row of a sensor at `position` with its reach, and of its generator in a diagram, m."""
+    return POSITION_ROW.pack(*position, reach, *(position if diagram == "voronoi" else cod), radius if diagram == "power" else 0.0)
 
 
 def beacon_row(beacon: Beacon, diagram: str) -> bytes:
-    """The row of who says a beacon."""
+    """The row of the sender of a beacon."""
     return position_row(beacon.position, beacon.reach, beacon.cod, beacon.power_radius, diagram)
 
 
 class UnsubscribedGenerators(NamedTuple):
-    """Generators of those who are known but not listened to, where they were last: (N, 3), x, y and power radius in m."""
+    """The last generators (N, 3) of the known peers outside the interest set: x, y and power radius in m."""
 
     generators: np.ndarray
-    everybody: tuple[str, ...]  # they and those who are listened to
-    chosen: np.ndarray  # of them all: who is listened to, bool
+    everybody: tuple[str, ...]  # the names of all known peers
+    chosen: np.ndarray  # for each of these: whether it is in the interest set, bool
 
     def names(self) -> tuple[str, ...]:
-        """Theirs, in the order of the generators."""
+        """The names of these peers, in the order of the generators."""
         return tuple(compress(self.everybody, (~self.chosen).tolist()))
 
 
@@ -41,13 +41,13 @@ NO_GENERATORS = UnsubscribedGenerators(np.empty((0, 3)), (), np.zeros(0, dtype=b
 
 
 class PositionTable:
-    """Rows of those whose whereabouts are known, in no particular order."""
+    """Rows of peers with a known position, in no particular order."""
 
     def __init__(self) -> None:
-        self.names: list[str] = []  # of the rows
-        self.version = 0  # another one whenever somebody has come or gone
-        self._ticks: list[int] = []  # of the words
-        self._oldest = 0  # none of them is older
+        self.names: list[str] = []  # the names of the rows
+        self.version = 0  # changes whenever a peer comes or goes
+        self._ticks: list[int] = []  # the tick in which each row was stated
+        self._oldest = 0  # no tick of a row is smaller
         self._rows: dict[str, int] = {}
         self._numbers = bytearray(SIZE * 8)
 
@@ -58,7 +58,7 @@ class PositionTable:
         return name in self._rows
 
     def put(self, name: str, tick: int, packed: bytes) -> None:
-        """A word of that tick says where somebody is; an older one than the last is passed over."""
+        """Set the row of a peer, stated in a tick. A row older than the last one is ignored."""
         row = self._rows.get(name)
         if row is None:
             row = self._rows[name] = len(self.names)
@@ -66,7 +66,7 @@ class PositionTable:
             self._ticks.append(tick)
             self._oldest = min(self._oldest, tick)
             self.version += 1
-            if SIZE * (row + 2) > len(self._numbers):  # there is always room for one more
+            if SIZE * (row + 2) > len(self._numbers):  # there is always room for one more row
                 self._numbers = self._numbers + bytes(len(self._numbers))
         elif tick < self._ticks[row]:
             return
@@ -74,10 +74,10 @@ class PositionTable:
             self._ticks[row] = tick
         self._numbers[SIZE * row : SIZE * (row + 1)] = packed
 
-    def put_all(self, words: Iterable[tuple[str, int, bytes]]) -> None:
-        """Put one after the other: names, ticks and rows."""
+    def put_all(self, entries: Iterable[tuple[str, int, bytes]]) -> None:
+        """Put names, ticks and rows one after the other."""
         rows, ticks, numbers, put = self._rows, self._ticks, self._numbers, self.put
-        for name, tick, packed in words:
+        for name, tick, packed in entries:
             row = rows.get(name)
             if row is None:
                 put(name, tick, packed)
@@ -92,7 +92,7 @@ class PositionTable:
         return frozenset(self._rows)
 
     def remove(self, name: str) -> None:
-        """Nobody knows any more where somebody is; the last takes the free row."""
+        """Remove the row of a peer, if there is one. The last row moves into the free place."""
         row = self._rows.pop(name, None)
         if row is None:
             return
@@ -104,7 +104,7 @@ class PositionTable:
             self._numbers[SIZE * row : SIZE * (row + 1)] = self._numbers[end : end + SIZE]
 
     def forget(self, since: int) -> list[str]:
-        """Remove those whose last word is older than the tick `since`; who they were."""
+        """Remove the rows older than the tick `since`; return their names."""
         if since <= self._oldest:
             return []
         self._oldest = min(self._ticks, default=since)
@@ -116,8 +116,8 @@ class PositionTable:
             self.remove(name)
         return old
 
-    def table(self, mine: bytes) -> np.ndarray:
-        """All rows (N, 6) and, last, one more; to be used before the next word is put."""
+    def table(self, own: bytes) -> np.ndarray:
+        """All rows (N, 6) and, last, the own one. The array is valid until the next `put`."""
         end = SIZE * len(self.names)
-        self._numbers[end : end + SIZE] = mine
+        self._numbers[end : end + SIZE] = own
         return np.frombuffer(self._numbers, dtype=float, count=6 * (len(self.names) + 1)).reshape(-1, 6)

@@ -1,8 +1,11 @@
-"""Whom an agent must hear: the owners of all that lies around its cell and in its footprint, and the sensors that look there.
+"""The selection of the peers that an agent must hear.
 
-It is worked out from where everybody was last known to be, so everything is asked for `MARGIN` m wider than the round needs. If in
-doubt hear more: what is heard beyond need changes no bit. A choice is *certified* when nobody of whom no beacon was heard could belong
-to it: whoever says his beacons elsewhere is too far away to own anything here, even with the largest power radius that is known of.
+These are the owners of all that lies around its cell and in its footprint, and the sensors that observe the surroundings of its cell. The
+selection is computed from the last known positions, so everything is asked for `MARGIN` m wider than the round needs. In doubt a peer is
+selected: a gossip that is not needed changes no bit.
+
+A selection is *certified* when no unknown peer could belong to it. Beacons come from all tiles of the needed rectangle, so an unknown
+peer is too far away to own anything here, even with the largest power radius that is known.
 """
 
 import math
@@ -11,43 +14,43 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.interest.position_table import EAST, EYE_X, RADIUS, REACH
+from agents.interest.position_table import EAST, RADIUS, REACH, SENSOR_X
 from agents.interest.tiles import Bounds, Rectangle
 
 Distances = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (P, 2 or more) to a polygon (V, 2), m
 
-PERIOD = 4.0  # s of world time between two beacons of an agent that stays about where it is
-CHOICE = 1.0  # s of world time between two choices
-JUMP = 4.0  # m: who will be farther than this from what its last beacon says, position, generator or radius, says another at once
+PERIOD = 4.0  # s of world time between two beacons of an agent that hardly moves
+CHOICE = 1.0  # s of world time between two selections
+JUMP = 4.0  # m: an agent whose position, generator or radius differs by more from its last beacon sends another at once
 MARGIN = 14.0  # m: so far a COD jumps in one tick when a class D sensor turns round; 10 m were too little in 2 of 20 runs of 100 s
-APPEARING = 8.0  # m more around the place at which an empty cell is expected to appear
-SPACING = 6.0  # m between the points at which owners are looked for; no owner is so small that it is missed
+APPEARANCE = 8.0  # m more around the place where an empty cell is expected to appear
+SPACING = 6.0  # m between the points at which owners are searched; no cell is so small that it is missed
 BEHIND = math.sqrt(2.0) * SPACING  # m^2 per m: see `owners`
-THRESHOLD = 40.0  # m: an empty cell is looked for this far around its generator
+SEARCH = 40.0  # m: the place where an empty cell will appear is searched this far around its generator
 
 
 class Ground(NamedTuple):
-    """What an agent needs to know of an arena: its corners (4, 2) m, and what no agent exceeds of whom it has been told."""
+    """What an agent knows of the arena: its corners (4, 2) m, and bounds that no known agent exceeds."""
 
     arena: np.ndarray
     bounds: Bounds
-    drift: float  # m: how far somebody may be from where its last beacon said
-    distances: Distances  # plain or compiled
+    drift: float  # m: how far an agent may be from the position in its last beacon
+    distances: Distances  # in plain numpy or compiled
 
 
 class Choice(NamedTuple):
-    """Which of N others must be heard, (N,) bool, and from where all beacons must be known to be sure that nobody is missing."""
+    """The peers among N that must be heard, (N,) bool, and the rectangle in which all agents must be known to certify that."""
 
     chosen: np.ndarray
     needed: Rectangle
 
 
 def owners(points: np.ndarray, generators: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which generators (N, 3) own anything within `SPACING` / sqrt(2) m of any of the points (P, 2), (N,) bool; and the least power
-    distance at each point, (P,) m^2.
+    """The generators that own anything near the points, and the least power distance at each point.
 
-    The difference of two power distances is linear with slope 2 |p - q|, so who owns a place so near to a point is behind the best
-    there by no more than sqrt(2) SPACING |p - q|.
+    Of the generators (N, 3) those are found, (N,) bool, that own anything within `SPACING` / sqrt(2) m of any of the points (P, 2). The
+    power distances are (P,) m^2. The difference of two power distances is linear with slope 2 |p - q|. So the owner of a place this close
+    to a point has at the point a power distance at most sqrt(2) SPACING |p - q| above the least one.
     """
     found = np.zeros(len(generators), dtype=bool)
     rows = np.nonzero(_within_reach(points, generators))[0]
@@ -63,8 +66,10 @@ def owners(points: np.ndarray, generators: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _within_reach(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
-    """Which generators (N, 3) could own something around the points (P, 2) at all, (N,) bool: at best they are as near as the circle
-    around the points allows, and the best of all is no worse there than from the far side of that circle."""
+    """The generators (N, 3) that could own anything around the points (P, 2), (N,) bool.
+
+    A circle holds the points. Each generator is compared at its best place in the circle with the best generator at its worst place.
+    """
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = np.sqrt(((points - middle) ** 2).sum(axis=1).max()) + SPACING
     away = np.sqrt((generators[:, 0] - middle[0]) ** 2 + (generators[:, 1] - middle[1]) ** 2)
@@ -74,53 +79,59 @@ def _within_reach(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
 
 
 def _axis(low: float, high: float, step: float) -> np.ndarray:
-    """From `low` in steps until `high` has been passed, m."""
+    """Numbers from `low` in steps until `high` is passed, m."""
     return low + step * np.arange(2 + int(max(high - low, 0.0) / step))
 
 
-def region(cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float, ground: Ground) -> np.ndarray:
+def region(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, ground: Ground) -> np.ndarray:
     """Points (P, 2) of a grid over the arena within the halo of a cell or within `reach` m of the sensor, `MARGIN` m wider."""
-    around, arena = np.vstack([cell, [eye]]), ground.arena
+    around, arena = np.vstack([cell, [position]]), ground.arena
     width = max(halo, reach) + MARGIN + SPACING
     low = np.maximum(around.min(axis=0) - width, arena.min(axis=0))
     high = np.minimum(around.max(axis=0) + width, arena.max(axis=0))
     points = np.stack(np.meshgrid(*(_axis(low[axis], high[axis], SPACING) for axis in (0, 1))), axis=-1).reshape(-1, 2)
-    dx, dy = points[:, 0] - eye[0], points[:, 1] - eye[1]
+    dx, dy = points[:, 0] - position[0], points[:, 1] - position[1]
     seen = reach + MARGIN + SPACING
     near = dx * dx + dy * dy <= seen * seen
     return points[near | (ground.distances(cell, points) <= halo + MARGIN + SPACING)]
 
 
-def wanted(cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: Ground) -> Choice:
-    """Whom to hear, of N others; `table` (N + 1, 6) says where they are (`places`) and, last, where I am."""
+def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: Ground) -> Choice:
+    """The selection among N peers, for a cell and a sensor at `position`, m.
+
+    `table` (N + 1, 6) holds the positions of the peers (`position_table`) and, last, the own one.
+    """
     generators = table[:, EAST : RADIUS + 1]
     if len(cell):
         home = cell
     else:
-        home, halo = _threshold(generators, ground.arena), halo + APPEARING
-    looking = ground.distances(home, table[:-1, EYE_X:REACH]) <= halo + MARGIN + table[:-1, REACH]
-    points = region(home, eye, halo, reach, ground)
+        home, halo = _likeliest_cell(generators, ground.arena), halo + APPEARANCE
+    observing = ground.distances(home, table[:-1, SENSOR_X:REACH]) <= halo + MARGIN + table[:-1, REACH]
+    points = region(home, position, halo, reach, ground)
     owning, least = owners(points, generators)
-    return Choice(looking | owning[:-1], _needed(home, points, least, halo, ground))
+    return Choice(observing | owning[:-1], _needed(home, points, least, halo, ground))
 
 
 def _needed(home: np.ndarray, points: np.ndarray, least: np.ndarray, halo: float, ground: Ground) -> Rectangle:
-    """Outside of this nobody could own any of the points (P, 2), whose owners' power distances are `least` (P,) m^2, nor look at the
-    surroundings of the cell: the power distance of an unknown generator is at least (its distance)^2 - (the largest radius)^2."""
+    """The rectangle outside of which no unknown peer can own a point or observe the surroundings of the cell.
+
+    The points (P, 2) have the power distances `least` (P,) m^2. The power distance of an unknown generator is at least its distance
+    squared minus the largest radius squared.
+    """
     bounds = ground.bounds
     far = np.sqrt(np.maximum(least + bounds.radius * bounds.radius, 0.0))[:, None] + (bounds.offset + ground.drift)
-    look = halo + MARGIN + bounds.reach + ground.drift
-    low = np.minimum((points - far).min(axis=0), home.min(axis=0) - look)
-    high = np.maximum((points + far).max(axis=0), home.max(axis=0) + look)
+    observed = halo + MARGIN + bounds.reach + ground.drift
+    low = np.minimum((points - far).min(axis=0), home.min(axis=0) - observed)
+    high = np.maximum((points + far).max(axis=0), home.max(axis=0) + observed)
     return Rectangle(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _threshold(generators: np.ndarray, arena: np.ndarray) -> np.ndarray:
-    """Where an empty cell, of the last generator, would appear first: the place (1, 2) near it at which it is least outdone."""
+def _likeliest_cell(generators: np.ndarray, arena: np.ndarray) -> np.ndarray:
+    """The place (1, 2) near the last generator, whose cell is empty, at which it comes closest to owning a point."""
     if len(generators) == 1:
         return generators[:, :2]
-    low = np.maximum(arena.min(axis=0), generators[-1, :2] - THRESHOLD)
-    high = np.minimum(arena.max(axis=0), generators[-1, :2] + THRESHOLD)
+    low = np.maximum(arena.min(axis=0), generators[-1, :2] - SEARCH)
+    high = np.minimum(arena.max(axis=0), generators[-1, :2] + SEARCH)
     counts = [2 + int(max(high[axis] - low[axis], 0.0) / (2.0 * SPACING)) for axis in (0, 1)]
     axes = [low[axis] + (high[axis] - low[axis]) / (counts[axis] - 1) * np.arange(counts[axis]) for axis in (0, 1)]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""The tiles of the arena in which beacons are said (docs/protocol.md), and what bounds a generator of which no beacon was heard."""
+"""The tiles of the arena in which beacons are published (docs/protocol.md), and bounds on unknown agents."""
 
 import math
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from protocol.settings import ArenaSettings
 
 
 class Rectangle(NamedTuple):
-    """Sides in m."""
+    """An axis-parallel rectangle; sides in m."""
 
     west: float
     south: float
@@ -47,18 +47,18 @@ class Bounds(NamedTuple):
     radius: float
 
     def wider(self, other: "Bounds") -> "Bounds":
-        """What neither these agents nor others exceed; the same object if that is nothing new."""
+        """The bounds of both groups of agents; the same object if the others add nothing."""
         both = Bounds(*map(max, self, other))
         return self if both == self else both
 
 
 def bounds_of(sensor: SensorModel, facts: SensorFacts) -> Bounds:
-    """The bounds of whoever carries that sensor."""
+    """The bounds of an agent with that sensor."""
     return Bounds(sensor.reach, math.hypot(*facts.cod_offset), power_radius(facts.capability))
 
 
 class Tiling:
-    """Square tiles of `side` m from (0, 0); what lies outside the arena counts to the nearest tile."""
+    """Square tiles of `side` m from (0, 0); a point outside the arena belongs to the nearest tile."""
 
     def __init__(self, side: float, arena: ArenaSettings) -> None:
         self.side = side
@@ -74,12 +74,12 @@ class Tiling:
         return Box(*self.tile(rectangle[:2]), *self.tile(rectangle[2:]))
 
     def around(self, tile: Tile, width: int) -> Box:
-        """The block of up to `width` tiles on every side of one."""
+        """The block of up to `width` tiles on every side of a tile."""
         (column, row), (columns, rows) = tile, self._last
         return Box(max(0, column - width), max(0, row - width), min(columns, column + width), min(rows, row + width))
 
     def ground(self, box: Box) -> Rectangle:
-        """Where everybody says his beacons in these tiles; without end where the arena ends."""
+        """The rectangle of all positions whose beacons are published in these tiles; it is infinite where the arena ends."""
         (west, south, east, north), (column, row), side = box, self._last, self.side
         return Rectangle(
             west * side if west > 0 else -math.inf,

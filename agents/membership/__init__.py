@@ -1,1 +1,1 @@
-"""Who takes part: the table of peers, announcements, settings that must agree, and links that work one way only."""
+"""The peers of an agent: their table, announcements, settings that must agree, and detectors of half-open links."""

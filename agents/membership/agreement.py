@@ -1,4 +1,4 @@
-"""Whose settings are mine: who differs computes parts of another PHD, is refused, and is named once."""
+"""The settings that a swarm must share. An agent with other settings computes another PHD: it is refused, and named once in a warning."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -9,32 +9,32 @@ from protocol.node import Effect, Warn
 
 
 class SettingsAgreement:
-    """The settings of one agent, beside those that others announce."""
+    """The settings of one agent, compared with those that others announce."""
 
     def __init__(self, name: str, settings: Agreed, counters: Counter[str]) -> None:
         self.settings = settings
-        self._name, self._seal = name, whole(settings)
+        self._name, self._digest = name, whole(settings)
         self._counters = counters
         self._warned: set[tuple[str, int]] = set()  # name and incarnation
 
-    def differs(self, word: Hello | Beacon) -> bool:
-        """Whether somebody announces other settings."""
-        if isinstance(word, Beacon):
-            return word.settings not in (0, self._seal)
-        return bool(disagreement(self.settings, word.settings))
+    def differs(self, message: Hello | Beacon) -> bool:
+        """Whether a message announces other settings."""
+        if isinstance(message, Beacon):
+            return message.settings not in (0, self._digest)
+        return bool(disagreement(self.settings, message.settings))
 
-    def refuse(self, words: Sequence[Hello | Beacon]) -> list[Effect]:
-        """Count those who differ; a warning for each that is new."""
-        self._counters["rejected.settings"] += len(words)
-        return [warning for word in words for warning in self._warn(word)]
+    def refuse(self, messages: Sequence[Hello | Beacon]) -> list[Effect]:
+        """Count messages with other settings, and return a warning for each new sender."""
+        self._counters["rejected.settings"] += len(messages)
+        return [warning for message in messages for warning in self._warn(message)]
 
-    def _warn(self, word: Hello | Beacon) -> list[Effect]:
-        """A warning, the first time that an incarnation differs: in which settings, which a beacon does not say."""
-        who = (word.sender, word.incarnation)
-        if who in self._warned:
+    def _warn(self, message: Hello | Beacon) -> list[Effect]:
+        """A warning, the first time that an incarnation differs. A Hello names the settings that differ; a beacon holds only their hash."""
+        announcer = (message.sender, message.incarnation)
+        if announcer in self._warned:
             return []
-        self._warned.add(who)
-        fields = disagreement(self.settings, word.settings) if isinstance(word, Hello) else ()
+        self._warned.add(announcer)
+        fields = disagreement(self.settings, message.settings) if isinstance(message, Hello) else ()
         where = ", ".join(fields) or "a setting that only its Hello names"
-        consequence = "" if word.sender == "world" else ": it computes another PHD and is refused"
-        return [Warn(f"the settings of {word.sender} differ from those of {self._name} in {where}{consequence}")]
+        consequence = "" if message.sender == "world" else ": it computes another PHD and is refused"
+        return [Warn(f"the settings of {message.sender} differ from those of {self._name} in {where}{consequence}")]

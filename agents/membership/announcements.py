@@ -1,50 +1,51 @@
-"""When an agent says Hello: to all who are new at once, and rarely otherwise, for everybody's greetings go to everybody.
+"""When an agent sends Hello: soon after a new peer appears, and rarely otherwise, because every Hello goes to every agent.
 
-While a swarm starts its members come one by one, and a greeting for each of them would be N^2 greetings to N listeners. Until the run is
-known to be going on, the rhythm does, and the news count once the whole team is there.
+While a swarm starts, its members appear one by one. A Hello for each of them would be N^2 messages to N listeners. Until the run has
+started, Hellos therefore follow a fixed rhythm. A new peer causes a Hello at once only when the run has started or the whole roster is
+alive.
 """
 
 from collections.abc import Callable
 
-SOON = 0.05  # s between the appearance of somebody new and a greeting
-CROWD = 12  # peers from which on greetings become rarer
-THRONG = 24  # and from which on the moment becomes longer, for the greetings of all have to come through
-EARLY, LATE = 0.25, 2.0  # s between greetings while somebody is unknown or nothing has been observed, and later
-LATEST = 4.0  # s between greetings in a crowd; a second below `presence.PATIENCE`, for which what a greeting says of others holds
-MANY = 48  # peers from which on the later rhythm slows down too
+SOON = 0.05  # s between the appearance of a new peer and a Hello
+CROWD = 12  # above this number of peers Hellos become rarer
+THRONG = 24  # above this number of peers `SOON` grows with it, so that the Hellos of all get through
+EARLY, LATE = 0.25, 2.0  # s between Hellos: while a sensor is unknown or nothing has been observed, and later
+LATEST = 4.0  # s between Hellos in a large swarm; a second below `failure_detector.PATIENCE`, for which the names in a Hello hold
+MANY = 48  # above this number of peers the later rhythm slows down as well
 
 
 class AnnouncementSchedule:
-    """The next greeting of one agent; times are `now` of its node, s."""
+    """The schedule of one agent's Hellos; times are `now` of its node, s."""
 
-    def __init__(self, team: int, gathered: Callable[[], bool]) -> None:
-        """`team`: how many others are expected; `gathered`: whether they are all there."""
+    def __init__(self, team: int, is_complete: Callable[[], bool]) -> None:
+        """`team`: the number of other agents that are expected; `is_complete`: whether all of them are alive."""
         self.due: float | None = None
-        self._team, self._gathered = team, gathered
-        self._going_on = False
+        self._team, self._is_complete = team, is_complete
+        self._run_started = False
 
     def start(self, now: float) -> None:
-        """I have just greeted for the first time."""
+        """The agent has just sent its first Hello."""
         self.due = now + self._early(0)
 
-    def news(self, peers: int, now: float) -> None:
-        """Somebody is new, who makes it so many peers: greet, but once for all who appear within a moment."""
-        if self._going_on or self._gathered():
+    def peer_appeared(self, peers: int, now: float) -> None:
+        """A new peer makes the number of peers `peers`: plan one Hello for all that appear within a moment."""
+        if self._run_started or self._is_complete():
             soon = now + SOON * max(1.0, peers / THRONG)
             self.due = soon if self.due is None else min(self.due, soon)
 
-    def go_on(self) -> None:
-        """The run goes on, with or without me: from now on whoever is new is greeted soon."""
-        self._going_on = True
+    def run_started(self) -> None:
+        """The run has started: from now on a new peer gets a Hello soon."""
+        self._run_started = True
 
-    def observe(self, now: float) -> None:
-        """An observation has come."""
-        self.go_on()
+    def observation_arrived(self, now: float) -> None:
+        """An observation has arrived."""
+        self.run_started()
         if self.due is not None:
-            self.due = min(self.due, now + LATEST)  # later only if the clock has jumped back
+            self.due = min(self.due, now + LATEST)  # `due` lies later only if the clock has jumped back
 
     def is_due(self, peers: int, early: bool, now: float) -> bool:
-        """Whether to greet now; if so the next greeting is planned. `early`: somebody is unknown, or nothing has been observed."""
+        """Whether a Hello is due now; if so the next one is planned. `early`: a sensor is unknown, or nothing has been observed."""
         if self.due is None or now < self.due:
             return False
         late = min(LATE * max(1.0, peers / MANY), LATEST)
@@ -52,9 +53,10 @@ class AnnouncementSchedule:
         return True
 
     def _early(self, peers: int) -> float:
+        """Time between Hellos before the run has started or while a sensor is unknown, s."""
         return min(EARLY * crowd(max(peers, self._team)), LATE)
 
 
 def crowd(peers: int) -> float:
-    """How much rarer greetings are among so many peers."""
+    """The factor by which Hellos become rarer among so many peers, at least 1."""
     return max(1.0, peers / CROWD)

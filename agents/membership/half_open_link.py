@@ -1,8 +1,11 @@
-"""Signs of a session that has stayed split, where neighbours alone are heard: they name whom I do not know, or go on without me.
+"""Detectors of a half-open session, for agents that hear neighbours only.
 
-Two Zenoh peers can be left with half a session (`protocol.failure_detector`), and who hears its neighbours only is told by no Hello whom
-the others hear. Their claims tell it: they name who bounds their cells, and where. Whoever stands where I listen to all beacons, is named
-by a neighbour all the time, and has not said a word to me for two beacons' periods, is there; then my session is to be opened anew.
+Two Zenoh peers can be left with half a session (`protocol.failure_detector`). In a swarm that hears everybody, Hellos show it: they list
+the peers that their senders hear. An agent that hears neighbours only gets no such Hellos, but it gets claims. A claim names the peers
+that bound a cell, and their generators.
+
+A peer is unheard if neighbours name it for two periods of beacons, its generator lies where this agent receives all beacons, and none has
+come from it. Then the session is to be opened anew.
 """
 
 from collections.abc import Callable, Collection, Iterable
@@ -15,36 +18,38 @@ Place = tuple[float, float]  # x, y, m
 
 
 class Since(NamedTuple):
-    """When something began."""
+    """When something began: the tick, and `now` in s."""
 
     tick: int
     now: float
 
 
 class HalfOpenLinkDetector:
-    """Who is spoken of, and since when."""
+    """The unheard peers that the claims of neighbours name, and since when."""
 
-    def __init__(self, name: str, patience: int) -> None:
-        """`patience`: ticks for which somebody must be named; it takes `PATIENCE` s of `now` as well, for in lockstep ticks fly."""
-        self._name, self._patience = name, patience
+    def __init__(self, name: str, timeout: int) -> None:
+        """`timeout`: ticks for which a peer must be named. `PATIENCE` s of `now` must pass as well: in lockstep ticks are short."""
+        self._name, self._timeout = name, timeout
         self._named: dict[str, Since] = {}
         self._rest, self._not_before = FIRST_REST, NEVER
 
-    def listen(self, gossips: Iterable[Gossip], known: Collection[str], overlooks: Callable[[Place], bool], tick: int, now: float) -> str:
-        """Of whom I should have heard by now, after the round `tick`; empty: nobody.
+    def find_unheard(
+        self, gossips: Iterable[Gossip], known: Collection[str], is_covered: Callable[[Place], bool], tick: int, now: float
+    ) -> str:
+        """The name of a peer that should have been heard by the end of the round `tick`; empty: there is none.
 
-        `known`: whom I do know; `overlooks`: whether I hear the beacons of whoever has his generator at a place.
+        `known`: the names of known peers; `is_covered`: whether the beacons of an agent with its generator at a place reach this agent.
         """
         heard, own = list(gossips), {self._name}
-        unknown = set().union(*[gossip.claim_names for gossip in heard]).difference(known, own)  # as a rule there is nobody
+        unknown = set().union(*[gossip.claim_names for gossip in heard]).difference(known, own)  # as a rule it is empty
         named = {
             name: self._named.get(name, Since(tick, now))
             for gossip in heard
             for name in unknown.intersection(gossip.claim_names)
-            if overlooks(_place(gossip, name))
+            if is_covered(_place(gossip, name))
         }
         self._named = named
-        late = [name for name, since in named.items() if tick - since.tick >= self._patience and now - since.now >= PATIENCE]
+        late = [name for name, since in named.items() if tick - since.tick >= self._timeout and now - since.now >= PATIENCE]
         if not late or now < self._not_before:
             return ""
         self._named = {}
@@ -53,17 +58,17 @@ class HalfOpenLinkDetector:
 
 
 class LagDetector:
-    """Whether the others go on while I am told of no new tick: the sign of a session that is split from the world's alone.
+    """Whether the neighbours' ticks advance while no new tick reaches this agent: the session with the world alone is half open.
 
-    Whoever hears all is told by their Hellos that they hear the world (`protocol.failure_detector`); who does not sees it by their ticks.
+    In a swarm that hears everybody, Hellos show this (`protocol.failure_detector`).
     """
 
     def __init__(self) -> None:
         self._since = Since(-1, NEVER)
         self._rest, self._not_before = FIRST_REST, NEVER
 
-    def hear(self, tick: int, now: float) -> bool:
-        """Somebody speaks of a tick that is more than one ahead of mine, `tick`; whether my session is to be opened anew."""
+    def is_behind(self, tick: int, now: float) -> bool:
+        """A gossip is more than one tick ahead of the own `tick`; whether the session is to be opened anew."""
         if tick != self._since.tick or now < self._since.now:
             self._since = Since(tick, now)
         if now - self._since.now < PATIENCE or now < self._not_before:
@@ -73,6 +78,6 @@ class LagDetector:
 
 
 def _place(gossip: Gossip, name: str) -> Place:
-    """Where a claim says that somebody's generator was."""
+    """The generator of a peer as a claim states it, m."""
     x, y, _ = gossip.claim[gossip.claim_names.index(name)].tolist()
     return x, y

@@ -1,4 +1,4 @@
-"""One other agent as it is known: its incarnation, its token, the sensor that it announced, and what it can say with that."""
+"""One other agent as it is known: its incarnation, its token, its announced sensor, and what a gossip of it may state."""
 
 import math
 from collections import deque
@@ -12,7 +12,7 @@ from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
 from protocol.settings import BadSetting, sensor_of
 
-TOLERANCE = 1.0 + 1e-9  # by which a gossip may exceed what its sender's sensor can do: rounding of another implementation
+TOLERANCE = 1.0 + 1e-9  # factor by which a gossip may exceed what its sender's sensor can do: rounding of another implementation
 
 
 @dataclass(slots=True)
@@ -23,27 +23,27 @@ class Peer:
     incarnation: int
     token: bool = False  # its liveliness token is up
     announced: AnnouncedSensor | None = None
-    left_at: int | None = None  # the newest tick of which it may have spoken before its token went; a later gossip revives it
-    missed: int = 0  # rounds without a word in a row
-    beacon: Beacon | None = None  # the newest
-    rank: tuple[int, str] = (0, "")  # in the order of names
-    differs: tuple[str, ...] = ()  # refused: its settings are others than mine in these fields
+    left_at: int | None = None  # the last tick of a gossip sent before its token vanished; a later gossip revives the peer
+    missed: int = 0  # rounds without a gossip in a row
+    beacon: Beacon | None = None  # the newest one
+    rank: tuple[int, str] = (0, "")  # sorts peers in the order of names
+    differs: tuple[str, ...] = ()  # the peer is refused: these settings differ from the own ones
 
     def __post_init__(self) -> None:
         self.rank = order(self.name)
 
 
-def announced_by(word: Hello | Beacon, config: AgentConfig) -> AnnouncedSensor | None:
+def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSensor | None:
     """The sensor that a message announces; None when its class is unknown here."""
     try:
-        sensor = sensor_of(config, word.sensor_class) if word.sensor is None else word.sensor
+        sensor = sensor_of(config, message.sensor_class) if message.sensor is None else message.sensor
     except BadSetting:
         return None
-    return announced_sensor(word.sender, sensor, config.detection.clutter)
+    return announced_sensor(message.sender, sensor, config.detection.clutter)
 
 
 def steady(peers: Iterable[Peer], local: bool) -> bool:
-    """Whether every gossip of these will be taken that is well-formed and of the next tick; local: tokens are seen of some alone."""
+    """Whether every well-formed gossip of the next tick by these peers will be accepted. `local`: tokens are not seen of all peers."""
     return all(peer.left_at is None and not peer.missed and peer.announced is not None and (peer.token or local) for peer in peers)
 
 
@@ -60,7 +60,7 @@ _JUDGED: deque[tuple[Batch, list[AnnouncedSensor | None], list[bool]]] = deque(m
 def all_plausible(batch: Batch, carried: list[AnnouncedSensor | None]) -> list[bool]:
     """`plausible` of each gossip of a batch; False where the sensor is unknown.
 
-    A pure memo of the last two answers: in virtual time all listeners ask the same of one batch.
+    A pure memo of the last two answers: in virtual time all listeners judge the same batch.
     """
     for known, sensors, found in _JUDGED:
         if known is batch and sensors == carried:

@@ -1,8 +1,11 @@
-"""Who else is there: peers, what they announced, what they said last, and whose word a round waits for.
+"""The table of peers: what they announced, their newest gossips, and which gossips a round waits for.
 
-A *peer* is a live agent. Its liveliness token is a suspicion: when the token goes the peer stops being a generator at once, and
-the first gossip of the same incarnation that it cannot have said before brings it back. A peer that falls silent with its token up
-stays a generator, where it was last heard, for `silent_rounds` rounds.
+A *peer* is a live agent. Its liveliness token is a suspicion, no proof. When the token vanishes, the peer stops being a generator at
+once. A later gossip of the same incarnation brings it back, if it cannot have been sent before. A peer that falls silent with its token
+up stays a generator for `silent_rounds` rounds, at its last position.
+
+With interest "all" every peer is in the interest set. With "neighbours" (`local`) beacons make peers known, and the agent subscribes to
+the gossips of those that it selects.
 """
 
 from itertools import compress
@@ -21,27 +24,27 @@ from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
 
-LOCAL_VIEW = 1  # of all who have heard everybody whom they must hear: their cells are those of one diagram
+LOCAL_VIEW = 1  # the view of agents with complete interest sets: they cut parts of one diagram
 ACCEPTED = ""
-OWN, UNASKED = "own", "unasked"  # reasons that are no fault of the sender
+OWN, UNASKED = "own", "unasked"  # reasons without a fault of the sender
 
 
 class PeerTable:
     """The peers of one agent."""
 
     def __init__(self, config: AgentConfig, name: str) -> None:
-        self.local = config.timing.interest == "neighbours"  # peers are known by their beacons, and I listen to those I choose
-        self.peers: dict[str, Peer] = {}  # in the order of names, unless local
-        self.interest_set: dict[str, Peer] = {}  # those whose gossip I listen to, in the order of names; all, unless local
-        self.far = NO_GENERATORS  # the others, if local
-        self.places = PeerPositions(config)  # local: of those who are there, by the newest word of each
-        self.certified = False  # local: nobody whom I do not know could own anything that matters to me
-        self.acquainted, self._version = frozenset[str](), -1  # local: whose claims fit mine, and by which version of the places
-        self.changed = False  # local: somebody has come or gone since the circle was chosen
+        self.local = config.timing.interest == "neighbours"  # beacons make peers known, and the agent subscribes to some of them
+        self.peers: dict[str, Peer] = {}  # in the order of names; local: in any order
+        self.interest_set: dict[str, Peer] = {}  # the peers whose gossips are received, in the order of names; all, unless local
+        self.far = NO_GENERATORS  # local: the generators of all other peers
+        self.positions = PeerPositions(config)  # local: the positions of live peers, by the newest message of each
+        self.certified = False  # local: no unknown peer can own a point that matters in this round
+        self.acquainted, self._version = frozenset[str](), -1  # local: peers whose claims fit the own one; by which version of positions
+        self.changed = False  # local: a peer has come or gone since the last selection
         self._config, self._silent = config, config.timing.silent_rounds
         self._name, self.settings = name, config.agreed()
         self.inbox = RoundInbox()
-        self._calm = False  # all in the circle are alive and missed no round, and nothing has changed since
+        self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
 
     def alive(self, name: str, incarnation: int) -> None:
         """A token appeared."""
@@ -50,26 +53,26 @@ class PeerTable:
             self.changed |= peer.left_at is not None
             peer.token, peer.left_at = True, None
             if peer.beacon is not None:
-                self.places.see(peer, peer.beacon)
+                self.positions.note(peer, peer.beacon)
 
     def gone(self, name: str, incarnation: int, tick: int) -> None:
-        """A token vanished in the round `tick`. The peer may have been a tick ahead, and its last words may still be on their way."""
+        """A token vanished in the round `tick`. The peer may have been a tick ahead, and gossips of it may still be on their way."""
         peer = self.peers.get(name)
         if peer and peer.incarnation == incarnation:
-            peer.token, peer.left_at, self._calm = False, tick + 1, False
-            self.places.remove(name)
+            peer.token, peer.left_at, self._steady = False, tick + 1, False
+            self.positions.remove(name)
             self.changed = True
 
-    def greet(self, hello: Hello) -> str | None:
-        """A Hello arrived: remember the announced sensor. The reason for refusing it, if there is one.
+    def take_hello(self, hello: Hello) -> str | None:
+        """Take a Hello and remember the announced sensor. Returns the reason for refusing it; None: it is accepted.
 
-        The newest counts: what was spoilt in one Hello is put right by the next.
+        The newest Hello counts: it repairs an earlier one with wrong bits.
         """
         peer = self._peer(hello.sender, hello.incarnation)
         if peer is None:
             return "incarnation"
         differs = disagreement(self.settings, hello.settings)
-        if differs != peer.differs and peer.announced is None:  # a peer that agreed is kept: one wrong bit must not silence it
+        if differs != peer.differs and peer.announced is None:  # a peer that agreed before stays: one wrong bit must not silence it
             self._exclude(peer, differs)
         if differs:
             return "settings"
@@ -81,14 +84,14 @@ class PeerTable:
         return None
 
     def _exclude(self, peer: Peer, differs: tuple[str, ...]) -> None:
-        """Count a peer out whose settings differ from mine in some fields, or in again if they do not."""
+        """Remove a peer from the interest set when some settings differ; add it again when none does."""
         peer.differs, self.changed = differs, True
         named = self.interest_set.keys() - {peer.name} if differs else self.interest_set.keys() | {peer.name}
         self.interest_set = {name: other for name, other in self.peers.items() if name in named}
-        self._calm = False
+        self._steady = False
 
-    def knows(self, hello: Hello) -> bool:
-        """Whether `greet` would learn nothing from it."""
+    def has_announced(self, hello: Hello) -> bool:
+        """Whether the table already holds all that a Hello announces."""
         peer = self.peers.get(hello.sender)
         announced = peer.announced if peer is not None and peer.incarnation == hello.incarnation else None
         return announced is not None and (hello.sensor is None or hello.sensor is announced.sensor or hello.sensor == announced.sensor)
@@ -96,12 +99,17 @@ class PeerTable:
     def accept(self, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
         """Judge gossips that arrived together, from the row `start` on, and keep those that are accepted.
 
-        Who of `awaited` speaks of `tick` is awaited no longer; the row with which nobody is awaited any more is the last that is judged,
-        because it completes the round. Returns for each judged row the reason for refusing it, empty if it is accepted.
+        A gossip of `tick` removes its sender from `awaited`. The row that empties `awaited` completes the round and is the last that is
+        judged. Returns for each judged row the reason for refusing it; empty: it is accepted.
 
-        own: it is mine; unasked: of a peer that I do not listen to; incarnation: of an older one than is known; stranger: its sensor is
-        unknown; settings: its settings differ from mine; stale: a later tick of the same peer is closed; dead: it was said before the
-        peer's token vanished; bounds: its sensor cannot do what it says.
+        * own: it is a gossip of this agent;
+        * unasked: the sender is not in the interest set;
+        * incarnation: a younger incarnation is known;
+        * stranger: the sender's sensor is unknown;
+        * settings: the sender's settings differ;
+        * stale: a later tick of the same peer is closed;
+        * dead: it was sent before the peer's token vanished;
+        * bounds: the sender's sensor cannot do what it states.
         """
         interest_set, reasons = self.interest_set, []
         peers = [interest_set.get(name) for name in batch.senders]
@@ -120,7 +128,7 @@ class PeerTable:
         return reasons
 
     def _judge(self, gossip: Gossip, fits: bool) -> str:
-        """Why a gossip is refused; empty if it is accepted, which its sender's record shows from then on."""
+        """The reason for refusing a gossip; empty: it is accepted, and the record of its sender is updated."""
         name, tick = gossip.sender, gossip.tick
         peer = self.interest_set.get(name)
         if peer is None or peer.incarnation != gossip.incarnation:
@@ -147,27 +155,32 @@ class PeerTable:
         return ACCEPTED
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
-        """The gossips of `tick` by living peers, in the order of names."""
-        said = self.inbox.of(tick)
-        return {name: said[name] for name, peer in self.interest_set.items() if name in said and peer.left_at is None}
+        """The gossips of `tick` by live peers, in the order of names."""
+        gossips = self.inbox.of(tick)
+        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and peer.left_at is None}
 
     def missing(self, tick: int, *, newcomer: bool = False) -> set[str]:
-        """The peers whose word for `tick` is still to come: alive, known to speak, and not silent for long.
+        """The peers whose gossip of `tick` is missing: alive, heard before, and not silent for long.
 
         A newcomer waits for every live peer, since it has heard none of them yet.
         """
-        said = self.inbox.of(tick)
-        if self._calm or len(said) == len(self.interest_set):
-            return self.interest_set.keys() - said.keys()
-        if self.local:  # a beacon was heard just now
+        gossips = self.inbox.of(tick)
+        if self._steady or len(gossips) == len(self.interest_set):
+            return self.interest_set.keys() - gossips.keys()
+        if self.local:  # a beacon of each has come lately
             return {
-                name for name, peer in self.interest_set.items() if peer.left_at is None and peer.missed < self._silent and name not in said
+                name
+                for name, peer in self.interest_set.items()
+                if peer.left_at is None and peer.missed < self._silent and name not in gossips
             }
-        silent, others = self._silent, [peer for name, peer in self.interest_set.items() if name not in said and peer.token]
+        silent, others = self._silent, [peer for name, peer in self.interest_set.items() if name not in gossips and peer.token]
         return {peer.name for peer in others if (peer.missed < silent if self.inbox.knows(peer.name) else newcomer or tick == 0)}
 
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
-        """The gossip from which each peer's generator in the diagram of `tick` is read: fresh, or the last of the lately silent."""
+        """For each generator of the diagram of `tick` the gossip that states it.
+
+        It is a fresh gossip, or the last one of a peer that has been silent for a short time.
+        """
         found, oldest = {}, tick - self._silent
         for name, peer in self.interest_set.items():
             gossip = fresh.get(name) or self.inbox.newest(name, tick)
@@ -176,109 +189,112 @@ class PeerTable:
         return found
 
     def close(self, tick: int, *, newcomer: bool = False) -> int:
-        """The round `tick` is over: put away what it used, count who was missing; how many were."""
+        """Close the round `tick`: drop its gossips and count the missing peers. Returns their number."""
         missing = self.missing(tick, newcomer=newcomer)
         for name in missing:
             self.peers[name].missed += 1
             if self.peers[name].missed >= self._silent:
-                self.places.remove(name)
+                self.positions.remove(name)
         complete = len(self.inbox.of(tick)) == len(self.interest_set)
-        self._calm = complete and (self._calm or steady(self.interest_set.values(), self.local))
-        for said in self.inbox.close(tick, len(self.interest_set)):
+        self._steady = complete and (self._steady or steady(self.interest_set.values(), self.local))
+        for gossips in self.inbox.close(tick, len(self.interest_set)):
             if self.local:
-                self.places.close(said)
+                self.positions.close(gossips)
         return len(missing)
 
-    def anyone_missed(self) -> bool:
+    def any_missed(self) -> bool:
         """Whether some peer was silent in the last round."""
-        return not self._calm and any(peer.missed for peer in self.interest_set.values())
+        return not self._steady and any(peer.missed for peer in self.interest_set.values())
 
-    def are_all_there(self) -> bool:
-        """Whether the tokens of all others of the roster are up; local: only the world's greeting counts, so none is waited for."""
+    def is_roster_alive(self) -> bool:
+        """Whether the tokens of all others of the roster are up; local: always, as no other agent is awaited."""
         return self.local or all(name in self.peers and self.peers[name].token for name in self._config.others(self._name))
 
-    def strangers(self) -> bool:
-        """Whether somebody alive has not said yet in a Hello what its sensor is."""
+    def lacks_announcements(self) -> bool:
+        """Whether the sensor of a live peer is still unknown."""
         return not self.local and any(peer.token and peer.announced is None and not peer.differs for peer in self.peers.values())
 
-    def see(self, beacon: Beacon) -> bool:
-        """A beacon arrived: where a peer is. Whether that peer is new, or was gone or silent: then it may not know me either."""
+    def take_beacon(self, beacon: Beacon) -> bool:
+        """Take a beacon, which states a position.
+
+        Returns whether the peer is new, or was gone or silent: then it may not know this agent either.
+        """
         peer = known = self.peers.get(beacon.sender)
         if peer is None or peer.incarnation != beacon.incarnation:
             before = self.changed
             peer = self._peer(beacon.sender, beacon.incarnation)
             if known is None:
-                self.changed = before or self.places.matters(beacon)
+                self.changed = before or self.positions.matters(beacon)
         if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
             return False
         if peer.announced is None:
             peer.announced = announced_by(beacon, self._config)
-        back = peer.left_at is not None and beacon.tick > peer.left_at + 1  # a beacon says where somebody will be
+        back = peer.left_at is not None and beacon.tick > peer.left_at + 1  # a beacon states the position of the next tick
         silent = peer.missed >= self._silent
         if back or silent:
             peer.left_at, peer.missed, self.changed = None if back else peer.left_at, 0, True
         peer.beacon = beacon
-        self.places.see(peer, beacon)
+        self.positions.note(peer, beacon)
         return back or silent or peer is not known
 
     def forget(self, since: int) -> bool:
-        """Who has not said for long where he is is not there any more; `since` is a tick. Whether there was such a one."""
-        self.places.catch_up(self.peers, steady=self._calm)
+        """Forget the peers without a beacon or gossip since the tick `since`; whether there was one."""
+        self.positions.catch_up(self.peers, steady=self._steady)
         before = len(self.peers)
-        for name in self.places.forget(since):
+        for name in self.positions.forget(since):
             del self.peers[name]
-        if len(self.peers) > len(self.places):
-            self.peers = {name: peer for name, peer in self.peers.items() if name in self.places or (peer.left_at or -1) >= since}
+        if len(self.peers) > len(self.positions):
+            self.peers = {name: peer for name, peer in self.peers.items() if name in self.positions or (peer.left_at or -1) >= since}
         forgot = len(self.peers) < before
         if forgot and not self.interest_set.keys() <= self.peers.keys():
-            self._listen_to([peer for name, peer in self.interest_set.items() if name in self.peers], [])
+            self._set_interest([peer for name, peer in self.interest_set.items() if name in self.peers], [])
         return forgot
 
     def choose(self, table: np.ndarray, choice: Choice) -> None:
-        """From now on listen to the chosen of those N whose places stand in a table (N or more, 6)."""
-        chosen, self.places.needed = choice
-        places, before, number = self.places, self.far, len(self.places)
-        if self._version != places.version:
-            self.acquainted, self._version = places.everybody(), places.version
-            names = tuple(places.names)
+        """Make the chosen ones of N peers the interest set; a table (N or more, 6) holds their positions."""
+        chosen, self.positions.needed = choice
+        positions, before, number = self.positions, self.far, len(self.positions)
+        if self._version != positions.version:
+            self.acquainted, self._version = positions.everybody(), positions.version
+            names = tuple(positions.names)
         else:
             names = before.everybody
         if names is not before.everybody or chosen.tobytes() != before.chosen.tobytes():
-            wanted = set(compress(names, chosen.tolist()))
-            if self.interest_set.keys() != wanted:
-                kept = [peer for name, peer in self.interest_set.items() if name in wanted]
-                added = [self.peers[name] for name in wanted - self.interest_set.keys()]
-                self._listen_to(sorted([*kept, *added], key=attrgetter("rank")) if added else kept, added)
+            selected = set(compress(names, chosen.tolist()))
+            if self.interest_set.keys() != selected:
+                kept = [peer for name, peer in self.interest_set.items() if name in selected]
+                added = [self.peers[name] for name in selected - self.interest_set.keys()]
+                self._set_interest(sorted([*kept, *added], key=attrgetter("rank")) if added else kept, added)
         self.changed, self.far = (
             False,
             UnsubscribedGenerators(table[:number].compress(~chosen, axis=0)[:, EAST : RADIUS + 1], names, chosen),
         )
 
-    def _listen_to(self, interest_set: list[Peer], added: list[Peer]) -> None:
-        """Count these in, in the order of names, and nobody else; some are `added`."""
+    def _set_interest(self, interest_set: list[Peer], added: list[Peer]) -> None:
+        """Make these peers the interest set, in the order of names; some of them are `added`."""
         before, self.interest_set = self.interest_set, {peer.name: peer for peer in interest_set}
         if len(interest_set) < len(before) + len(added):
             self.inbox.drop_closed(before.keys() - self.interest_set.keys())
-        self._calm = steady(added if self._calm else interest_set, self.local)
+        self._steady = steady(added if self._steady else interest_set, self.local)
 
     def _peer(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
-        """The peer of that incarnation, made anew for a younger one; None for an older one.
+        """The record of a peer's incarnation, made anew for a younger one; None for an older one.
 
-        While a token is up only a token can say that a younger one is there: one wrong bit in a message must not silence a peer.
+        While a token is up, only another token shows a younger incarnation: one wrong bit in a message must not silence a peer.
         """
         peer = self.peers.get(name)
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
-        guess = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.left_at is None
-        if peer is None or younger or guess:
+        guessed = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.left_at is None
+        if peer is None or younger or guessed:
             peer, known = Peer(name, incarnation), name in self.peers
             self.peers[name] = peer
-            self.places.remove(name)
+            self.positions.remove(name)
             if not self.local and not known:
                 self.peers = {other: self.peers[other] for other in sorted(self.peers, key=order)}
             if not self.local or name in self.interest_set:
                 self.interest_set = {other: known for other, known in self.peers.items() if other == name or other in self.interest_set}
             self.changed = True
             if not self.local or name in self.interest_set:
-                self._calm = False
+                self._steady = False
                 self.inbox.forget(name)
         return peer if incarnation == peer.incarnation else None

@@ -63,7 +63,7 @@ def capture(scenario: Scenario, tick: int) -> list[Captured]:
     rounds = []
     for name, agent in simulation.agents.items():
         heard = {other: collector.gossips[other] for other in names if other != name and other in agent.neighbours.peers}
-        rounds.append(Captured(agent.self, lasts[name], agent.neighbours, collector.gossips[name], heard))
+        rounds.append(Captured(agent.context, lasts[name], agent.neighbours, collector.gossips[name], heard))
     return rounds
 
 

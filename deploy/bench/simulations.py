@@ -45,15 +45,15 @@ def figure_4(seconds: float) -> Scenario:
 def simulate(seconds: float = 60.0, turns: int = 3) -> Iterator[BenchRow]:
     """Simulated seconds per second of CPU: all heard, a tenth of the messages between agents lost, and the central filter without agents
     and messages. They take turns, so that all meet the machine in the same mood; medians."""
-    scenario, arithmetic = figure_4(seconds), compiled()
+    scenario, backend = figure_4(seconds), compiled()
     lossy = msgspec.structs.replace(scenario, faults=(FaultSettings(at=0.0, verb="drop", value=0.1),))
     kinds: dict[str, Callable[[], object]] = {
         "all heard": lambda: Simulation(scenario).run(),
         "10 % lost": lambda: Simulation(lossy).run(),
-        "central": lambda: central.play(scenario, arithmetic),
+        "central": lambda: central.play(scenario, backend),
     }
     Simulation(figure_4(5.0)).run()
-    central.play(figure_4(5.0), arithmetic)
+    central.play(figure_4(5.0), backend)
     spent = {name: statistics.median(times) for name, times in in_turns(kinds, turns).items()}
     rounds = scenario.run.ticks * len(scenario.members)
     for name, each in spent.items():

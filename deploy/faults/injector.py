@@ -26,10 +26,10 @@ Build = Callable[[AgentConfig, str, int, Backend, str], Agent]  # from what agen
 class Injector:
     """Starts, kills and disturbs agents on a virtual bus."""
 
-    def __init__(self, bus: VirtualBus, links: Links, scenario: Scenario, arithmetic: Backend, build: Build = Agent) -> None:
+    def __init__(self, bus: VirtualBus, links: Links, scenario: Scenario, backend: Backend, build: Build = Agent) -> None:
         self.agents: dict[str, Agent] = {}  # by label: the name, or s3#2 for the second of a name
         self._bus, self._links = bus, links
-        self._arithmetic, self._build = arithmetic, build
+        self._backend, self._build = backend, build
         self.scenario = scenario  # members include newcomers, which the configuration of agents does not name
         self._config = agent_config(scenario)
         self._incarnations = dict.fromkeys(scenario.members, 0)
@@ -70,7 +70,7 @@ class Injector:
         self._incarnations[name] += 1
         label = f"{name}#{self._incarnations[name]}" if twin else name
         self._bus.stopped.pop(label, None)
-        self.agents[label] = self._build(self._config, name, self._incarnations[name], self._arithmetic, self.scenario.members[name])
+        self.agents[label] = self._build(self._config, name, self._incarnations[name], self._backend, self.scenario.members[name])
         self._bus.add(self.agents[label], label)
         for other in self.agents:
             if self._cut(label, other):

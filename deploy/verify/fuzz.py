@@ -126,10 +126,10 @@ def healing() -> tuple[FaultSettings, ...]:
     return tuple(FaultSettings(at=HEAL_AT, verb=verb, who="100%", value=value) for verb, value in everyone)
 
 
-def play(case: Case, build: Build = Agent, arithmetic: Backend | None = None) -> str | None:
+def play(case: Case, build: Build = Agent, backend: Backend | None = None) -> str | None:
     """What a case broke, None when all is well."""
     try:
-        simulation = Simulation(case.scenario, clock="realtime", build=build, arithmetic=arithmetic)
+        simulation = Simulation(case.scenario, clock="realtime", build=build, backend=backend)
         watch = InvariantChecker(simulation, HEAL_AT + SETTLE, case.is_ledger, case.kinds)
         simulation.run()
         watch.finish()

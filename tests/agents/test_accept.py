@@ -81,7 +81,7 @@ def test_listeners_who_were_told_of_other_sensors_judge_the_same_batch_for_thems
     batch, found = Batch([gossip("s2", 0, radius=15.0)]), []
     for sensor_class in "DAD":
         peers = PeerTable(CONFIG, "s1")
-        peers.greet(hello("s2", sensor_class=sensor_class))
+        peers.take_hello(hello("s2", sensor_class=sensor_class))
         found.append(peers.accept(batch))
     assert found == [[ACCEPTED], ["bounds"], [ACCEPTED]]
 

@@ -36,19 +36,19 @@ def test_all_who_come_within_a_moment_get_one_greeting() -> None:
     greetings.start(0.0)
     greetings.is_due(3, False, 0.25)
     for now in (1.0, 1.01, 1.02):
-        greetings.news(3, now)
+        greetings.peer_appeared(3, now)
     assert greetings.due == pytest.approx(1.0 + SOON)
 
 
 def test_the_moment_is_longer_among_many() -> None:
     greetings = AnnouncementSchedule(2 * THRONG, lambda: True)
     greetings.start(0.0)
-    greetings.news(2 * THRONG, 0.1)
+    greetings.peer_appeared(2 * THRONG, 0.1)
     assert greetings.due == pytest.approx(0.1 + 2 * SOON)
 
 
 def test_a_clock_that_jumps_back_does_not_silence_greetings() -> None:
     greetings = AnnouncementSchedule(3, lambda: True)
     greetings.start(1000.0)
-    greetings.observe(10.0)
+    greetings.observation_arrived(10.0)
     assert greetings.due is not None and greetings.due <= 10.0 + PATIENCE

@@ -28,7 +28,7 @@ def alarms(
     found = []
     for tick in range(int(2.0 * seconds)):
         now = 0.5 * tick
-        if hearsay.listen([claim("s2", tick, s1=(0.0, 0.0), s3=named)], known, lambda place: place[0] < 50.0, tick, now):
+        if hearsay.find_unheard([claim("s2", tick, s1=(0.0, 0.0), s3=named)], known, lambda place: place[0] < 50.0, tick, now):
             found.append(now)
     return found
 
@@ -49,7 +49,9 @@ def test_whom_i_know_and_who_stands_where_i_do_not_listen_are_none() -> None:
 def test_where_ticks_fly_it_takes_its_seconds() -> None:
     hearsay = HalfOpenLinkDetector("s1", 16)
     words = [(tick, 0.01 * tick) for tick in range(1000)]
-    found = [now for tick, now in words if hearsay.listen([claim("s2", tick, s3=(20.0, 10.0))], ("s2",), lambda place: True, tick, now)]
+    found = [
+        now for tick, now in words if hearsay.find_unheard([claim("s2", tick, s3=(20.0, 10.0))], ("s2",), lambda place: True, tick, now)
+    ]
     assert found == [pytest.approx(PATIENCE)]
 
 
@@ -99,11 +101,11 @@ def test_who_is_cut_off_from_the_world_alone_asks_for_a_new_session_and_nobody_e
 
 def test_who_is_left_behind_says_so_after_its_seconds_and_then_rarely() -> None:
     behind = LagDetector()
-    times = [0.5 * step for step in range(200) if behind.hear(7, 0.5 * step)]
+    times = [0.5 * step for step in range(200) if behind.is_behind(7, 0.5 * step)]
     assert times[0] == PATIENCE and times[1] == PATIENCE + FIRST_REST and times[2] == times[1] + 2.0 * FIRST_REST
 
 
 def test_who_follows_at_a_distance_is_not_left_behind() -> None:
     behind = LagDetector()
-    assert not any(behind.hear(step // 4, 0.5 * step) for step in range(400))
-    assert not any(behind.hear(9, 1000.0 - 0.5 * step) for step in range(400))  # a clock that runs back
+    assert not any(behind.is_behind(step // 4, 0.5 * step) for step in range(400))
+    assert not any(behind.is_behind(9, 1000.0 - 0.5 * step) for step in range(400))  # a clock that runs back

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.coverage.cells import power_cell
-from agents.interest.selection import MARGIN, Ground, owners, wanted
+from agents.interest.selection import MARGIN, Ground, owners, select_peers
 from agents.interest.tiles import Bounds, Rectangle
 from protocol.geometry import EMPTY, distances, rectangle
 
@@ -36,7 +36,7 @@ def test_a_row_of_sensors_hears_its_own_surroundings() -> None:
     order = [0, 1, 3, 4, 5, 6, 7, 8, 9, 2]  # the own one last
     cell = power_cell(2, generators[:, :2], generators[:, 2], ARENA)
     places = np.column_stack([generators[order[:-1], :2], np.full(9, 5.0)])
-    heard = wanted(cell, (50.0, 100.0), 5.0, 6.0, table(places, generators[order]), GROUND).chosen
+    heard = select_peers(cell, (50.0, 100.0), 5.0, 6.0, table(places, generators[order]), GROUND).chosen
     needed = [abs(middles[index] - 50.0) - 20.0 <= 6.0 + MARGIN for index in order[:-1]]
     assert [bool(asked) or not must for asked, must in zip(heard, needed)] == [True] * 9
     assert not heard[-1] and not heard[-2]
@@ -45,14 +45,16 @@ def test_a_row_of_sensors_hears_its_own_surroundings() -> None:
 def test_a_far_sensor_that_reaches_here_is_heard() -> None:
     cell = rectangle(10.0, 10.0)
     generators = np.array([[30.0, 5.0, 1.0], [150.0, 5.0, 1.0], [5.0, 5.0, 1.0]])
-    near, far = wanted(cell, (5.0, 5.0), 5.0, 6.0, table(np.array([[30.0, 5.0, 5.0], [150.0, 5.0, 140.0]]), generators), GROUND).chosen
+    near, far = select_peers(
+        cell, (5.0, 5.0), 5.0, 6.0, table(np.array([[30.0, 5.0, 5.0], [150.0, 5.0, 140.0]]), generators), GROUND
+    ).chosen
     assert near and far
 
 
 @pytest.mark.parametrize("reach", [5.0, 25.0])
 def test_without_a_cell_the_owner_of_the_place_is_heard(reach: float) -> None:
     generators = np.array([[100.0, 100.0, 30.0], [100.0, 20.0, 1.0], [100.0, 101.0, 1.0]])
-    heard = wanted(EMPTY, (100.0, 101.0), reach, 6.0, table(np.column_stack([generators[:2, :2], [5.0, 5.0]]), generators), GROUND)
+    heard = select_peers(EMPTY, (100.0, 101.0), reach, 6.0, table(np.column_stack([generators[:2, :2], [5.0, 5.0]]), generators), GROUND)
     assert heard.chosen[0]
 
 
@@ -68,14 +70,16 @@ def test_nobody_from_outside_the_needed_ground_can_own_or_see_what_matters() -> 
         cell = power_cell(39, generators[:, :2], generators[:, 2], ARENA)
         eye = (float(generators[39, 0]), float(generators[39, 1]))
         places = np.column_stack([generators[:39, :2], rng.random(39) * 12.0])
-        needed = wanted(cell, eye, 8.0, 6.0, table(places, generators), ground).needed
+        needed = select_peers(cell, eye, 8.0, 6.0, table(places, generators), ground).needed
         for _ in range(20):
             x, y, turn = rng.random(3) * [200.0, 200.0, 6.3]
             if needed.holds(Rectangle(x, y, x, y)):
                 continue
             outside += 1
             stranger = [x + 4.0 * np.cos(turn), y + 4.0 * np.sin(turn), 9.0]
-            chosen = wanted(cell, eye, 8.0, 6.0, table(np.vstack([[x, y, 12.0], places]), np.vstack([stranger, generators])), ground).chosen
+            chosen = select_peers(
+                cell, eye, 8.0, 6.0, table(np.vstack([[x, y, 12.0], places]), np.vstack([stranger, generators])), ground
+            ).chosen
             grown = power_cell(40, np.vstack([stranger, generators])[:, :2], np.vstack([stranger, generators])[:, 2], ARENA)
             assert grown.shape == cell.shape and np.allclose(grown, cell), (seed, x, y)
             assert not chosen[0] or not _matters(stranger, generators, cell, eye), (seed, x, y)

@@ -36,8 +36,8 @@ def beacon(name: str, tick: int, x: float) -> Beacon:
 def lookout() -> InterestManager:
     """Of s1, who stands at (10, 10) m and has asked who is there; s3, between him and s2, owns all that is far."""
     agent = Agent(CONFIG, "s1")
-    made = InterestManager(agent.self, PeerTable(CONFIG, "s1"), 1)
-    made.arrive(SEEN, agent.outcome, 0.0)
+    made = InterestManager(agent.context, PeerTable(CONFIG, "s1"), 1)
+    made.start(SEEN, agent.outcome, 0.0)
     return made
 
 
@@ -47,21 +47,21 @@ def about_s2(effects: list[Effect]) -> list[Effect]:
 
 def look(watcher: InterestManager, tick: int, x: float) -> list[Effect]:
     """What follows for s2 from a choice, when it says that it is at (x, 10) m."""
-    watcher.hear(beacon("s2", tick, x))
-    watcher.hear(beacon("s3", tick, 60.0))
-    return about_s2(watcher.look(HOME, beacon("s1", tick, 10.0), tick))
+    watcher.take_beacon(beacon("s2", tick, x))
+    watcher.take_beacon(beacon("s3", tick, 60.0))
+    return about_s2(watcher.reselect(HOME, beacon("s1", tick, 10.0), tick))
 
 
 def test_how_far_the_widest_sensor_reaches_is_passed_on_from_beacon_to_beacon() -> None:
     watcher = lookout()
-    watcher.hear(msgspec.structs.replace(beacon("s2", 0, 30.0), widest_reach=25.0, widest_offset=7.0, widest_radius=20.0))
+    watcher.take_beacon(msgspec.structs.replace(beacon("s2", 0, 30.0), widest_reach=25.0, widest_offset=7.0, widest_radius=20.0))
     said = [effect for effect in watcher.answer() if isinstance(effect, Beacon)]
     assert [(one.widest_reach, one.widest_offset, one.widest_radius) for one in said] == [(25.0, 7.0, 20.0)]
 
 
 def test_an_announced_sensor_counts_though_its_beacon_says_nothing_of_others() -> None:
     watcher = lookout()
-    watcher.hear(msgspec.structs.replace(beacon("s2", 0, 30.0), sensor_class="D"))
+    watcher.take_beacon(msgspec.structs.replace(beacon("s2", 0, 30.0), sensor_class="D"))
     [said] = watcher.answer()
     assert isinstance(said, Beacon) and said.widest_reach == 25.0
 
@@ -80,15 +80,15 @@ def test_who_stays_away_is_dropped_and_its_token_when_it_is_forgotten() -> None:
     assert said[int(LINGER) - 1] == [Unsubscribe(GOSSIP)] and sum(map(len, said)) == 1
     assert look(watcher, 10, 30.0) == [Subscribe(GOSSIP)]
     silent = 11 + int(FORGOTTEN * PERIOD)
-    watcher.hear(beacon("s3", silent, 60.0))
-    assert about_s2(watcher.look(HOME, beacon("s1", silent, 10.0), silent)) == [Unsubscribe(GOSSIP), Unsubscribe(TOKEN)]
+    watcher.take_beacon(beacon("s3", silent, 60.0))
+    assert about_s2(watcher.reselect(HOME, beacon("s1", silent, 10.0), silent)) == [Unsubscribe(GOSSIP), Unsubscribe(TOKEN)]
 
 
 @pytest.mark.parametrize(("late", "pause"), [(0.0, SETTLE), (0.02, SETTLE), (0.3, BUSY * 0.3), (60.0, LONGEST)])
 def test_who_is_called_late_gives_the_others_more_time_for_their_answers(late: float, pause: float) -> None:
     watcher = lookout()
     assert watcher.due == SETTLE
-    watcher.on_time(SEEN, Agent(CONFIG, "s1").outcome, SETTLE + late)
+    watcher.on_timer(SEEN, Agent(CONFIG, "s1").outcome, SETTLE + late)
     assert watcher.due == pytest.approx(SETTLE + late + pause)
 
 
@@ -97,13 +97,13 @@ def test_who_hears_nobody_asks_again_nearby_before_it_looks_farther() -> None:
     said: list[list[Effect]] = []
     for _ in range(UNHEARD + 1):
         assert watcher.due is not None
-        said.append(watcher.on_time(SEEN, outcome, watcher.due))
+        said.append(watcher.on_timer(SEEN, outcome, watcher.due))
     assert [[type(effect) for effect in effects] for effects in said[:UNHEARD]] == [[Beacon]] * UNHEARD
     assert any(isinstance(effect, Subscribe) for effect in said[UNHEARD])  # the arena is larger than what it listens to
     neighbour = lookout()
-    neighbour.hear(beacon("s2", 0, 30.0))
+    neighbour.take_beacon(beacon("s2", 0, 30.0))
     assert neighbour.due is not None
-    assert any(isinstance(effect, Subscribe) for effect in neighbour.on_time(SEEN, outcome, neighbour.due))
+    assert any(isinstance(effect, Subscribe) for effect in neighbour.on_timer(SEEN, outcome, neighbour.due))
 
 
 def settled() -> InterestManager:
@@ -119,12 +119,12 @@ def test_a_newcomer_is_answered_who_should_have_been_heard_of_before() -> None:
     watcher, now = settled(), 3 * int(PERIOD)
     edge = max(box.east for box in [watcher.known] if box is not None)
     for name, x, answered in (("s4", 20.0, True), ("s5", edge - JUMP - 0.5, False), ("s6", edge + 1.0, False), ("s4", 21.0, False)):
-        assert watcher.hear(beacon(name, now, x)) == answered
-    assert watcher.hear(msgspec.structs.replace(beacon("s7", now, edge + 1.0), asks=True))
+        assert watcher.take_beacon(beacon(name, now, x)) == answered
+    assert watcher.take_beacon(msgspec.structs.replace(beacon("s7", now, edge + 1.0), asks=True))
 
 
 def test_while_little_is_known_whoever_is_new_is_answered() -> None:
-    assert lookout().hear(beacon("s2", 0, 30.0))
+    assert lookout().take_beacon(beacon("s2", 0, 30.0))
 
 
 def test_new_ground_is_known_after_a_period_though_more_has_been_added_since() -> None:
@@ -136,6 +136,6 @@ def test_new_ground_is_known_after_a_period_though_more_has_been_added_since() -
 
 def grown(watcher: InterestManager, step: int, tick: int) -> Rectangle:
     """The ground that is known after a choice for a cell that is 18 m wider, one tile, in each step."""
-    watcher.look(rectangle(56.0 + 18.0 * step, 20.0), beacon("s1", tick, 10.0), tick)
+    watcher.reselect(rectangle(56.0 + 18.0 * step, 20.0), beacon("s1", tick, 10.0), tick)
     assert watcher.known is not None
     return watcher.known

@@ -24,10 +24,10 @@ CAPABILITY = PROBABILITY * HALF * RADIUS**2  # (6): p_d times the area of the we
 OFFSET = 2.0 * RADIUS * math.sin(HALF) / (3.0 * HALF)  # (14): of the COD, along the heading
 COD = POSE[0] + OFFSET * math.cos(POSE[2]), POSE[1] + OFFSET * math.sin(POSE[2])
 EMPTY = {"filter": FilterSettings(prior_density=0.0), "birth": BirthSettings(measurement=False)}  # nothing is believed anywhere
-ARITHMETICS = pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
+BACKENDS = pytest.mark.parametrize("backend", [PLAIN, compiled()], ids=["plain", "compiled"])
 
 
-def play(arithmetic: Backend = PLAIN, ticks: int = 1, **sections: Any) -> list[Message]:
+def play(backend: Backend = PLAIN, ticks: int = 1, **sections: Any) -> list[Message]:
     """What one agent says in some ticks in which it sees nothing and its body stands still."""
     config = AgentConfig(
         run=RunSettings(dt=DT, clock="lockstep"),
@@ -36,7 +36,7 @@ def play(arithmetic: Backend = PLAIN, ticks: int = 1, **sections: Any) -> list[M
         sensors={"own": SENSOR},
         **sections,
     )
-    agent, said = Agent(config, "s1", arithmetic=arithmetic), []
+    agent, said = Agent(config, "s1", backend=backend), []
     for tick in range(ticks):
         observation = Observation(sender="world", incarnation=1, recipient="s1", tick=tick, time=DT * tick, pose=POSE)
         said += [effect for effect in agent.handle(received(observation), DT * tick) if isinstance(effect, Message)]
@@ -59,11 +59,11 @@ def test_it_says_its_cod_and_the_power_radius_of_all_its_capability() -> None:
     assert gossip.power_radius == pytest.approx(math.sqrt(CAPABILITY / math.pi), rel=1e-12)
 
 
-@ARITHMETICS
+@BACKENDS
 @pytest.mark.parametrize("mode", ["literal", "expected", "static", "saturating"])
-def test_the_unused_capacity_is_that_of_the_mode_and_is_said_in_the_next_gossip(arithmetic: Backend, mode: Any) -> None:
+def test_the_unused_capacity_is_that_of_the_mode_and_is_said_in_the_next_gossip(backend: Backend, mode: Any) -> None:
     """p_d is constant, so that the integral of p_d v is p_d times the load (11)."""
-    said = play(arithmetic, 2, capacity=CapacitySettings(mode=mode, limit=3.0), filter=FilterSettings(prior_density=0.01))
+    said = play(backend, 2, capacity=CapacitySettings(mode=mode, limit=3.0), filter=FilterSettings(prior_density=0.01))
     first, gossip = next(message for message in said if isinstance(message, Estimate)), last(said, Gossip)
     right = {
         "literal": CAPABILITY - PROBABILITY,

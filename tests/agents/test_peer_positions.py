@@ -3,7 +3,7 @@
 import numpy as np
 
 from agents.config import AgentConfig, TimingSettings
-from agents.interest.position_table import EYE_X, beacon_row
+from agents.interest.position_table import SENSOR_X, beacon_row
 from agents.interest.selection import Choice
 from agents.interest.tiles import Rectangle
 from agents.membership.peer_table import PeerTable
@@ -32,7 +32,7 @@ def beacon(name: str, tick: int, x: float, incarnation: int = 1) -> Beacon:
 def peers() -> PeerTable:
     """Of s1, who hears s2 and s3 and has chosen for the ground up to 50 m east."""
     found = PeerTable(CONFIG, "s1")
-    assert found.see(beacon("s2", 0, 10.0)) and found.see(beacon("s3", 0, 20.0))
+    assert found.take_beacon(beacon("s2", 0, 10.0)) and found.take_beacon(beacon("s3", 0, 20.0))
     choose(found)
     return found
 
@@ -40,16 +40,16 @@ def peers() -> PeerTable:
 def choose(found: PeerTable) -> None:
     """Listen to everybody who is known."""
     found.forget(-1)
-    table = found.places.table(beacon_row(beacon("s1", 0, 0.0), "power"))
-    everybody = [True] * len(found.places)
+    table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
+    everybody = [True] * len(found.positions)
     found.choose(table, Choice(np.array(everybody), Rectangle(-50.0, -50.0, 50.0, 50.0)))
 
 
 def eyes(found: PeerTable) -> dict[str, float]:
     """Where everybody's sensor is, m east."""
     found.forget(-1)
-    table = found.places.table(beacon_row(beacon("s1", 0, 0.0), "power"))
-    return dict(zip(found.places.names, table[:, EYE_X].tolist()))
+    table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
+    return dict(zip(found.positions.names, table[:, SENSOR_X].tolist()))
 
 
 def test_a_closed_round_says_where_peers_are_once_somebody_asks() -> None:
@@ -77,16 +77,16 @@ def test_beacons_of_the_well_known_are_noted_and_the_others_are_given_back() -> 
         beacon("s3", 4, 99.0, incarnation=2),
         beacon("s4", 4, 40.0),
     )
-    assert found.places.see_all([plain, younger, stranger], found.peers) == [younger, stranger]
-    assert found.places.see_all([stale], found.peers) == [stale]
+    assert found.positions.note_all([plain, younger, stranger], found.peers) == [younger, stranger]
+    assert found.positions.note_all([stale], found.peers) == [stale]
     assert eyes(found) == {"s2": 12.0, "s3": 20.0} and found.peers["s2"].beacon is plain
 
 
 def test_a_newcomer_calls_for_a_choice_only_where_it_may_matter() -> None:
     found = peers()
-    assert found.see(beacon("s4", 1, 60.0)) and not found.changed
-    assert found.see(beacon("s5", 1, 40.0)) and found.changed
+    assert found.take_beacon(beacon("s4", 1, 60.0)) and not found.changed
+    assert found.take_beacon(beacon("s5", 1, 40.0)) and found.changed
     choose(found)
-    assert found.see(beacon("s4", 1, 60.0, incarnation=2)) and found.changed  # somebody known has been restarted
+    assert found.take_beacon(beacon("s4", 1, 60.0, incarnation=2)) and found.changed  # somebody known has been restarted
     choose(found)
-    assert not found.see(beacon("s4", 2, 60.0, incarnation=1)) and not found.changed  # an older incarnation is nobody
+    assert not found.take_beacon(beacon("s4", 2, 60.0, incarnation=1)) and not found.changed  # an older incarnation is nobody

@@ -38,7 +38,7 @@ def neighbours(*names: str) -> PeerTable:
     found = PeerTable(CONFIG, "s1")
     for name in names:
         found.alive(name, 1)
-        assert found.greet(hello(name)) is None
+        assert found.take_hello(hello(name)) is None
     return found
 
 
@@ -74,7 +74,7 @@ def test_nobody_waits_for_a_late_comer_before_its_first_word() -> None:
     hear(peers, gossip("s2", 6))
     peers.close(6)
     peers.alive("s3", 1)
-    peers.greet(hello("s3"))
+    peers.take_hello(hello("s3"))
     assert set(peers.missing(7)) == {"s2"}
 
 
@@ -126,29 +126,29 @@ def test_a_younger_incarnation_replaces_the_older_whose_word_counts_no_more() ->
     hear(peers, gossip("s2", 0))
     peers.alive("s2", 2)
     assert generators(peers, 0) == []
-    assert hear(peers, gossip("s2", 1)) == "incarnation" and peers.greet(hello("s2")) == "incarnation"
+    assert hear(peers, gossip("s2", 1)) == "incarnation" and peers.take_hello(hello("s2")) == "incarnation"
     assert hear(peers, gossip("s2", 1, incarnation=2)) == "stranger"
-    assert peers.greet(hello("s2", 2)) is None and hear(peers, gossip("s2", 1, incarnation=2)) is None
+    assert peers.take_hello(hello("s2", 2)) is None and hear(peers, gossip("s2", 1, incarnation=2)) is None
     peers.gone("s2", 1, 1)  # the token of the old process goes late
     assert generators(peers, 1) == ["s2"]
 
 
 def test_one_wrong_bit_in_an_incarnation_silences_nobody_whose_token_is_up() -> None:
     peers = neighbours("s2")
-    assert peers.greet(hello("s2", 2**40)) == "incarnation" and hear(peers, gossip("s2", 0, incarnation=3)) == "incarnation"
+    assert peers.take_hello(hello("s2", 2**40)) == "incarnation" and hear(peers, gossip("s2", 0, incarnation=3)) == "incarnation"
     assert hear(peers, gossip("s2", 0)) is None
-    peers.greet(hello("s3", 9))  # wrong, and heard before the token
+    peers.take_hello(hello("s3", 9))  # wrong, and heard before the token
     peers.alive("s3", 1)
-    assert peers.greet(hello("s3")) is None and hear(peers, gossip("s3", 0)) is None
+    assert peers.take_hello(hello("s3")) is None and hear(peers, gossip("s3", 0)) is None
 
 
 def test_the_newest_hello_counts_so_that_a_spoilt_one_is_put_right() -> None:
     peers = neighbours()
     peers.alive("s2", 1)
     wrong = Hello(sender="s2", incarnation=1, sensor_class="B", sensor=WedgeSensor(1.0, 2.0, 0.5))
-    peers.greet(wrong)
+    peers.take_hello(wrong)
     assert hear(peers, gossip("s2", 0)) == "bounds"
-    peers.greet(Hello(sender="s2", incarnation=1, sensor_class="B", sensor=SENSOR_CLASSES["B"]))
+    peers.take_hello(Hello(sender="s2", incarnation=1, sensor_class="B", sensor=SENSOR_CLASSES["B"]))
     assert hear(peers, gossip("s2", 0)) is None
 
 
@@ -176,8 +176,8 @@ def test_a_gossip_beyond_what_its_sensor_can_do_is_refused() -> None:
 def test_strangers_and_unknown_sensors_are_refused() -> None:
     peers = PeerTable(CONFIG, "s1")
     assert hear(peers, gossip("s2", 0)) == "stranger"
-    assert peers.greet(hello("s2", sensor_class="Z")) == "sensor"
-    assert peers.greet(hello("s2")) is None
+    assert peers.take_hello(hello("s2", sensor_class="Z")) == "sensor"
+    assert peers.take_hello(hello("s2")) is None
     announced = peers.peers["s2"].announced
     assert announced is not None and announced.sensor is SENSOR_CLASSES["B"]
 
@@ -195,13 +195,13 @@ def test_who_takes_the_sender_for_another_sensor_judges_its_words_for_himself() 
         said, believed = gossip("s2", 0, radius=15.0), []
         for sensor_class in classes:
             listener = PeerTable(CONFIG, "s1")
-            listener.greet(hello("s2", sensor_class=sensor_class))
+            listener.take_hello(hello("s2", sensor_class=sensor_class))
             believed.append(hear(listener, said) is None)
         assert believed == [sensor_class == "D" for sensor_class in classes]
     said, sensors = gossip("s2", 0), []
     for sensor_class in "ABA":
         listener = PeerTable(CONFIG, "s1")
-        listener.greet(hello("s2", sensor_class=sensor_class))
+        listener.take_hello(hello("s2", sensor_class=sensor_class))
         hear(listener, said)
         carried = [listener.peers[name].announced for name in listener.fresh(0)]
         sensors.append([announced.sensor for announced in carried if announced is not None])
@@ -211,8 +211,8 @@ def test_who_takes_the_sender_for_another_sensor_judges_its_words_for_himself() 
 def test_a_peer_of_other_settings_is_refused_and_waited_for_by_nobody() -> None:
     peers = neighbours("s3")
     peers.alive("s2", 1)
-    assert peers.greet(differing("s2")) == "settings"
-    assert peers.peers["s2"].differs == ("arena.width",) and not peers.strangers()
+    assert peers.take_hello(differing("s2")) == "settings"
+    assert peers.peers["s2"].differs == ("arena.width",) and not peers.lacks_announcements()
     assert set(peers.missing(0)) == {"s3"} and hear(peers, gossip("s2", 0)) == "settings"
     assert hear(peers, gossip("s3", 0)) is None
     assert generators(peers, 0) == ["s3"] and peers.close(0) == 0
@@ -220,17 +220,17 @@ def test_a_peer_of_other_settings_is_refused_and_waited_for_by_nobody() -> None:
 
 def test_a_spoilt_greeting_neither_shuts_out_a_peer_that_agreed_nor_keeps_one_out_for_ever() -> None:
     peers = neighbours("s2")
-    assert peers.greet(differing("s2")) == "settings"
+    assert peers.take_hello(differing("s2")) == "settings"
     assert hear(peers, gossip("s2", 0)) is None
     peers.alive("s3", 1)
-    assert peers.greet(differing("s3")) == "settings" and peers.greet(hello("s3")) is None
+    assert peers.take_hello(differing("s3")) == "settings" and peers.take_hello(hello("s3")) is None
     assert hear(peers, gossip("s3", 0)) is None and generators(peers, 0) == ["s2", "s3"]
 
 
 def test_a_peer_that_comes_back_with_the_right_settings_is_a_peer_again() -> None:
     peers = neighbours("s2")
     peers.alive("s3", 1)
-    peers.greet(differing("s3"))
+    peers.take_hello(differing("s3"))
     peers.gone("s3", 1, 3)
     peers.alive("s3", 2)
-    assert peers.greet(hello("s3", 2)) is None and list(peers.interest_set) == ["s2", "s3"]
+    assert peers.take_hello(hello("s3", 2)) is None and list(peers.interest_set) == ["s2", "s3"]

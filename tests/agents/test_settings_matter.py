@@ -96,7 +96,7 @@ SECTIONS = {
 def said(setting: str = "", value: object = None, plain: bool = False) -> bytes:
     """The hash of all that the swarm says."""
     options = BASE | ({setting: value} if setting else {})
-    simulation, heard = Simulation(resolve("efficacy", options), arithmetic=PLAIN if plain else compiled(), scores=False), []
+    simulation, heard = Simulation(resolve("efficacy", options), backend=PLAIN if plain else compiled(), scores=False), []
 
     def hear(event: Event, now: float) -> None:
         for message in messages_of(event):

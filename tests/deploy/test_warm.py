@@ -29,7 +29,7 @@ struck += (fault(7.0, "pause", "s4", seconds=2.0), fault(9.0, "partition", "50%"
 struck += (fault(13.0, "join", "s20", **{"class": "A"}),)
 for scene in (ledger(*struck), tracking(*struck), tracking(*struck, timing__interest="neighbours", filter__border="reflect")):
     for clock in ("realtime", "lockstep"):
-        watch(scene, clock=clock, arithmetic=fast())
+        watch(scene, clock=clock, backend=fast())
 from agents.compiled.cache import loops_on_disk, number_of_loops
 assert before and loops_on_disk() == number_of_loops()  # what the progress of the first start counts
 print(sorted(compiled() - before))

@@ -27,7 +27,7 @@ class Record(NamedTuple):
     agents: list[str]
 
 
-def play(case: Case, *, arithmetic: Backend | None = None, tapped: bool = False, batches: bool = True) -> list[Said]:
+def play(case: Case, *, backend: Backend | None = None, tapped: bool = False, batches: bool = True) -> list[Said]:
     """What was said in each tick of a case; `tapped`: the bus is watched, as by the fuzzer; `batches` false: it delivers one by one."""
     said: list[Said] = [{} for _ in range(TICKS)]
 
@@ -39,7 +39,7 @@ def play(case: Case, *, arithmetic: Backend | None = None, tapped: bool = False,
                 for field, values in found.items():
                     said[tick].setdefault(name, {}).setdefault(field, []).append([incarnation, *values])
 
-    simulation = Simulation(case.scenario(), clock=case.clock, arithmetic=arithmetic, scores=False)  # type: ignore[arg-type]
+    simulation = Simulation(case.scenario(), clock=case.clock, backend=backend, scores=False)  # type: ignore[arg-type]
     simulation.scorer.on_event = hear
     if tapped:
         simulation.bus.tap = lambda node, events: None

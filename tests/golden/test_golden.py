@@ -61,7 +61,7 @@ def test_every_kind_of_case_gives_the_same_record_when_watched_and_one_by_one(ca
 
 @pytest.mark.slow
 def test_plain_arithmetic_gives_the_same_record() -> None:
-    assert difference(read(SHORT), play(SHORT, arithmetic=PLAIN)) == ""
+    assert difference(read(SHORT), play(SHORT, backend=PLAIN)) == ""
 
 
 def test_the_order_of_hashes_does_not_matter() -> None:

@@ -39,7 +39,7 @@ def no_dedupe_by_id(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     """Acts in cases with `timing.overlap` alone: else one of two claims counts where they meet, and no id is told twice."""
     for module in ("agents.tracking.belief", "agents.tracking.merge", "agents.tracking.regions", "agents.tracking.phd"):
         patch.setattr(f"{module}.canonical", sorted_only)
-    return fuzz.play(case, arithmetic=PLAIN)
+    return fuzz.play(case, backend=PLAIN)
 
 
 def no_keyed_noise(case: Case, patch: pytest.MonkeyPatch) -> str | None:
@@ -50,7 +50,7 @@ def no_keyed_noise(case: Case, patch: pytest.MonkeyPatch) -> str | None:
         return right(particles, step._replace(config=msgspec.structs.replace(step.config, filter=filters)))
 
     patch.setattr(regions, "predict", predict)
-    return fuzz.play(case, arithmetic=PLAIN)
+    return fuzz.play(case, backend=PLAIN)
 
 
 def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | None:
@@ -70,7 +70,7 @@ def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | Non
         return found
 
     patch.setattr(regions, "correct", correct)
-    return fuzz.play(case, arithmetic=PLAIN._replace(update_regions=update_regions))
+    return fuzz.play(case, backend=PLAIN._replace(update_regions=update_regions))
 
 
 def timing(case: Case, **changes: int) -> Case:
@@ -112,7 +112,7 @@ def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     def resolve_conflicts(points: np.ndarray, *others: Any) -> np.ndarray:
         return np.ones(len(points), dtype=bool)
 
-    return fuzz.play(case, arithmetic=PLAIN._replace(resolve_conflicts=resolve_conflicts))
+    return fuzz.play(case, backend=PLAIN._replace(resolve_conflicts=resolve_conflicts))
 
 
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:

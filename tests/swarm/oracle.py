@@ -50,7 +50,7 @@ class Beside:
     """A virtual run with the central filter beside it; `run` plays it."""
 
     scenario: Scenario
-    arithmetic: Backend = PLAIN
+    backend: Backend = PLAIN
     link: Link | None = None
     distances: list[ParticleDifference] = field(default_factory=list)  # of the agents' own particles from the filter's, after each tick
     swarm: list[float] = field(default_factory=list)  # OSPA of what the agents report, m, by tick
@@ -58,13 +58,13 @@ class Beside:
 
     def run(self) -> "Beside":
         """Play all ticks; returns itself."""
-        simulation = Simulation(self.scenario, link=self.link, arithmetic=self.arithmetic)
+        simulation = Simulation(self.scenario, link=self.link, backend=self.backend)
         ear = Eavesdropper(self.scenario.run.name)
         simulation.bus.add(ear)
         agents = simulation.agents
         heard: list[Truth] = []
         prior = next(iter(agents.values())).outcome.belief.copies.all()
-        oracle = CentralFilter(simulation.scenario, prior, backend=self.arithmetic)
+        oracle = CentralFilter(simulation.scenario, prior, backend=self.backend)
 
         def after(truth: Truth) -> None:
             particles, claims = owned_by_all(agents, truth.tick)
@@ -85,6 +85,6 @@ class Beside:
         return self
 
 
-def compare(scenario: Scenario, *, arithmetic: Backend = PLAIN, link: Link | None = None) -> list[ParticleDifference]:
+def compare(scenario: Scenario, *, backend: Backend = PLAIN, link: Link | None = None) -> list[ParticleDifference]:
     """The distance of the swarm from the oracle after every tick of a run."""
-    return Beside(scenario, arithmetic, link).run().distances
+    return Beside(scenario, backend, link).run().distances

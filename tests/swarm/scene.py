@@ -83,12 +83,12 @@ class Watched:
 def watch(
     scenario: Scenario,
     *,
-    arithmetic: Backend | None = None,
+    backend: Backend | None = None,
     clock: Literal["lockstep", "realtime"] = "lockstep",
     at_tick: Callable[[int, Simulation], None] = lambda tick, simulation: None,
 ) -> Watched:
     """Play a scenario; `at_tick` is called with every tick of the world that begins."""
-    simulation = Simulation(scenario, arithmetic=arithmetic, clock=clock)
+    simulation = Simulation(scenario, backend=backend, clock=clock)
     listener = Listener(scenario.run.name)
     simulation.bus.add(listener)
     simulation.on_truth = lambda truth: at_tick(truth.tick, simulation)

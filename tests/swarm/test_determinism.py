@@ -47,31 +47,31 @@ def test_taking_what_comes_in_an_instant_together_changes_nothing(interest: str)
     assert alone == together
 
 
-@pytest.mark.parametrize("arithmetic", [PLAIN, compiled()], ids=["plain", "compiled"])
-def test_what_all_work_out_together_changes_nothing(arithmetic: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("backend", [PLAIN, compiled()], ids=["plain", "compiled"])
+def test_what_all_work_out_together_changes_nothing(backend: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
     """A round of all who hear the same in one call, and everybody by himself."""
     calls = []
 
     def update_regions(*task: Any) -> list[RegionUpdate]:
         calls.append(len(task[3]))
-        return arithmetic.update_regions(*task)
+        return backend.update_regions(*task)
 
-    counted = arithmetic._replace(update_regions=update_regions)
-    together = transcript(arithmetic=counted)
+    counted = backend._replace(update_regions=update_regions)
+    together = transcript(backend=counted)
     assert sum(count > 1 for count in calls) > 10 and max(calls) > 5
     calls.clear()
     monkeypatch.setattr("agents.round.shared_round", lambda *asked: None)
-    assert transcript(arithmetic=counted) == together
+    assert transcript(backend=counted) == together
     assert set(calls) == {1}
 
 
 def test_compiled_loops_change_nothing() -> None:
     assert compiled() is not PLAIN
-    assert transcript(arithmetic=PLAIN) == transcript(arithmetic=compiled())
+    assert transcript(backend=PLAIN) == transcript(backend=compiled())
 
 
 def test_the_order_of_hashes_changes_nothing() -> None:
-    program = "from tests.swarm.test_determinism import transcript; from agents.backend import PLAIN; print(transcript(arithmetic=PLAIN))"
+    program = "from tests.swarm.test_determinism import transcript; from agents.backend import PLAIN; print(transcript(backend=PLAIN))"
     seen = set()
     for hash_seed in ("0", "1", "4711"):
         environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}
@@ -79,4 +79,4 @@ def test_the_order_of_hashes_changes_nothing() -> None:
             [sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=100, check=True
         )
         seen.add(done.stdout)
-    assert seen == {transcript(arithmetic=PLAIN) + "\n"}
+    assert seen == {transcript(backend=PLAIN) + "\n"}

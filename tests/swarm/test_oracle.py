@@ -25,25 +25,25 @@ SMALL = {
 
 @pytest.mark.parametrize("team, side, targets", SMALL.values(), ids=SMALL)
 def test_without_loss_the_swarm_is_the_central_filter_to_the_last_bit(team: str, side: float, targets: int) -> None:
-    apart = compare(swarm(team, side, targets, seconds=30.0), arithmetic=compiled())
+    apart = compare(swarm(team, side, targets, seconds=30.0), backend=compiled())
     assert len(apart) == 120
     assert [found for found in apart if found != (0, 0, 0.0, 0.0)] == []
 
 
 def test_without_loss_the_plain_arithmetic_is_the_central_filter_too() -> None:
-    apart = compare(swarm("A2,B3,C2", 30.0, 5, seconds=25.0, seed=7), arithmetic=PLAIN)
+    apart = compare(swarm("A2,B3,C2", 30.0, 5, seconds=25.0, seed=7), backend=PLAIN)
     assert len(apart) == 100 and all(found.exact for found in apart)
 
 
 def test_long_ticks_are_exact_too() -> None:
-    apart = compare(swarm("E5,H2", 60.0, 12, seconds=50.0, seed=3, dt=0.5), arithmetic=compiled())
+    apart = compare(swarm("E5,H2", 60.0, 12, seconds=50.0, seed=3, dt=0.5), backend=compiled())
     assert len(apart) == 100 and all(found.exact for found in apart)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("team, targets", [("4", 30), ("20E+10G", 30), ("A10,B20,C15", 30)], ids=["4ACD", "20E+10G", "ABC"])
 def test_the_large_teams_of_the_paper_are_exact_over_300_ticks(team: str, targets: int) -> None:
-    apart = compare(swarm(team, 100.0, targets, seconds=150.0, dt=0.5), arithmetic=compiled())
+    apart = compare(swarm(team, 100.0, targets, seconds=150.0, dt=0.5), backend=compiled())
     assert len(apart) == 300 and all(found.exact for found in apart)
 
 
