@@ -1,7 +1,11 @@
 """The compiled computation of a round: the bit-for-bit twin of `regions.update_regions` for wedges, one call for all owners.
 
-What cannot come near any owner is not even predicted; the rest is sorted and predicted once, and each owner takes its part. What may go
-either way is written down and counted without branches, because no processor foresees them. Rules as in `kernels`.
+Data types: the settings and the keys of a run are arrays with the columns below; a result is a row of SIZES and SUMS columns. The stated
+particles are states (N, 4) float32, ids (N,), and the rows of the gossip table that state them.
+
+Rules as in agents/compiled/particle_kernels.py. Particles that cannot come near an owner are not predicted. The others are sorted and
+predicted once, and each owner gates its part. Filters write each index and advance the count without branches, because such branches
+are unpredictable.
 """
 
 import numpy as np
@@ -16,10 +20,10 @@ from agents.compiled.particle_kernels import blank, first_moments, in_view, move
 from agents.gossip.table import PARTICLES, WEIGHT
 
 BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
-SIZES = 4  # first columns of a result: how many particles were updated, are owned and were drawn, and how many targets are reported
-SUMS = 5  # and the next: mass, its sums of x and y, load and detected
+SIZES = 4  # first columns of a result: the numbers of updated, own and resampled particles, and of estimated targets
+SUMS = 5  # next columns: mass, its sums of x and y, load and detected
 
-# Columns of the settings, and of the keys to which the tick is still to be added.
+# Columns of the settings; and of the keys, each without the tick.
 DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, LIKELIHOOD_NOISE, GATE2 = range(13)
 CERTAINTY, MISS_BIN, BIRTHS, COPIES, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
 PER_TARGET, LEAST, MOST, BIN, THRESHOLD = range(21, 26)
@@ -30,7 +34,7 @@ _S11 = np.uint64(11)
 
 @cached
 def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
-    """Which of these boxes (N, 4) hold any candidate, by their indices in ascending order."""
+    """Indices of the boxes (N, 4) that touch a box around a polygon, widened by `width` m, or one around a disc; ascending."""
     west, south, east, north = around(polygon, width)
     found, count = np.empty(len(boxes), np.int64), 0
     for n in range(len(boxes)):
@@ -46,7 +50,7 @@ def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: 
 def _surroundings(
     corners: np.ndarray, table: np.ndarray, spans: np.ndarray, width: float, step: float
 ) -> tuple[BoxLimits, tuple[float, float, float]]:
-    """A box around all cells and a disc (x, y, radius) around all footprints, m; of a single owner just its own."""
+    """A box around all cells and a disc (x, y, radius) around all footprints, m; for a single owner its own box and footprint."""
     x, y, radius = table[spans[0, 0], 0], table[spans[0, 0], 1], 0.0
     for k in range(len(spans)):
         eye = table[spans[k, 0]]
@@ -57,15 +61,18 @@ def _surroundings(
 
 @njit
 def _within(x: float, y: float, box: BoxLimits, disc: tuple[float, float, float]) -> bool:
-    """Whether a place lies in a box or in a disc."""
+    """True for a point in the box or in the disc."""
     dx, dy = x - disc[0], y - disc[1]
     return ((box[0] <= x) & (x <= box[2]) & (box[1] <= y) & (y <= box[3])) | (dx * dx + dy * dy <= disc[2] * disc[2])
 
 
 @njit
 def _candidates(said: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the particles in gossips (states float32, ids, and rows that say how many each and their weight) and of others behind them
-    (states, weights, ids): those in a box or in a disc, as places, ids and weights."""
+    """Indices, ids and weights of the particles in the box or in the disc: the stated ones, then the others.
+
+    The stated particles are (states float32, ids, rows of the table with their numbers and weights). The others are (states, weights, ids),
+    and their indices continue those of the stated ones.
+    """
     said_states, said_ids, table = said
     states, weights, ids = others
     number, size, count = len(said_ids), len(said_ids) + len(ids), 0
@@ -92,8 +99,10 @@ def _candidates(said: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tupl
 
 @njit
 def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
-    """The candidates in ascending order of id and one step on, each id once, and the births behind them: x, y, states, weights, ids, and
-    the number of those that are no births."""
+    """The candidates one step later, each id once and ids ascending, then the births: x, y, states, weights, ids.
+
+    The sixth value is the number of particles before the births.
+    """
     places, names, masses = _candidates(said, others, box, disc)
     order, number, born, known = sort_by_id(names, np.arange(len(names))), len(said[1]), len(births[2]), 0
     states, weights, ids = blank(len(names) + born)
@@ -118,7 +127,7 @@ def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tu
 
 @njit
 def _gate(predicted: tuple, polygon: np.ndarray, halo: float, eye: np.ndarray, room: tuple) -> tuple:
-    """Twin of `regions.gate` for one owner: states, weights and ids of the particles near its cell, and of those only in its reach."""
+    """Twin of `regions.gate`: states, weights and ids of the particles within the halo of the cell, and of the others within reach."""
     x, y, states, weights, ids, known = predicted
     boxed, seen, rows, some = room
     west, south, east, north = around(polygon, halo)
@@ -145,7 +154,7 @@ def _gate(predicted: tuple, polygon: np.ndarray, halo: float, eye: np.ndarray, r
 
 @njit
 def _rows(rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Some particles."""
+    """States, weights and ids of the particles at the indices `rows`."""
     some_states, some_weights, some_ids = blank(len(rows))
     for k in range(len(rows)):
         n = rows[k]
@@ -157,7 +166,7 @@ def _rows(rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.nda
 
 @njit
 def _motion(settings: np.ndarray, keys: np.ndarray, now: np.uint64) -> tuple:
-    """`fast.motion` of a tick."""
+    """Twin of `backend.motion` for a tick."""
     return (
         scramble(now, keys[TURN]),
         scramble(now, keys[EASTWARD]),
@@ -189,7 +198,7 @@ def _update_region(
     owner: np.uint64,
     directions: np.ndarray,
 ) -> tuple:
-    """The steps of `regions.update_regions` for one owner once its particles are gated; `eye` is its sensor, a row of numbers."""
+    """The fields of a `regions.RegionUpdate` for one owner from its gated particles; `sensor` is its row of the table."""
     near_states, near_weights, near_ids, far_states, far_weights, _ = gated
     halo = settings[HALO]
     birth = (
@@ -225,7 +234,10 @@ def _update_region(
 
 @njit
 def _append(whole: tuple, size: int, part: tuple, room: int) -> tuple:
-    """Particles behind the first `size` ones of others, with more room where it is needed, at least `room`; the first part is the whole."""
+    """The first `size` particles of `whole` with `part` behind them; the first part becomes the whole.
+
+    Arrays that are too small grow to `least` particles or more.
+    """
     states, weights, ids = whole
     end = size + len(part[2])
     if size == 0:
@@ -257,10 +269,10 @@ def update_regions(
     draws: np.ndarray,
     directions: np.ndarray,
 ) -> tuple:
-    """What K owners make of their parts: updated, own and drawn particles and targets (T, 2), each owner after owner, and their numbers
-    and sums (K, SIZES + SUMS).
+    """Twin of `regions.update_regions`: updated, own and resampled particles and targets (T, 2) in m, owner after owner, and results.
 
-    `spans` (K, 3) are each owner's row of the table, and how many corners and generators are its; `draws` (K,) are the keys of their draws.
+    The results (K, SIZES + SUMS) hold the sizes and sums of K owners. `spans` (K, 3) are the row of each owner in the table, its number of
+    corners and its number of generators. `draws` (K,) are the keys of the resampling of each owner.
     """
     now, number, halo, step = np.uint64(tick), len(spans), settings[HALO], settings[STEP]
     box, disc = _surroundings(corners, table, spans, halo + step, step)
