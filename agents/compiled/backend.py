@@ -108,7 +108,7 @@ def merge(received: Particles, kept: np.ndarray, copies: Particles, free: np.nda
 
 
 _NO_CORNERS = np.empty((0, 2))  # writable, because a read-only array would need a second compilation
-_NOTHING_SAID = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty((0, COLUMNS))
+_NOTHING_STATED = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty((0, COLUMNS))
 # A pure memo of the settings and keys of the last eight configurations, because all agents of a simulation share one.
 _PREPARED: deque[tuple[AgentConfig, np.ndarray, np.ndarray]] = deque(maxlen=8)
 
@@ -131,7 +131,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     return settings, keys
 
 
-def said_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States, ids and table rows of the gossips whose boxes of particles touch the surroundings of a region."""
     (x, y), reach, width = region.pose[:2], region.sensor.reach + step.reach, step.config.filter.halo + step.reach
     near = region_kernels.touching(table.boxes, region.polygon if len(region.polygon) else _NO_CORNERS, width, x, y, reach)
@@ -168,13 +168,13 @@ def _update_wedges(
         return []
     config = step.config
     settings, keys = prepared(config)
-    said, others = _NOTHING_SAID, NONE
+    stated, others = _NOTHING_STATED, NONE
     if not isinstance(received, GossipTable):
         others = received
     elif config.timing.interest == "all" or len(regions_) > 1 or received.stands_ready:
-        said = *received.stated, received.table
+        stated = *received.stated, received.table
     else:
-        said = said_near(received, regions_[0], step)
+        stated = stated_near(received, regions_[0], step)
     corners = _end_to_end([region.polygon for region in regions_])
     updated, own, kept, targets, results = region_kernels.update_regions(
         settings,
@@ -183,7 +183,7 @@ def _update_wedges(
         table.table,
         table.salts,
         table.detections,
-        said,
+        stated,
         tuple(others),
         tuple(births),
         np.array([(region.row, len(region.polygon), len(region.claim.first)) for region in regions_]),
@@ -224,11 +224,11 @@ _MARGINS = selection.MARGIN, selection.APPEARING, selection.SPACING, selection.T
 
 
 def select_peers(
-    cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.Ground
+    cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.Ground
 ) -> selection.Choice:
     """See `selection.wanted`."""
     home, bounds = cell if len(cell) else _NO_CORNERS, (ground.bounds.reach, ground.bounds.offset, ground.bounds.radius)
-    chosen, needed = selection_kernels.wanted(home, eye, reach, halo, table, ground.arena, bounds, ground.drift, _MARGINS)
+    chosen, needed = selection_kernels.wanted(home, position, reach, halo, table, ground.arena, bounds, ground.drift, _MARGINS)
     return selection.Choice(chosen, Rectangle(*needed))
 
 

@@ -82,7 +82,7 @@ def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.
 
 
 @njit
-def _room(number: int, corners: int) -> tuple:
+def _scratch(number: int, corners: int) -> tuple:
     """Scratch arrays of `_cut` for `number` generators and an arena of `corners` corners."""
     size = corners + number + 2
     places = np.empty(number), np.empty(number, np.int64), np.empty(number, np.int64)
@@ -153,12 +153,12 @@ def _bisectors(index: int, points: np.ndarray, radii: np.ndarray, ahead: np.ndar
 
 
 @njit
-def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float, room: tuple) -> tuple[np.ndarray, int, int]:
+def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float, scratch: tuple) -> tuple[np.ndarray, int, int]:
     """Twin of `cells.cut`: the corners relative to the generator, m, their number, and the number of bounding generators.
 
     The corners lie in scratch. The bounding generators are the first entries of `picked`, the third array of the scratch.
     """
-    ahead, order, picked, corners, other, heights = room
+    ahead, order, picked, corners, other, heights = scratch
     number, size = len(radii), len(arena)
     spread = _bisectors(index, points, radii, ahead)
     for c in range(size):
@@ -222,11 +222,11 @@ def cut_cells(
     The starts (K + 1, 2) are the first corner and the first bounding generator of each cell. An empty cell has neither.
     """
     number = len(indices)
-    room, starts = _room(len(radii), len(arena)), np.zeros((number + 1, 2), np.int64)
+    scratch, starts = _scratch(len(radii), len(arena)), np.zeros((number + 1, 2), np.int64)
     corners, bounds = np.empty((8 * number + 8, 2)), np.empty(10 * number + 10, np.int64)
     for k in range(number):
         index = indices[k]
-        relative, size, bounding = _cut(index, points, radii, arena, touch, room)
+        relative, size, bounding = _cut(index, points, radii, arena, touch, scratch)
         first, bound = starts[k]
         if first + size > len(corners):
             corners = np.concatenate((corners, np.empty((len(corners) + size, 2))))
@@ -234,7 +234,7 @@ def cut_cells(
             bounds = np.concatenate((bounds, np.empty(len(bounds) + bounding, np.int64)))
         for c in range(size):
             corners[first + c, 0], corners[first + c, 1] = relative[c, 0] + points[index, 0], relative[c, 1] + points[index, 1]
-        bounds[bound : bound + bounding] = room[2][:bounding]
+        bounds[bound : bound + bounding] = scratch[2][:bounding]
         starts[k + 1, 0], starts[k + 1, 1] = first + size, bound + bounding
     return corners[: starts[number, 0]], bounds[: starts[number, 1]], starts
 

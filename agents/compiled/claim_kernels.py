@@ -133,10 +133,10 @@ def resolve_conflicts(
 ) -> np.ndarray:
     """Twin of `claims.resolve_conflicts`: True for the stated points that count, (N,) bool."""
     number, keep, starts, begin = len(points), np.ones(len(points), dtype=np.bool_), _starts(ends), 0
-    x, y, own, seen = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, views.dtype)
+    x, y, own, point_views = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, views.dtype)
     for c in range(len(sizes)):
         for n in range(begin, begin + sizes[c]):
-            own[n], seen[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
+            own[n], point_views[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
         begin += sizes[c]
     outdone = np.zeros(number, np.bool_)
     for owner in np.nonzero(starts < ends)[0]:  # rarely is another owner nearer; without branches, for several points at once
@@ -144,11 +144,11 @@ def resolve_conflicts(
         squared, view = radius * radius, views[owner]
         for n in range(number):
             dx, dy = x[n] - east, y[n] - north
-            outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (seen[n] != view)
+            outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (point_views[n] != view)
     for row in np.nonzero(outdone)[0]:
         for rival in range(len(ends)):
             start, end = starts[rival], ends[rival]
-            if views[rival] == seen[row] or start == end or not _power_distance(x[row], y[row], generators, start) < own[row]:
+            if views[rival] == point_views[row] or start == end or not _power_distance(x[row], y[row], generators, start) < own[row]:
                 continue
             if _depth(x[row], y[row], generators, start, end) > overlap:
                 keep[row] = False

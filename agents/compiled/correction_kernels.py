@@ -126,9 +126,9 @@ def _missed(
 @cached
 def _mark_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, seen: np.ndarray) -> None:
     """Write into `seen` (N,) True for the points in a wedge, a row of `GossipTable.table`; without branches, for several at once."""
-    eye_x, eye_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
+    sensor_x, sensor_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
     for n in range(len(x)):
-        dx, dy = x[n] - eye_x, y[n] - eye_y
+        dx, dy = x[n] - sensor_x, y[n] - sensor_y
         range2 = dx * dx + dy * dy
         seen[n] = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2))
 
@@ -166,7 +166,7 @@ def _pairs(
 
 
 @cached
-def _room(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _pair_buffers(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(size)
 
 
@@ -255,24 +255,24 @@ def update(
     for s in range(scans):
         close = starts[s + 1] = _pick(table[sensors[s]], begins[s], polygon, box, halo, all_detections, picked, close)
     count = len(weights)
-    room = count + (close * copies if on else 0)
-    new_states, new_weights, new_ids = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64)
+    capacity = count + (close * copies if on else 0)
+    new_states, new_weights, new_ids = np.empty((capacity, 4)), np.empty(capacity), np.empty(capacity, np.uint64)
     new_states[:count], new_weights[:count], new_ids[:count] = states, weights, ids
-    x, y, seen = np.empty(room), np.empty(room), np.empty(room, np.bool_)
+    x, y, seen = np.empty(capacity), np.empty(capacity), np.empty(capacity, np.bool_)
     x[:count], y[:count] = states[:, 0], states[:, 1]
     detections, densities = np.empty((close, 2)), np.zeros(close)
     for m in range(close):
         detections[m] = all_detections[picked[m]]
     if on:
         densities = _nearby(x[:count], y[:count], weights, detections, radius)
-    found, gained = _room(2 * count + 256), np.empty(room)
+    found, gained = _pair_buffers(2 * count + 256), np.empty(capacity)
     raster = _raster(x[:count], y[:count], detections, _FARTHEST * noise, miss[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         _mark_view(x[:count], y[:count], sensor, seen)
         pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
         while pairs < 0:
-            found = _room(4 * len(found[0]))
+            found = _pair_buffers(4 * len(found[0]))
             pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
         rows, columns, squares, shares = found
         _likelihoods(squares[:pairs], shares[:pairs], likelihood_noise)

@@ -53,9 +53,9 @@ def _surroundings(
     """A box around all cells and a disc (x, y, radius) around all footprints, m; for a single owner its own box and footprint."""
     x, y, radius = table[spans[0, 0], 0], table[spans[0, 0], 1], 0.0
     for k in range(len(spans)):
-        eye = table[spans[k, 0]]
-        dx, dy = eye[0] - x, eye[1] - y
-        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (eye[4] + step))
+        sensor = table[spans[k, 0]]
+        dx, dy = sensor[0] - x, sensor[1] - y
+        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (sensor[4] + step))
     return around(corners, width), (x, y, radius)
 
 
@@ -67,18 +67,18 @@ def _within(x: float, y: float, box: BoxLimits, disc: tuple[float, float, float]
 
 
 @njit
-def _candidates(said: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _candidates(stated: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Indices, ids and weights of the particles in the box or in the disc: the stated ones, then the others.
 
     The stated particles are (states float32, ids, rows of the table with their numbers and weights). The others are (states, weights, ids),
     and their indices continue those of the stated ones.
     """
-    said_states, said_ids, table = said
+    gossip_states, gossip_ids, table = stated
     states, weights, ids = others
-    number, size, count = len(said_ids), len(said_ids) + len(ids), 0
+    number, size, count = len(gossip_ids), len(gossip_ids) + len(ids), 0
     within, places = np.empty(size, np.bool_), np.empty(size, np.int64)
     for n in range(number):
-        within[n] = _within(np.float64(said_states[n, 0]), np.float64(said_states[n, 1]), box, disc)
+        within[n] = _within(np.float64(gossip_states[n, 0]), np.float64(gossip_states[n, 1]), box, disc)
     for n in range(len(ids)):
         within[number + n] = _within(states[n, 0], states[n, 1], box, disc)
     for n in range(size):
@@ -93,18 +93,18 @@ def _candidates(said: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tupl
         while n >= end:
             row += 1
             end += int(table[row, PARTICLES])
-        names[k], masses[k] = said_ids[n], table[row, WEIGHT]
+        names[k], masses[k] = gossip_ids[n], table[row, WEIGHT]
     return places[:count], names, masses
 
 
 @njit
-def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
+def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
     """The candidates one step later, each id once and ids ascending, then the births: x, y, states, weights, ids.
 
     The sixth value is the number of particles before the births.
     """
-    places, names, masses = _candidates(said, others, box, disc)
-    order, number, born, known = sort_by_id(names, np.arange(len(names))), len(said[1]), len(births[2]), 0
+    places, names, masses = _candidates(stated, others, box, disc)
+    order, number, born, known = sort_by_id(names, np.arange(len(names))), len(stated[1]), len(births[2]), 0
     states, weights, ids = blank(len(names) + born)
     for rank in range(len(names)):
         k = order[rank]
@@ -112,7 +112,7 @@ def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tu
             continue
         n = places[k]
         if n < number:
-            x, y, vx, vy = said[0][n, 0], said[0][n, 1], said[0][n, 2], said[0][n, 3]
+            x, y, vx, vy = stated[0][n, 0], stated[0][n, 1], stated[0][n, 2], stated[0][n, 3]
             moved = move_one(np.float64(x), np.float64(y), np.float64(vx), np.float64(vy), names[k], motion)
         else:
             n -= number
@@ -126,14 +126,14 @@ def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tu
 
 
 @njit
-def _gate(predicted: tuple, polygon: np.ndarray, halo: float, eye: np.ndarray, room: tuple) -> tuple:
+def _gate(predicted: tuple, polygon: np.ndarray, halo: float, sensor: np.ndarray, scratch: tuple) -> tuple:
     """Twin of `regions.gate`: states, weights and ids of the particles within the halo of the cell, and of the others within reach."""
     x, y, states, weights, ids, known = predicted
-    boxed, seen, rows, some = room
+    boxed, seen, rows, some = scratch
     west, south, east, north = around(polygon, halo)
-    far2, count, near_count, far_count = eye[4] * eye[4], 0, 0, 0
+    far2, count, near_count, far_count = sensor[4] * sensor[4], 0, 0, 0
     for n in range(len(x)):  # without branches, for several at once
-        dx, dy = x[n] - eye[0], y[n] - eye[1]
+        dx, dy = x[n] - sensor[0], y[n] - sensor[1]
         boxed[n] = (west <= x[n]) & (x[n] <= east) & (south <= y[n]) & (y[n] <= north)
         seen[n] = dx * dx + dy * dy <= far2
     for n in range(len(x)):
@@ -187,7 +187,7 @@ def _update_region(
     settings: np.ndarray,
     keys: np.ndarray,
     now: np.uint64,
-    eye: np.ndarray,
+    sensor: np.ndarray,
     table: np.ndarray,
     salts: np.ndarray,
     detections: np.ndarray,
@@ -216,8 +216,8 @@ def _update_region(
     states, weights, ids = update(near_states, near_weights, near_ids, table, salts, detections, polygon, halo, noise, miss, birth)
     own_states, own_weights, own_ids = take(states, weights, ids, generators, first, settings[WIDTH], settings[HEIGHT])
     mass, east, north = first_moments(own_states, own_weights)
-    near_load, near_detected = in_view(states, weights, eye)
-    far_load, far_detected = in_view(far_states, far_weights, eye)
+    near_load, near_detected = in_view(states, weights, sensor)
+    far_load, far_detected = in_view(far_states, far_weights, sensor)
     kept_states, kept_ids, each = np.empty((0, 4)), np.empty(0, np.uint64), 0.0
     if mass > 0.0:
         count = int(min(max(np.rint(settings[PER_TARGET] * mass), settings[LEAST]), settings[MOST]))
@@ -233,7 +233,7 @@ def _update_region(
 
 
 @njit
-def _append(whole: tuple, size: int, part: tuple, room: int) -> tuple:
+def _append(whole: tuple, size: int, part: tuple, least: int) -> tuple:
     """The first `size` particles of `whole` with `part` behind them; the first part becomes the whole.
 
     Arrays that are too small grow to `least` particles or more.
@@ -243,7 +243,7 @@ def _append(whole: tuple, size: int, part: tuple, room: int) -> tuple:
     if size == 0:
         return part
     if end > len(ids):
-        more = max(2 * end, room)
+        more = max(2 * end, least)
         wider, heavier, longer = blank(more)
         wider[:size], heavier[:size], longer[:size] = states[:size], weights[:size], ids[:size]
         states, weights, ids = wider, heavier, longer
@@ -259,7 +259,7 @@ def update_regions(
     table: np.ndarray,
     salts: np.ndarray,
     detections: np.ndarray,
-    said: tuple,
+    stated: tuple,
     others: tuple,
     births: tuple,
     spans: np.ndarray,
@@ -276,19 +276,21 @@ def update_regions(
     """
     now, number, halo, step = np.uint64(tick), len(spans), settings[HALO], settings[STEP]
     box, disc = _surroundings(corners, table, spans, halo + step, step)
-    predicted = _predict(said, others, births, box, disc, _motion(settings, keys, now))
+    predicted = _predict(stated, others, births, box, disc, _motion(settings, keys, now))
     size = len(predicted[0])
-    room = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
+    scratch = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
     updated, own, kept, targets = blank(0), blank(0), blank(0), np.empty((0, 2))
     results, start = np.empty((number, SIZES + SUMS)), np.zeros(SIZES, np.int64)
     corner = bound = 0
     for k in range(number):
-        eye, polygon = table[spans[k, 0]], corners[corner : corner + spans[k, 1]]
+        sensor, polygon = table[spans[k, 0]], corners[corner : corner + spans[k, 1]]
         claimed = slice(bound, bound + spans[k, 2])
         corner, bound = corner + spans[k, 1], bound + spans[k, 2]
-        gated = _gate(predicted, polygon, halo, eye, room)
+        gated = _gate(predicted, polygon, halo, sensor, scratch)
         claim = generators[claimed], first[claimed]
-        found = _update_region(settings, keys, now, eye, table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions)
+        found = _update_region(
+            settings, keys, now, sensor, table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions
+        )
         updated, own = _append(updated, start[0], found[0], 2 * size), _append(own, start[1], found[1], 2 * size)
         kept = _append(kept, start[2], found[2], 2 * size)
         targets = np.concatenate((targets, found[8])) if k > 0 else found[8]

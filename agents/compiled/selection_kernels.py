@@ -108,14 +108,14 @@ def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray, spacing: fl
 
 @njit
 def _region(
-    cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float, arena: np.ndarray, margin: float, spacing: float
+    cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, arena: np.ndarray, margin: float, spacing: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `selection.region`: points (N, 2) in m, block after block of neighbouring points, and the end of each block."""
     west, south, east, north = _limits(cell)
     width = max(halo, reach) + margin + spacing
     first, bottom, last, top = _limits(arena)
-    first, bottom = max(min(west, eye[0]) - width, first), max(min(south, eye[1]) - width, bottom)
-    last, top = min(max(east, eye[0]) + width, last), min(max(north, eye[1]) + width, top)
+    first, bottom = max(min(west, position[0]) - width, first), max(min(south, position[1]) - width, bottom)
+    last, top = min(max(east, position[0]) + width, last), min(max(north, position[1]) + width, top)
     columns, rows = 2 + int(max(last - first, 0.0) / spacing), 2 + int(max(top - bottom, 0.0) / spacing)
     points, count = np.empty((columns * rows, 2)), 0
     ends, blocks = np.empty(columns * rows, np.int64), 0
@@ -127,7 +127,7 @@ def _region(
                 y = bottom + spacing * row
                 for column in range(west_column, min(west_column + BLOCK, columns)):
                     x = first + spacing * column
-                    dx, dy = x - eye[0], y - eye[1]
+                    dx, dy = x - position[0], y - position[1]
                     if dx * dx + dy * dy <= disc or distance(cell, x, y) <= ring:
                         points[count, 0], points[count, 1] = x, y
                         count += 1
@@ -169,7 +169,7 @@ def _threshold(table: np.ndarray, arena: np.ndarray, around: float, spacing: flo
 @cached
 def wanted(
     cell: np.ndarray,
-    eye: tuple[float, float],
+    position: tuple[float, float],
     reach: float,
     halo: float,
     table: np.ndarray,
@@ -186,7 +186,7 @@ def wanted(
     number, home = len(table) - 1, cell
     if len(cell) == 0:
         home, halo = _threshold(table, arena, around, spacing), halo + appearing
-    points, ends = _region(home, eye, halo, reach, arena, margin, spacing)
+    points, ends = _region(home, position, halo, reach, arena, margin, spacing)
     owning, least = _owners(points, ends, table, spacing, behind)
     west, south, east, north = _limits(home)
     chosen = owning[:number]
