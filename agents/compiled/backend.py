@@ -125,7 +125,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     numbers += [birth.measurement, birth.copies, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold]
-    salts = [key(config.filter.seed, word) for word in ("turn", "east", "north", "birth", "split")]
+    salts = [key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
     settings, keys = np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
     _PREPARED.append((config, settings, keys))
     return settings, keys
@@ -164,6 +164,7 @@ def _update_mixed(
 def _update_wedges(
     table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
+    """The updates of a team of wedges, by one call of the compiled loops."""
     if not regions_:
         return []
     config = step.config
@@ -211,6 +212,7 @@ def _draws(seed: int, names: tuple[str, ...]) -> np.ndarray:
 
 
 def _rows(whole: tuple[np.ndarray, np.ndarray, np.ndarray], start: int, end: int) -> Particles:
+    """The particles from `start` to `end`."""
     states, weights, ids = whole
     return Particles(states[start:end], weights[start:end], ids[start:end])
 

@@ -28,10 +28,10 @@ def background(
     states, ids = np.empty((count, 4)), np.empty(count, np.uint64)
     perimeter = 2.0 * (width + height)
     for row in range(count):
-        name = ids[row] = scramble(np.uint64(row), salt)
-        along = uniform(scramble(name, np.uint64(1))) * perimeter
+        new_id = ids[row] = scramble(np.uint64(row), salt)
+        along = uniform(scramble(new_id, np.uint64(1))) * perimeter
         if row < on_border:
-            sideways = 2.0 * uniform(scramble(name, np.uint64(2))) - 1.0
+            sideways = 2.0 * uniform(scramble(new_id, np.uint64(2))) - 1.0
             inward = math.sqrt(1.0 - sideways * sideways)
             if along < width:  # south, then counter-clockwise: a corner, the tangent from it, and the normal inwards
                 rest, corner, tangent, normal = along, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)
@@ -44,8 +44,8 @@ def background(
             x, y = corner[0] + tangent[0] * rest, corner[1] + tangent[1] * rest
             vx, vy = tangent[0] * sideways + normal[0] * inward, tangent[1] * sideways + normal[1] * inward
         else:
-            x, y = along / perimeter * width, uniform(scramble(name, np.uint64(4))) * height
-            direction = directions[np.int64(scramble(name, np.uint64(3)) >> _S52)]
+            x, y = along / perimeter * width, uniform(scramble(new_id, np.uint64(4))) * height
+            direction = directions[np.int64(scramble(new_id, np.uint64(3)) >> _S52)]
             vx, vy = direction[0], direction[1]
         states[row, 0], states[row, 1], states[row, 2], states[row, 3] = x, y, vx * speed, vy * speed
     return states, ids

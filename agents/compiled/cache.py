@@ -34,6 +34,7 @@ def folder() -> Path:
 
 
 def _base() -> Path:
+    """The parent of the folders of compiled loops."""
     chosen, beside = os.environ.get("NUMBA_CACHE_DIR"), HERE / "__pycache__"
     if chosen:
         return Path(chosen).absolute() / "covey"

@@ -129,6 +129,7 @@ def _clip(corners: np.ndarray, size: int, heights: np.ndarray, other: np.ndarray
 
 @njit
 def _farthest(corners: np.ndarray, size: int) -> float:
+    """Twin of `cells._farthest` for the first `size` corners."""
     farthest = 0.0
     for c in range(size):
         farthest = max(farthest, corners[c, 0] * corners[c, 0] + corners[c, 1] * corners[c, 1])
@@ -241,6 +242,7 @@ def cut_cells(
 
 @njit
 def _direction(points: np.ndarray, index: int, j: int) -> tuple[float, float]:
+    """The unit vector from generator `index` to generator `j`; (1, 0) for coincident generators."""
     dx, dy = points[j, 0] - points[index, 0], points[j, 1] - points[index, 1]
     span = math.sqrt(dx * dx + dy * dy)
     if span == 0.0:

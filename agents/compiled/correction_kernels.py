@@ -23,6 +23,7 @@ _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24
 
 @njit
 def _exp_minus(value: float) -> float:
+    """Twin of `phd.exp_minus` for one value."""
     small = value * (1.0 / 64.0)
     result = 1.0 / 3628800.0
     for coefficient in _TAYLOR:
@@ -167,6 +168,7 @@ def _pairs(
 
 @cached
 def _pair_buffers(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Uninitialised arrays for `size` pairs: rows, detections, squared distances and shares."""
     return np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(size)
 
 
@@ -298,12 +300,12 @@ def update(
             for m in range(len(points)):
                 number = np.uint64(picked[starts[s] + m] - begins[s])
                 for copy in range(copies):
-                    word = scramble(number * np.uint64(copies) + np.uint64(copy), salt)
-                    x[count] = points[m, 0] + normal(scramble(word, np.uint64(1))) * noise
-                    y[count] = points[m, 1] + normal(scramble(word, np.uint64(2))) * noise
-                    direction = np.int64(scramble(word, np.uint64(3)) >> _S52)
+                    new_id = scramble(number * np.uint64(copies) + np.uint64(copy), salt)
+                    x[count] = points[m, 0] + normal(scramble(new_id, np.uint64(1))) * noise
+                    y[count] = points[m, 1] + normal(scramble(new_id, np.uint64(2))) * noise
+                    direction = np.int64(scramble(new_id, np.uint64(3)) >> _S52)
                     new_states[count, 0], new_states[count, 1] = x[count], y[count]
                     new_states[count, 2], new_states[count, 3] = directions[direction, 0] * speed, directions[direction, 1] * speed
-                    new_ids[count], new_weights[count] = word, born[m] / np.float64(copies)
+                    new_ids[count], new_weights[count] = new_id, born[m] / np.float64(copies)
                     count += 1
     return new_states, new_weights, new_ids

@@ -43,6 +43,7 @@ def _peaks(masses: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray
 
 @cached
 def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
+    """Twin of `extraction._window_sum`."""
     total = 0.0
     for r in range(row - half, row + half + 1):
         for c in range(column - half, column + half + 1):

@@ -43,15 +43,15 @@ def normal(bits: np.uint64) -> float:
 
 
 @njit
-def move_one(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
+def move_one(x: float, y: float, vx: float, vy: float, particle_id: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
     """Twin of `phd.predict` for one particle: x, y in m and vx, vy in m/s one step later, and True if it stays in the arena."""
     turn_salt, east_salt, north_salt, dt, half_turn, speed, position_noise, _, reflect, width, height = motion
-    turn = normal(scramble(name, turn_salt)) * half_turn
+    turn = normal(scramble(particle_id, turn_salt)) * half_turn
     scale = speed / max(math.sqrt(vx * vx + vy * vy), 1e-12)
     cos, sin = (1.0 - turn * turn) / (1.0 + turn * turn), 2.0 * turn / (1.0 + turn * turn)
     vx, vy = (cos * vx - sin * vy) * scale, (sin * vx + cos * vy) * scale
-    x = x + vx * dt + normal(scramble(name, east_salt)) * position_noise
-    y = y + vy * dt + normal(scramble(name, north_salt)) * position_noise
+    x = x + vx * dt + normal(scramble(particle_id, east_salt)) * position_noise
+    y = y + vy * dt + normal(scramble(particle_id, north_salt)) * position_noise
     if reflect:
         if x < 0.0:
             x, vx = -x, -vx

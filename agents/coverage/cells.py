@@ -89,6 +89,7 @@ def _bisectors(index: int, points: np.ndarray, radii: np.ndarray) -> tuple[list[
 
 
 def _farthest(corners: list[tuple[float, float]]) -> float:
+    """The distance in m of the farthest corner from the origin."""
     return math.sqrt(max(x * x + y * y for x, y in corners))
 
 
@@ -110,4 +111,5 @@ def _clip(corners: list[tuple[float, float]], nx: float, ny: float, limit: float
 
 
 def _area(corners: list[tuple[float, float]]) -> float:
+    """The area of a polygon in m^2, positive when counter-clockwise."""
     return 0.5 * sum(corners[i - 1][0] * corners[i][1] - corners[i][0] * corners[i - 1][1] for i in range(len(corners)))

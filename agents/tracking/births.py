@@ -140,6 +140,7 @@ def starting_on_border(settings: FilterSettings, birth: BirthSettings) -> int:
 
 
 def _numbered(salt: int, count: int) -> np.ndarray:
+    """The ids (count,) of the particles 0, 1, ... under the key `salt`."""
     return scramble(np.arange(count, dtype=np.uint64), salt)
 
 

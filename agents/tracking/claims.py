@@ -102,10 +102,10 @@ def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, 
         rivals = [other for other, another in zip(claims.each, views) if another != view and other.names]
         if not size or not rivals:
             continue
-        theirs = points[first:start]
-        own = power_distances(theirs, claim.generators[:1])
-        nearer = power_distances(theirs, np.array([rival.generators[0] for rival in rivals])) < own
+        stated = points[first:start]
+        own = power_distances(stated, claim.generators[:1])
+        nearer = power_distances(stated, np.array([rival.generators[0] for rival in rivals])) < own
         for number in np.flatnonzero(nearer.any(axis=0)).tolist():
             there = np.flatnonzero(nearer[:, number] & keep[first:start])
-            keep[first + there] = depths(theirs[there], rivals[number]) <= overlap
+            keep[first + there] = depths(stated[there], rivals[number]) <= overlap
     return keep

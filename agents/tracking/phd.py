@@ -46,6 +46,7 @@ def predict(particles: Particles, tick: int, seed: int, dt: float, settings: Fil
 
 
 def _reflect(place: np.ndarray, speed: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates in m and velocities in m/s after reflection at 0 and at `length` m."""
     low, high = place < 0.0, place > length
     mirrored = np.where(low, -place, np.where(high, 2.0 * length - place, place))
     return mirrored, np.where(low | high, -speed, speed)
@@ -117,6 +118,7 @@ def correct(
 
 
 def _positive(values: np.ndarray) -> np.ndarray:
+    """The values, with 1 in place of those that are not positive: safe divisors."""
     return np.where(values > 0.0, values, 1.0)
 
 
