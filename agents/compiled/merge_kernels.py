@@ -82,25 +82,25 @@ def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) ->
     received_states, received_weights, received_ids = received
     states, weights, ids = copies
     number = len(received_ids)
-    rows, names, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
+    rows, chosen_ids, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
     for n in range(number):
-        rows[count], names[count] = n, received_ids[n]
+        rows[count], chosen_ids[count] = n, received_ids[n]
         count += kept[n]
     for n in range(len(ids)):
-        rows[count], names[count] = number + n, ids[n]
+        rows[count], chosen_ids[count] = number + n, ids[n]
         count += free[n]
-    names = names[:count]
-    order, known = sort_by_id(names, np.arange(count)), 0
+    chosen_ids = chosen_ids[:count]
+    order, known = sort_by_id(chosen_ids, np.arange(count)), 0
     merged, merged_weights, merged_ids = blank(count)
     for rank in range(count):
         k = order[rank]
-        if rank > 0 and names[k] == names[order[rank - 1]]:
+        if rank > 0 and chosen_ids[k] == chosen_ids[order[rank - 1]]:
             continue
         n = rows[k]
         source, weight = (received_states, received_weights[n]) if n < number else (states, weights[n - number])
         at = n if n < number else n - number
         for axis in range(4):
             merged[known, axis] = source[at, axis]
-        merged_weights[known], merged_ids[known] = weight, names[k]
+        merged_weights[known], merged_ids[known] = weight, chosen_ids[k]
         known += 1
     return merged[:known], merged_weights[:known], merged_ids[:known]

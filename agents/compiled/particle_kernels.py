@@ -156,7 +156,7 @@ def resample(
     states: np.ndarray, weights: np.ndarray, ids: np.ndarray, mass: float, count: int, offset: float, salt: np.uint64
 ) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `phd.resample`: states (count, 4), rounded to float32, and ids (count,), ascending; equal ids occur once."""
-    chosen, names, parents = np.empty((count, 4)), np.empty(count, np.uint64), np.empty(count, np.int64)
+    chosen, new_ids, parents = np.empty((count, 4)), np.empty(count, np.uint64), np.empty(count, np.int64)
     step = mass / count
     parent, reached, copy, last = 0, weights[0], 0, -1
     for n in range(count):
@@ -166,19 +166,19 @@ def resample(
             reached += weights[parent]
         copy = copy + 1 if parent == last else 0
         last = parent
-        names[n] = ids[parent] if copy == 0 else scramble(ids[parent] + np.uint64(copy), salt)
+        new_ids[n] = ids[parent] if copy == 0 else scramble(ids[parent] + np.uint64(copy), salt)
         parents[n] = parent
-    order = sort_by_id(names, np.arange(count))
-    sorted_names, unique = np.empty(count, np.uint64), 0
+    order = sort_by_id(new_ids, np.arange(count))
+    sorted_ids, unique = np.empty(count, np.uint64), 0
     for rank in range(count):
         n = order[rank]
-        if rank > 0 and names[n] == names[order[rank - 1]]:
+        if rank > 0 and new_ids[n] == new_ids[order[rank - 1]]:
             continue
-        sorted_names[unique] = names[n]
+        sorted_ids[unique] = new_ids[n]
         for axis in range(4):
             chosen[unique, axis] = np.float64(np.float32(states[parents[n], axis]))
         unique += 1
-    return chosen[:unique], sorted_names[:unique]
+    return chosen[:unique], sorted_ids[:unique]
 
 
 @cached

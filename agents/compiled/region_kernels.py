@@ -84,17 +84,17 @@ def _candidates(stated: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tu
     for n in range(size):
         places[count] = n
         count += within[n]
-    names, masses, row, end = np.empty(count, np.uint64), np.empty(count), -1, 0
+    candidate_ids, masses, row, end = np.empty(count, np.uint64), np.empty(count), -1, 0
     for k in range(count):
         n = places[k]
         if n >= number:
-            names[k], masses[k] = ids[n - number], weights[n - number]
+            candidate_ids[k], masses[k] = ids[n - number], weights[n - number]
             continue
         while n >= end:
             row += 1
             end += int(table[row, PARTICLES])
-        names[k], masses[k] = gossip_ids[n], table[row, WEIGHT]
-    return places[:count], names, masses
+        candidate_ids[k], masses[k] = gossip_ids[n], table[row, WEIGHT]
+    return places[:count], candidate_ids, masses
 
 
 @njit
@@ -103,22 +103,22 @@ def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: 
 
     The sixth value is the number of particles before the births.
     """
-    places, names, masses = _candidates(stated, others, box, disc)
-    order, number, born, known = sort_by_id(names, np.arange(len(names))), len(stated[1]), len(births[2]), 0
-    states, weights, ids = blank(len(names) + born)
-    for rank in range(len(names)):
+    places, candidate_ids, masses = _candidates(stated, others, box, disc)
+    order, number, born, known = sort_by_id(candidate_ids, np.arange(len(candidate_ids))), len(stated[1]), len(births[2]), 0
+    states, weights, ids = blank(len(candidate_ids) + born)
+    for rank in range(len(candidate_ids)):
         k = order[rank]
-        if rank > 0 and names[k] == names[order[rank - 1]]:
+        if rank > 0 and candidate_ids[k] == candidate_ids[order[rank - 1]]:
             continue
         n = places[k]
         if n < number:
             x, y, vx, vy = stated[0][n, 0], stated[0][n, 1], stated[0][n, 2], stated[0][n, 3]
-            moved = move_one(np.float64(x), np.float64(y), np.float64(vx), np.float64(vy), names[k], motion)
+            moved = move_one(np.float64(x), np.float64(y), np.float64(vx), np.float64(vy), candidate_ids[k], motion)
         else:
             n -= number
-            moved = move_one(others[0][n, 0], others[0][n, 1], others[0][n, 2], others[0][n, 3], names[k], motion)
+            moved = move_one(others[0][n, 0], others[0][n, 1], others[0][n, 2], others[0][n, 3], candidate_ids[k], motion)
         states[known, 0], states[known, 1], states[known, 2], states[known, 3], inside = moved
-        weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, names[k]
+        weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, candidate_ids[k]
         known += 1
     end = known + born
     states[known:end], weights[known:end], ids[known:end] = births
