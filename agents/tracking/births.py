@@ -2,8 +2,8 @@
 
 Data types: a `Scan` is the detections of one sensor in a tick, with its pose and clutter density.
 
-Rules. The state and the id of a birth are pure functions of keys that all agents share. All agents that cover a place therefore make
-the same particles there, and the cells decide their owners.
+Rules. The state and the id of a birth are pure functions of shared keys and, at detections, of the detection. All agents that
+cover a place therefore make the same particles there, and the cells decide their owners.
 """
 
 import math
@@ -150,7 +150,7 @@ def _directions(bits: np.ndarray) -> np.ndarray:
 
 
 def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth: BirthSettings) -> np.ndarray:
-    """Density of unrepresented targets at each detection, per m^2: (M,).
+    """Density of unrepresented targets at each detection, per m^2: (M,); 0 without measurement births.
 
     It is the predicted mass within `radius`, less the explained part of the detections there, by the area; clipped to
     [`least_density`, `most_density`]. `explained` (M,) is the part of each detection that the PHD explains, in targets.
@@ -175,7 +175,7 @@ def measurement_births(
 ) -> Particles:
     """`copies` new particles around each detection, of weight `per_copy` (M,).
 
-    States and ids are pure functions of (seed, sensor, detection number, tick, copy).
+    Ids and offsets from the detection are pure functions of (seed, sensor, detection number, tick, copy).
     """
     copies = birth.copies
     numbers = np.repeat(scan.numbers * np.uint64(copies), copies) + np.tile(np.arange(copies, dtype=np.uint64), len(scan.numbers))
