@@ -1,1 +1,1 @@
-"""The compiled twins of what a round computes, bit for bit the same, and the cache of compiled code on disk."""
+"""The compiled twins of the functions of a round, with equal bits, and the cache of compiled code on disk."""

@@ -1,6 +1,8 @@
 """The compiled backend: the loops of the kernels behind the signatures of the plain functions.
 
-Importing this file imports numba. Regions that a sensor other than a wedge looks at are computed by the plain functions.
+Data types: `FAST` is the `Backend` (agents/backend.py) of these functions.
+
+Rules. Importing this file imports numba. The plain functions compute the regions in reach of a sensor that is not a wedge.
 """
 
 import math
@@ -55,7 +57,7 @@ MotionArguments = tuple[np.uint64, np.uint64, np.uint64, float, float, float, fl
 
 
 def motion(step: Step) -> MotionArguments:
-    """A step of prediction as the kernels want it: three keys, dt, half the turn per deviation, speed, noise, survival, border, arena."""
+    """The arguments of a step of prediction: three keys, dt, half the turn per deviation, speed, noise, survival, border, arena."""
     config, tick = step.config, step.tick
     run, settings, arena = config.run, config.filter, config.arena
     return (
@@ -73,7 +75,7 @@ def motion(step: Step) -> MotionArguments:
     )
 
 
-# A pure memo, because in virtual time every agent asks: the births of the last two (configuration, tick).
+# A pure memo of the births of the last two (configuration, tick), because in virtual time all agents of a process need them.
 _BORN: deque[tuple[AgentConfig, int, Particles]] = deque(maxlen=2)
 
 
@@ -105,14 +107,14 @@ def merge(received: Particles, kept: np.ndarray, copies: Particles, free: np.nda
     return Particles(*merge_kernels.merge(tuple(received), kept, tuple(copies), free))
 
 
-_NO_CORNERS = np.empty((0, 2))  # not read-only, for the sake of one compilation
-_NOTHING_SAID = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty((0, COLUMNS))
-# A pure memo, because all agents of a simulation share a configuration: settings and keys of the last eight.
+_NO_CORNERS = np.empty((0, 2))  # writable, because a read-only array would need a second compilation
+_NOTHING_STATED = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty((0, COLUMNS))
+# A pure memo of the settings and keys of the last eight configurations, because all agents of a simulation share one.
 _PREPARED: deque[tuple[AgentConfig, np.ndarray, np.ndarray]] = deque(maxlen=8)
 
 
 def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Settings and keys of a run in the order of `region_kernels`."""
+    """Settings and keys of a run, in the columns of agents/compiled/region_kernels.py."""
     for known, settings, keys in _PREPARED:
         if known is config:
             return settings, keys
@@ -123,14 +125,14 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     numbers += [birth.measurement, birth.copies, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold]
-    salts = [key(config.filter.seed, word) for word in ("turn", "east", "north", "birth", "split")]
+    salts = [key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
     settings, keys = np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
     _PREPARED.append((config, settings, keys))
     return settings, keys
 
 
-def said_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States, ids and rows of the gossips that say something of what is near a region."""
+def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States, ids and table rows of the gossips whose boxes of particles touch the surroundings of a region."""
     (x, y), reach, width = region.pose[:2], region.sensor.reach + step.reach, step.config.filter.halo + step.reach
     near = region_kernels.touching(table.boxes, region.polygon if len(region.polygon) else _NO_CORNERS, width, x, y, reach)
     return *table.stated_by(near.tolist()), table.table[near]
@@ -149,7 +151,7 @@ def update_regions(
 def _update_mixed(
     table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
-    """The same in a team in which some sensors are no wedges: what none of these looks at is computed by the compiled loops."""
+    """The updates of a team with other sensors than wedges; compiled loops compute the regions out of reach of those sensors."""
     others, halo = table.table[table.table[:, KIND] == OTHER], step.config.filter.halo
     found = []
     for region in regions_:
@@ -162,17 +164,18 @@ def _update_mixed(
 def _update_wedges(
     table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
+    """The updates of a team of wedges, by one call of the compiled loops."""
     if not regions_:
         return []
     config = step.config
     settings, keys = prepared(config)
-    said, others = _NOTHING_SAID, NONE
+    stated, others = _NOTHING_STATED, NONE
     if not isinstance(received, GossipTable):
         others = received
     elif config.timing.interest == "all" or len(regions_) > 1 or received.stands_ready:
-        said = *received.stated, received.table
+        stated = *received.stated, received.table
     else:
-        said = said_near(received, regions_[0], step)
+        stated = stated_near(received, regions_[0], step)
     corners = _end_to_end([region.polygon for region in regions_])
     updated, own, kept, targets, results = region_kernels.update_regions(
         settings,
@@ -181,7 +184,7 @@ def _update_wedges(
         table.table,
         table.salts,
         table.detections,
-        said,
+        stated,
         tuple(others),
         tuple(births),
         np.array([(region.row, len(region.polygon), len(region.claim.first)) for region in regions_]),
@@ -204,17 +207,18 @@ def _update_wedges(
 
 @lru_cache(maxsize=1024)
 def _draws(seed: int, names: tuple[str, ...]) -> np.ndarray:
-    """Keys of the draws of some owners, a pure memo of the last 1024 groups."""
+    """Keys of the resampling of each owner (K,), a pure memo of the last 1024 groups."""
     return np.array([key(seed, "resample", name) for name in names], dtype=np.uint64)
 
 
 def _rows(whole: tuple[np.ndarray, np.ndarray, np.ndarray], start: int, end: int) -> Particles:
+    """The particles from `start` to `end`."""
     states, weights, ids = whole
     return Particles(states[start:end], weights[start:end], ids[start:end])
 
 
 def _end_to_end(arrays: list[np.ndarray]) -> np.ndarray:
-    """Some arrays, at least one, end to end."""
+    """The arrays, at least one, end to end."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
@@ -222,11 +226,11 @@ _MARGINS = selection.MARGIN, selection.APPEARANCE, selection.SPACING, selection.
 
 
 def select_peers(
-    cell: np.ndarray, eye: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.Ground
+    cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.Ground
 ) -> selection.Choice:
     """See `selection.select_peers`."""
     home, bounds = cell if len(cell) else _NO_CORNERS, (ground.bounds.reach, ground.bounds.offset, ground.bounds.radius)
-    chosen, needed = selection_kernels.wanted(home, eye, reach, halo, table, ground.arena, bounds, ground.drift, _MARGINS)
+    chosen, needed = selection_kernels.wanted(home, position, reach, halo, table, ground.arena, bounds, ground.drift, _MARGINS)
     return selection.Choice(chosen, Rectangle(*needed))
 
 

@@ -1,8 +1,7 @@
-"""Compiled loops kept on disk, for as long as none of the files that they are made of has changed.
+"""The cache of compiled loops on disk, valid while their source files are unchanged.
 
-numba looks only at the file of the function that it loads. A loop that calls one of another file would stay as it was when that one
-changes, by an update or by hand, and compute something else than its source says: so what is kept lies in a folder that is named after the
-contents of all these files.
+Rules. numba checks only the file of the function that it loads. A loop that calls a function of another file would stay outdated after a
+change of that file. The folder of the cache is therefore named after a hash of the contents of all `SOURCES`.
 """
 
 import contextlib
@@ -17,15 +16,17 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-# Compiled loops are made of each other, of the numbers of the columns of a row, and of the limits of messages.
+# Compiled loops depend on each other, on the column numbers of the gossip table, and on the limits of messages.
 SOURCES = ("agents/compiled/*kernels.py", "agents/gossip/table.py", "protocol/codec.py", "protocol/fields.py")
-MOST_FOLDERS = 4  # of states of the sources, this one included: who goes back and forth between two need not compile again
+MOST_FOLDERS = 4  # one for each state of the sources, the present one included; going back to a recent state needs no compilation
 
 
 @cache
 def folder() -> Path:
-    """Where compiled loops of just these sources lie: under NUMBA_CACHE_DIR if that is set, else beside the sources if that can be
-    written, else under the user's caches."""
+    """The folder of the compiled loops of these sources.
+
+    It lies under NUMBA_CACHE_DIR if that is set, else beside the sources if they are writable, else under the cache of the user.
+    """
     digest = hashlib.blake2b(digest_size=8)
     for source in sorted(path for pattern in SOURCES for path in HERE.parents[1].glob(pattern)):
         digest.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
@@ -33,6 +34,7 @@ def folder() -> Path:
 
 
 def _base() -> Path:
+    """The parent of the folders of compiled loops."""
     chosen, beside = os.environ.get("NUMBA_CACHE_DIR"), HERE / "__pycache__"
     if chosen:
         return Path(chosen).absolute() / "covey"
@@ -42,11 +44,11 @@ def _base() -> Path:
 
 
 def cached(loop: Callable[..., Any]) -> Any:
-    """A decorator: compile for numba, or load what was compiled before."""
+    """The loop compiled by numba, or loaded from the cache; used as a decorator."""
     import numba
 
     config: Any = numba.config
-    before, config.CACHE_DIR = config.CACHE_DIR, str(folder())  # asked for while a function is decorated, and never again
+    before, config.CACHE_DIR = config.CACHE_DIR, str(folder())  # numba reads it only while it decorates a function
     try:
         compiled: Any = numba.njit(cache=True)(loop)
     finally:
@@ -63,7 +65,10 @@ def cached(loop: Callable[..., Any]) -> Any:
 
 @contextlib.contextmanager
 def _locked(place: Path) -> Iterator[None]:
-    """Alone among all processes: two that add to the same index at once may give two signatures of a loop the same file."""
+    """Hold the lock of a folder among all processes.
+
+    Two processes that extend the same index at once may store two signatures of a loop in the same file.
+    """
     place.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(place, os.O_RDONLY)
     try:
@@ -75,22 +80,22 @@ def _locked(place: Path) -> Iterator[None]:
 
 @cache
 def number_of_loops() -> int:
-    """How many loops are kept on disk once all have been compiled."""
+    """The number of loops on disk after all have been compiled."""
     return sum(len(re.findall("^@cached$", source.read_text(encoding="utf-8"), re.MULTILINE)) for source in HERE.glob("*kernels.py"))
 
 
 def loops_on_disk() -> int:
-    """How many of the loops of these sources have been compiled, by this process or another."""
+    """The number of loops of these sources that any process has compiled so far."""
     return len({path.name for path in folder().glob("*/*.nbi")})
 
 
 def compiled_before() -> bool:
-    """Whether all loops of these sources lie on disk."""
+    """True if all loops of these sources lie on disk."""
     return loops_on_disk() >= number_of_loops()
 
 
 def tidy() -> None:
-    """Remove compiled loops of older sources, but the newest few."""
+    """Remove the folders of older sources, except the newest `MOST_FOLDERS` - 1."""
     others = [path for path in folder().parent.glob("kernels-*") if path != folder()]
     others.sort(key=lambda path: path.stat().st_mtime, reverse=True)
     for old in others[MOST_FOLDERS - 1 :]:

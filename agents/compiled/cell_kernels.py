@@ -1,6 +1,8 @@
-"""Compiled geometry: the loops of `cells` and `protocol.geometry` for numba, each the bit-for-bit twin of a numpy function.
+"""Compiled geometry: the bit-for-bit twins of agents/coverage/cells.py and of the distances of protocol/geometry.py.
 
-Same rules as `kernels`: no fast-math, the reference's order and rounding of every operation, compiled code cached on disk.
+Data types: a polygon is its corners (V, 2) in m, counter-clockwise; generators are points (N, 2) in m and radii (N,) in m.
+
+Rules as in agents/compiled/particle_kernels.py.
 """
 
 import math
@@ -13,7 +15,7 @@ from agents.compiled.cache import cached
 
 @njit
 def around(polygon: np.ndarray, width: float) -> tuple[float, float, float, float]:
-    """West, south, east and north of the ground within `width` m of the box around a polygon."""
+    """West, south, east and north, m, of the box around a polygon, widened by `width` m; empty for the empty polygon."""
     west = south = np.inf
     east = north = -np.inf
     for c in range(len(polygon)):
@@ -24,7 +26,7 @@ def around(polygon: np.ndarray, width: float) -> tuple[float, float, float, floa
 
 @njit
 def distance(polygon: np.ndarray, px: float, py: float) -> float:
-    """Twin of `geometry.distances` for one point; infinite for the empty polygon."""
+    """Twin of `protocol.geometry.distances` for one point: distance to a polygon in m, infinite for the empty polygon."""
     corners = len(polygon)
     nearest, inside = np.inf, corners >= 3
     for c in range(corners):
@@ -43,8 +45,10 @@ def distance(polygon: np.ndarray, px: float, py: float) -> float:
 
 @njit
 def apart(polygon: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Squared `distance` of each point to the nearest edge, and whether it lies in the polygon, (N,): edge by edge and without
-    branches, for several points at once."""
+    """Squared distance in m^2 of each point to the nearest edge, (N,), and True for the points in the polygon, (N,) bool.
+
+    The loops run edge by edge and without branches, for several points at once.
+    """
     number, corners = len(x), len(polygon)
     nearest, side, inside = np.full(number, np.inf), np.zeros(number), np.empty(number, np.bool_)
     for c in range(corners):
@@ -70,7 +74,7 @@ def apart(polygon: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
 
 @njit
 def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.ndarray:
-    """Of which points the `distance` is at most `width` m, (N,) bool."""
+    """True for the points whose `distance` is at most `width` m: (N,) bool."""
     nearest, inside = apart(polygon, x, y)
     for n in range(len(x)):
         inside[n] = (inside[n] & (width >= 0.0)) | (math.sqrt(nearest[n]) <= width)
@@ -78,8 +82,8 @@ def near(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, width: float) -> np.
 
 
 @njit
-def _room(number: int, corners: int) -> tuple:
-    """Scratch for cutting cells out of an arena with so many corners among so many generators."""
+def _scratch(number: int, corners: int) -> tuple:
+    """Scratch arrays of `_cut` for `number` generators and an arena of `corners` corners."""
     size = corners + number + 2
     places = np.empty(number), np.empty(number, np.int64), np.empty(number, np.int64)
     return *places, np.empty((size, 2)), np.empty((size, 2)), np.empty(size)
@@ -87,7 +91,7 @@ def _room(number: int, corners: int) -> tuple:
 
 @njit
 def _sort(places: np.ndarray, count: int, keys: np.ndarray) -> None:
-    """Sort the first `count` places by their keys, stable: by insertion, because they are few as a rule."""
+    """Sort the first `count` places by their keys, stable; by insertion up to 64."""
     if count > 64:
         places[:count] = places[:count][np.argsort(keys[places[:count]], kind="mergesort")]
     else:
@@ -107,7 +111,7 @@ def insert(places: np.ndarray, count: int, keys: np.ndarray) -> None:
 
 @njit
 def _clip(corners: np.ndarray, size: int, heights: np.ndarray, other: np.ndarray) -> int:
-    """Into `other` the part of a polygon where its heights are not positive; its number of corners."""
+    """The number of corners of the part of a polygon with heights <= 0; its corners are written into `other`."""
     kept = 0
     for c in range(size):
         p = c - 1 if c > 0 else size - 1
@@ -125,6 +129,7 @@ def _clip(corners: np.ndarray, size: int, heights: np.ndarray, other: np.ndarray
 
 @njit
 def _farthest(corners: np.ndarray, size: int) -> float:
+    """Twin of `cells._farthest` for the first `size` corners."""
     farthest = 0.0
     for c in range(size):
         farthest = max(farthest, corners[c, 0] * corners[c, 0] + corners[c, 1] * corners[c, 1])
@@ -133,7 +138,7 @@ def _farthest(corners: np.ndarray, size: int) -> float:
 
 @njit
 def _bisectors(index: int, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> float:
-    """How far ahead of a generator its bisectors with the others lie, m; how far the farthest of them lies."""
+    """The distance in m of the farthest finite bisector ahead of a generator; those of all bisectors are written into `ahead` (N,)."""
     ox, oy, own, farthest = points[index, 0], points[index, 1], radii[index] * radii[index], 0.0
     for j in range(len(radii)):
         dx, dy = points[j, 0] - ox, points[j, 1] - oy
@@ -149,9 +154,12 @@ def _bisectors(index: int, points: np.ndarray, radii: np.ndarray, ahead: np.ndar
 
 
 @njit
-def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float, room: tuple) -> tuple[np.ndarray, int, int]:
-    """The corners relative to the generator (in scratch) and their number, and how many bounding generators stand in `picked`."""
-    ahead, order, picked, corners, other, heights = room
+def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float, scratch: tuple) -> tuple[np.ndarray, int, int]:
+    """Twin of `cells.cut`: the corners relative to the generator, m, their number, and the number of bounding generators.
+
+    The corners lie in scratch. The bounding generators are the first entries of `picked`, the third array of the scratch.
+    """
+    ahead, order, picked, corners, other, heights = scratch
     number, size = len(radii), len(arena)
     spread = _bisectors(index, points, radii, ahead)
     for c in range(size):
@@ -210,14 +218,16 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, t
 def cut_cells(
     indices: np.ndarray, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Twin of `cells.cut_cells`: corners in the world (V, 2) and bounding generators, cell after cell, and where those of each begin
-    (K + 1, 2); an empty cell has neither."""
+    """Twin of `cells.cut_cells`: corners (V, 2) in m and indices of bounding generators, both cell after cell, and their starts.
+
+    The starts (K + 1, 2) are the first corner and the first bounding generator of each cell. An empty cell has neither.
+    """
     number = len(indices)
-    room, starts = _room(len(radii), len(arena)), np.zeros((number + 1, 2), np.int64)
+    scratch, starts = _scratch(len(radii), len(arena)), np.zeros((number + 1, 2), np.int64)
     corners, bounds = np.empty((8 * number + 8, 2)), np.empty(10 * number + 10, np.int64)
     for k in range(number):
         index = indices[k]
-        relative, size, bounding = _cut(index, points, radii, arena, touch, room)
+        relative, size, bounding = _cut(index, points, radii, arena, touch, scratch)
         first, bound = starts[k]
         if first + size > len(corners):
             corners = np.concatenate((corners, np.empty((len(corners) + size, 2))))
@@ -225,13 +235,14 @@ def cut_cells(
             bounds = np.concatenate((bounds, np.empty(len(bounds) + bounding, np.int64)))
         for c in range(size):
             corners[first + c, 0], corners[first + c, 1] = relative[c, 0] + points[index, 0], relative[c, 1] + points[index, 1]
-        bounds[bound : bound + bounding] = room[2][:bounding]
+        bounds[bound : bound + bounding] = scratch[2][:bounding]
         starts[k + 1, 0], starts[k + 1, 1] = first + size, bound + bounding
     return corners[: starts[number, 0]], bounds[: starts[number, 1]], starts
 
 
 @njit
 def _direction(points: np.ndarray, index: int, j: int) -> tuple[float, float]:
+    """The unit vector from generator `index` to generator `j`; (1, 0) for coincident generators."""
     dx, dy = points[j, 0] - points[index, 0], points[j, 1] - points[index, 1]
     span = math.sqrt(dx * dx + dy * dy)
     if span == 0.0:

@@ -1,7 +1,8 @@
-"""Compiled claims: the loops of `claims` for numba, each the bit-for-bit twin of a numpy function.
+"""Compiled claims: the bit-for-bit twins of agents/tracking/claims.py.
 
-Same rules as `kernels`: no fast-math, the reference's order and rounding of every operation, compiled code cached on disk. Several claims
-are given as their generators (G, 3) end to end, and where each of them ends.
+Data types: several claims are their generators (G, 3) end to end, and the end of each claim in that array (C,).
+
+Rules as in agents/compiled/particle_kernels.py.
 """
 
 import math
@@ -14,7 +15,7 @@ from agents.compiled.cache import cached
 
 @njit
 def _power_distance(x: float, y: float, generators: np.ndarray, place: int) -> float:
-    """|x - p|^2 - r^2 of a point to one generator, m^2."""
+    """Twin of `claims.power_distances` for a point and one generator: |x - p|^2 - r^2 in m^2 (15)."""
     dx, dy = x - generators[place, 0], y - generators[place, 1]
     return dx * dx + dy * dy - generators[place, 2] * generators[place, 2]
 
@@ -23,7 +24,7 @@ def _power_distance(x: float, y: float, generators: np.ndarray, place: int) -> f
 def _hold(
     x: np.ndarray, y: np.ndarray, generators: np.ndarray, first: np.ndarray, start: int, end: int, own: np.ndarray, held: np.ndarray
 ) -> None:
-    """Which points lie in the cell of the generator `start`, which those up to `end` bound: into `held`. `own` is room."""
+    """Write into `held` (N,) True for the points in the cell of generator `start`, bounded by those up to `end`; `own` (N,) is scratch."""
     east, north, squared = generators[start, 0], generators[start, 1], generators[start, 2] * generators[start, 2]
     for n in range(len(x)):
         dx, dy = x[n] - east, y[n] - north
@@ -38,7 +39,7 @@ def _hold(
 
 @cached
 def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Twin of `claims.owned`: which points lie in the arena and in the cell of generator 0."""
+    """Twin of `claims.owned`: True for the points in the arena and in the cell of generator 0, (N,) bool."""
     number, mine = len(points), np.empty(len(points), dtype=np.bool_)
     if len(generators) == 0:
         mine[:] = False
@@ -52,7 +53,7 @@ def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: 
 
 @njit
 def _starts(ends: np.ndarray) -> np.ndarray:
-    """Where each claim starts, (C,)."""
+    """The start of each claim in the array of generators: (C,)."""
     starts = np.zeros_like(ends)
     starts[1:] = ends[:-1]
     return starts
@@ -60,8 +61,10 @@ def _starts(ends: np.ndarray) -> np.ndarray:
 
 @njit
 def _likely(x: np.ndarray, y: np.ndarray, generators: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """For each point the nearest of the generators at these places, in power distance, as an index of `places`: good enough for a first
-    guess, so in single precision, and indices as such numbers, because then twice as many are chosen at once."""
+    """The generator of least power distance for each point, as an index into `places`: (N,) float32.
+
+    The result is a first guess only. Single precision, for the indices too, doubles the number of points per vector instruction.
+    """
     number = len(x)
     east, north = np.empty(number, np.float32), np.empty(number, np.float32)
     nearest, least = np.zeros(number, np.float32), np.full(number, np.float32(np.inf))
@@ -81,7 +84,10 @@ def _likely(x: np.ndarray, y: np.ndarray, generators: np.ndarray, places: np.nda
 
 @cached
 def orphaned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Twin of `claims.orphaned`. It asks the nearest owner first: as a rule the point is in his cell; and all owners about the rest."""
+    """Twin of `claims.orphaned`: True for the points in none of the claimed cells, (N,) bool.
+
+    Each point is tested against the claim of its likely nearest owner first. The points left over are tested against all claims.
+    """
     free, starts = np.ones(len(points), dtype=np.bool_), _starts(ends)
     owners = np.nonzero(starts < ends)[0]
     rows = np.nonzero((points[:, 0] >= 0.0) & (points[:, 0] <= width) & (points[:, 1] >= 0.0) & (points[:, 1] <= height))[0]
@@ -92,7 +98,7 @@ def orphaned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends
         begins[int(likely[n]) + 1] += 1
     begins = np.cumsum(begins)
     order, filled = np.empty(len(rows), np.int64), begins[:-1].copy()
-    for n in range(len(rows)):  # those of an owner side by side
+    for n in range(len(rows)):  # the points of each owner side by side
         k = int(likely[n])
         order[filled[k]] = rows[n]
         filled[k] += 1
@@ -112,7 +118,7 @@ def orphaned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends
 
 @njit
 def _depth(x: float, y: float, generators: np.ndarray, start: int, end: int) -> float:
-    """Twin of `claims.depths` for one point and the claim from `start` to `end`."""
+    """Twin of `claims.depths` for one point, m; the claim lies from `start` to `end`."""
     own, least = _power_distance(x, y, generators, start), np.inf
     for g in range(start + 1, end):
         dx, dy = generators[g, 0] - generators[start, 0], generators[g, 1] - generators[start, 1]
@@ -125,24 +131,24 @@ def _depth(x: float, y: float, generators: np.ndarray, start: int, end: int) -> 
 def resolve_conflicts(
     points: np.ndarray, sizes: np.ndarray, generators: np.ndarray, ends: np.ndarray, views: np.ndarray, overlap: float
 ) -> np.ndarray:
-    """Twin of `claims.resolve_conflicts`."""
+    """Twin of `claims.resolve_conflicts`: True for the stated points that count, (N,) bool."""
     number, keep, starts, begin = len(points), np.ones(len(points), dtype=np.bool_), _starts(ends), 0
-    x, y, own, seen = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, views.dtype)
+    x, y, own, point_views = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, views.dtype)
     for c in range(len(sizes)):
         for n in range(begin, begin + sizes[c]):
-            own[n], seen[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
+            own[n], point_views[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
         begin += sizes[c]
     outdone = np.zeros(number, np.bool_)
-    for owner in np.nonzero(starts < ends)[0]:  # as a rule nobody is nearer; without branches, for several points at once
+    for owner in np.nonzero(starts < ends)[0]:  # rarely is another owner nearer; without branches, for several points at once
         east, north, radius = generators[starts[owner]]
         squared, view = radius * radius, views[owner]
         for n in range(number):
             dx, dy = x[n] - east, y[n] - north
-            outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (seen[n] != view)
+            outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (point_views[n] != view)
     for row in np.nonzero(outdone)[0]:
         for rival in range(len(ends)):
             start, end = starts[rival], ends[rival]
-            if views[rival] == seen[row] or start == end or not _power_distance(x[row], y[row], generators, start) < own[row]:
+            if views[rival] == point_views[row] or start == end or not _power_distance(x[row], y[row], generators, start) < own[row]:
                 continue
             if _depth(x[row], y[row], generators, start, end) > overlap:
                 keep[row] = False

@@ -1,6 +1,9 @@
-"""The compiled corrector: the loops of `phd.update` and `births` for numba, bit for bit; rules as in `kernels`.
+"""The compiled corrector: the bit-for-bit twin of `phd.update`, with the measurement births of agents/tracking/births.py.
 
-What can be done for several particles at once stands in loops of its own without branches, because the compiler then does so.
+Data types: the arguments `noises`, `miss` and `birth` are tuples in the order that `update` states.
+
+Rules as in agents/compiled/particle_kernels.py. Work on several particles at once stands in loops of its own without branches, so that
+the compiler emits vector instructions.
 """
 
 import math
@@ -14,12 +17,13 @@ from agents.compiled.extraction_kernels import block
 from agents.compiled.particle_kernels import normal, scramble, wedge
 
 _S52 = np.uint64(52)
-_FARTHEST = 3.47  # deviations: more than any keyed normal number (`streams.NORMAL_BOUND`)
+_FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
 
 
 @njit
 def _exp_minus(value: float) -> float:
+    """Twin of `phd.exp_minus` for one value."""
     small = value * (1.0 / 64.0)
     result = 1.0 / 3628800.0
     for coefficient in _TAYLOR:
@@ -31,10 +35,10 @@ def _exp_minus(value: float) -> float:
 
 @cached
 def _nearby(x: np.ndarray, y: np.ndarray, weights: np.ndarray, detections: np.ndarray, radius: float) -> np.ndarray:
-    """The masses (M,) within a radius of the detections (M, 2) of all scans, for `_birth_densities`."""
+    """The masses (M,) within `radius` m of the detections (M, 2) of all scans, for `_birth_densities`."""
     number = len(detections)
     at_x, at_y, found = detections[:, 0].copy(), detections[:, 1].copy(), np.zeros(number)
-    for n in range(len(weights)):  # one particle after the other for the sake of the sums, and without branches
+    for n in range(len(weights)):  # one particle after the other, as the order of the sums demands; without branches
         px, py, weight = x[n], y[n], weights[n]
         for m in range(number):
             dx, dy = px - at_x[m], py - at_y[m]
@@ -44,8 +48,10 @@ def _nearby(x: np.ndarray, y: np.ndarray, weights: np.ndarray, detections: np.nd
 
 @njit
 def _birth_densities(points: np.ndarray, sums: np.ndarray, kappa: float, nearby: np.ndarray, birth: tuple) -> None:
-    """Twin of `births.birth_density` for the detections (M, 2) of a scan: the densities instead of the masses `nearby`; `sums` (M,) is
-    what the particles make of each detection."""
+    """Twin of `births.birth_density` for the detections (M, 2) of a scan: densities per m^2 replace the masses in `nearby` (M,).
+
+    `sums` (M,) are the sums of w p_d g(z) of the particles for each detection.
+    """
     _, _, radius, least, least_share, most, _, _, _ = birth
     lowest, area = max(least, min(least_share * kappa, 0.5 * most)), math.pi * radius * radius
     for m in range(len(points)):
@@ -59,8 +65,10 @@ def _birth_densities(points: np.ndarray, sums: np.ndarray, kappa: float, nearby:
 
 @njit
 def _raster(x: np.ndarray, y: np.ndarray, detections: np.ndarray, spread: float, side: float) -> tuple:
-    """A grid of bins of a side in m for `_missed`, large enough for particles, detections and births within `spread` m of them: the
-    column and the row where it begins, the masses, what is explained, and the factors."""
+    """The grid of bins of `side` m for `_missed`: its first column, its first row, masses, explained masses and factors.
+
+    It covers the particles, the detections, and births within `spread` m of the detections.
+    """
     west, south, east, north = math.inf, math.inf, -math.inf, -math.inf
     for n in range(len(x)):
         west, south, east, north = min(west, x[n]), min(south, y[n]), max(east, x[n]), max(north, y[n])
@@ -87,7 +95,7 @@ def _missed(
     miss: tuple,
     raster: tuple,
 ) -> None:
-    """Twin of `phd.missed`: multiply weights by their factors; the raster is as before afterwards."""
+    """Twin of `phd.missed`: multiply weights by their factors; the raster is restored for the next scan."""
     certainty, side = miss
     left, low, masses, explained, factors = raster
     columns, rows = np.empty(len(x), np.int64), np.empty(len(x), np.int64)
@@ -118,10 +126,10 @@ def _missed(
 
 @cached
 def _mark_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, seen: np.ndarray) -> None:
-    """Mark which points lie in a wedge (a row of `words`), without branches, so that it is done for several at once."""
-    eye_x, eye_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
+    """Write into `seen` (N,) True for the points in a wedge, a row of `GossipTable.table`; without branches, for several at once."""
+    sensor_x, sensor_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
     for n in range(len(x)):
-        dx, dy = x[n] - eye_x, y[n] - eye_y
+        dx, dy = x[n] - sensor_x, y[n] - sensor_y
         range2 = dx * dx + dy * dy
         seen[n] = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2))
 
@@ -137,8 +145,10 @@ def _pairs(
     gate2: float,
     found: tuple,
 ) -> int:
-    """Every particle in view within the gate of a detection, into `found`: its row, the detection, squared distance m^2, weight times
-    p_d. The number of pairs, or -1 when `found` may be too small."""
+    """The number of pairs of a particle in view and a detection within its gate, or -1 if `found` may be too small.
+
+    Each pair is written into `found`: row of the particle, number of the detection, squared distance in m^2, weight times p_d.
+    """
     rows, columns, squares, shares = found
     number, pairs = len(x), 0
     apart, hits = np.empty(number), np.empty(number, np.bool_)
@@ -150,20 +160,21 @@ def _pairs(
             hits[n] = seen[n] & (apart[n] <= gate2)
         if pairs + number > len(rows):
             return -1
-        for n in range(number):  # what is no hit is written over
+        for n in range(number):  # the next pair overwrites a miss
             rows[pairs], columns[pairs], squares[pairs], shares[pairs] = n, m, apart[n], weights[n] * probability
             pairs += hits[n]
     return pairs
 
 
 @cached
-def _room(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _pair_buffers(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Uninitialised arrays for `size` pairs: rows, detections, squared distances and shares."""
     return np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(size)
 
 
 @cached
 def _likelihoods(squares: np.ndarray, shares: np.ndarray, noise: float) -> None:
-    """Multiply shares by the Gaussian density at squared distances m^2."""
+    """Multiply shares by the Gaussian density, per m^2, at squared distances in m^2."""
     scale, exponent_scale = 1.0 / (2.0 * math.pi * noise * noise), 0.5 / (noise * noise)
     for p in range(len(squares)):
         shares[p] = shares[p] * (_exp_minus(squares[p] * exponent_scale) * scale)
@@ -171,8 +182,10 @@ def _likelihoods(squares: np.ndarray, shares: np.ndarray, noise: float) -> None:
 
 @njit
 def _scans(table: np.ndarray, polygon: np.ndarray, box: tuple[float, float, float, float], halo: float) -> tuple[np.ndarray, np.ndarray]:
-    """The rows whose scans reach the halo of the cell, whose box this is, by ascending p_d and then as they stand in the table; and where
-    the detections of each begin."""
+    """The rows of the table whose scans reach the halo of the cell, and the first detection of each.
+
+    The rows are sorted by ascending p_d, equal ones in the order of the table. `box` is the box around the cell.
+    """
     sensors, begins = np.empty(len(table), np.int64), np.empty(len(table), np.int64)
     scans = first = 0
     for s in range(len(table)):
@@ -199,7 +212,7 @@ def _pick(
     picked: np.ndarray,
     count: int,
 ) -> int:
-    """Append to `picked` the detections of a scan within the halo of the cell, whose box this is; the new count."""
+    """The new count of `picked` after the detections of a scan within the halo of the cell; `box` is the box around the cell."""
     for m in range(first, first + np.int64(row[9])):
         x, y = detections[m, 0], detections[m, 1]
         if not _beyond(box, x, y, halo) and distance(polygon, x, y) <= halo:
@@ -210,7 +223,7 @@ def _pick(
 
 @njit
 def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: float) -> bool:
-    """Whether a point is farther than `width` m from a box for certain, and so from all that lies in it."""
+    """True only for a point farther than `width` m from a box, and so from all points in it."""
     west, south, east, north = box
     wide = width + 1e-6
     return x < west - wide or x > east + wide or y < south - wide or y > north + wide
@@ -230,8 +243,11 @@ def update(
     miss: tuple,
     birth: tuple,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Twin of `arithmetic.update` for wedges; `noises` are that of the sensors, that of the likelihood and its gate squared, `miss` is
-    (certainty, side of a bin), `birth` (on, copies, radius, least, least share, most, speed, key of the births, directions)."""
+    """Twin of `regions.correct` for wedges: states, weights and ids of the particles after all scans, the births last.
+
+    `noises` are the deviations of the sensors and of the likelihood in m, and the squared gate in m^2. `miss` is (certainty, side of a
+    bin). `birth` is (on, copies, radius, least, least share, most, speed, key of the births, directions).
+    """
     on, copies, radius, _, _, _, speed, births_key, directions = birth
     noise, likelihood_noise, gate2 = noises
     box = around(polygon, 0.0)
@@ -241,24 +257,24 @@ def update(
     for s in range(scans):
         close = starts[s + 1] = _pick(table[sensors[s]], begins[s], polygon, box, halo, all_detections, picked, close)
     count = len(weights)
-    room = count + (close * copies if on else 0)
-    new_states, new_weights, new_ids = np.empty((room, 4)), np.empty(room), np.empty(room, np.uint64)
+    capacity = count + (close * copies if on else 0)
+    new_states, new_weights, new_ids = np.empty((capacity, 4)), np.empty(capacity), np.empty(capacity, np.uint64)
     new_states[:count], new_weights[:count], new_ids[:count] = states, weights, ids
-    x, y, seen = np.empty(room), np.empty(room), np.empty(room, np.bool_)
+    x, y, seen = np.empty(capacity), np.empty(capacity), np.empty(capacity, np.bool_)
     x[:count], y[:count] = states[:, 0], states[:, 1]
     detections, densities = np.empty((close, 2)), np.zeros(close)
     for m in range(close):
         detections[m] = all_detections[picked[m]]
     if on:
         densities = _nearby(x[:count], y[:count], weights, detections, radius)
-    found, gained = _room(2 * count + 256), np.empty(room)
+    found, gained = _pair_buffers(2 * count + 256), np.empty(capacity)
     raster = _raster(x[:count], y[:count], detections, _FARTHEST * noise, miss[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         _mark_view(x[:count], y[:count], sensor, seen)
         pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
         while pairs < 0:
-            found = _room(4 * len(found[0]))
+            found = _pair_buffers(4 * len(found[0]))
             pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
         rows, columns, squares, shares = found
         _likelihoods(squares[:pairs], shares[:pairs], likelihood_noise)
@@ -284,12 +300,12 @@ def update(
             for m in range(len(points)):
                 number = np.uint64(picked[starts[s] + m] - begins[s])
                 for copy in range(copies):
-                    word = scramble(number * np.uint64(copies) + np.uint64(copy), salt)
-                    x[count] = points[m, 0] + normal(scramble(word, np.uint64(1))) * noise
-                    y[count] = points[m, 1] + normal(scramble(word, np.uint64(2))) * noise
-                    direction = np.int64(scramble(word, np.uint64(3)) >> _S52)
+                    new_id = scramble(number * np.uint64(copies) + np.uint64(copy), salt)
+                    x[count] = points[m, 0] + normal(scramble(new_id, np.uint64(1))) * noise
+                    y[count] = points[m, 1] + normal(scramble(new_id, np.uint64(2))) * noise
+                    direction = np.int64(scramble(new_id, np.uint64(3)) >> _S52)
                     new_states[count, 0], new_states[count, 1] = x[count], y[count]
                     new_states[count, 2], new_states[count, 3] = directions[direction, 0] * speed, directions[direction, 1] * speed
-                    new_ids[count], new_weights[count] = word, born[m] / np.float64(copies)
+                    new_ids[count], new_weights[count] = new_id, born[m] / np.float64(copies)
                     count += 1
     return new_states, new_weights, new_ids

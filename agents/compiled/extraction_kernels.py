@@ -1,4 +1,7 @@
-"""Compiled target extraction: the loops of `extraction` for numba, bit for bit; rules as in `kernels`."""
+"""Compiled target extraction: the bit-for-bit twin of agents/tracking/extraction.py.
+
+Rules as in agents/compiled/particle_kernels.py.
+"""
 
 import math
 
@@ -9,7 +12,7 @@ from agents.compiled.cache import cached
 
 @cached
 def block(masses: np.ndarray, row: int, column: int) -> float:
-    """The mass of the 5 x 5 bins around one, column after column."""
+    """Twin of `extraction.block_sums` for one bin: the mass of the 5 x 5 bins around it, column after column."""
     total = 0.0
     for c in range(column - 2, column + 3):
         line = 0.0
@@ -21,8 +24,10 @@ def block(masses: np.ndarray, row: int, column: int) -> float:
 
 @cached
 def _peaks(masses: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Rows, columns and masses of the blocks that reach the threshold, in the order of the grid, and their number. No other ever will:
-    what is taken out of the grid only makes blocks lighter."""
+    """Rows, columns and masses of the blocks of at least `threshold`, in the order of the grid, and their number.
+
+    No other block becomes a peak later: removing mass from the grid only makes blocks lighter.
+    """
     height, width = masses.shape
     rows, columns, blocks, number = np.empty(masses.size, np.int64), np.empty(masses.size, np.int64), np.empty(masses.size), 0
     line = np.empty(width)
@@ -38,6 +43,7 @@ def _peaks(masses: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray
 
 @cached
 def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
+    """Twin of `extraction._window_sum`."""
     total = 0.0
     for r in range(row - half, row + half + 1):
         for c in range(column - half, column + half + 1):
@@ -47,7 +53,7 @@ def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
 
 @cached
 def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, threshold: float) -> np.ndarray:
-    """Twin of `extraction.estimate_targets`."""
+    """Twin of `extraction.estimate_targets`: estimated positions (M, 2) in m, heaviest first; bins of side `size` m."""
     left = low = np.int64(1 << 60)
     right = high = -left
     for n in range(len(weights)):

@@ -1,6 +1,6 @@
-"""Compiled merging: copies of what others own, and what counts of them and of what is received, each the twin of a numpy function.
+"""Compiled merging: the copies kept after a round, and their merge with received particles; twins of agents/tracking/merge.py.
 
-Same rules as `kernels`.
+Rules as in agents/compiled/particle_kernels.py.
 """
 
 import math
@@ -18,8 +18,10 @@ _Particles = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @njit
 def _farther(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, halo: float, horizon: float) -> np.ndarray:
-    """Which points are farther than `halo` m from a polygon, and no farther than `horizon` m; without a horizon it is not worked out how
-    far those are that lie outside of the box around it."""
+    """True for the points farther than `halo` m and at most `horizon` m from a polygon: (N,) bool.
+
+    With an infinite horizon, points far outside the box around the polygon need no distance.
+    """
     (west, south, east, north), wide, found = around(polygon, 0.0), halo + 1e-6, np.empty(len(x), np.bool_)
     for n in range(len(x)):
         found[n] = (x[n] < west - wide) | (x[n] > east + wide) | (y[n] < south - wide) | (y[n] > north + wide)
@@ -42,7 +44,7 @@ def remote_copies(
     horizon: float,
     motion: tuple,
 ) -> _Particles:
-    """Twin of `merge.remote_copies`; `motion` is `fast.motion`."""
+    """Twin of `merge.remote_copies`: states, weights and ids of the copies; `motion` is the tuple of `backend.motion`."""
     near_states, near_weights, near_ids = near
     states, weights, ids = received
     width, height = motion[9], motion[10]
@@ -76,29 +78,29 @@ def remote_copies(
 
 @cached
 def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
-    """Twin of `merge.merge`."""
+    """Twin of `merge.merge`: states, weights and ids in canonical order."""
     received_states, received_weights, received_ids = received
     states, weights, ids = copies
     number = len(received_ids)
-    rows, names, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
+    rows, chosen_ids, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
     for n in range(number):
-        rows[count], names[count] = n, received_ids[n]
+        rows[count], chosen_ids[count] = n, received_ids[n]
         count += kept[n]
     for n in range(len(ids)):
-        rows[count], names[count] = number + n, ids[n]
+        rows[count], chosen_ids[count] = number + n, ids[n]
         count += free[n]
-    names = names[:count]
-    order, known = sort_by_id(names, np.arange(count)), 0
+    chosen_ids = chosen_ids[:count]
+    order, known = sort_by_id(chosen_ids, np.arange(count)), 0
     merged, merged_weights, merged_ids = blank(count)
     for rank in range(count):
         k = order[rank]
-        if rank > 0 and names[k] == names[order[rank - 1]]:
+        if rank > 0 and chosen_ids[k] == chosen_ids[order[rank - 1]]:
             continue
         n = rows[k]
         source, weight = (received_states, received_weights[n]) if n < number else (states, weights[n - number])
         at = n if n < number else n - number
         for axis in range(4):
             merged[known, axis] = source[at, axis]
-        merged_weights[known], merged_ids[known] = weight, names[k]
+        merged_weights[known], merged_ids[known] = weight, chosen_ids[k]
         known += 1
     return merged[:known], merged_weights[:known], merged_ids[:known]

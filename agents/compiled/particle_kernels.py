@@ -1,7 +1,12 @@
 """Compiled particle kernels: prediction, selection and resampling for numba, each the bit-for-bit twin of a numpy function.
 
-The numpy functions are the reference and the oracle of the tests; `fast` wraps these loops in their signatures. No fast-math: the
-order and the rounding of every operation are those of the reference. Compiled code is kept on disk (`numba_cache`).
+Data types: particles are arrays of states (N, 4), weights (N,) and ids (N,) uint64. A sensor is a row of `GossipTable.table`
+(agents/gossip/table.py) or its first seven columns. The arguments of a step of prediction are the tuple of `motion`
+(agents/compiled/backend.py).
+
+Rules of all kernels. The numpy functions are the reference and the oracle of the tests; agents/compiled/backend.py wraps the loops in
+their signatures. No fast-math: the order and the rounding of each operation are those of the reference. Compiled code is cached on disk
+(agents/compiled/cache.py). Inner loops without branches compile to vector instructions.
 """
 
 import math
@@ -18,12 +23,12 @@ _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
 _LOW = np.uint64(0xFFFF)
 _NORMAL_SCALE = 3.0**0.5 / 65536.0
-_MOST_BITS, _FULLEST = 14, 64  # of ids that choose a bucket; and how many may lie in one
+_MOST_BITS, _FULLEST = 14, 64  # most bits of an id that choose its bucket, and most ids in a bucket
 
 
 @njit
 def scramble(word: np.uint64, salt: np.uint64) -> np.uint64:
-    """Twin of `streams.scramble`."""
+    """Twin of `protocol.streams.scramble`."""
     word = (word ^ salt) + _GOLDEN
     word = (word ^ (word >> _S30)) * _MIX1
     word = (word ^ (word >> _S27)) * _MIX2
@@ -32,21 +37,21 @@ def scramble(word: np.uint64, salt: np.uint64) -> np.uint64:
 
 @njit
 def normal(bits: np.uint64) -> float:
-    """Twin of `streams.normal`."""
+    """Twin of `protocol.streams.normal`."""
     total = (bits & _LOW) + ((bits >> _S16) & _LOW) + ((bits >> _S32) & _LOW) + (bits >> _S48)
     return (np.float64(total) - 131070.0) * _NORMAL_SCALE
 
 
 @njit
-def move_one(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
-    """One particle a step on, and whether it is still in the arena; `motion` is `fast.motion`."""
+def move_one(x: float, y: float, vx: float, vy: float, particle_id: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
+    """Twin of `phd.predict` for one particle: x, y in m and vx, vy in m/s one step later, and True if it stays in the arena."""
     turn_salt, east_salt, north_salt, dt, half_turn, speed, position_noise, _, reflect, width, height = motion
-    turn = normal(scramble(name, turn_salt)) * half_turn
+    turn = normal(scramble(particle_id, turn_salt)) * half_turn
     scale = speed / max(math.sqrt(vx * vx + vy * vy), 1e-12)
     cos, sin = (1.0 - turn * turn) / (1.0 + turn * turn), 2.0 * turn / (1.0 + turn * turn)
     vx, vy = (cos * vx - sin * vy) * scale, (sin * vx + cos * vy) * scale
-    x = x + vx * dt + normal(scramble(name, east_salt)) * position_noise
-    y = y + vy * dt + normal(scramble(name, north_salt)) * position_noise
+    x = x + vx * dt + normal(scramble(particle_id, east_salt)) * position_noise
+    y = y + vy * dt + normal(scramble(particle_id, north_salt)) * position_noise
     if reflect:
         if x < 0.0:
             x, vx = -x, -vx
@@ -61,16 +66,16 @@ def move_one(x: float, y: float, vx: float, vy: float, name: np.uint64, motion: 
 
 @njit
 def blank(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States, weights and ids of so many particles, still to be written."""
+    """Uninitialised states, weights and ids of `number` particles."""
     return np.empty((number, 4)), np.empty(number), np.empty(number, np.uint64)
 
 
 @cached
 def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """The indices `order` in ascending order of id, stable.
+    """The indices `order` (N,), sorted by ascending id; the sort is stable.
 
-    Ids are hashes, so that their first bits spread them over buckets of about one each, and little is left to be put right by insertion.
-    What is sorted already is given back, and what does not spread is merged run by run.
+    Ids are hashes: their first bits spread them over buckets of about one id each, and an insertion sort orders the rest. Sorted indices
+    are returned as they are. Ids that do not spread are sorted by merging runs.
     """
     count, runs = len(order), 1
     for n in range(1, count):
@@ -100,7 +105,7 @@ def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 @njit
 def _merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """The same by a natural merge sort."""
+    """The result of `sort_by_id`, by a natural merge sort."""
     count = len(order)
     source, target, starts = order, np.empty_like(order), np.empty(count + 1, np.int64)
     while True:
@@ -128,7 +133,7 @@ def _merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 @njit
 def wedge(x: float, y: float, sensor: np.ndarray) -> float:
-    """p_d at a point; `sensor` is a row of `words.GossipTable`, or its first seven columns."""
+    """p_d of a wedge at a point; `sensor` is a row of `GossipTable.table`, or its first seven columns."""
     dx, dy = x - sensor[0], y - sensor[1]
     range2 = dx * dx + dy * dy
     seen = (range2 <= sensor[4] * sensor[4]) & (dx * sensor[2] + dy * sensor[3] >= sensor[5] * math.sqrt(range2))
@@ -137,7 +142,7 @@ def wedge(x: float, y: float, sensor: np.ndarray) -> float:
 
 @cached
 def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tuple[float, float]:
-    """Twin of `regions.in_view`: mass in the footprint of a wedge, and that mass times p_d."""
+    """Twin of `regions.in_view` for a wedge (10): mass in the footprint, and that mass times p_d, expected targets."""
     load = detected = 0.0
     for n in range(len(weights)):
         probability = wedge(states[n, 0], states[n, 1], sensor)
@@ -150,8 +155,8 @@ def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tupl
 def resample(
     states: np.ndarray, weights: np.ndarray, ids: np.ndarray, mass: float, count: int, offset: float, salt: np.uint64
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of the systematic draw of `phd.resample`: states (count, 4) float32-rounded and ids, ascending."""
-    chosen, names, parents = np.empty((count, 4)), np.empty(count, np.uint64), np.empty(count, np.int64)
+    """Twin of `phd.resample`: states (count, 4), rounded to float32, and ids (count,), ascending; equal ids occur once."""
+    chosen, new_ids, parents = np.empty((count, 4)), np.empty(count, np.uint64), np.empty(count, np.int64)
     step = mass / count
     parent, reached, copy, last = 0, weights[0], 0, -1
     for n in range(count):
@@ -161,26 +166,26 @@ def resample(
             reached += weights[parent]
         copy = copy + 1 if parent == last else 0
         last = parent
-        names[n] = ids[parent] if copy == 0 else scramble(ids[parent] + np.uint64(copy), salt)
+        new_ids[n] = ids[parent] if copy == 0 else scramble(ids[parent] + np.uint64(copy), salt)
         parents[n] = parent
-    order = sort_by_id(names, np.arange(count))
-    sorted_names, unique = np.empty(count, np.uint64), 0
+    order = sort_by_id(new_ids, np.arange(count))
+    sorted_ids, unique = np.empty(count, np.uint64), 0
     for rank in range(count):
         n = order[rank]
-        if rank > 0 and names[n] == names[order[rank - 1]]:
+        if rank > 0 and new_ids[n] == new_ids[order[rank - 1]]:
             continue
-        sorted_names[unique] = names[n]
+        sorted_ids[unique] = new_ids[n]
         for axis in range(4):
             chosen[unique, axis] = np.float64(np.float32(states[parents[n], axis]))
         unique += 1
-    return chosen[:unique], sorted_names[:unique]
+    return chosen[:unique], sorted_ids[:unique]
 
 
 @cached
 def take(
     states: np.ndarray, weights: np.ndarray, ids: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Twin of `regions.take`."""
+    """Twin of `regions.take`: the particles in the arena and in the cell of generator 0, in canonical order."""
     chosen, count = np.empty(len(ids), np.int64), 0
     inside = owned(states, generators, first, width, height)
     for n in range(len(ids)):
@@ -198,7 +203,7 @@ def take(
 
 @cached
 def first_moments(states: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
-    """Twin of `regions.moments`: mass, and mass-weighted x and y, one after the other."""
+    """Twin of `regions.moments`: mass in expected targets, and the mass-weighted sums of x and y in m (17)."""
     mass = east = north = 0.0
     for n in range(len(weights)):
         mass += weights[n]

@@ -1,7 +1,11 @@
 """The compiled computation of a round: the bit-for-bit twin of `regions.update_regions` for wedges, one call for all owners.
 
-What cannot come near any owner is not even predicted; the rest is sorted and predicted once, and each owner takes its part. What may go
-either way is written down and counted without branches, because no processor foresees them. Rules as in `kernels`.
+Data types: the settings and the keys of a run are arrays with the columns below; a result is a row of SIZES and SUMS columns. The stated
+particles are states (N, 4) float32, ids (N,), and the rows of the gossip table that state them.
+
+Rules as in agents/compiled/particle_kernels.py. Particles that cannot come near an owner are not predicted. The others are sorted and
+predicted once, and each owner gates its part. Filters write each index and advance the count without branches, because such branches
+are unpredictable.
 """
 
 import numpy as np
@@ -16,10 +20,10 @@ from agents.compiled.particle_kernels import blank, first_moments, in_view, move
 from agents.gossip.table import PARTICLES, WEIGHT
 
 BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
-SIZES = 4  # first columns of a result: how many particles were updated, are owned and were drawn, and how many targets are reported
-SUMS = 5  # and the next: mass, its sums of x and y, load and detected
+SIZES = 4  # first columns of a result: the numbers of updated, own and resampled particles, and of estimated targets
+SUMS = 5  # next columns: mass, its sums of x and y, load and detected
 
-# Columns of the settings, and of the keys to which the tick is still to be added.
+# Columns of the settings; and of the keys, each without the tick.
 DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, LIKELIHOOD_NOISE, GATE2 = range(13)
 CERTAINTY, MISS_BIN, BIRTHS, COPIES, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
 PER_TARGET, LEAST, MOST, BIN, THRESHOLD = range(21, 26)
@@ -30,7 +34,7 @@ _S11 = np.uint64(11)
 
 @cached
 def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: float, reach: float) -> np.ndarray:
-    """Which of these boxes (N, 4) hold any candidate, by their indices in ascending order."""
+    """Indices of the boxes (N, 4) that touch a box around a polygon, widened by `width` m, or one around a disc; ascending."""
     west, south, east, north = around(polygon, width)
     found, count = np.empty(len(boxes), np.int64), 0
     for n in range(len(boxes)):
@@ -46,70 +50,75 @@ def touching(boxes: np.ndarray, polygon: np.ndarray, width: float, x: float, y: 
 def _surroundings(
     corners: np.ndarray, table: np.ndarray, spans: np.ndarray, width: float, step: float
 ) -> tuple[BoxLimits, tuple[float, float, float]]:
-    """A box around all cells and a disc (x, y, radius) around all footprints, m; of a single owner just its own."""
+    """A box around all cells and a disc (x, y, radius) around all footprints, m; for a single owner its own box and footprint."""
     x, y, radius = table[spans[0, 0], 0], table[spans[0, 0], 1], 0.0
     for k in range(len(spans)):
-        eye = table[spans[k, 0]]
-        dx, dy = eye[0] - x, eye[1] - y
-        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (eye[4] + step))
+        sensor = table[spans[k, 0]]
+        dx, dy = sensor[0] - x, sensor[1] - y
+        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (sensor[4] + step))
     return around(corners, width), (x, y, radius)
 
 
 @njit
 def _within(x: float, y: float, box: BoxLimits, disc: tuple[float, float, float]) -> bool:
-    """Whether a place lies in a box or in a disc."""
+    """True for a point in the box or in the disc."""
     dx, dy = x - disc[0], y - disc[1]
     return ((box[0] <= x) & (x <= box[2]) & (box[1] <= y) & (y <= box[3])) | (dx * dx + dy * dy <= disc[2] * disc[2])
 
 
 @njit
-def _candidates(said: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the particles in gossips (states float32, ids, and rows that say how many each and their weight) and of others behind them
-    (states, weights, ids): those in a box or in a disc, as places, ids and weights."""
-    said_states, said_ids, table = said
+def _candidates(stated: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Indices, ids and weights of the particles in the box or in the disc: the stated ones, then the others.
+
+    The stated particles are (states float32, ids, rows of the table with their numbers and weights). The others are (states, weights, ids),
+    and their indices continue those of the stated ones.
+    """
+    gossip_states, gossip_ids, table = stated
     states, weights, ids = others
-    number, size, count = len(said_ids), len(said_ids) + len(ids), 0
+    number, size, count = len(gossip_ids), len(gossip_ids) + len(ids), 0
     within, places = np.empty(size, np.bool_), np.empty(size, np.int64)
     for n in range(number):
-        within[n] = _within(np.float64(said_states[n, 0]), np.float64(said_states[n, 1]), box, disc)
+        within[n] = _within(np.float64(gossip_states[n, 0]), np.float64(gossip_states[n, 1]), box, disc)
     for n in range(len(ids)):
         within[number + n] = _within(states[n, 0], states[n, 1], box, disc)
     for n in range(size):
         places[count] = n
         count += within[n]
-    names, masses, row, end = np.empty(count, np.uint64), np.empty(count), -1, 0
+    candidate_ids, masses, row, end = np.empty(count, np.uint64), np.empty(count), -1, 0
     for k in range(count):
         n = places[k]
         if n >= number:
-            names[k], masses[k] = ids[n - number], weights[n - number]
+            candidate_ids[k], masses[k] = ids[n - number], weights[n - number]
             continue
         while n >= end:
             row += 1
             end += int(table[row, PARTICLES])
-        names[k], masses[k] = said_ids[n], table[row, WEIGHT]
-    return places[:count], names, masses
+        candidate_ids[k], masses[k] = gossip_ids[n], table[row, WEIGHT]
+    return places[:count], candidate_ids, masses
 
 
 @njit
-def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
-    """The candidates in ascending order of id and one step on, each id once, and the births behind them: x, y, states, weights, ids, and
-    the number of those that are no births."""
-    places, names, masses = _candidates(said, others, box, disc)
-    order, number, born, known = sort_by_id(names, np.arange(len(names))), len(said[1]), len(births[2]), 0
-    states, weights, ids = blank(len(names) + born)
-    for rank in range(len(names)):
+def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
+    """The candidates one step later, each id once and ids ascending, then the births: x, y, states, weights, ids.
+
+    The sixth value is the number of particles before the births.
+    """
+    places, candidate_ids, masses = _candidates(stated, others, box, disc)
+    order, number, born, known = sort_by_id(candidate_ids, np.arange(len(candidate_ids))), len(stated[1]), len(births[2]), 0
+    states, weights, ids = blank(len(candidate_ids) + born)
+    for rank in range(len(candidate_ids)):
         k = order[rank]
-        if rank > 0 and names[k] == names[order[rank - 1]]:
+        if rank > 0 and candidate_ids[k] == candidate_ids[order[rank - 1]]:
             continue
         n = places[k]
         if n < number:
-            x, y, vx, vy = said[0][n, 0], said[0][n, 1], said[0][n, 2], said[0][n, 3]
-            moved = move_one(np.float64(x), np.float64(y), np.float64(vx), np.float64(vy), names[k], motion)
+            x, y, vx, vy = stated[0][n, 0], stated[0][n, 1], stated[0][n, 2], stated[0][n, 3]
+            moved = move_one(np.float64(x), np.float64(y), np.float64(vx), np.float64(vy), candidate_ids[k], motion)
         else:
             n -= number
-            moved = move_one(others[0][n, 0], others[0][n, 1], others[0][n, 2], others[0][n, 3], names[k], motion)
+            moved = move_one(others[0][n, 0], others[0][n, 1], others[0][n, 2], others[0][n, 3], candidate_ids[k], motion)
         states[known, 0], states[known, 1], states[known, 2], states[known, 3], inside = moved
-        weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, names[k]
+        weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, candidate_ids[k]
         known += 1
     end = known + born
     states[known:end], weights[known:end], ids[known:end] = births
@@ -117,14 +126,14 @@ def _predict(said: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tu
 
 
 @njit
-def _gate(predicted: tuple, polygon: np.ndarray, halo: float, eye: np.ndarray, room: tuple) -> tuple:
-    """Twin of `regions.gate` for one owner: states, weights and ids of the particles near its cell, and of those only in its reach."""
+def _gate(predicted: tuple, polygon: np.ndarray, halo: float, sensor: np.ndarray, scratch: tuple) -> tuple:
+    """Twin of `regions.gate`: states, weights and ids of the particles within the halo of the cell, and of the others within reach."""
     x, y, states, weights, ids, known = predicted
-    boxed, seen, rows, some = room
+    boxed, seen, rows, some = scratch
     west, south, east, north = around(polygon, halo)
-    far2, count, near_count, far_count = eye[4] * eye[4], 0, 0, 0
+    far2, count, near_count, far_count = sensor[4] * sensor[4], 0, 0, 0
     for n in range(len(x)):  # without branches, for several at once
-        dx, dy = x[n] - eye[0], y[n] - eye[1]
+        dx, dy = x[n] - sensor[0], y[n] - sensor[1]
         boxed[n] = (west <= x[n]) & (x[n] <= east) & (south <= y[n]) & (y[n] <= north)
         seen[n] = dx * dx + dy * dy <= far2
     for n in range(len(x)):
@@ -145,7 +154,7 @@ def _gate(predicted: tuple, polygon: np.ndarray, halo: float, eye: np.ndarray, r
 
 @njit
 def _rows(rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Some particles."""
+    """States, weights and ids of the particles at the indices `rows`."""
     some_states, some_weights, some_ids = blank(len(rows))
     for k in range(len(rows)):
         n = rows[k]
@@ -157,7 +166,7 @@ def _rows(rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.nda
 
 @njit
 def _motion(settings: np.ndarray, keys: np.ndarray, now: np.uint64) -> tuple:
-    """`fast.motion` of a tick."""
+    """Twin of `backend.motion` for a tick."""
     return (
         scramble(now, keys[TURN]),
         scramble(now, keys[EASTWARD]),
@@ -178,7 +187,7 @@ def _update_region(
     settings: np.ndarray,
     keys: np.ndarray,
     now: np.uint64,
-    eye: np.ndarray,
+    sensor: np.ndarray,
     table: np.ndarray,
     salts: np.ndarray,
     detections: np.ndarray,
@@ -189,7 +198,7 @@ def _update_region(
     owner: np.uint64,
     directions: np.ndarray,
 ) -> tuple:
-    """The steps of `regions.update_regions` for one owner once its particles are gated; `eye` is its sensor, a row of numbers."""
+    """The fields of a `regions.RegionUpdate` for one owner from its gated particles; `sensor` is its row of the table."""
     near_states, near_weights, near_ids, far_states, far_weights, _ = gated
     halo = settings[HALO]
     birth = (
@@ -207,8 +216,8 @@ def _update_region(
     states, weights, ids = update(near_states, near_weights, near_ids, table, salts, detections, polygon, halo, noise, miss, birth)
     own_states, own_weights, own_ids = take(states, weights, ids, generators, first, settings[WIDTH], settings[HEIGHT])
     mass, east, north = first_moments(own_states, own_weights)
-    near_load, near_detected = in_view(states, weights, eye)
-    far_load, far_detected = in_view(far_states, far_weights, eye)
+    near_load, near_detected = in_view(states, weights, sensor)
+    far_load, far_detected = in_view(far_states, far_weights, sensor)
     kept_states, kept_ids, each = np.empty((0, 4)), np.empty(0, np.uint64), 0.0
     if mass > 0.0:
         count = int(min(max(np.rint(settings[PER_TARGET] * mass), settings[LEAST]), settings[MOST]))
@@ -224,14 +233,17 @@ def _update_region(
 
 
 @njit
-def _append(whole: tuple, size: int, part: tuple, room: int) -> tuple:
-    """Particles behind the first `size` ones of others, with more room where it is needed, at least `room`; the first part is the whole."""
+def _append(whole: tuple, size: int, part: tuple, least: int) -> tuple:
+    """The first `size` particles of `whole` with `part` behind them; the first part becomes the whole.
+
+    Arrays that are too small grow to `least` particles or more.
+    """
     states, weights, ids = whole
     end = size + len(part[2])
     if size == 0:
         return part
     if end > len(ids):
-        more = max(2 * end, room)
+        more = max(2 * end, least)
         wider, heavier, longer = blank(more)
         wider[:size], heavier[:size], longer[:size] = states[:size], weights[:size], ids[:size]
         states, weights, ids = wider, heavier, longer
@@ -247,7 +259,7 @@ def update_regions(
     table: np.ndarray,
     salts: np.ndarray,
     detections: np.ndarray,
-    said: tuple,
+    stated: tuple,
     others: tuple,
     births: tuple,
     spans: np.ndarray,
@@ -257,26 +269,28 @@ def update_regions(
     draws: np.ndarray,
     directions: np.ndarray,
 ) -> tuple:
-    """What K owners make of their parts: updated, own and drawn particles and targets (T, 2), each owner after owner, and their numbers
-    and sums (K, SIZES + SUMS).
+    """Twin of `regions.update_regions`: updated, own and resampled particles and targets (T, 2) in m, owner after owner, and results.
 
-    `spans` (K, 3) are each owner's row of the table, and how many corners and generators are its; `draws` (K,) are the keys of their draws.
+    The results (K, SIZES + SUMS) hold the sizes and sums of K owners. `spans` (K, 3) are the row of each owner in the table, its number of
+    corners and its number of generators. `draws` (K,) are the keys of the resampling of each owner.
     """
     now, number, halo, step = np.uint64(tick), len(spans), settings[HALO], settings[STEP]
     box, disc = _surroundings(corners, table, spans, halo + step, step)
-    predicted = _predict(said, others, births, box, disc, _motion(settings, keys, now))
+    predicted = _predict(stated, others, births, box, disc, _motion(settings, keys, now))
     size = len(predicted[0])
-    room = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
+    scratch = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
     updated, own, kept, targets = blank(0), blank(0), blank(0), np.empty((0, 2))
     results, start = np.empty((number, SIZES + SUMS)), np.zeros(SIZES, np.int64)
     corner = bound = 0
     for k in range(number):
-        eye, polygon = table[spans[k, 0]], corners[corner : corner + spans[k, 1]]
+        sensor, polygon = table[spans[k, 0]], corners[corner : corner + spans[k, 1]]
         claimed = slice(bound, bound + spans[k, 2])
         corner, bound = corner + spans[k, 1], bound + spans[k, 2]
-        gated = _gate(predicted, polygon, halo, eye, room)
+        gated = _gate(predicted, polygon, halo, sensor, scratch)
         claim = generators[claimed], first[claimed]
-        found = _update_region(settings, keys, now, eye, table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions)
+        found = _update_region(
+            settings, keys, now, sensor, table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions
+        )
         updated, own = _append(updated, start[0], found[0], 2 * size), _append(own, start[1], found[1], 2 * size)
         kept = _append(kept, start[2], found[2], 2 * size)
         targets = np.concatenate((targets, found[8])) if k > 0 else found[8]

@@ -1,4 +1,7 @@
-"""Compiled choice of whom to hear: the bit-for-bit twin of `selection.select_peers`, in one call. Same rules as `kernels`."""
+"""Compiled selection of peers: the bit-for-bit twin of agents/interest/selection.py, in one call.
+
+Rules as in agents/compiled/particle_kernels.py.
+"""
 
 import math
 
@@ -14,7 +17,7 @@ BLOCK = 4  # points of a grid along each side of a block
 
 @njit
 def _limits(corners: np.ndarray) -> Limits:
-    """West, south, east and north of some points."""
+    """West, south, east and north of points (N, 2), m."""
     west = east = corners[0, 0]
     south = north = corners[0, 1]
     for c in range(1, len(corners)):
@@ -25,7 +28,7 @@ def _limits(corners: np.ndarray) -> Limits:
 
 @njit
 def _rivals(points: np.ndarray, table: np.ndarray, spacing: float) -> np.ndarray:
-    """Twin of `interest._within_reach`, of whole rows: the generators (K, 3) behind their row numbers, (K, 4)."""
+    """Twin of `selection._within_reach`: (K, 4) of row number, x and y in m, and squared radius in m^2 of the generators."""
     west, south, east, north = _limits(points)
     x, y = 0.5 * (west + east), 0.5 * (south + north)
     farthest = 0.0
@@ -51,11 +54,11 @@ def _rivals(points: np.ndarray, table: np.ndarray, spacing: float) -> np.ndarray
 
 @njit
 def _candidates(points: np.ndarray, rivals: np.ndarray, behind: float, away: np.ndarray, found: np.ndarray) -> int:
-    """The indices of those rivals (K, 4) that may own anything near one of a few points, in ascending order: how many are `found`.
-    `away`: room for (K,).
+    """The number of rivals (K, 4) that may own ground near one of a few points; their indices are written into `found`, ascending.
 
-    From a circle around the points: the best of all is no worse anywhere in it than from its far side, at best the others are as near
-    as it allows, and who is best cannot be farther than his power distance and the largest radius say.
+    `away` (K,) is scratch. A circle contains the points. Anywhere in it the smallest power distance is at most `limit`, the smallest one
+    to the far sides of the circle. A rival is found if its power distance to the near side exceeds that by no more than the margin. The
+    margin is `behind` times the distance from the rival to the best generator, of which this is an upper bound.
     """
     west, south, east, north = _limits(points)
     x, y = 0.5 * (west + east), 0.5 * (south + north)
@@ -77,7 +80,7 @@ def _candidates(points: np.ndarray, rivals: np.ndarray, behind: float, away: np.
 
 @njit
 def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray, spacing: float, behind: float) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `interest.owners`, of points that come in blocks."""
+    """Twin of `selection.owners` for points in blocks; `ends` holds the end of each block."""
     rivals = _rivals(points, table, spacing)
     number = len(rivals)
     power, near = np.empty(number), np.empty(number, np.int64)
@@ -105,14 +108,14 @@ def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray, spacing: fl
 
 @njit
 def _region(
-    cell: np.ndarray, eye: tuple[float, float], halo: float, reach: float, arena: np.ndarray, margin: float, spacing: float
+    cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, arena: np.ndarray, margin: float, spacing: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `interest.region`, block after block of neighbouring points, and where each block ends."""
+    """Twin of `selection.region`: points (N, 2) in m, block after block of neighbouring points, and the end of each block."""
     west, south, east, north = _limits(cell)
     width = max(halo, reach) + margin + spacing
     first, bottom, last, top = _limits(arena)
-    first, bottom = max(min(west, eye[0]) - width, first), max(min(south, eye[1]) - width, bottom)
-    last, top = min(max(east, eye[0]) + width, last), min(max(north, eye[1]) + width, top)
+    first, bottom = max(min(west, position[0]) - width, first), max(min(south, position[1]) - width, bottom)
+    last, top = min(max(east, position[0]) + width, last), min(max(north, position[1]) + width, top)
     columns, rows = 2 + int(max(last - first, 0.0) / spacing), 2 + int(max(top - bottom, 0.0) / spacing)
     points, count = np.empty((columns * rows, 2)), 0
     ends, blocks = np.empty(columns * rows, np.int64), 0
@@ -124,7 +127,7 @@ def _region(
                 y = bottom + spacing * row
                 for column in range(west_column, min(west_column + BLOCK, columns)):
                     x = first + spacing * column
-                    dx, dy = x - eye[0], y - eye[1]
+                    dx, dy = x - position[0], y - position[1]
                     if dx * dx + dy * dy <= disc or distance(cell, x, y) <= ring:
                         points[count, 0], points[count, 1] = x, y
                         count += 1
@@ -136,7 +139,7 @@ def _region(
 
 @njit
 def _threshold(table: np.ndarray, arena: np.ndarray, around: float, spacing: float) -> np.ndarray:
-    """Twin of `interest._threshold`."""
+    """Twin of `selection._threshold`: a point (1, 2), m."""
     number, home = len(table), np.empty((1, 2))
     x, y, squared = table[number - 1, 3], table[number - 1, 4], table[number - 1, 5] * table[number - 1, 5]
     home[0, 0], home[0, 1] = x, y
@@ -166,7 +169,7 @@ def _threshold(table: np.ndarray, arena: np.ndarray, around: float, spacing: flo
 @cached
 def wanted(
     cell: np.ndarray,
-    eye: tuple[float, float],
+    position: tuple[float, float],
     reach: float,
     halo: float,
     table: np.ndarray,
@@ -175,20 +178,22 @@ def wanted(
     drift: float,
     settings: tuple[float, float, float, float, float],
 ) -> tuple[np.ndarray, Limits]:
-    """Twin of `selection.select_peers`: who is chosen, and the needed ground. `bounds` and `drift` are those of the Ground; `settings` are
-    MARGIN, APPEARING, SPACING, THRESHOLD and BEHIND."""
+    """Twin of `selection.select_peers`: True for the chosen rows, and the needed ground as west, south, east and north in m.
+
+    `bounds` and `drift` are those of `selection.Ground`. `settings` are MARGIN, APPEARING, SPACING, THRESHOLD and BEHIND.
+    """
     margin, appearing, spacing, around, behind = settings
     number, home = len(table) - 1, cell
     if len(cell) == 0:
         home, halo = _threshold(table, arena, around, spacing), halo + appearing
-    points, ends = _region(home, eye, halo, reach, arena, margin, spacing)
+    points, ends = _region(home, position, halo, reach, arena, margin, spacing)
     owning, least = _owners(points, ends, table, spacing, behind)
     west, south, east, north = _limits(home)
     chosen = owning[:number]
     for n in range(number):
         if not chosen[n]:
             x, y, width = table[n, 0], table[n, 1], halo + margin + table[n, 2]
-            away = max(max(west - x, x - east), max(south - y, y - north))  # no more than the distance
+            away = max(max(west - x, x - east), max(south - y, y - north))  # a lower bound of the distance
             chosen[n] = away <= width + 1e-6 and distance(home, x, y) <= width
     look = halo + margin + bounds[0] + drift
     west, south, east, north = west - look, south - look, east + look, north + look

@@ -1,1 +1,1 @@
-"""Where a sensor should be: its capacity, its power cell, and how its body is driven."""
+"""Coverage control: the capacity of a sensor, its power cell, and the control laws that drive its body."""

@@ -1,7 +1,9 @@
-"""How much a sensor could see, how much of that is taken, and where the middle of its sight is (paper, section III-A, III-B).
+"""Sensing capacity: detecting capability, unused capacity, power radius and centroid of detection (paper, section III-A, III-B).
 
-For constant detection probability the literal unused capacity (11) is D - p_d whenever anything is in view: a mean of p_d, which
-has no unit, taken from an area. Other readings are chosen by `mode` (docs/paper.md).
+Data types: `SensorFacts` holds the detecting capability and the COD of a sensor, which do not depend on its pose.
+
+Rules. For constant detection probability the literal unused capacity (11) is D - p_d whenever mass is in view. It subtracts a mean of
+p_d, which has no unit, from an area. `CapacitySettings.mode` chooses other readings (docs/paper.md).
 """
 
 import math
@@ -17,14 +19,17 @@ _GRID = 1024  # quadrature points per axis over the square of side 2 reach
 
 
 class SensorFacts(NamedTuple):
-    """What does not change while a sensor moves: D in m^2 (6) and the COD in the sensor's own frame, m (14)."""
+    """The pose-free facts of a sensor: D in m^2 (6) and the COD in the frame of the sensor, m (14)."""
 
     capability: float
     cod_offset: tuple[float, float]
 
 
 def sensor_facts(sensor: SensorModel) -> SensorFacts:
-    """D and the COD of a sensor in its own frame: closed form for wedges, midpoint quadrature otherwise."""
+    """D in m^2 (6) and the COD in the frame of the sensor, m (14): closed form for wedges, midpoint quadrature otherwise.
+
+    Raises ValueError if the detection probability is 0 at all points of the quadrature.
+    """
     if isinstance(sensor, WedgeSensor):
         half = sensor.angle / 2.0
         return SensorFacts(sensor.prob_detection * sensor.area, (2.0 * sensor.radius * math.sin(half) / (3.0 * half), 0.0))
@@ -45,7 +50,7 @@ def detecting_capability(sensor: SensorModel) -> float:
 
 
 def place(offset: tuple[float, float], pose: Pose) -> tuple[float, float]:
-    """A point of the sensor's own frame in the world frame, m."""
+    """The world coordinates, m, of a point `offset` in the frame of a sensor at `pose`."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     return pose[0] + cos * offset[0] - sin * offset[1], pose[1] + sin * offset[0] + cos * offset[1]
 
@@ -58,7 +63,7 @@ def centroid_of_detection(sensor: SensorModel, pose: Pose) -> np.ndarray:
 def unused_capacity(capability: float, detected: float, load: float, settings: CapacitySettings = CapacitySettings()) -> float:
     """Unused sensing capacity U in m^2 (11), between 0 and D.
 
-    `capability` is D; `detected` the integral of p_d v and `load` the integral of v over the footprint, expected targets.
+    `capability` is D in m^2. `detected` is the integral of p_d v and `load` the integral of v over the footprint, expected targets (10).
     """
     if settings.mode == "static":
         return capability
@@ -70,5 +75,5 @@ def unused_capacity(capability: float, detected: float, load: float, settings: C
 
 
 def power_radius(unused: float) -> float:
-    """Power radius g(U) in m: that of a perfect disc with the same unused capacity (13)."""
+    """Power radius g(U) = sqrt(U / pi) in m: the radius of a perfect disc with the same unused capacity (13)."""
     return math.sqrt(unused / math.pi)

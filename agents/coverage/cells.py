@@ -1,7 +1,9 @@
-"""Power cells: the generators are (points (N, 2) m, radii (N,) m); generator k owns x when |x - p_k|^2 - r_k^2 is least (15).
+"""Power cells: generator k owns a point x when |x - p_k|^2 - r_k^2 is least (15).
 
-Ties go to the lower index, so coincident equal generators give the cell to the first and nothing to the others. Empty cells are
-normal, and a cell need not hold its own generator.
+Data types: generators are points (N, 2) in m and radii (N,) in m; a `Cell` is a convex polygon with the indices of its bounding generators.
+
+Rules. Ties go to the lower index: of coincident equal generators the first owns the cell, and the others own nothing. Empty cells are
+normal. A cell need not hold its own generator.
 """
 
 import math
@@ -16,7 +18,7 @@ TOUCH = 1.0e-6  # m: a generator this close to bounding a cell belongs to its cl
 
 
 class Cell(NamedTuple):
-    """A power cell and the indices of the generators that bound it, its own first; empty: no polygon and no bounds."""
+    """A power cell and the indices of the generators that bound it, its own first; an empty cell has no polygon and no bounds."""
 
     polygon: np.ndarray  # (V, 2), counter-clockwise
     bounds: tuple[int, ...]
@@ -31,10 +33,10 @@ def power_cell(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndar
 
 
 def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> Cell:
-    """The power cell (15) of generator `index`, with what bounds it.
+    """The power cell (15) of generator `index`, with the generators that bound it.
 
-    Half-plane clipping, nearest bisector first: the bisector towards generator j lies t_j = (d^2 + r_i^2 - r_j^2) / (2 d) ahead
-    of point i, and once t_j exceeds the distance of the farthest corner no later generator can cut.
+    The arena is clipped by half-planes, nearest bisector first. The bisector towards generator j lies
+    t_j = (d^2 + r_i^2 - r_j^2) / (2 d) ahead of point i. Once t_j exceeds the distance of the farthest corner, no later generator cuts.
     """
     origin_x, origin_y = float(points[index, 0]), float(points[index, 1])
     order, ahead, normals = _bisectors(index, points, radii)
@@ -63,12 +65,12 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) ->
 
 
 def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
-    """Some power cells of a diagram, as by `cut`."""
+    """The power cells (15) of the generators `indices`, each as by `cut`."""
     return [cut(index, points, radii, arena) for index in indices]
 
 
 def _bisectors(index: int, points: np.ndarray, radii: np.ndarray) -> tuple[list[int], list[float], list[list[float]]]:
-    """The other generators by their bisector's distance ahead of `index`: indices, distances, unit normals towards them."""
+    """The other generators, sorted by the distance of their bisectors ahead of `index`: indices, distances in m, unit normals."""
     offsets = points - points[index]
     squared = offsets[:, 0] * offsets[:, 0] + offsets[:, 1] * offsets[:, 1]
     spans = np.sqrt(squared)
@@ -87,11 +89,12 @@ def _bisectors(index: int, points: np.ndarray, radii: np.ndarray) -> tuple[list[
 
 
 def _farthest(corners: list[tuple[float, float]]) -> float:
+    """The distance in m of the farthest corner from the origin."""
     return math.sqrt(max(x * x + y * y for x, y in corners))
 
 
 def _clip(corners: list[tuple[float, float]], nx: float, ny: float, limit: float) -> list[tuple[float, float]]:
-    """The part of a convex polygon with n . x <= limit; the same object when nothing is cut off."""
+    """The part of a convex polygon with n . x <= limit, m; the same object when no corner is cut off."""
     heights = [x * nx + y * ny - limit for x, y in corners]
     if max(heights) <= 0.0:
         return corners
@@ -108,4 +111,5 @@ def _clip(corners: list[tuple[float, float]], nx: float, ny: float, limit: float
 
 
 def _area(corners: list[tuple[float, float]]) -> float:
+    """The area of a polygon in m^2, positive when counter-clockwise."""
     return 0.5 * sum(corners[i - 1][0] * corners[i][1] - corners[i][0] * corners[i - 1][1] for i in range(len(corners)))

@@ -1,6 +1,8 @@
-"""Control laws: from an agent's situation to the velocity in m/s and turn rate in rad/s of its body (18).
+"""Control laws: the velocity in m/s and the turn rate in rad/s of a body, from the situation of its agent (18).
 
-A control law is a class without arguments whose `command(situation)` returns ((vx, vy), turn rate); a scenario names a user's own
+Data types: a `Situation` is the input of a control law; a `ControlInput` is its output ((vx, vy), turn rate).
+
+Rules. A control law is a class without arguments and with a method `command(situation)`. A scenario names a control law of the user
 as `module:Class`.
 """
 
@@ -22,42 +24,42 @@ STAND: ControlInput = ((0.0, 0.0), 0.0)
 
 
 class Situation(NamedTuple):
-    """All that a control law may know."""
+    """The input of a control law."""
 
     name: str
     seed: int
     tick: int
     dt: float
     pose: Pose
-    driven: tuple[float, float]  # the point that is driven to the centroid: the COD, or the position for plain Voronoi cells
-    cell: np.ndarray  # (V, 2), empty when the agent has no cell
-    centroid: tuple[float, float] | None  # of the PHD in the cell, of its area when there is no mass, None without a cell (17)
+    driven: tuple[float, float]  # the point to drive to the centroid, m: the COD, or the position for plain Voronoi cells
+    cell: np.ndarray  # (V, 2) m, empty when the agent has no cell
+    centroid: tuple[float, float] | None  # m (17): of the PHD in the cell, of its area without mass, None without a cell
     particles: Particles  # in the cell
     sensor: SensorModel
     limits: LimitSettings
     heading: str  # "centroid" or "literal"
-    arena: tuple[float, float]  # width, height
-    fields: tuple[tuple[SensorModel, Pose], ...] = ()  # sensors around the cell that scanned; for laws that say `uses_fields = True`
-    generators: np.ndarray = EMPTY  # (N, 2) of the diagram
-    own_generator: int = -1  # its row; -1 without one
+    arena: tuple[float, float]  # width, height, m
+    fields: tuple[tuple[SensorModel, Pose], ...] = ()  # sensors around the cell that scanned; for laws with `uses_fields = True`
+    generators: np.ndarray = EMPTY  # (N, 2) m, of the diagram
+    own_generator: int = -1  # the row of the agent's generator; -1 without one
 
 
 class ControlLaw(Protocol):
-    """What drives a body."""
+    """A law that drives a body."""
 
     def command(self, situation: Situation) -> ControlInput:
         """The velocity and turn rate until the next tick."""
 
 
 class Lloyd:
-    """Drive the COD to the centroid of the own cell and face it; without a cell stand still (18)."""
+    """The law of the paper: drives the COD to the centroid of the own cell and faces it (18); stands still without a cell."""
 
     def command(self, situation: Situation) -> ControlInput:
         return approach(situation, situation.centroid) if situation.centroid else STAND
 
 
 class UniformDensity:
-    """Lloyd's algorithm for a uniform density: the centroid of the cell's area."""
+    """Lloyd's algorithm for a uniform density: drives to the centroid of the area of the own cell."""
 
     def command(self, situation: Situation) -> ControlInput:
         if not len(situation.cell):
@@ -67,14 +69,14 @@ class UniformDensity:
 
 
 class Static:
-    """Never move."""
+    """Never moves the body."""
 
     def command(self, situation: Situation) -> ControlInput:
         return STAND
 
 
 class RandomWalk:
-    """Drive to a random place of the arena, another one every 20 s."""
+    """Drives to a random point of the arena, another one every 20 s."""
 
     def command(self, situation: Situation) -> ControlInput:
         leg = int(situation.tick * situation.dt // 20.0)
@@ -84,11 +86,11 @@ class RandomWalk:
 
 
 LAWS: dict[str, type[ControlLaw]] = {"lloyd": Lloyd, "uniform-density": UniformDensity, "static": Static, "random": RandomWalk}
-OWN_FILES = {"pursuit": f"{__package__}.pursuit:Pursuit"}  # laws that build on this file
+OWN_FILES = {"pursuit": f"{__package__}.pursuit:Pursuit"}  # laws in files that import this one
 
 
 def control_law(config: AgentConfig) -> ControlLaw:
-    """The control law that the scenario names; raises BadSetting naming what there is."""
+    """The control law that the scenario names; raises BadSetting for an unknown or faulty law."""
     mode = OWN_FILES.get(config.control.mode, config.control.mode)
     if mode in LAWS:
         return LAWS[mode]()
@@ -106,14 +108,14 @@ def control_law(config: AgentConfig) -> ControlLaw:
 
 
 class CheckedLaw:
-    """A control law of the user's own: an answer that is no command raises BadSetting naming the class."""
+    """A control law of the user; an answer that is no command raises BadSetting with the name of the class."""
 
     def __init__(self, law: ControlLaw, name: str) -> None:
         self._law, self._name = law, name
         self.uses_fields = bool(getattr(law, "uses_fields", False))
 
     def command(self, situation: Situation) -> ControlInput:
-        """As the law says."""
+        """The command of the law, checked; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""
         with fault_of(f"{self._name}.command"):
             answer = self._law.command(situation)
         try:
@@ -129,7 +131,7 @@ class CheckedLaw:
 
 
 def approach(situation: Situation, goal: tuple[float, float]) -> ControlInput:
-    """Move the driven point to the goal within one step if the limits allow, and turn towards it as fast as they allow (18)."""
+    """The command towards a goal, m: the driven point reaches it in one step and the body faces it, within the limits (18)."""
     limits, dt = situation.limits, situation.dt
     vx, vy = (goal[0] - situation.driven[0]) / dt, (goal[1] - situation.driven[1]) / dt
     speed = math.sqrt(vx * vx + vy * vy)

@@ -1,8 +1,10 @@
-"""Pursuit: a control law of ours that looks where it has not looked for a while; the paper's law is `control.Lloyd`.
+"""Pursuit: a control law beyond the paper that prefers mass out of sight; the law of the paper is `control.Lloyd`.
 
-Two things differ. The heading is, of those that can be reached within the step, the one whose footprint holds the most mass of the
-own cell, mass out of sight counting more. And the position is led so that the centroid comes to lie at the distance of the COD, in
-whatever direction, instead of the COD onto the centroid. An agent without a cell drives to the middle of its Voronoi cell.
+Data types: `Pursuit` keeps for each particle of the own cell the time of its last sight.
+
+Rules. The heading is chosen among those reachable within the step: its footprint holds the most mass of the own cell, and mass out of
+sight counts more. The body moves until its distance to the centroid is the distance of the COD, in any direction; Lloyd's law moves the
+COD onto the centroid. An agent without a cell drives to the centroid of its Voronoi cell.
 """
 
 import math
@@ -14,16 +16,16 @@ from agents.coverage.cells import power_cell
 from agents.coverage.control import STAND, ControlInput, Situation
 from protocol.geometry import polygon_centroid, rectangle, wrap_angle
 
-HEADINGS = 37  # that are compared, between the extremes that can be reached
-LEAST = 0.1  # weight of mass in view right now
-FORGOTTEN = 0.5  # s: mass out of sight for so long has regained most of its weight
-STALE = 5.0  # s: mass out of sight for longer counts little in the centroid
+HEADINGS = 37  # compared headings, between the reachable extremes
+LEAST = 0.1  # weight of mass in view in this tick
+FORGOTTEN = 0.5  # s: mass out of sight for this time has regained most of its weight
+STALE = 5.0  # s: mass out of sight for longer has weight STALE_WEIGHT in the centroid
 STALE_WEIGHT = 0.1
-UNKNOWN = 2.5  # s: what comes into the cell is taken as out of sight for so long
+UNKNOWN = 2.5  # s: the time out of sight assumed for a particle new in the cell
 
 
 class Pursuit:
-    """Remembers by particle id when each particle of the own cell was last in any field of view."""
+    """The pursuit law, with the time when each particle of the own cell was last in a field of view, by particle id."""
 
     uses_fields = True
 
@@ -50,7 +52,7 @@ class Pursuit:
         return (vx, vy), max(-most, min(most, turn / situation.dt))
 
     def _ages(self, situation: Situation) -> np.ndarray:
-        """For how long each particle has been out of sight, s: (N,)."""
+        """Times since each particle was last in sight, s: (N,)."""
         particles, now = situation.particles, situation.tick * situation.dt
         seen = np.full(len(particles.ids), now - UNKNOWN)
         if len(self._ids):
@@ -63,7 +65,10 @@ class Pursuit:
 
 
 def _goal(situation: Situation, ages: np.ndarray) -> tuple[float, float] | None:
-    """The centroid of the mass in the cell, stale mass counting little; of the cell; of the Voronoi cell where there is none."""
+    """The goal, m: the centroid of the mass in the cell with stale mass at `STALE_WEIGHT`.
+
+    Without mass it is the centroid of the situation, without a cell the centroid of the Voronoi cell, and None without either.
+    """
     weights = situation.particles.weights * np.where(ages > STALE, STALE_WEIGHT, 1.0)
     mass = float(weights.sum())
     if mass > 0.0:
@@ -82,7 +87,7 @@ def _goal(situation: Situation, ages: np.ndarray) -> tuple[float, float] | None:
 
 
 def _lead(place: tuple[float, float], goal: tuple[float, float], offset: float, situation: Situation) -> tuple[float, float]:
-    """The velocity, m/s, that brings the distance from `place` to the goal to `offset` m as far as one step can."""
+    """The velocity in m/s that brings the distance from `place` to the goal closest to `offset` m within one step."""
     dx, dy = goal[0] - place[0], goal[1] - place[1]
     apart = math.hypot(dx, dy)
     if apart == 0.0:
@@ -92,7 +97,7 @@ def _lead(place: tuple[float, float], goal: tuple[float, float], offset: float, 
 
 
 def _best_turn(situation: Situation, ages: np.ndarray, place: tuple[float, float]) -> float | None:
-    """The turn, rad, after which the footprint at `place` holds the most mass out of sight; None when no turn finds any."""
+    """The turn in rad after which the footprint at `place` holds the most mass out of sight; None if no footprint holds mass."""
     particles, heading = situation.particles, situation.pose[2]
     reach = situation.sensor.reach
     near = np.hypot(particles.states[:, 0] - place[0], particles.states[:, 1] - place[1]) <= reach
@@ -101,7 +106,7 @@ def _best_turn(situation: Situation, ages: np.ndarray, place: tuple[float, float
     points = particles.states[near, :2]
     values = particles.weights[near] * (LEAST + 1.0 - np.exp(-ages[near] / FORGOTTEN))
     most = min(math.pi, situation.limits.turn_rate * situation.dt)
-    turns = sorted(np.linspace(-most, most, HEADINGS).tolist(), key=abs)  # of equally good ones the least turn
+    turns = sorted(np.linspace(-most, most, HEADINGS).tolist(), key=abs)  # the least turn first, so that it wins ties
     held = [float(situation.sensor.probability(points, (*place, heading + turn)) @ values) for turn in turns]
     best = max(range(HEADINGS), key=held.__getitem__)
     return turns[best] if held[best] > 0.0 else None

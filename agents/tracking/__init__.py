@@ -1,1 +1,1 @@
-"""The targets as one agent believes them: particles, filter, births, estimates, and what is merged from others."""
+"""The belief of one agent about the targets: particles, PHD filter, births, estimates, claims, and the merge with received particles."""

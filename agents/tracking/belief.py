@@ -1,8 +1,10 @@
-"""The replicated PHD: what one agent holds, and how it merges what the others say they own.
+"""The replicated PHD: the belief of one agent, and its merge with the particles that other agents own.
 
-The owner of a cell is the authority for what is in it; everybody else keeps copies and moves them with the same keyed noise. A
-belief is stamped with the tick of the round after which it holds. Nothing is ever handed over: a particle that crosses a border
-lands in exactly one cell, and the particles of a dead agent live on in the copies (docs/journey.md).
+Data types: `Belief` holds the owned state and the `Copies` of all other particles; `ParticlePhd` is the `Tracker` of them.
+
+Rules. The owner of a cell is the authority for the particles in it. All other agents keep copies and move them with the same keyed
+noise. A belief is stamped with the tick of its last round. No particle is handed over: a particle that crosses a border lands in
+exactly one cell, and the particles of a dead agent live on in the copies (docs/journey.md).
 """
 
 import math
@@ -22,12 +24,12 @@ from agents.tracking.tracker import Diagram, OwnedState, RegionInput
 from protocol.keys import order
 from protocol.messages import Gossip
 
-MOST_COPIES = 6000  # a backstop against growth without bound: so many copies,
-MOST_TIMES = 4.0  # or so many times what a fresh draw of their mass would have
+MOST_COPIES = 6000  # limit against growth without bound: this number of copies,
+MOST_TIMES = 4.0  # or this many times the number in a fresh draw of the same mass, if that is more
 
 
 def share_of(gossip: Gossip) -> OwnedState:
-    """What a gossip says its sender owns."""
+    """The state that the sender of a gossip owns."""
     names = gossip.claim_names
     claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
     particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids)
@@ -35,29 +37,29 @@ def share_of(gossip: Gossip) -> OwnedState:
 
 
 class Round(NamedTuple):
-    """What a round knew of the particles outside the own cell, as far as copies are made of it."""
+    """The inputs of a round from which the copies outside the own cell are computed."""
 
     step: Step
     backend: Backend
-    received: GossipTable | Particles  # everything that counted, one tick before
+    received: GossipTable | Particles  # the particles that counted, one tick before
     polygon: np.ndarray  # the own cell
     claim: Claim
-    horizon: float = math.inf  # m from the cell: copies farther away are given up
+    horizon: float = math.inf  # m from the cell: copies farther away are dropped
 
 
 @dataclass
 class Copies:
-    """What an agent holds of what others own, after a round.
+    """The particles that an agent holds after a round and that other agents own.
 
-    `near` is what it corrected around its own cell. The rest is what it received in that round, one step on: it is only computed
-    when somebody falls silent, because fresh claims replace it otherwise.
+    `near` holds the corrected particles around the own cell. The others are the received particles of that round, moved by one step.
+    They are computed only when a peer falls silent: otherwise fresh claims replace them.
     """
 
     near: Particles
     round: Round | None = None
 
     def all(self) -> Particles:
-        """Every copy, at the stamp of the belief."""
+        """All copies, at the stamp of the belief."""
         if self.round is not None:
             step, backend, received, polygon, claim, horizon = self.round
             copies = backend.remote_copies(self.near, received_particles(received), polygon, claim, horizon, step)
@@ -66,8 +68,11 @@ class Copies:
 
 
 def worth_keeping(copies: Particles, per_target: int) -> Particles:
-    """All copies; the heaviest if they are more than `MOST_COPIES` and than `MOST_TIMES` as many as their mass is drawn with, at
-    `per_target` for an expected target. Whatever the number of targets, only what is much lighter than a drawn particle is given up."""
+    """The copies, or only the heaviest of them if they exceed both limits.
+
+    The limits are `MOST_COPIES`, and `MOST_TIMES` the size of a fresh draw of their mass with `per_target` particles for an expected
+    target. Only copies much lighter than a drawn particle are dropped, for any number of targets.
+    """
     most = max(MOST_COPIES, math.ceil(MOST_TIMES * per_target * float(copies.weights.sum())))
     if len(copies.weights) <= most:
         return copies
@@ -77,17 +82,17 @@ def worth_keeping(copies: Particles, per_target: int) -> Particles:
 
 @dataclass
 class Belief:
-    """An agent's belief after the round `stamp`: what it owns, and its copies of everything else."""
+    """The belief of an agent after the round of tick `stamp`: its owned state, and copies of all other particles."""
 
     stamp: int
     mine: OwnedState
     copies: Copies
-    everyone: frozenset[str] = frozenset()  # whose generators made the diagram that `mine` was cut from
-    acquainted: frozenset[str] | None = None  # which others it knew then, if it hears only a part of all
+    everyone: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
+    acquainted: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
 
 
 def start(prior: Particles, name: str) -> Belief:
-    """The belief before the first round: everybody holds the prior, nobody owns anything."""
+    """The belief before the first round: copies of the prior, and no owned particle."""
     return Belief(stamp=-1, mine=OwnedState(name, NO_CLAIM, NONE, 0), copies=Copies(prior))
 
 
@@ -97,7 +102,7 @@ class ParticlePhd(NamedTuple):
     backend: Backend
 
     def predict(self, belief: Belief, step: Step) -> Belief:
-        """See `Tracker`: all particles become copies, and are moved by the keyed noise of the missed ticks."""
+        """See `Tracker.predict`: all particles become copies, and move by the keyed noise of the missed ticks."""
         if belief.stamp >= step.tick - 1:
             return belief
         particles = canonical(join([belief.mine.particles, belief.copies.all()]))
@@ -106,22 +111,23 @@ class ParticlePhd(NamedTuple):
         return Belief(step.tick - 1, OwnedState(belief.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
-        """Everything at `belief.stamp` that counts, given all gossips of the tick, the own one included; an id may occur twice.
+        """The particles that count at `belief.stamp`, or the table itself when only its particles count; there an id may occur twice.
 
-        Copies count where no fresh claim lies. Where two claims overlap (the views differed), both count within `timing.overlap` m
-        of the border, and deeper the smaller power distance wins. When all cut the same diagram their claims tile the arena; an
-        agent that was unknown has cut another one, no matter which view it states.
+        `table` holds all gossips of the tick, the own one included. Copies count outside all fresh claims. Two claims overlap when
+        their views differ: within `timing.overlap` m of the border the particles of both count, and deeper inside the smaller power
+        distance wins. Agents with the same diagram have claims that tile the arena. An unknown agent has cut another diagram, even
+        if it states the same view.
         """
-        # A diagram of nobody, which all newcomers share, claims nothing: their copies count.
-        strangers = set() if belief.acquainted is None else table.everyone - belief.acquainted - {belief.mine.owner}
+        # All newcomers share the view of an empty diagram. It claims nothing, so that their copies count.
+        unknown = set() if belief.acquainted is None else table.everyone - belief.acquainted - {belief.mine.owner}
         last, config = step.tick - 1, step.config
-        agreed = belief.mine.view != 0 and table.claimed == (last, belief.mine.view) and not strangers
+        agreed = belief.mine.view != 0 and table.claimed == (last, belief.mine.view) and not unknown
         if agreed and belief.everyone and belief.everyone <= table.everyone:
             return table
         shares = [share_of(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
         shares.insert(0, belief.mine)
         claims = end_to_end([share.claim for share in shares])
-        views = [~share.view if share.owner in strangers else share.view for share in shares]
+        views = [~share.view if share.owner in unknown else share.view for share in shares]
         received, sizes = join([share.particles for share in shares]), [len(share.particles.ids) for share in shares]
         kept = self.backend.resolve_conflicts(received.states, sizes, claims, views, config.timing.overlap)
         copies = belief.copies.all()
@@ -131,11 +137,11 @@ class ParticlePhd(NamedTuple):
     def update(
         self, received: GossipTable | Particles, table: GossipTable, regions: Sequence[RegionInput], step: Step
     ) -> list[RegionUpdate]:
-        """See `regions.update_regions`."""
+        """See `Tracker.update` and `regions.update_regions`."""
         return self.backend.update_regions(table, received, self.backend.background_births(step), regions, step)
 
     def share(self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step) -> Belief:
-        """See `Tracker`: the drawn particles are owned; the copies are made of the rest when somebody falls silent."""
+        """See `Tracker.share`: the drawn particles are owned; the copies are computed when a peer falls silent."""
         copies = Copies(update.updated, Round(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
         mine = OwnedState(region.owner, region.claim, update.kept, diagram.view)
         return Belief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)

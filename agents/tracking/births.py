@@ -1,7 +1,9 @@
-"""Where new particles come from: the prior, the background, and the detections.
+"""Births of particles: the prior, the background births, and the births at detections.
 
-Every birth is public: a pure function of keys that everybody knows, its id included, so that all who cover a place make the same
-particles there and the cell decides who owns them.
+Data types: a `Scan` is the detections of one sensor in a tick, with its pose and clutter density.
+
+Rules. The state and the id of a birth are pure functions of shared keys and, at detections, of the detection. All agents that
+cover a place therefore make the same particles there, and the cells decide their owners.
 """
 
 import math
@@ -19,38 +21,38 @@ from protocol.streams import key, normal, scramble, uniform
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
 
 
-SQUARE = 25.0  # m
+SQUARE = 25.0  # m, side of the squares by which the prior is sorted
 LEAST_PRIOR = 0.3  # particles per m^2: `least_particles` for each of the 16 agents of team 1 in its 40 x 40 m, the paper's densest team
 
 
 class Scan(NamedTuple):
-    """What one sensor returned in a tick, or the part of it that matters here."""
+    """The detections of one sensor in a tick, or those near a region."""
 
     salt: int  # the key of the sensor's name
     sensor: SensorModel
     pose: Pose
     detections: np.ndarray  # (M, 2) float64, m
-    numbers: np.ndarray  # (M,) uint64: the place of each detection in the whole scan
+    numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
 
 
 def sensor_row(sensor: WedgeSensor, pose: Pose) -> tuple[float, ...]:
-    """A posed wedge as the kernels want it: x, y, cos and sin of the heading, radius, cos of half the angle, p_d."""
+    """A posed wedge as a row for the kernels: x, y, cos and sin of the heading, radius, cos of half the angle, p_d."""
     return pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), sensor.radius, sensor.cos_half_angle, sensor.prob_detection
 
 
 def near_part(scan: Scan, close: np.ndarray) -> Scan:
-    """The scan with only those detections that a mask (M,) names."""
+    """The scan with the detections chosen by a mask (M,) alone."""
     return scan if close.all() else scan._replace(detections=scan.detections[close], numbers=scan.numbers[close])
 
 
 def prior_size(filters: FilterSettings, arena: ArenaSettings) -> int:
-    """Particles of the prior over the whole arena, the same for all: enough for its mass, and some for every cell, whoever takes part."""
+    """Number of particles of the prior over the whole arena: enough for its mass, and at least `LEAST_PRIOR` per m^2."""
     return round(max(filters.particles_per_target * filters.prior_density, LEAST_PRIOR) * arena.width * arena.height)
 
 
 def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings) -> Particles:
-    """The uniform PHD of density `prior_density` that everybody starts with, as `count` particles."""
+    """The uniform PHD of density `prior_density` per m^2 with which all agents start, as `count` particles."""
     mass = settings.prior_density * arena.width * arena.height
     if count == 0 or mass == 0.0:
         return NONE
@@ -65,7 +67,7 @@ def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings)
 def _prior_by_tile(
     seed: int, count: int, settings: FilterSettings, arena: ArenaSettings
 ) -> tuple[Particles, dict[tuple[int, int], np.ndarray]]:
-    """The prior, and which of its particles lie in which square of `SQUARE` m."""
+    """The prior, and the indices of its particles by (column, row) of their square of side `SQUARE`."""
     everywhere = prior(seed, count, settings, arena)
     columns, rows = (everywhere.states[:, :2] // SQUARE).astype(np.int64).T
     order = np.lexsort((rows, columns))
@@ -77,9 +79,9 @@ def _prior_by_tile(
 def prior_around(
     seed: int, count: int, settings: FilterSettings, arena: ArenaSettings, box: tuple[float, float, float, float]
 ) -> Particles:
-    """The particles of the prior that lie in or a little around a rectangle: west, south, east, north in m.
+    """The particles of the prior in all squares that touch a rectangle: west, south, east, north in m.
 
-    The prior is remembered in squares, because in virtual time every agent asks.
+    The squares are memoised, because in virtual time all agents of a process need them.
     """
     everywhere, squares = _prior_by_tile(seed, count, settings, arena)
     west, south = (max(0, int(side // SQUARE)) for side in box[:2])
@@ -93,8 +95,8 @@ def prior_around(
 def background_births(seed: int, tick: int, dt: float, settings: FilterSettings, birth: BirthSettings, arena: ArenaSettings) -> Particles:
     """New particles of `tick` over the whole arena, a pure function of (seed, tick).
 
-    Their mass is the `inflow`. The share `border_share` starts on the border with headings inward (cosine law), the rest anywhere;
-    all of it anywhere when nothing crosses the border. Remembered, because in virtual time every agent asks.
+    Their mass is the `inflow`. The first `starting_on_border` of them start on the border with headings inward (cosine law), the
+    others anywhere. The result is memoised, because in virtual time all agents of a process need it.
     """
     mass, count = inflow(dt, settings, arena), birth.background_particles
     if not birth.background or mass <= 0.0:
@@ -117,10 +119,10 @@ def background_births(seed: int, tick: int, dt: float, settings: FilterSettings,
 
 
 def inflow(dt: float, settings: FilterSettings, arena: ArenaSettings) -> float:
-    """Expected targets that come in `dt` s when the density is `prior_density` and stays so.
+    """Expected new targets in `dt` s at the stationary density `prior_density`.
 
-    They cross the border inwards: density x speed x perimeter / pi per second. Over a border that reflects nothing comes, and births
-    make up for those that die: what nobody sees keeps the mass of the prior.
+    Targets cross the border inwards at density x speed x perimeter / pi per second. No target crosses a reflecting border: there births
+    replace deaths, and unobserved ground keeps the mass of the prior.
     """
     if settings.border == "reflect":
         return settings.prior_density * arena.width * arena.height * (1.0 - survival_probability(dt, settings))
@@ -133,11 +135,12 @@ def survival_probability(dt: float, settings: FilterSettings) -> float:
 
 
 def starting_on_border(settings: FilterSettings, birth: BirthSettings) -> int:
-    """How many of the background births start on the border."""
+    """The number of background births that start on the border."""
     return 0 if settings.border == "reflect" else birth.on_border
 
 
 def _numbered(salt: int, count: int) -> np.ndarray:
+    """The ids (count,) of the particles 0, 1, ... under the key `salt`."""
     return scramble(np.arange(count, dtype=np.uint64), salt)
 
 
@@ -147,8 +150,11 @@ def _directions(bits: np.ndarray) -> np.ndarray:
 
 
 def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth: BirthSettings) -> np.ndarray:
-    """Density of unrepresented targets at each detection, per m^2: the predicted PHD within `radius`, less what explains the detections
-    there, by its area; clipped. `explained` (M,): how far the PHD explains each detection, in targets; the densities are (M,)."""
+    """Density of unrepresented targets at each detection, per m^2: (M,); 0 without measurement births.
+
+    It is the predicted mass within `radius`, less the explained part of the detections there, by the area; clipped to
+    [`least_density`, `most_density`]. `explained` (M,) is the part of each detection that the PHD explains, in targets.
+    """
     if not birth.measurement:
         return np.zeros(len(scan.detections))
     radius2, near = birth.radius * birth.radius, squared_distances(predicted.states, scan.detections)
@@ -160,14 +166,17 @@ def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth
 
 
 def least_density(clutter_density: float, birth: BirthSettings) -> float:
-    """What a birth density is at least, per m^2: without clutter more than 0, with much of it no more than half the most."""
+    """The lower limit of a birth density, per m^2: above 0 without clutter, and at most half of `most_density` with much clutter."""
     return max(birth.least_density, min(birth.least_share * clutter_density, 0.5 * birth.most_density))
 
 
 def measurement_births(
     scan: Scan, per_copy: np.ndarray, tick: int, seed: int, noise: float, settings: FilterSettings, birth: BirthSettings
 ) -> Particles:
-    """New particles around every detection, a pure function of (seed, sensor, detection number, tick, copy) but for the weight."""
+    """`copies` new particles around each detection, of weight `per_copy` (M,).
+
+    Ids and offsets from the detection are pure functions of (seed, sensor, detection number, tick, copy).
+    """
     copies = birth.copies
     numbers = np.repeat(scan.numbers * np.uint64(copies), copies) + np.tile(np.arange(copies, dtype=np.uint64), len(scan.numbers))
     ids = scramble(numbers, key(seed, "birth", tick, scan.salt))

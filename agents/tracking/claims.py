@@ -1,5 +1,9 @@
-"""Claims: a cell stated by its generators, the owner's own first, so that a receiver decides about a particle with the very arithmetic
-of the owner; and what several of them together leave over or disagree about.
+"""Claims: cells stated by their generators; the points of a claimed cell, points in no claim, and conflicts between claims.
+
+Data types: a `Claim` holds the generators that bound a cell, the owner's first; `Claims` hold those of several claims end to end.
+
+Rules. A receiver decides with the same arithmetic as the owner which particles lie in a claimed cell. A tie goes to the generator
+that comes first in the order of names.
 """
 
 import math
@@ -31,11 +35,11 @@ class Claims(NamedTuple):
     each: Sequence[Claim]
     generators: np.ndarray  # (G, 3)
     first: np.ndarray  # (G,) bool
-    ends: np.ndarray  # (C,), of each
+    ends: np.ndarray  # (C,): the end of each claim in these arrays
 
 
 def end_to_end(claims: Sequence[Claim]) -> Claims:
-    """Some claims, at least one, as those want them who ask all of them."""
+    """The claims, at least one, with their generators end to end."""
     generators, first = np.concatenate([claim.generators for claim in claims]), np.concatenate([claim.first for claim in claims])
     return Claims(claims, generators, first, np.array(list(accumulate([len(claim.names) for claim in claims]))))
 
@@ -44,14 +48,14 @@ NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
 
 
 def power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:
-    """|x - p|^2 - r^2 in m^2 of points (N, 2) to generators (G, 3): (N, G)."""
+    """Power distances |x - p|^2 - r^2 in m^2 (15) of points (N, 2) to generators (G, 3): (N, G)."""
     dx = points[:, 0, None] - generators[None, :, 0]
     dy = points[:, 1, None] - generators[None, :, 1]
     return dx * dx + dy * dy - generators[None, :, 2] * generators[None, :, 2]
 
 
 def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
-    """Which points (N, 2 or more columns) lie in the arena and in the claimed cell: (N,) bool."""
+    """True for the points (N, 2 or more columns) in the arena and in the claimed cell: (N,) bool."""
     if not claim.names:
         return np.zeros(len(points), dtype=bool)
     distances = power_distances(points, claim.generators)
@@ -61,13 +65,13 @@ def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
 
 
 def in_arena(points: np.ndarray, arena: ArenaSettings) -> np.ndarray:
-    """Which points lie in the arena, its border included: (N,) bool."""
+    """True for the points in the arena, its border included: (N,) bool."""
     x, y = points[:, 0], points[:, 1]
     return (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
 
 
 def depths(points: np.ndarray, claim: Claim) -> np.ndarray:
-    """How deep in m each point (N, 2) lies inside a claimed cell: distance to its nearest bisector, negative outside; (N,)."""
+    """Depths in m of points (N, 2) inside a claimed cell: (N,), the distance to the nearest bisector, negative outside."""
     if len(claim.names) < 2:
         return np.full(len(points), math.inf)
     distances = power_distances(points, claim.generators)
@@ -77,7 +81,7 @@ def depths(points: np.ndarray, claim: Claim) -> np.ndarray:
 
 
 def orphaned(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.ndarray:
-    """Which points (N, 2 or more columns) lie in none of the claimed cells: (N,) bool."""
+    """True for the points (N, 2 or more columns) in none of the claimed cells: (N,) bool."""
     free = np.arange(len(points))
     for claim in claims.each:
         free = free[~owned(points[free], claim, arena)]
@@ -87,9 +91,10 @@ def orphaned(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.nda
 
 
 def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
-    """Which of the points (N, 2 or more columns) that the owners of claims state count, (N,) bool; the first `sizes[0]` are of the first.
+    """True for the stated points (N, 2 or more columns) that count: (N,) bool.
 
-    All do but those more than `overlap` m deep inside another claim of another view whose owner is nearer in power distance.
+    The points stand claim after claim, `sizes` of each. A point does not count if it lies more than `overlap` m deep inside a rival
+    claim. A rival claim has another view, and its owner is nearer to the point in power distance.
     """
     keep, start = np.ones(len(points), dtype=bool), 0
     for size, claim, view in zip(sizes, claims.each, views):
@@ -97,10 +102,10 @@ def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, 
         rivals = [other for other, another in zip(claims.each, views) if another != view and other.names]
         if not size or not rivals:
             continue
-        theirs = points[first:start]
-        own = power_distances(theirs, claim.generators[:1])
-        nearer = power_distances(theirs, np.array([rival.generators[0] for rival in rivals])) < own
+        stated = points[first:start]
+        own = power_distances(stated, claim.generators[:1])
+        nearer = power_distances(stated, np.array([rival.generators[0] for rival in rivals])) < own
         for number in np.flatnonzero(nearer.any(axis=0)).tolist():
             there = np.flatnonzero(nearer[:, number] & keep[first:start])
-            keep[first + there] = depths(theirs[there], rivals[number]) <= overlap
+            keep[first + there] = depths(stated[there], rivals[number]) <= overlap
     return keep

@@ -1,4 +1,9 @@
-"""Target extraction: from particles to a list of estimated positions."""
+"""Target extraction: estimated positions of targets from particles.
+
+Data types: grids (rows, columns) of bins of side `bin` m with the mass in each, and the mass-weighted sums of x and y.
+
+Rules. Sums run in a fixed order, the same as in agents/compiled/extraction_kernels.py.
+"""
 
 import numpy as np
 
@@ -9,8 +14,8 @@ from agents.tracking.particles import Particles
 def estimate_targets(particles: Particles, settings: ExtractionSettings = ExtractionSettings()) -> np.ndarray:
     """Estimated target positions (M, 2) in m, heaviest first.
 
-    Masses are binned; the 5 x 5 block of greatest mass is a peak while it holds `threshold` expected targets; its estimate is the
-    mean of the heaviest 3 x 3 block inside; then one unit of mass is removed from the block, the core first.
+    Masses are binned. The heaviest 5 x 5 block is a peak while it holds at least `threshold` expected targets. Its estimate is the
+    mean of its heaviest 3 x 3 block, the core. One expected target is then removed from the block, the core first.
     """
     if not len(particles.weights):
         return np.empty((0, 2))
@@ -53,7 +58,7 @@ def block_sums(masses: np.ndarray, half: int) -> np.ndarray:
 
 
 def _window_sum(grid: np.ndarray, row: int, column: int, half: int) -> float:
-    """Sum of the (2 half + 1)^2 block around a bin, row by row, one after the other."""
+    """Sum of the (2 half + 1)^2 block around a bin, added bin by bin, row after row."""
     window = grid[row - half : row + half + 1, column - half : column + half + 1]
     return float(np.add.accumulate(window.ravel())[-1])
 
@@ -65,7 +70,7 @@ def _heaviest_core(masses: np.ndarray, row: int, column: int) -> tuple[int, int]
 
 
 def _remove_one(masses: np.ndarray, east: np.ndarray, north: np.ndarray, row: int, column: int, core: tuple[int, int]) -> None:
-    """Take one expected target out of the 5 x 5 block around a bin, its core first."""
+    """Remove one expected target from the 5 x 5 block around a bin, the core first."""
     left = 1.0
     for (r, c), half in ((core, 1), ((row, column), 2)):
         mass = _window_sum(masses, r, c, half)

@@ -1,4 +1,8 @@
-"""Copies of what others own: which of them an agent keeps after a round, and how they join what is received in the next one."""
+"""Copies of the particles of other agents: the copies kept after a round, and their merge with received particles.
+
+Rules. A received particle replaces a copy with the same id. Copies are kept only with mass, inside the arena and within the horizon.
+Compiled twins: agents/compiled/merge_kernels.py.
+"""
 
 import math
 
@@ -13,8 +17,11 @@ from protocol import geometry
 
 
 def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
-    """Copies after a round: of the particles corrected around a cell those in the arena that are not claimed; and, one step on, those
-    received that are farther from the cell than its halo, and no farther than `horizon` m. Those without mass are left out."""
+    """The copies after a round, all of positive weight: particles `near` the cell, then received particles.
+
+    Of the corrected particles `near` the cell, those in the arena and outside the claim are copies. Of the received particles, moved
+    by one step, those farther than the halo and within `horizon` m of the cell are copies. `polygon` (V, 2) is the cell, m.
+    """
     arena, states = step.config.arena, near.states
     others = select(near, ~claims.owned(states, claim, arena) & claims.in_arena(states, arena))
     moved = predict(received, step)
@@ -25,5 +32,5 @@ def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, cla
 
 
 def merge(received: Particles, kept: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
-    """Of what is received and of copies those that are chosen, in canonical order; of an id that occurs twice what was received."""
+    """The `kept` received particles and the `free` copies in canonical order; a received particle replaces a copy with the same id."""
     return canonical(join([select(received, kept), select(copies, free)]))

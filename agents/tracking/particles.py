@@ -1,7 +1,9 @@
 """Weighted particles, and the operations that keep their order.
 
-Particles carry 64-bit ids; the canonical order is by id. Sums run one after the other in the order of the particles, so that a
-particle that contributes zero changes no bit.
+Data types: `Particles` hold states, weights and 64-bit ids side by side.
+
+Rules. The canonical order is by ascending id. Sums run one after the other in the order of the particles, so that a particle that
+contributes zero changes no bit.
 """
 
 from typing import NamedTuple
@@ -33,7 +35,7 @@ def join(parts: list[Particles]) -> Particles:
 
 
 def select(particles: Particles, chosen: np.ndarray) -> Particles:
-    """The particles that a mask or an index array names."""
+    """The particles chosen by a mask (N,) bool or by an array of indices."""
     rows = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
     return Particles(particles.states.take(rows, axis=0), particles.weights.take(rows), particles.ids.take(rows))
 
@@ -53,7 +55,7 @@ def total(values: np.ndarray) -> float:
 
 
 def squared_distances(states: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(N, M) m^2."""
+    """Squared distances (N, M) in m^2 of states (N, 2 or more columns) to points (M, 2)."""
     dx = states[:, 0, None] - points[None, :, 0]
     dy = states[:, 1, None] - points[None, :, 1]
     return dx * dx + dy * dy

@@ -1,9 +1,10 @@
 """The particle PHD filter: pure functions on `Particles`.
 
-A PHD is a set of weighted particles; the sum of the weights in a place is the expected number of targets there. Every random
-number is a pure function of (run seed, particle id, tick), so that whoever holds a copy of a particle moves it to the same place
-(`protocol.streams`). Sums run one after the other in the order of the particles: a particle that contributes zero changes no bit,
-hence a filter of one cell and a filter of the whole arena agree to the last bit where they overlap.
+Data types: a PHD is a set of weighted particles; the sum of the weights in a place is the expected number of targets there.
+
+Rules. Each random number is a pure function of (run seed, particle id, tick), so that all copies of a particle move to the same place
+(protocol/streams.py). Sums run one after the other in the order of the particles, and a particle that contributes zero changes no bit.
+A filter of one cell and a filter of the whole arena therefore agree to the last bit where they overlap.
 """
 
 import math
@@ -19,14 +20,14 @@ from protocol.streams import key, normal, scramble
 
 __all__ = ["Particles", "estimate_targets", "predict", "resample", "survival_probability", "update"]
 
-BINS = 3.0  # bins in the length `vicinity`: two bins to each side of its own are near a particle
+BINS = 3.0  # bins in the length `vicinity`; two bins to each side of its own bin are near a particle
 
 
 def predict(particles: Particles, tick: int, seed: int, dt: float, settings: FilterSettings, arena: ArenaSettings) -> Particles:
-    """The particles at `tick`, a step `dt` s later: constant speed, keyed heading and position noise, survival.
+    """The particles at `tick`, one step of `dt` s later: constant speed, keyed heading and position noise, survival.
 
     The heading turns by the Cayley map of a small angle, so that only exactly rounded operations occur. Particles that leave the
-    arena keep a place in the array with weight 0 unless the border reflects.
+    arena stay in the array with weight 0, unless the border reflects.
     """
     states = particles.states
     turn = normal(scramble(particles.ids, key(seed, "turn", tick))) * (0.5 * settings.heading_noise * math.sqrt(dt))
@@ -45,6 +46,7 @@ def predict(particles: Particles, tick: int, seed: int, dt: float, settings: Fil
 
 
 def _reflect(place: np.ndarray, speed: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates in m and velocities in m/s after reflection at 0 and at `length` m."""
     low, high = place < 0.0, place > length
     mirrored = np.where(low, -place, np.where(high, 2.0 * length - place, place))
     return mirrored, np.where(low | high, -speed, speed)
@@ -65,10 +67,10 @@ def exp_minus(values: np.ndarray) -> np.ndarray:
 
 
 def likelihood_noise(noise: float, settings: FilterSettings) -> float:
-    """Standard deviation of a detection about a particle, m: of the sensor, and of the place that a particle stands for.
+    """Standard deviation in m of a detection about a particle: that of the sensor and that of the particle's kernel together.
 
-    `particles_per_target` particles of a cloud that is spread by `position_noise` in every step each stand for a Gaussian of that
-    spread times N^(-1/6), Silverman's rule in the plane, times `roughening`; without it an accurate sensor leaves but a few of them.
+    The position noise of one step spreads N = `particles_per_target` particles. The kernel of each is a Gaussian of that spread times
+    N^(-1/6) (Silverman's rule in the plane) times `roughening`. Without a kernel an accurate sensor leaves weight on few particles.
     """
     width = settings.roughening * settings.position_noise * settings.particles_per_target ** (-1.0 / 6.0)
     return math.sqrt(noise * noise + width * width)
@@ -116,18 +118,20 @@ def correct(
 
 
 def _positive(values: np.ndarray) -> np.ndarray:
+    """The values, with 1 in place of those that are not positive: safe divisors."""
     return np.where(values > 0.0, values, 1.0)
 
 
 def missed(
     particles: Particles, probability: np.ndarray, gained: np.ndarray, detections: np.ndarray, born: np.ndarray, settings: FilterSettings
 ) -> np.ndarray:
-    """The factors (N,) of the particles, should their targets have been missed: (r / M) (1 - p_d) / (1 - p_d min(r, c)), 1 out of view.
+    """The weight factors (N,) of particles for missed targets: (r / M) (1 - p_d) / (1 - p_d min(r, c)) in view, 1 out of view.
 
-    M is the mass in view near a particle, and r what the detections leave of it: M less what particles (`gained`, (N,)) and births
-    (`born`, (M,)) near it got of them. A target that is there with probability r, and is not seen, is there with probability
-    r (1 - p_d) / (1 - r p_d): by Bayes' rule for one target, where the PHD filter has r (1 - p_d), that of a Poisson number of them.
-    With little mass near both are the same. Near means within two bins of `vicinity` / 3; c is `certainty`.
+    M is the mass in view near a particle. r is M less the weights that particles (`gained`, (N,)) and births (`born`, (M,)) near it
+    gained from detections. c is `certainty`. Near means within two bins of side `vicinity` / 3.
+
+    By Bayes' rule for one target of probability r, a missed target has probability r (1 - p_d) / (1 - r p_d). The PHD filter has
+    r (1 - p_d), the rule for a Poisson number of targets. Both agree for small r.
     """
     side, seen = settings.vicinity / BINS, probability > 0.0
     places = np.floor(np.vstack([particles.states[:, :2], detections]) / side).astype(np.int64)
@@ -145,20 +149,20 @@ def missed(
 
 
 def sample_size(mass: float, settings: FilterSettings) -> int:
-    """Number of particles for a mass in expected targets: `particles_per_target` each, within the limits per owner."""
+    """Number of particles for a mass in expected targets: `particles_per_target` for each, within the limits per owner."""
     return min(max(round(settings.particles_per_target * mass), settings.least_particles), settings.most_particles)
 
 
 def sample_offset(seed: int, owner: str, tick: int) -> float:
-    """The one uniform of a systematic draw, in [0, 1)."""
+    """The one uniform number of a systematic resampling, in [0, 1)."""
     return (key(seed, "resample", owner, tick) >> 11) * 2.0**-53
 
 
 def resample(particles: Particles, owner: str, tick: int, seed: int, settings: FilterSettings) -> Particles:
     """Equally weighted particles of the same mass: systematic resampling with one uniform keyed by (seed, owner, tick).
 
-    The first copy of a particle keeps its id, further copies get new ones. States are rounded to the precision of the wire: the
-    owner keeps what it says. Ascending ids.
+    The first copy of a particle keeps its id, and further copies get new ids. States are rounded to the precision of the wire, so
+    that the owner holds exactly the particles of its gossip. Ids ascend.
     """
     sums = np.add.accumulate(particles.weights)
     mass = float(sums[-1]) if len(sums) else 0.0

@@ -1,7 +1,9 @@
-"""The computation of a round: what each owner makes of the PHD around its cell, step by step.
+"""The computation of a round: the update of the PHD around the cell of each owner, step by step.
 
-Particles are predicted, those around the cell are corrected with every scan that reaches it, and what lies in the cell is drawn anew.
-These functions are the reference; `region_kernels` gives the same bits.
+Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the result.
+
+Rules. All particles are predicted, those around the cell are corrected with all scans that reach it, and those in the cell are
+resampled. These functions are the reference; agents/compiled/region_kernels.py computes the same bits.
 """
 
 from collections.abc import Sequence
@@ -22,11 +24,11 @@ from protocol.sensing import Pose, SensorModel
 
 
 class RegionUpdate(NamedTuple):
-    """What an owner makes of the particles around its cell."""
+    """The result of a round for one owner: the particles around its cell, with moments and estimates."""
 
     updated: Particles  # within the halo of the cell, after all scans
-    own: Particles  # of those in the cell
-    kept: Particles  # drawn from the own ones
+    own: Particles  # those in the cell
+    kept: Particles  # resampled from `own`
     mass: float  # in the cell, expected targets
     east: float  # the mass-weighted sums of x and y in the cell, m (17)
     north: float
@@ -38,8 +40,10 @@ class RegionUpdate(NamedTuple):
 def update_regions(
     table: GossipTable, received: GossipTable | Particles, births: Particles, regions: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
-    """One update per owner: `received` is everything that counts one tick before, `table` holds the scans of the tick, `births` the new
-    particles of the background."""
+    """One update per owner. `received` holds the particles that count one tick before, `table` the scans of the tick.
+
+    `births` are the background births of the tick.
+    """
     predicted = predict(canonical(received_particles(received)), step)
     return [_update_region(table, predicted, births, region, step) for region in regions]
 
@@ -61,14 +65,16 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
 
 
 def predict(particles: Particles, step: Step) -> Particles:
-    """The particles one step on (`phd.predict`)."""
+    """The particles one step later (`phd.predict`)."""
     config = step.config
     return phd.predict(particles, step.tick, config.filter.seed, config.run.dt, config.filter, config.arena)
 
 
 def gate(predicted: Particles, births: Particles, region: RegionInput, step: Step) -> tuple[Particles, Particles]:
-    """The predicted particles within the halo of a cell, with the births that lie there behind them; and of the other predicted ones
-    those within reach of the sensor."""
+    """The predicted particles and births within the halo of a cell, and the other predicted particles within reach of the sensor.
+
+    In the first set the births stand behind the predicted particles.
+    """
     halo, (x, y), reach = step.config.filter.halo, region.pose[:2], region.sensor.reach
     close = geometry.distances(region.polygon, predicted.states) <= halo
     born = select(births, geometry.distances(region.polygon, births.states) <= halo)
@@ -77,7 +83,7 @@ def gate(predicted: Particles, births: Particles, region: RegionInput, step: Ste
 
 
 def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step: Step) -> Particles:
-    """The PHD around a cell after all scans that reach it, of which the detections within the halo of the cell matter (`phd.update`)."""
+    """The PHD around a cell after all scans that reach its halo, by their detections within the halo (`phd.update`)."""
     config, close = step.config, []
     for scan in table.scans():
         apart = geometry.distances(polygon, np.array([scan.pose]))[0]
@@ -87,12 +93,12 @@ def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step:
 
 
 def take(particles: Particles, claim: Claim, step: Step) -> Particles:
-    """The particles in a claimed cell, in canonical order."""
+    """The particles in the claimed cell, in canonical order."""
     return canonical(select(particles, claims.owned(particles.states, claim, step.config.arena)))
 
 
 def moments(particles: Particles) -> tuple[float, float, float]:
-    """Mass (expected targets), and the mass-weighted sums of x and y in m (17)."""
+    """Mass in expected targets, and the mass-weighted sums of x and y in m (17)."""
     weights, states = particles.weights, particles.states
     return total(weights), total(weights * states[:, 0]), total(weights * states[:, 1])
 

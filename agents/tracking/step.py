@@ -1,4 +1,4 @@
-"""A step of prediction: to which tick, and under which settings."""
+"""A step of prediction: its tick and its settings."""
 
 from typing import NamedTuple
 
@@ -7,12 +7,12 @@ from protocol.streams import NORMAL_BOUND
 
 
 class Step(NamedTuple):
-    """The step of prediction to a tick."""
+    """The step of prediction from the tick before to `tick`."""
 
     config: AgentConfig
     tick: int
 
     @property
     def reach(self) -> float:
-        """No particle moves farther than this in one step, m."""
+        """An upper bound in m of the distance that a particle moves in one step."""
         return self.config.filter.speed * self.config.run.dt * 1.001 + 2.0 * NORMAL_BOUND * self.config.filter.position_noise

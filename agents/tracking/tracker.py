@@ -1,8 +1,10 @@
-"""What a round asks of a tracker, so that another one is a matter of its own files.
+"""The interface between a round and a tracker; another tracker needs files of its own only.
 
-A round knows agents, cells and claims. What is held of the targets is the tracker's: a `TrackerState` between two rounds, what the others
-said in one, an `Update` around each cell. All of them are values. A tracker is a set of pure functions of them; `belief.ParticlePhd` is
-one.
+Data types: a `RegionInput` is an owner with its cell; a `TrackerState` is the belief between two rounds; an `Update` is the result for
+one cell; an `OwnedState` goes into the next gossip.
+
+Rules. A round knows agents, cells and claims; the tracker alone knows how targets are represented. All of these are values. A
+`Tracker` is a set of pure functions of them, and `belief.ParticlePhd` is one.
 """
 
 from collections.abc import Sequence
@@ -18,7 +20,7 @@ from protocol.sensing import Pose, SensorModel
 
 
 class RegionInput(NamedTuple):
-    """An owner with its cell: the region around the cell is what it updates."""
+    """An owner with its cell; it updates the region around the cell."""
 
     owner: str
     row: int  # of its gossip in the table of the round
@@ -29,20 +31,20 @@ class RegionInput(NamedTuple):
 
 
 class Diagram(NamedTuple):
-    """What an agent knew of the diagram that its cell was cut from."""
+    """The knowledge of an agent about the diagram that its cell was cut from."""
 
     view: int  # agents with equal views cut the same diagram
-    everyone: frozenset[str]  # whose generators made it
-    acquainted: frozenset[str] | None  # which others it knew, if it hears only a part of all
-    horizon: float  # m from its cell: it keeps nothing of what is farther away
+    everyone: frozenset[str]  # the agents with a generator in it
+    acquainted: frozenset[str] | None  # the agents known in that round; None if the agent receives all gossips
+    horizon: float  # m from its cell: it keeps no copies farther away
 
 
 class Update(Protocol):
-    """What an owner makes of its region in a round."""
+    """The result of a round for the region of one owner."""
 
     @property
     def own(self) -> Particles:
-        """The density in the cell as weighted points, for control laws that look at it."""
+        """The density in the cell as weighted points, for control laws that use it."""
 
     @property
     def mass(self) -> float:
@@ -54,7 +56,7 @@ class Update(Protocol):
 
     @property
     def north(self) -> float:
-        """The integral of y over it, m."""
+        """The integral of y over the density in the cell, m (17)."""
 
     @property
     def load(self) -> float:
@@ -62,7 +64,7 @@ class Update(Protocol):
 
     @property
     def detected(self) -> float:
-        """The integral of p_d times the density over the footprint, expected targets."""
+        """The integral of p_d times the density over the footprint (10), expected targets."""
 
     @property
     def targets(self) -> np.ndarray:
@@ -70,7 +72,7 @@ class Update(Protocol):
 
 
 class OwnedState(NamedTuple):
-    """What one agent owned after a round, as its next gossip says it."""
+    """The state that one agent owns after a round, as its next gossip states it."""
 
     owner: str
     claim: Claim
@@ -79,10 +81,10 @@ class OwnedState(NamedTuple):
 
 
 class TrackerState(Protocol):
-    """What an agent holds between two rounds."""
+    """The belief that an agent holds between two rounds."""
 
-    stamp: int  # the tick of the round after which it holds
-    mine: OwnedState  # what goes into the next gossip
+    stamp: int  # the tick of its last round
+    mine: OwnedState  # stated in the next gossip
     everyone: frozenset[str]  # see `Diagram`
 
 
@@ -92,19 +94,19 @@ U = TypeVar("U", bound=Update)
 
 
 class Tracker(Protocol[B, R, U]):
-    """The functions of a tracker."""
+    """The functions of a tracker: pure functions of beliefs, gossips and regions."""
 
     def predict(self, belief: B, step: Step) -> B:
-        """The belief at the tick before `step.tick`, for an agent that missed rounds: nothing in it is claimed any more."""
+        """The belief at the tick before `step.tick`, of an agent that missed rounds: it claims nothing."""
 
     def merge(self, belief: B, table: GossipTable, step: Step) -> R | GossipTable:
-        """Everything at the tick before that counts, given the gossips of this one; the table itself if nothing else counts."""
+        """The density that counts at the tick before, given the gossips of this tick; the table itself if nothing else counts."""
 
     def update(self, received: R | GossipTable, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> Sequence[U]:
-        """Of each owner the density around its cell one step on, corrected with the scans of the table, with moments and estimates."""
+        """For each owner the density around its cell one step later, corrected with the scans of the table, with moments and estimates."""
 
     def share(self, received: R | GossipTable, region: RegionInput, update: U, diagram: Diagram, step: Step) -> B:
-        """The belief after the round: what is owned, and goes into the next gossip, and what is kept of the others."""
+        """The belief after the round: the owned state for the next gossip, and the copies of the others."""
 
 
 AnyTracker = Tracker[Any, Any, Any]

@@ -320,7 +320,7 @@ def test_regions_that_only_wedges_look_at_are_computed_by_the_compiled_loops_in_
 
 def test_an_agent_that_hears_a_part_reads_no_gossip_of_what_is_far() -> None:
     found = [case(seed, 150, 1, True, "neighbours") for seed in range(40)]
-    read = [len(fast.said_near(one.table, one.regions[0], one.step)[2]) for one in found if one.regions]
+    read = [len(fast.stated_near(one.table, one.regions[0], one.step)[2]) for one in found if one.regions]
     assert 0 < sum(read) < 0.9 * sum(len(one.table.names) for one in found if one.regions)
 
 

@@ -46,11 +46,11 @@ def test_after_warming_up_no_fault_makes_anybody_compile() -> None:
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core compiles by itself")
 def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    program = "from deploy.live import warm; warm.warm(); import resource; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime)"
+    program = "from deploy.live import warmup; warmup.warm(); import resource; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime)"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=880, check=False)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 5.0  # s of the second process
-    program = "from agents.compiled.backend import FAST; from deploy.live import warm; warm.warm(); print(warm.compiled_before())"
+    program = "from agents.compiled.backend import FAST; from deploy.live import warmup; warmup.warm(); print(warmup.compiled_before())"
     program += "; from agents.compiled.region_kernels import update_regions; print(sum(update_regions.stats.cache_misses.values()))"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=110, check=False)
     assert done.stdout.split() == ["True", "0"], done.stderr

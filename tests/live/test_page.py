@@ -11,7 +11,7 @@ import pytest
 
 from deploy.recording.recording import Recording, event_of
 from protocol.messages import Estimate, Truth
-from protocol.node import Received
+from protocol.node import messages_of
 from tests.live.harness import ROOT, Covey, rows
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs the Python package playwright")
@@ -167,7 +167,7 @@ def test_what_the_page_shows_is_what_was_recorded(covey: Covey, page: Any) -> No
     assert covey.run("down")[0] == 0
     process.wait(timeout=60)
     events = map(event_of, Recording(covey.folder / "runs" / "latest" / "recording.mcap").entries())
-    messages = [event.message for event in events if isinstance(event, Received)]
+    messages = [message for event in events for message in messages_of(event)]
     truth = next(message for message in messages if isinstance(message, Truth) and message.tick == shown["tick"])
     assert shown["targets"] == pytest.approx(truth.targets.ravel(), abs=0.006)
     drawn = {agent["name"]: agent for agent in shown["agents"]}

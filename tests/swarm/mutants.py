@@ -188,7 +188,7 @@ def listener_changes_the_shared_table(case: Case, patch: pytest.MonkeyPatch) -> 
         words.table[:, WEIGHT] *= 0.99
         return words
 
-    patch.setattr(rounds, "side_by_side", gossip_table)
+    patch.setattr(rounds, "gossip_table", gossip_table)
     return fuzz.play(case)
 
 

@@ -68,12 +68,8 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
     assert sum(heard) < 0.6 * len(heard) * (len(heard) - 1)
 
 
-SLIVERS = (4, 7, 10)  # seeds in which one agent cuts a sliver by where it last knew a generator to be (docs/promises.md, not promised)
-OTHER_BITS = pytest.mark.xfail(strict=True, reason="a generator that is known by an old beacon cuts a sliver off a cell")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [pytest.param(seed, marks=OTHER_BITS) if seed in SLIVERS else seed for seed in range(4, 12)])
+@pytest.mark.parametrize("seed", range(4, 12))
 def test_it_does_so_for_many_seeds(seed: int) -> None:
     (_, everything), (_, all_the_same) = (play(large(seed, "4", interest, seconds=100.0)) for interest in ("all", "neighbours"))
     assert everything == all_the_same
