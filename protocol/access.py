@@ -49,10 +49,10 @@ def access_control(run: str, agents: Iterable[str]) -> dict[str, Any]:
     names = [WORLD, WATCHER, *agents]
     for name in names:
         own = [
-            _rule(f"{name} says", ["put"], ["ingress"], _said(run, name)),
+            _rule(f"{name} says", ["put"], ["ingress"], _published(run, name)),
             _rule(f"{name} is there", ["liveliness_token", "reply"], ["ingress"], _tokens(run, name)),
-            _rule(f"{name} asks", ["declare_subscriber"], ["ingress"], _heard(run, name)),
-            _rule(f"{name} hears", ["put"], ["egress"], _heard(run, name)),
+            _rule(f"{name} asks", ["declare_subscriber"], ["ingress"], _subscribed(run, name)),
+            _rule(f"{name} hears", ["put"], ["egress"], _subscribed(run, name)),
         ]
         own = [rule for rule in own if rule["key_exprs"]]
         rules += own
@@ -68,7 +68,7 @@ def _rule(name: str, messages: list[str], flows: list[str], expressions: list[st
     return {"id": name, "messages": messages, "flows": flows, "permission": "allow", "key_exprs": expressions}
 
 
-def _said(run: str, name: str) -> list[str]:
+def _published(run: str, name: str) -> list[str]:
     """The keys under which the owner of a certificate publishes."""
     if name == WATCHER:
         return []
@@ -77,7 +77,7 @@ def _said(run: str, name: str) -> list[str]:
     return [one_of(run, kind, name) for kind in ("hello", "beacon", "gossip", "command", "estimate")]
 
 
-def _heard(run: str, name: str) -> list[str]:
+def _subscribed(run: str, name: str) -> list[str]:
     """The expressions to which the owner of a certificate may subscribe."""
     if name == WATCHER:
         return [f"{ROOT}/{run}/**"]

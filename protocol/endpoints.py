@@ -27,15 +27,15 @@ def check_endpoints(settings: NetworkSettings) -> None:
         raise BadSetting(f"network.mode = {settings.mode}: behind a router no certificate says who speaks; should be peer")
     for field in ("listen", "seeds"):
         for endpoint in getattr(settings, field):
-            said = f"network.{field} = {endpoint!r}"
+            setting = f"network.{field} = {endpoint!r}"
             if not FORM.match(endpoint):
-                raise BadSetting(f"{said}: should read protocol/address:port, such as tcp/127.0.0.1:0")
+                raise BadSetting(f"{setting}: should read protocol/address:port, such as tcp/127.0.0.1:0")
             if not settings.insecure and not GUARDED.match(endpoint):
-                raise BadSetting(f"{said}: leaves this machine without TLS; use tls/..., a loopback address, or network.insecure = true")
+                raise BadSetting(f"{setting}: leaves this machine without TLS; use tls/..., a loopback address, or network.insecure = true")
             if endpoint.startswith(ENCRYPTED) and not settings.encrypted:
-                raise BadSetting(f"{said}: needs certificates; `covey keys` makes them, --keys DIR uses them")
+                raise BadSetting(f"{setting}: needs certificates; `covey keys` makes them, --keys DIR uses them")
             if settings.encrypted and not endpoint.startswith(ENCRYPTED) and (field, (endpoint,)) != ("listen", default):
-                raise BadSetting(f"{said}: should be tls/address:port, for network.ca asks for certificates")
+                raise BadSetting(f"{setting}: should be tls/address:port, for network.ca asks for certificates")
 
 
 def check_loopback() -> None:

@@ -26,7 +26,7 @@ class FailureDetector:
         self._words: dict[str, float] = {}  # name -> time of its last message
         self._up: dict[str, int] = {}  # name -> youngest incarnation with a token that has been seen
         self._lost: dict[str, float | None] = {}  # name without a token -> time since which its Hellos arrive all the same
-        self._greeted: set[str] = set()  # names from which a Hello has arrived
+        self._announced: set[str] = set()  # names from which a Hello has arrived
         self._claims: dict[str, dict[str, float]] = {}  # silent name -> peers that list it, and the time of their last Hello that did
         self._since: dict[str, float] = {}  # silent name -> time since which some peer lists it
         self._voters: set[str] = set()  # senders of the Hellos that `split` has taken
@@ -44,13 +44,13 @@ class FailureDetector:
     def greet(self, name: str, now: float) -> bool:
         """Note a Hello of a peer; True for its first one."""
         self._words[name] = now
-        first = name not in self._greeted
-        self._greeted.add(name)
+        first = name not in self._announced
+        self._announced.add(name)
         return first
 
     def greet_again(self, name: str, now: float) -> bool:
         """Note a Hello that holds no news and in which `split` could find nothing; True then. Otherwise nothing is noted."""
-        if now > self._calm_until or self._lost or name not in self._greeted:
+        if now > self._calm_until or self._lost or name not in self._announced:
             return False
         self._words[name] = now
         self._voters.add(name)
@@ -70,14 +70,14 @@ class FailureDetector:
 
     def heard(self, now: float | None = None) -> tuple[str, ...]:
         """The names for the own Hello: peers that sent a Hello, have not left, and sent a message lately; `now` None: at any time."""
-        words, greeted = self._words, self._greeted
+        words, announced = self._words, self._announced
         if now is None:
-            return tuple(sorted([name for name in greeted if name in words]))
-        return tuple(sorted([name for name in greeted if now - words.get(name, NEVER) <= WITHIN_HEARING]))
+            return tuple(sorted([name for name in announced if name in words]))
+        return tuple(sorted([name for name in announced if now - words.get(name, NEVER) <= WITHIN_HEARING]))
 
     def split(self, hello: Hello, now: float) -> str:
         """Take a Hello of a peer; the reason to open the session anew, empty if there is none."""
-        alarm = self._wordy(hello.sender, now) or self._silent(hello, now)
+        alarm = self._tokenless(hello.sender, now) or self._silent(hello, now)
         if alarm:
             self._claims.clear()
             self._since.clear()
@@ -85,7 +85,7 @@ class FailureDetector:
             self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
         return alarm
 
-    def _wordy(self, name: str, now: float) -> str:
+    def _tokenless(self, name: str, now: float) -> str:
         """The alarm that a peer goes on sending Hellos without a token; empty if there is none."""
         if name not in self._lost:
             return ""

@@ -42,7 +42,7 @@ class RateLimiter:
     def __init__(self, most: int) -> None:
         self._most = float(most)
         self._lock = threading.Lock()
-        self._said: dict[str, int] = {}  # messages in this second, by key
+        self._counts: dict[str, int] = {}  # messages in this second, by key
         self._second = 0.0  # end of this second
         self._suspect: dict[str, None] = {}  # keys
         self._left: dict[
@@ -51,10 +51,10 @@ class RateLimiter:
 
     def admits(self, key: str, origin: Any, now: float) -> bool:
         """Count one message; True within the limit. Beyond a fixed number the keys that were quiet for longest are forgotten."""
-        if now >= self._second or len(self._said) > self.MOST_KEYS:
-            self._said, self._second = {}, now + 1.0
-        said = self._said[key] = self._said.get(key, 0) + 1
-        if said <= self._most and key not in self._suspect:
+        if now >= self._second or len(self._counts) > self.MOST_KEYS:
+            self._counts, self._second = {}, now + 1.0
+        count = self._counts[key] = self._counts.get(key, 0) + 1
+        if count <= self._most and key not in self._suspect:
             return True
         with self._lock:
             self._suspect[key] = None

@@ -60,7 +60,7 @@ class Channel:
         if self._loses(lost, condition):
             return LOST
         delay = condition.delay + jitter * condition.jitter + (hold * condition.spread if held < condition.reorder else 0.0)
-        arrived = spoilt(payload, where) if flip < condition.flip and payload else payload
+        arrived = corrupted(payload, where) if flip < condition.flip and payload else payload
         copies = [(delay, arrived)]
         return [*copies, (delay + later * condition.spread, arrived)] if twice < condition.duplicate else copies
 
@@ -80,7 +80,7 @@ class Channel:
         return self._bad
 
 
-def spoilt(payload: bytes, where: float) -> bytes:
+def corrupted(payload: bytes, where: float) -> bytes:
     """The payload with a fault at the place `where` in [0, 1): one wrong bit, or in every second case eight bytes of ones (a NaN)."""
     place = where * 8 * len(payload)
     bit, blank = int(place), place % 1.0 < 0.5

@@ -36,7 +36,7 @@ from protocol.tokens import ALONE_SECONDS, Tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
-LINGER_SECONDS = 0.5  # between two passes over new sockets; links live for the lease at least
+SO_LINGER_SECONDS = 0.5  # between two passes over new sockets; links live for the lease at least
 RETRY_SECONDS = 0.5  # between attempts to open a session anew
 MOST_TRIES = 4  # on the same port, then on any port
 SETTLE_SECONDS = 2.0  # in which a new session sees again the tokens that the old one saw
@@ -72,7 +72,7 @@ class Driver:
         self._settings = settings
         self._link = link
         self._inbox = Inbox(newest=node.newest_only, patient=node.patient)
-        self._flow = RateLimiter(settings.most_per_second)
+        self._rate_limiter = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
         self._reception = Reception(self._tokens, self.counts)
@@ -97,7 +97,7 @@ class Driver:
         if self._session is None:
             await self.open()
         try:
-            self._let_go()
+            self._clear_so_linger()
             self._declare()
             self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
             self._handle(Started())
@@ -113,11 +113,11 @@ class Driver:
             log.info("stopping: %s", reason)
             self._stopped.set_result(code)
 
-    def _let_go(self) -> None:
+    def _clear_so_linger(self) -> None:
         """Take SO_LINGER off new sockets, now and periodically, so that a dead link does not block the others."""
-        self._sockets.let_go()
+        self._sockets.clear_so_linger()
         if not self._stopped.done():
-            self._loop.call_later(LINGER_SECONDS, self._let_go)
+            self._loop.call_later(SO_LINGER_SECONDS, self._clear_so_linger)
 
     def _declare(self) -> None:
         """Subscribe to the tokens of all participants, then declare the own token: a peer that sees it finds this node ready."""
@@ -151,7 +151,7 @@ class Driver:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         key, origin = str(sample.key_expr), sample.source_info
-        if self._flow.admits(key, origin, self._loop.time()):
+        if self._rate_limiter.admits(key, origin, self._loop.time()):
             self._arrive(Arrival(key, sample.payload.to_bytes(), origin))
         else:
             self.counts["flooded"] += 1

@@ -20,7 +20,7 @@ class Sockets:
     def __init__(self) -> None:
         self._done: set[str] = set()  # "socket:[inode]"
 
-    def let_go(self) -> int:
+    def clear_so_linger(self) -> int:
         """Take SO_LINGER off every new socket; return the number of sockets that had it."""
         there, changed = set(), set()
         with contextlib.suppress(OSError):  # the folder exists on Linux alone
@@ -29,13 +29,13 @@ class Sockets:
                     name = os.readlink(f"{FOLDER}/{number}")
                     if name.startswith("socket:"):
                         there.add(name)
-                        if name not in self._done and _let_go(int(number)):
+                        if name not in self._done and _clear_so_linger(int(number)):
                             changed.add(name)
         self._done = (self._done & there) | changed
         return len(changed)
 
 
-def _let_go(descriptor: int) -> bool:
+def _clear_so_linger(descriptor: int) -> bool:
     """Take SO_LINGER off one socket; True if it was on."""
     with socket.socket(fileno=os.dup(descriptor)) as other:
         on, _ = struct.unpack("ii", other.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))
