@@ -1,7 +1,7 @@
 """Faults of a link: loss, delay, duplication, reordering and corruption of payloads between two nodes.
 
 A *condition* describes one direction between two nodes. A *channel* is that direction with its own random stream, keyed by the run
-seed and the two names, so a fault on one link changes no draw of another link. Every message takes the same number of draws: a message
+seed and the two names. So a fault on one link changes no draw of another link. Every message takes the same number of draws: a message
 that is lost at 10 % is lost at 30 % too.
 """
 

@@ -1,8 +1,8 @@
 """The Node: a participant without clock, socket or global random numbers.
 
-A driver (`live` or `virtual`) hands it one event at a time with its own monotonic time `now` in s, carries out the returned
-effects in order, and calls again with `Timer` when `deadline()` has passed. A message is the commonest effect: it is published
-under its key.
+A driver (`live` or `virtual`) hands it one event at a time with its own monotonic time `now` in s. The driver carries out the returned
+effects in order, and hands over a `Timer` when `deadline()` has passed. The commonest effect is a message: it is published under
+its key.
 """
 
 from collections.abc import Sequence

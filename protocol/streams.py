@@ -1,8 +1,8 @@
 """Random streams by purpose: every draw is keyed by (run seed, purpose, indices), never by the order of calls.
 
 There are two kinds. `stream` returns a numpy Generator for values that are drawn in sequence (target tracks, start poses).
-`key`, `scramble`, `uniform` and `normal` are counter-based: pure functions of integers, vectorised, made of integer operations
-and exact floating-point steps only, so that every process and every machine computes the same bits.
+`key`, `scramble`, `uniform` and `normal` are counter-based: pure functions of integers, vectorised. They consist of integer operations
+and exact floating-point steps only, so every process and every machine computes the same bits.
 """
 
 import math

@@ -1,7 +1,7 @@
 """The virtual driver: many nodes in one process and in virtual time, on a bus of events.
 
-Events of one instant are delivered in the order of their creation, with one exception: gossips, beacons and Hellos come after all others,
-and each receiver takes its own in batches. Time advances only when no event of the instant is left. Each message is encoded and decoded
+Events of one instant are delivered in the order of their creation. Gossips, beacons and Hellos come after all other events, and each
+receiver takes its own in batches. Time advances only when no event of the instant is left. Each message is encoded and decoded
 once, as real bytes. A `Link` may drop, delay, copy or corrupt them per receiver. Nodes can be stopped, slowed down, started twice under
 one name, and given clocks that jump.
 """
