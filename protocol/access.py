@@ -1,10 +1,10 @@
-"""Who may say and hear what, by the common name of the certificate: the access control that every peer enforces for itself.
+"""Access control by the common name of the certificate; every peer enforces it for itself.
 
-An agent writes the keys that end in its own name, the world those of the world, a watcher nothing; each of them is sent only what it
-may subscribe to. Who has no certificate, or one of another name, is sent nothing and heard of nothing.
+An agent publishes under the keys that end in its own name. The world publishes under the keys of the world. A watcher publishes nothing.
+Each participant receives only what it may subscribe to. A participant without a certificate of an admitted name sends and receives nothing.
 
-Zenoh knows the neighbour at the other end of a link, and judges what comes over that link. Peers never relay for peers, so the
-neighbour is the sender; behind a router it would be the router.
+Zenoh judges a message by the neighbour at the other end of the link. Peers never relay for peers, so the neighbour is the sender.
+Behind a router the neighbour would be the router.
 """
 
 from collections.abc import Iterable
@@ -14,21 +14,21 @@ from protocol.endpoints import own_endpoints
 from protocol.keys import ROOT, Token, all_of, all_tokens, one_of
 from protocol.settings import NetworkSettings
 
-WORLD, WATCHER = "world", "monitor"  # common names of the world and of everybody who only listens
-FILES = (("certificate", "certificate"), ("private_key", "key"))  # in Zenoh's words, in ours
+WORLD, WATCHER = "world", "monitor"  # common names of the world and of all watchers
+FILES = (("certificate", "certificate"), ("private_key", "key"))  # Zenoh's word, field of the settings
 LOOKS = ["declare_liveliness_subscriber", "liveliness_query"]
 DECLARATIONS = ["declare_subscriber", "liveliness_token", "reply", *LOOKS]
 
 
 def common_name(own: Token | None) -> str:
-    """The name in the certificate of a participant: its own, or that of all watchers."""
+    """The common name of a participant: its own name, or the name that all watchers share."""
     return own.name if own is not None and own.role in ("agent", "world") else WATCHER
 
 
 def secured(settings: NetworkSettings, own: Token | None) -> dict[str, Any]:
-    """What mutual TLS adds to the Zenoh configuration of a participant; nothing without certificates.
+    """The part of the Zenoh configuration that mutual TLS adds; empty without certificates.
 
-    Whose certificate it is counts, not from which address it comes: host names are not compared, so robots may roam.
+    Only the owner of a certificate counts. Host names are not compared, so robots may change their address.
     """
     if not settings.encrypted:
         return {}
@@ -43,16 +43,16 @@ def secured(settings: NetworkSettings, own: Token | None) -> dict[str, Any]:
 
 
 def access_control(run: str, agents: Iterable[str]) -> dict[str, Any]:
-    """Zenoh's `access_control` for a run with these agents: nothing but what is listed here passes."""
+    """Zenoh's `access_control` for a run with these agents; everything that is not listed is denied."""
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     names = [WORLD, WATCHER, *agents]
     for name in names:
         own = [
-            _rule(f"{name} says", ["put"], ["ingress"], _said(run, name)),
+            _rule(f"{name} says", ["put"], ["ingress"], _published(run, name)),
             _rule(f"{name} is there", ["liveliness_token", "reply"], ["ingress"], _tokens(run, name)),
-            _rule(f"{name} asks", ["declare_subscriber"], ["ingress"], _heard(run, name)),
-            _rule(f"{name} hears", ["put"], ["egress"], _heard(run, name)),
+            _rule(f"{name} asks", ["declare_subscriber"], ["ingress"], _subscribed(run, name)),
+            _rule(f"{name} hears", ["put"], ["egress"], _subscribed(run, name)),
         ]
         own = [rule for rule in own if rule["key_exprs"]]
         rules += own
@@ -68,8 +68,8 @@ def _rule(name: str, messages: list[str], flows: list[str], expressions: list[st
     return {"id": name, "messages": messages, "flows": flows, "permission": "allow", "key_exprs": expressions}
 
 
-def _said(run: str, name: str) -> list[str]:
-    """The keys that the owner of a certificate writes."""
+def _published(run: str, name: str) -> list[str]:
+    """The keys under which the owner of a certificate publishes."""
     if name == WATCHER:
         return []
     if name == WORLD:
@@ -77,8 +77,8 @@ def _said(run: str, name: str) -> list[str]:
     return [one_of(run, kind, name) for kind in ("hello", "beacon", "gossip", "command", "estimate")]
 
 
-def _heard(run: str, name: str) -> list[str]:
-    """What the owner of a certificate may subscribe to."""
+def _subscribed(run: str, name: str) -> list[str]:
+    """The expressions to which the owner of a certificate may subscribe."""
     if name == WATCHER:
         return [f"{ROOT}/{run}/**"]
     if name == WORLD:

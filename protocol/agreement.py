@@ -1,7 +1,7 @@
-"""What the processes of a run must agree on: the values of every setting on which the rounds of others depend.
+"""The settings on which all processes of a run must agree.
 
-An agent that filters with other settings computes another PHD, and the cells of all are no longer parts of one. Every Hello says these
-values, so that a newcomer learns them and a difference is named; every Beacon says one hash of them all.
+An agent with other filter settings computes another PHD, and the cells of the swarm are no longer parts of one PHD. Every Hello
+carries these values, so a receiver can name each difference. Every Beacon carries one hash of all of them.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ from protocol.settings import Common
 
 
 def common_sections(config: Common) -> dict[str, Any]:
-    """The sections that world and agents must agree on; of the sensors those that announce themselves by their class alone."""
+    """The sections on which world and agents must agree, and the sensors that a message announces by their class alone."""
     models = {
         f"sensors.{name}": {"model": sensor.model, "parameters": sensor.parameters}
         for name, sensor in config.sensors.items()
@@ -25,7 +25,7 @@ def common_sections(config: Common) -> dict[str, Any]:
 
 
 def agreed(sections: Mapping[str, Any]) -> Agreed:
-    """The values of each section by name; one that is no number, text or boolean becomes its JSON text."""
+    """The values of each section by name. A value other than a number, text or boolean becomes its JSON text."""
     fields = {section: msgspec.to_builtins(contents) for section, contents in sections.items()}
     return {section: {name: _plain(value) for name, value in values.items()} for section, values in fields.items()}
 
@@ -35,12 +35,12 @@ def _plain(value: Any) -> Setting:
 
 
 def whole(settings: Agreed) -> int:
-    """One number below 2^63 for all of them, never 0."""
+    """The hash of all settings: a number below 2^63, never 0."""
     return int.from_bytes(hashlib.blake2b(msgspec.json.encode(settings, order="sorted"), digest_size=8).digest(), "little") >> 1 | 1
 
 
 def disagreement(mine: Agreed, theirs: Agreed) -> tuple[str, ...]:
-    """The settings, as `section.name`, of which both say something and not the same; in alphabetical order."""
+    """The settings that both sides state with different values, as `section.name`, in alphabetical order."""
     if mine == theirs:
         return ()
     both = [(section, values, theirs[section]) for section, values in mine.items() if section in theirs]

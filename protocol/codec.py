@@ -1,4 +1,4 @@
-"""Bytes to messages and back: msgpack maps, checked for size, type, range and sender before anyone sees them."""
+"""Bytes to messages and back: msgpack maps, checked for size, type, range and sender before a node receives them."""
 
 from collections.abc import Iterable
 
@@ -38,7 +38,10 @@ def decode(key: str, payload: bytes) -> Message:
 
 
 def decode_all(arrivals: Iterable[tuple[str, bytes]]) -> list[Message | Malformed]:
-    """What `decode` returns or raises for each key and payload; the numbers of many gossips are checked side by side, which costs less."""
+    """The result of `decode` for each key and payload: the message, or the `Malformed` that it raises.
+
+    The arrays of all gossips are checked in one pass, which costs less.
+    """
     found: list[Message | Malformed] = []
     plain: list[Gossip] = []
     for key, payload in arrivals:
@@ -64,7 +67,7 @@ def _checked(message: Message | Malformed) -> Message | Malformed:
 
 
 def _parse(key: str, payload: bytes) -> Message:
-    """The message under a key, of which only the types, the version and the sender have been checked."""
+    """The message under a key. Only its types, its version and its sender are checked."""
     parts = parse_message_key(key)
     if parts is None or parts.kind not in _decoders:
         raise Malformed("key", f"{key!r} is no key of a known message")
@@ -82,7 +85,7 @@ def _parse(key: str, payload: bytes) -> Message:
 
 
 def _check_version(payload: bytes) -> None:
-    """Tell a message of another version, whose fields may differ, from a broken one."""
+    """Raise `Malformed` for a message of another version, the fields of which may differ; return for a broken message."""
     try:
         wire = _wire_decoder.decode(payload).wire
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError, UnicodeError):
@@ -100,4 +103,4 @@ def _check_name(parts: Key, message: Message) -> None:
             raise Malformed("format", f"{parts.kind}: {named[:64]!r} is no name")
         raise Malformed("sender", f"{named!r} speaks under the key of {parts.name!r}")
     if not isinstance(message, Observation) and parts.kind != "truth":
-        msgspec.structs.force_setattr(message, "sender", parts.name)  # one string for all that somebody says is looked up faster
+        msgspec.structs.force_setattr(message, "sender", parts.name)  # one string object per sender makes look-ups faster

@@ -1,4 +1,8 @@
-"""What the virtual driver knows of a node that it drives, and messages on their way to their listeners."""
+"""The endpoints of the virtual bus, and the messages on their way to them.
+
+A `BusEndpoint` is a node and the state that the bus keeps for it. A `Delivery` is one message and its receivers. A `MessageRun` is a
+sequence of messages of one kind to the same receivers, put into a batch once for all of them.
+"""
 
 from collections import Counter, deque
 from collections.abc import Callable
@@ -11,12 +15,12 @@ from protocol.node import Effect, Event, Node, Received
 from protocol.once import once
 from protocol.reception import Decoded, in_batches
 
-Item = Decoded | Event  # what one message is to a listener: the message, or the event that it could not be read
-TO_MANY = (Gossip, Beacon, Hello)  # kinds that wait in the boxes of their listeners until nothing else is left of the instant
+Item = Decoded | Event  # a decoded message, or the event that the bytes were rejected
+TO_MANY = (Gossip, Beacon, Hello)  # kinds that wait in the receivers' boxes until the instant holds no other event
 
 
 class MessageRun:
-    """Messages to the very same listeners, published one right after the other: read once for all of them."""
+    """Consecutive messages of one kind to the same listeners, put into batches once for all listeners."""
 
     def __init__(self, sender: "BusEndpoint", item: Item) -> None:
         self.senders = [sender]
@@ -24,12 +28,12 @@ class MessageRun:
 
     @once
     def events(self) -> list[Event]:
-        """All of it, the listener's own messages included."""
+        """The events of all messages, the listener's own messages included."""
         return [*in_batches(self.items)]
 
-    def without(self, seat: "BusEndpoint") -> list[Item]:
-        """What the others have said."""
-        return [item for sender, item in zip(self.senders, self.items) if sender is not seat]
+    def without(self, endpoint: "BusEndpoint") -> list[Item]:
+        """The messages of all other senders."""
+        return [item for sender, item in zip(self.senders, self.items) if sender is not endpoint]
 
 
 @dataclass(slots=True)
@@ -42,11 +46,11 @@ class Delivery:
 
     @property
     def kind(self) -> type | None:
-        """Of the message; None when it could not be read."""
+        """The type of the message; None for rejected bytes."""
         return type(self.item.message) if isinstance(self.item, Decoded) else None
 
     def with_followers(self, ready: deque[Any]) -> MessageRun:
-        """This message and those next in the queue that are of its kind and go to the very same listeners; they leave the queue."""
+        """This message and the next ones in the queue of its kind to the same listeners; they leave the queue."""
         run = MessageRun(self.sender, self.item)
         while ready and isinstance(ready[0], Delivery) and ready[0].listeners is self.listeners and ready[0].kind is self.kind:
             following = ready.popleft()
@@ -57,20 +61,20 @@ class Delivery:
 
 @dataclass(eq=False, slots=True)
 class BusEndpoint:
-    """A node on the bus."""
+    """A node on the bus, and what the bus keeps for it."""
 
     node: Node
-    place: int  # in the order of coming
+    place: int  # in the order in which nodes were added
     expressions: Counter[str] = field(default_factory=Counter)
     timer: float | None = None
     paused: bool = False
     waiting: list[Event] = field(default_factory=list)  # what arrived while it was paused or at work
-    clock: float = 0.0  # how far its clock is ahead, s
-    work: float = 0.0  # how long it takes over an observation, s
+    clock: float = 0.0  # offset of its clock from the time of the bus, s
+    work: float = 0.0  # time that it takes for one observation, s
     at_work: bool = False
     armed: float | None = None  # the deadline for which the timer is set
-    box: list[MessageRun] = field(default_factory=list)  # what was said to many in this instant
-    handle: Callable[[Event, float], list[Effect]] = field(init=False)  # those of the node, looked up once
+    box: list[MessageRun] = field(default_factory=list)  # runs of messages of this instant that have not been handed over
+    handle: Callable[[Event, float], list[Effect]] = field(init=False)  # the methods of the node, looked up once
     deadline: Callable[[], float | None] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -82,24 +86,24 @@ class BusEndpoint:
         return token_key(self.node.run, self.node.role, self.node.name, self.node.incarnation)
 
     def empty_box(self) -> list[Event]:
-        """The events of what lay in the box, in the order in which it came."""
+        """The events of the box in the order of arrival; the box is empty afterwards."""
         box, self.box = self.box, []
         if len(box) == 1 and len(box[0].items) > 1:
             return box[0].events
         return [*in_batches(item for run in box for item in run.without(self))]
 
     def catch_up(self) -> list[Event]:
-        """What has waited for it; of observations the newest only: nobody works off a queue of them."""
+        """The events that waited, of observations only the newest: a slow node skips ticks."""
         events, self.waiting = self.waiting, []
         newest = max((place for place, event in enumerate(events) if is_observation(event)), default=0)
         return [event for place, event in enumerate(events) if place >= newest or not is_observation(event)]
 
 
 def is_observation(event: Event) -> bool:
-    """Whether an event tells an agent where it is and what it sees."""
+    """Whether an event is a batch of observations."""
     return isinstance(event, Received) and event.batch.kind is Observation
 
 
-def place_of(seat: BusEndpoint) -> int:
-    """To sort by."""
-    return seat.place
+def place_of(endpoint: BusEndpoint) -> int:
+    """Sort key: the order in which nodes were added to the bus."""
+    return endpoint.place

@@ -1,4 +1,7 @@
-"""Which endpoints a process may listen on or dial: anything on this machine, beyond it only with TLS; and are the certificates there?"""
+"""Checks of the network endpoints of a process, of its certificate files, and of the loopback interface.
+
+Any endpoint on this machine is allowed. An endpoint beyond this machine needs TLS, or the setting `network.insecure`.
+"""
 
 import os
 import re
@@ -14,22 +17,25 @@ GUARDED = re.compile(r"^(tls/|quic/|unixsock-stream/|[a-z]+/(127\.\d+\.\d+\.\d+|
 
 
 def check_endpoints(settings: NetworkSettings) -> None:
-    """Raise BadSetting for an endpoint that cannot be read, that leaves this machine without TLS unless the settings say insecure, or
-    that is not encrypted where certificates are given, or the other way round."""
+    """Raise BadSetting for an endpoint that breaks a rule.
+
+    An endpoint must be readable. Without `insecure` it must not leave this machine without TLS. It is encrypted exactly when
+    certificates are given.
+    """
     default = NetworkSettings().listen
     if settings.encrypted and settings.mode != "peer":
         raise BadSetting(f"network.mode = {settings.mode}: behind a router no certificate says who speaks; should be peer")
     for field in ("listen", "seeds"):
         for endpoint in getattr(settings, field):
-            said = f"network.{field} = {endpoint!r}"
+            setting = f"network.{field} = {endpoint!r}"
             if not FORM.match(endpoint):
-                raise BadSetting(f"{said}: should read protocol/address:port, such as tcp/127.0.0.1:0")
+                raise BadSetting(f"{setting}: should read protocol/address:port, such as tcp/127.0.0.1:0")
             if not settings.insecure and not GUARDED.match(endpoint):
-                raise BadSetting(f"{said}: leaves this machine without TLS; use tls/..., a loopback address, or network.insecure = true")
+                raise BadSetting(f"{setting}: leaves this machine without TLS; use tls/..., a loopback address, or network.insecure = true")
             if endpoint.startswith(ENCRYPTED) and not settings.encrypted:
-                raise BadSetting(f"{said}: needs certificates; `covey keys` makes them, --keys DIR uses them")
+                raise BadSetting(f"{setting}: needs certificates; `covey keys` makes them, --keys DIR uses them")
             if settings.encrypted and not endpoint.startswith(ENCRYPTED) and (field, (endpoint,)) != ("listen", default):
-                raise BadSetting(f"{said}: should be tls/address:port, for network.ca asks for certificates")
+                raise BadSetting(f"{setting}: should be tls/address:port, for network.ca asks for certificates")
 
 
 def check_loopback() -> None:
@@ -43,7 +49,7 @@ def check_loopback() -> None:
 
 
 def check_files(settings: NetworkSettings, name: str) -> None:
-    """Raise BadSetting for a file of mutual TLS that is missing, for the owner of that common name."""
+    """Raise BadSetting when a file of mutual TLS is missing for the owner of that common name."""
     if not settings.encrypted:
         return
     for field, file in settings.files(name).items():
@@ -56,32 +62,32 @@ def check_files(settings: NetworkSettings, name: str) -> None:
 
 
 def own_endpoints(settings: NetworkSettings) -> tuple[str, ...]:
-    """Where to listen: as set, the default one encrypted where certificates are given."""
+    """The endpoints to listen on: those of the settings; with certificates the default endpoint is encrypted."""
     if settings.encrypted and settings.listen == NetworkSettings().listen:
         return (f"tls/{settings.listen[0].partition('/')[2]}",)
     return settings.listen
 
 
 def elsewhere(settings: NetworkSettings) -> NetworkSettings:
-    """The same on any free ports: where a session listens that is opened anew while the old one does not let go of its port."""
+    """The same settings with any free port; for a session that is opened anew while the old one still holds its port."""
     return structs.replace(settings, listen=tuple(re.sub(r":\d+$", ":0", endpoint) for endpoint in settings.listen))
 
 
 def refused(settings: NetworkSettings, text: str) -> BadSetting:
-    """One line for what Zenoh says of endpoints that cannot be used."""
+    """Zenoh's complaint about endpoints that cannot be used, as a BadSetting of one line."""
     text = re.sub(r" at \S+\.rs:\d+\.?", "", text).strip()
     hint = "the port is in use; choose a free one, or port 0 for any" if "already in use" in text else text
     return BadSetting(f"network.listen = {', '.join(settings.listen)}: {hint}")
 
 
-_RESERVED: list[socket.socket] = []  # of the ports that this process has been given, as long as it lives
+_RESERVED: list[socket.socket] = []  # UDP sockets of the ports that `free_port` has returned, kept until the process ends
 
 
 def free_port(lowest: int = 20000, highest: int = 32000) -> int:
-    """A TCP port on 127.0.0.1 that nobody listens on now, below the range that the kernel gives to outgoing connections.
+    """A free TCP port on 127.0.0.1, below the range that the kernel gives to outgoing connections.
 
-    Some time passes until it is listened on, often by another process; so this process keeps the UDP port of the same number, by which
-    others who ask meanwhile see that it has been given away.
+    Some time passes until another process listens on it. So this process keeps the UDP port of the same number, which marks the port
+    as taken for every other call.
     """
     span = highest - lowest
     start = int.from_bytes(os.urandom(4), "little")

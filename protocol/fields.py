@@ -1,4 +1,4 @@
-"""What the fields of a message may hold: arrays as raw little-endian bytes, and numbers within bounds.
+"""The rules for the fields of a message: arrays as raw little-endian bytes, and bounds for every number.
 
 Lengths in m, times in s, angles in rad.
 """
@@ -13,11 +13,11 @@ Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]  # of a 
 MAX_DETECTIONS = 8192
 MAX_PARTICLES = 8192
 MAX_NAMES = 8192
-FARTHEST = 1.0e6  # no coordinate of an arena is larger, m
+FARTHEST = 1.0e6  # largest coordinate, m
 LARGEST_AREA = FARTHEST**2  # m^2
 LEAST_RADIUS, LEAST_ANGLE, LARGEST_ANGLE = 1.0e-3, 1.0e-6, 7.0  # of a sensor, m and rad
-LATEST = 1.0e12  # no world time is larger, s
-MAX_SETTINGS, VALUE_SIZE = 65536, 8  # characters of all settings of a Hello, and what a number or boolean counts for
+LATEST = 1.0e12  # largest world time, s
+MAX_SETTINGS, VALUE_SIZE = 65536, 8  # characters of all settings of a Hello; size of a number or boolean
 LARGEST_SETTING = 1.0e12
 
 F4, F8, U8 = np.dtype("<f4"), np.dtype("<f8"), np.dtype("<u8")
@@ -32,7 +32,7 @@ class Malformed(ValueError):
 
 
 class Rows(NamedTuple):
-    """How an array travels: the type of its numbers, how many make a row, and how many rows there may be."""
+    """The layout of an array on the wire: type of its numbers, numbers per row, and largest number of rows."""
 
     field: str
     number: np.dtype
@@ -40,7 +40,7 @@ class Rows(NamedTuple):
     most: int
 
     def count(self, data: bytes) -> int:
-        """How many rows there are."""
+        """The number of rows; raises Malformed for a part of a row or too many rows."""
         rows, rest = divmod(len(data), self.number.itemsize * self.columns)
         if rest:
             size = self.number.itemsize * self.columns
@@ -69,16 +69,16 @@ def check_vector(field: str, values: tuple[float, ...]) -> None:
 
 
 def are_plain(pose: tuple[float, float, float], cod: tuple[float, float], lengths: tuple[float, ...]) -> bool:
-    """Whether all these numbers are in range and none of the lengths is negative; one sum of magnitudes proves it, as in `check_rows`."""
+    """Whether one sum of magnitudes proves that all these numbers are in range and no length is negative; see `check_rows`."""
     (x, y, heading), (east, north) = pose, cod
     return abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + sum(lengths) < 0.5 * FARTHEST and min(lengths) >= 0.0
 
 
 def check_rows(rows: Rows, data: bytes) -> int:
-    """Refuse NaN, infinity and anything beyond `FARTHEST`; how many rows there are.
+    """Refuse NaN, infinity and anything beyond `FARTHEST`; return the number of rows.
 
-    A sum of squares below half the bound squared proves it for the whole array in one pass (its rounding error is below 1 %,
-    and NaN compares false); only a larger sum needs the look at every number.
+    A sum of squares below half the bound squared proves it for the whole array in one pass: its rounding error is below 1 %, and NaN
+    compares false. Only a larger sum needs the check of every number.
     """
     if not data:
         return 0

@@ -1,7 +1,7 @@
-"""Classes of the user's own, named in a scenario as `module:Class`: what they return is checked at every call.
+"""Checks of the user's own classes, which a scenario names as `module:Class`.
 
-A wrong answer is a `BadSetting` that names the class, what it returned and what would be right; so is an exception inside the class, with
-the exception as its cause.
+Every returned value is checked. A wrong value raises a `BadSetting` that names the class, the value and the right form. An exception
+inside the class raises a `BadSetting` with the exception as its cause.
 """
 
 import math
@@ -19,7 +19,7 @@ AT_REST: Pose = (0.0, 0.0, 0.0)
 
 @contextmanager
 def fault_of(what: str) -> Iterator[None]:
-    """An exception in here is the fault of `what`."""
+    """Turn an exception inside the context into a BadSetting that names `what`."""
     try:
         yield
     except BadSetting:
@@ -29,7 +29,7 @@ def fault_of(what: str) -> Iterator[None]:
 
 
 def real_array(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """The value, an array of finite real numbers of this shape (-1: any length); raises BadSetting naming what was returned."""
+    """The value, an array of finite real numbers of this shape (-1: any length); raises BadSetting for anything else."""
     right = f"should be an array of shape {shape} of finite real numbers".replace("-1", "N")
     if not isinstance(value, np.ndarray):
         raise BadSetting(f"{what} returned {shown(value)}: {right}")
@@ -48,7 +48,7 @@ def shown(value: Any) -> str:
 
 
 class CheckedSensor:
-    """A sensor model of the user's own; everything but the contract is handed through."""
+    """A sensor model of the user's own, with checked answers; other attributes are passed through."""
 
     def __init__(self, sensor: SensorModel, name: str) -> None:
         self._sensor, self._name = sensor, name
@@ -97,8 +97,8 @@ class CheckedSensor:
 
 
 def probe(sensor: CheckedSensor, name: str) -> None:
-    """Ask a sensor everything once; raises BadSetting for an answer that is none."""
-    import shapely  # only who brings a class of its own pays for it
+    """Call every member of a sensor once; raises BadSetting for a wrong answer."""
+    import shapely  # imported only for a user's own class: it takes long
 
     reach = sensor.reach
     for points in (np.array([[0.5 * reach, 0.0], [0.0, 0.25 * reach], [2.0 * reach, 2.0 * reach]]), np.empty((0, 2))):

@@ -1,6 +1,6 @@
-"""What arrives from other threads: a bounded queue in front of the event loop, and the quarantine of senders of garbage.
+"""The bounded queue between Zenoh's threads and the event loop, the rate limit per key, and the quarantine of senders of garbage.
 
-Pure bookkeeping without sockets; `live` owns one of each.
+Pure bookkeeping without sockets. The live driver owns one of each.
 """
 
 import threading
@@ -16,23 +16,25 @@ class Arrival(NamedTuple):
 
     key: str
     payload: bytes = b""
-    origin: Any = ""  # what Zenoh says of where it comes from, or the name of that session; empty or None: nothing
+    origin: Any = ""  # Zenoh's source info, or the name of the session; empty or None: unknown
     token: bool | None = None  # True: the liveliness token appeared, False: it vanished
 
     @property
     def source(self) -> str:
-        """The Zenoh session that it comes from; empty if it does not say."""
+        """The name of the Zenoh session that sent it; empty if unknown."""
         return session_of(self.origin)
 
 
 def session_of(origin: Any) -> str:
-    """The name of the session that an `Arrival` comes from. To ask Zenoh for it costs a third of taking a message, so that is done late."""
+    """The name of the session of an `Arrival`. Asking Zenoh for it costs a third of taking a message, so that is done late."""
     return origin if isinstance(origin, str) else str(origin.source_id.zid) if origin else ""
 
 
 class RateLimiter:
-    """How much may be said under one key: `most` messages in a second by whomever; a key under which it was more is suspect, and under that
-    each session may say `most` at once and as many a second in the long run.
+    """The rate limit per key: `most` messages a second.
+
+    A key beyond the limit becomes suspect. Under a suspect key each session has a token bucket of its own: `most` messages at once, and
+    as many a second in the long run.
     """
 
     MOST_KEYS = 4096
@@ -40,17 +42,19 @@ class RateLimiter:
     def __init__(self, most: int) -> None:
         self._most = float(most)
         self._lock = threading.Lock()
-        self._said: dict[str, int] = {}  # in this second, by key
-        self._second = 0.0  # its end
+        self._counts: dict[str, int] = {}  # messages in this second, by key
+        self._second = 0.0  # end of this second
         self._suspect: dict[str, None] = {}  # keys
-        self._left: dict[tuple[str, str], tuple[float, float]] = {}  # messages that may still come, and when that was so, s
+        self._left: dict[
+            tuple[str, str], tuple[float, float]
+        ] = {}  # (key, session) -> messages left in its bucket, and the time of that figure, s
 
     def admits(self, key: str, origin: Any, now: float) -> bool:
-        """Count one message; whether it is within the limit. The keys that were quiet for longest are forgotten beyond a fixed number."""
-        if now >= self._second or len(self._said) > self.MOST_KEYS:
-            self._said, self._second = {}, now + 1.0
-        said = self._said[key] = self._said.get(key, 0) + 1
-        if said <= self._most and key not in self._suspect:
+        """Count one message; True within the limit. Beyond a fixed number the keys that were quiet for longest are forgotten."""
+        if now >= self._second or len(self._counts) > self.MOST_KEYS:
+            self._counts, self._second = {}, now + 1.0
+        count = self._counts[key] = self._counts.get(key, 0) + 1
+        if count <= self._most and key not in self._suspect:
             return True
         with self._lock:
             self._suspect[key] = None
@@ -68,31 +72,30 @@ class RateLimiter:
 
 
 class Inbox:
-    """A queue that any thread fills and the event loop empties; when it overflows, the newest per key and session stays.
+    """A queue that any thread fills and the event loop empties; on overflow the newest message per key and session stays.
 
-    `newest` is a part of those keys of which only the newest message of a session counts: who is slow never works off a queue of them.
-    `patient` is a part of those keys whose messages can wait until so many have come as `rest` was told: one wake-up for many costs
-    far less than many.
+    `newest` marks keys by a part of their text: only the newest message of a session counts, so a slow node skips the others.
+    `patient` marks keys with messages that wait until as many have come as `rest` sets: one wake-up for many messages costs less.
     """
 
     def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, newest: str = "", patient: str = "") -> None:
-        self.dropped = 0  # messages that gave way to newer ones
+        self.dropped = 0  # messages dropped in favour of newer ones
         self._newest = newest
         self._patient = patient
         self._waiting = 0  # patient messages in the queue
-        self._enough = 1  # of them call the loop
+        self._enough = 1  # patient messages that call the loop
         self._lock = threading.Lock()
         self._queue: deque[Arrival] = deque()
         self._bytes = 0
         self._most_entries = most_entries
         self._most_bytes = most_bytes
-        self._called = False  # the loop has been asked to come and has not come yet
+        self._called = False  # the loop has been called and has not emptied the queue yet
 
     def __len__(self) -> int:
         return len(self._queue)
 
     def add(self, arrival: Arrival) -> bool:
-        """Append; True when the event loop must be called, which is at most once until it comes."""
+        """Append an arrival; True when the event loop must be called: at most once until it takes."""
         with self._lock:
             self._queue.append(arrival)
             self._bytes += len(arrival.payload)
@@ -106,7 +109,7 @@ class Inbox:
             return True
 
     def take(self, most: int) -> list[Arrival]:
-        """The oldest entries, `most` at most; an empty list hands the duty to call back to `add`."""
+        """The oldest entries, at most `most`. After an empty list the next `add` calls the loop again."""
         with self._lock:
             if len(self._queue) <= most:
                 batch, self._bytes, self._waiting = list(self._queue), 0, 0
@@ -119,7 +122,7 @@ class Inbox:
             return self._without_old(batch) if self._newest else batch
 
     def rest(self, enough: int) -> bool:
-        """The loop has done for now; `enough` patient messages shall call it. True when what is there calls it already."""
+        """End a pass of the loop; `enough` patient messages call it again. True when the queue already calls for it."""
         with self._lock:
             self._enough = enough
             self._called = len(self._queue) > self._waiting or self._waiting >= max(enough, 1)
@@ -130,7 +133,7 @@ class Inbox:
         return self._patient != "" and arrival.token is None and self._patient in arrival.key
 
     def _without_old(self, batch: list[Arrival]) -> list[Arrival]:
-        """The batch without what a newer message of the same key and session, in it or in the queue, has made void."""
+        """The batch without messages that a newer one of the same key and session replaces, in the batch or in the queue."""
         last = {(arrival.key, arrival.source): arrival for arrival in (*batch, *self._queue) if self._newest in arrival.key}
         if not last:
             return batch
@@ -139,7 +142,7 @@ class Inbox:
         return kept
 
     def _thin_out(self) -> None:
-        """Keep the newest per key and session; if that frees less than half, also give up the older half of the messages, never a token."""
+        """Keep the newest per key and session. If that frees less than half, drop the older half of the messages too, never a token."""
         newest: dict[tuple[str, str], Arrival] = {}
         for arrival in self._queue:
             newest.pop((arrival.key, arrival.source), None)
@@ -155,7 +158,7 @@ class Inbox:
 
 
 class Quarantine:
-    """Who sent too much garbage: `most` bad messages within `window` s shut a source out for `window` s."""
+    """The sources of too much garbage: `most` bad messages within `window` s exclude a source for `window` s."""
 
     MOST_SOURCES = 1024
 
@@ -166,7 +169,7 @@ class Quarantine:
         self._until: dict[str, float] = {}
 
     def holds(self, source: str, now: float) -> bool:
-        """Whether messages of the source are to be thrown away unread."""
+        """Whether messages of the source are discarded unread."""
         if source not in self._until:
             return False
         if now < self._until[source]:
@@ -175,13 +178,13 @@ class Quarantine:
         return False
 
     def holds_any(self, now: float) -> bool:
-        """Whether there is any source of which messages are to be thrown away unread."""
+        """Whether messages of any source are discarded unread."""
         if self._until:
             self._until = {source: until for source, until in self._until.items() if now < until}
         return bool(self._until)
 
     def offend(self, source: str, now: float) -> None:
-        """Note one bad message; the oldest sources are forgotten beyond a fixed number."""
+        """Note one bad message. Beyond a fixed number the oldest sources are forgotten."""
         times = self._offences.pop(source, None) or deque(maxlen=self._most)
         times.append(now)
         if len(times) == self._most and now - times[0] <= self._window:

@@ -1,11 +1,11 @@
-"""Key expressions: the only file that builds or parses them.
+"""Key expressions. No other file builds or parses them.
 
     covey/<run>/hello/<agent>          covey/<run>/gossip/<agent>        covey/<run>/beacon/<column>/<row>/<agent>
     covey/<run>/observation/<agent>    covey/<run>/command/<agent>       covey/<run>/estimate/<agent>
     covey/<run>/truth                  covey/<run>/alive/<role>/<name>/<incarnation>   (a liveliness token)
 
-In an expression `*` stands for one part and `**` for any number of parts. <column>/<row> is the tile of the arena in which
-a beacon is said.
+In an expression `*` stands for one part and `**` for any number of parts. <column>/<row> is the tile of the arena to which a
+beacon is addressed.
 """
 
 import re
@@ -35,7 +35,7 @@ class Key(NamedTuple):
 
 
 class Token(NamedTuple):
-    """Who a liveliness token stands for."""
+    """The participant that a liveliness token stands for."""
 
     run: str
     role: str
@@ -65,12 +65,12 @@ def all_of(run: str, kind: str) -> str:
 
 
 def one_of(run: str, kind: str, name: str) -> str:
-    """The key of one agent's messages of one kind; the expression for its beacons, wherever it says them."""
+    """The key of one agent's messages of one kind; for beacons the expression over all tiles."""
     return f"{ROOT}/{run}/beacon/*/*/{name}" if kind == "beacon" else f"{ROOT}/{run}/{kind}/{name}"
 
 
 def beacons_in(run: str, tile: Tile) -> str:
-    """The expression for the beacons that are said in a tile."""
+    """The expression for the beacons that are addressed to a tile."""
     return f"{ROOT}/{run}/beacon/{tile[0]}/{tile[1]}/*"
 
 
@@ -80,7 +80,7 @@ def token_key(run: str, role: str, name: str, incarnation: int) -> str:
 
 
 def tokens_of(run: str, role: str, name: str) -> str:
-    """The expression for the liveliness tokens of one participant, whatever its incarnation."""
+    """The expression for the liveliness tokens of one participant, of any incarnation."""
     return f"{ROOT}/{run}/alive/{role}/{name}/*"
 
 
@@ -99,7 +99,7 @@ def parse_message_key(text: str) -> Key | None:
     return _parse_message_key(text) if len(text) <= LONGEST else None
 
 
-@lru_cache(maxsize=1 << 15)  # the same keys come in every round, also those of some thousand agents
+@lru_cache(maxsize=1 << 15)  # the same keys return in every round, also with some thousand agents
 def _parse_message_key(text: str) -> Key | None:
     parts = text.split("/")
     if len(parts) == 3 and parts[0] == ROOT and parts[2] == "truth":

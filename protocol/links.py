@@ -1,8 +1,8 @@
-"""Faults of a link: what happens to a payload on its way from one node to another.
+"""Faults of a link: loss, delay, duplication, reordering and corruption of payloads between two nodes.
 
-A *condition* describes one direction between two nodes; a *channel* is that direction with its own random stream, keyed by the run
-seed and the two names, so that a fault on one link changes nobody else's dice. Every message takes the same number of draws: what is
-lost at 10 % is lost at 30 % too.
+A *condition* describes one direction between two nodes. A *channel* is that direction with its own random stream, keyed by the run
+seed and the two names. So a fault on one link changes no draw of another link. Every message takes the same number of draws: a message
+that is lost at 10 % is lost at 30 % too.
 """
 
 import json
@@ -17,13 +17,13 @@ from protocol.streams import key, stream
 
 
 class LinkFaults(Protocol):
-    """A hook on one process's traffic: what happens to a payload on its way, as (delay s, payload) of every copy."""
+    """A hook on the traffic of one process: (delay s, payload) of every copy of a payload."""
 
     def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """Of what this process publishes."""
+        """The copies of a payload that this process publishes."""
 
     def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """Of what arrives at this process."""
+        """The copies of a payload that arrives at this process."""
 
 
 class Condition(Section, frozen=True, kw_only=True):
@@ -39,7 +39,7 @@ class Condition(Section, frozen=True, kw_only=True):
     flip: Fraction = 0.0  # share of the messages that are spoilt: one bit is wrong, or eight bytes are all ones, which is no number
 
 
-AT_ONCE = 8  # messages: numpy takes as long to throw the dice of one as of so many
+AT_ONCE = 8  # messages: numpy takes as long for the draws of one as of so many
 CLEAR = Condition()
 LOST: list[tuple[float, bytes]] = []
 
@@ -49,29 +49,29 @@ class Channel:
 
     def __init__(self, seed: int, sender: str, receiver: str) -> None:
         self._rng = stream(seed, "link", key(sender), key(receiver))
-        self._dice: list[list[float]] = []  # of the next messages, the last first
-        self._bad = False  # Gilbert-Elliott: all is lost while the channel is bad
+        self._dice: list[list[float]] = []  # the draws of the next messages, the last message first
+        self._bad = False  # Gilbert-Elliott: every message is lost while the channel is bad
 
     def copies(self, payload: bytes, condition: Condition) -> list[tuple[float, bytes]]:
-        """(delay s, payload) of every copy that arrives; the very object `payload` where nothing was spoilt."""
+        """(delay s, payload) of every copy that arrives; the same object `payload` unless the copy is corrupt."""
         if condition == CLEAR:
             return [(0.0, payload)]
         lost, jitter, twice, later, held, hold, flip, where = self.throw()
         if self._loses(lost, condition):
             return LOST
         delay = condition.delay + jitter * condition.jitter + (hold * condition.spread if held < condition.reorder else 0.0)
-        arrived = spoilt(payload, where) if flip < condition.flip and payload else payload
+        arrived = corrupted(payload, where) if flip < condition.flip and payload else payload
         copies = [(delay, arrived)]
         return [*copies, (delay + later * condition.spread, arrived)] if twice < condition.duplicate else copies
 
     def throw(self) -> list[float]:
-        """The eight dice of the next message."""
+        """The eight draws of the next message, each in [0, 1)."""
         if not self._dice:
             self._dice = self._rng.random((AT_ONCE, 8)).tolist()[::-1]
         return self._dice.pop()
 
     def _loses(self, draw: float, condition: Condition) -> bool:
-        """Whether this message is lost; with bursts the channel turns bad and good again so that `drop` is lost in the long run."""
+        """Whether this message is lost; with bursts the channel alternates so that the share `drop` is lost in the long run."""
         if condition.burst <= 1.0 or condition.drop in (0.0, 1.0):
             return draw < condition.drop
         recovery = 1.0 / condition.burst
@@ -80,7 +80,7 @@ class Channel:
         return self._bad
 
 
-def spoilt(payload: bytes, where: float) -> bytes:
+def corrupted(payload: bytes, where: float) -> bytes:
     """The payload with a fault at the place `where` in [0, 1): one wrong bit, or in every second case eight bytes of ones (a NaN)."""
     place = where * 8 * len(payload)
     bit, blank = int(place), place % 1.0 < 0.5
@@ -94,23 +94,23 @@ def spoilt(payload: bytes, where: float) -> bytes:
 
 
 class LinkConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How one node hears the others: from whom nothing at all, and the conditions of the links that are not clear."""
+    """The links towards one node: the senders that are cut off, and the conditions of the links that are not clear."""
 
     cut: tuple[str, ...] = ()
     conditions: dict[str, Condition] = {}
 
 
 class Ears:
-    """The links towards one node: what arrives of what the others send."""
+    """The links towards one node, with one channel per sender."""
 
     def __init__(self, seed: int, receiver: str) -> None:
         self._seed, self._receiver = seed, receiver
         self._reception = LinkConditions()
-        self._lossy: dict[str, float] = {}  # who is only ever lost, each message on its own, and how large a share
+        self._lossy: dict[str, float] = {}  # sender -> share of loss, for links with independent loss and no other fault
         self._channels: dict[str, Channel] = {}
 
     def set(self, reception: LinkConditions) -> None:
-        """From now on it hears like this."""
+        """Set the conditions of all links towards this node."""
         self._reception, plain = reception, reception.conditions.items()
         self._lossy = {name: condition.drop for name, condition in plain if condition == Condition(drop=condition.drop) != CLEAR}
 
@@ -127,7 +127,7 @@ class Ears:
         share = self._lossy.get(sender)
         if share is None:
             return channel.copies(payload, condition)
-        return LOST if channel.throw()[0] < share else [(0.0, payload)]  # as `copies`, which asks more
+        return LOST if channel.throw()[0] < share else [(0.0, payload)]  # as `copies`, with fewer tests
 
 
 class LiveLink:
@@ -147,16 +147,16 @@ class LiveLink:
             self._complain(str(error))
 
     def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """Of what this process publishes: everything, at once; the receivers lose what is to be lost."""
+        """The payload itself, without delay: the receivers apply the faults."""
         return [(0.0, payload)]
 
     def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """Of what arrives at this process."""
+        """The copies of a payload that arrives at this process, after the faults of its link."""
         return self._ears.hear(sender_of(key), payload)
 
 
 def sender_of(key: str) -> str:
-    """Who publishes under a key: the name in it, or the world for the truth and for what is addressed to one agent."""
+    """The participant that publishes under a key: the world for the truth and observations, else the name in the key."""
     parts = parse_message_key(key)
     if parts is None:
         return ""
@@ -164,5 +164,5 @@ def sender_of(key: str) -> str:
 
 
 def as_line(reception: LinkConditions) -> str:
-    """A reception as the line that `LiveLink.on_line` reads."""
+    """The conditions as the line that `LiveLink.on_line` reads."""
     return json.dumps({"links": msgspec.to_builtins(reception)})

@@ -1,7 +1,7 @@
-"""The live driver: one node, one process, asyncio and Zenoh. The only file that imports zenoh.
+"""The live driver: one node, one process, asyncio and Zenoh. No other file imports zenoh.
 
-Zenoh's threads only append to the inbox; decoding, the node and its timers run in the event loop. Every message names its Zenoh
-session, so that a sender of garbage is shut out without silencing the agent under whose key it writes.
+Zenoh's threads only append to the inbox. Decoding, the node and its timers run in the event loop. Every message names its Zenoh
+session, so the quarantine excludes a sender of garbage and not the agent of the key.
 """
 
 import asyncio
@@ -36,17 +36,17 @@ from protocol.tokens import ALONE_SECONDS, Tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
-LINGER_SECONDS = 0.5  # between two looks at new sockets; links live for the lease at least
+SO_LINGER_SECONDS = 0.5  # between two passes over new sockets; links live for the lease at least
 RETRY_SECONDS = 0.5  # between attempts to open a session anew
-MOST_TRIES = 4  # on the same port; then on any
-SETTLE_SECONDS = 2.0  # in which a new session sees again whom the old one saw
-SLICE = 64  # messages between two looks at the timers
+MOST_TRIES = 4  # on the same port, then on any port
+SETTLE_SECONDS = 2.0  # in which a new session sees again the tokens that the old one saw
+SLICE = 64  # messages between two passes over the timers
 
 log = logging.getLogger(__name__)
 
 
 def session_config(settings: NetworkSettings, own: keys.Token | None = None) -> zenoh.Config:
-    """The Zenoh configuration of the peer with that token."""
+    """The Zenoh configuration of the participant with that token."""
     config = zenoh.Config()
     for key, value in {**session_values(settings), **secured(settings, own)}.items():
         config.insert_json5(key, json.dumps(value))
@@ -72,7 +72,7 @@ class Driver:
         self._settings = settings
         self._link = link
         self._inbox = Inbox(newest=node.newest_only, patient=node.patient)
-        self._flow = RateLimiter(settings.most_per_second)
+        self._rate_limiter = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
         self._reception = Reception(self._tokens, self.counts)
@@ -81,7 +81,7 @@ class Driver:
         self._wanted: Counter[str] = Counter()  # expression -> how often the node subscribed
         self._subscribers: dict[str, Any] = {}
         self._publishers: dict[str, tuple[Any, Any]] = {}
-        self._declared: list[Any] = []  # Zenoh undeclares what is no longer referenced
+        self._declared: list[Any] = []  # kept, because Zenoh undeclares objects without references
         self._session: zenoh.Session | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at: float | None = None
@@ -97,7 +97,7 @@ class Driver:
         if self._session is None:
             await self.open()
         try:
-            self._let_go()
+            self._clear_so_linger()
             self._declare()
             self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
             self._handle(Started())
@@ -113,14 +113,14 @@ class Driver:
             log.info("stopping: %s", reason)
             self._stopped.set_result(code)
 
-    def _let_go(self) -> None:
-        """See to it that no link that goes dead holds up the others, now and from now on."""
-        self._sockets.let_go()
+    def _clear_so_linger(self) -> None:
+        """Take SO_LINGER off new sockets, now and periodically, so that a dead link does not block the others."""
+        self._sockets.clear_so_linger()
         if not self._stopped.done():
-            self._loop.call_later(LINGER_SECONDS, self._let_go)
+            self._loop.call_later(SO_LINGER_SECONDS, self._clear_so_linger)
 
     def _declare(self) -> None:
-        """Announce the own token and watch everybody's, in this order so that a follower of the token finds us ready."""
+        """Subscribe to the tokens of all participants, then declare the own token: a peer that sees it finds this node ready."""
         assert self._session is not None
         liveliness, everybody = self._session.liveliness(), self._node.sees_all_tokens
         self._declared = [
@@ -129,8 +129,10 @@ class Driver:
         ]
 
     async def _close(self, declared: list[Any] | None = None) -> None:
-        """Close the session, for 2 s at most, in a thread of its own, for asyncio would wait for one of its pool without end; what it
-        has `declared` is let go of afterwards."""
+        """Close the session within `CLOSE_SECONDS`; release the `declared` objects afterwards.
+
+        It takes a thread of its own, because asyncio waits for the threads of its pool without a limit.
+        """
         session, self._session = self._session, None
         if session is None:
             return
@@ -149,7 +151,7 @@ class Driver:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         key, origin = str(sample.key_expr), sample.source_info
-        if self._flow.admits(key, origin, self._loop.time()):
+        if self._rate_limiter.admits(key, origin, self._loop.time()):
             self._arrive(Arrival(key, sample.payload.to_bytes(), origin))
         else:
             self.counts["flooded"] += 1
@@ -169,15 +171,15 @@ class Driver:
         if self._link is None:
             self._receive(arrivals)
         else:
-            self._spoil(self._link, arrivals)
+            self._corrupt(self._link, arrivals)
         if self._inbox.rest(self._node.awaiting):
             self._loop.call_soon(self._drain)
 
-    def _spoil(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
+    def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
         at_once: list[Arrival] = []
         for arrival in arrivals:
-            spoilt = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload)
-            for delay, payload in spoilt:
+            copies = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload)
+            for delay, payload in copies:
                 changed = arrival._replace(payload=payload)
                 if delay > 0.0:
                     self._loop.call_later(delay, self._receive, [changed])
@@ -190,7 +192,7 @@ class Driver:
             self._handle(event)
 
     def _handle(self, event: Event) -> None:
-        """Let the node take an event; an exception in the node ends the process, never only the event."""
+        """Hand the node an event. An exception in the node ends the process."""
         if self._stopped.done():
             return
         try:
@@ -213,13 +215,13 @@ class Driver:
             self.stop(effect.code, effect.reason)
         elif isinstance(effect, Warn):
             log.warning(effect.text)
-        elif isinstance(effect, Reopen) and self._link is None:  # where links are spoilt on purpose silence proves nothing
+        elif isinstance(effect, Reopen) and self._link is None:  # with injected link faults silence proves nothing
             log.warning("opening the session anew: %s", effect.reason)
             if self._reopening is None or self._reopening.done():
                 self._reopening = self._loop.create_task(self._reopen())
 
     async def _reopen(self) -> None:
-        """Leave the network and join it anew, with the same subscriptions; what is sent meanwhile is lost."""
+        """Leave the network and join it again with the same subscriptions; messages sent meanwhile are lost."""
         old = [self._publishers, self._subscribers, self._declared]
         self._publishers, self._subscribers, self._declared = {}, {}, []
         self._tokens.doubt()
@@ -272,15 +274,15 @@ class Driver:
     def _listen(self, expression: str) -> None:
         if self._session is None or expression in self._subscribers:
             return
-        # Zenoh keeps a thread for every callback that is indirect. An agent listens to many single keys, and is never busy for long; others
-        # may be, and hold up the thread of Zenoh that calls them directly.
+        # Zenoh keeps one thread for every indirect callback, and an agent subscribes to many single keys. A direct callback runs in a
+        # thread of Zenoh and must return soon: that of an agent does, those of other roles may not.
         few = self._node.role == "agent" and (keys.is_of_tokens(expression) or "*" not in expression)
         if keys.is_of_tokens(expression):
-            declare, told = self._session.liveliness().declare_subscriber, zenoh.handlers.Callback(self._on_token, indirect=not few)
-            self._subscribers[expression] = declare(expression, told, history=True)
+            declare, callback = self._session.liveliness().declare_subscriber, zenoh.handlers.Callback(self._on_token, indirect=not few)
+            self._subscribers[expression] = declare(expression, callback, history=True)
         else:
-            told = zenoh.handlers.Callback(self._on_sample, indirect=not few)
-            self._subscribers[expression] = self._session.declare_subscriber(expression, told, allowed_origin=zenoh.Locality.REMOTE)
+            callback = zenoh.handlers.Callback(self._on_sample, indirect=not few)
+            self._subscribers[expression] = self._session.declare_subscriber(expression, callback, allowed_origin=zenoh.Locality.REMOTE)
 
     def _unsubscribe(self, expression: str) -> None:
         self._wanted[expression] -= 1
@@ -288,11 +290,11 @@ class Driver:
             del self._wanted[expression]
             if expression in self._subscribers:
                 self._subscribers.pop(expression).undeclare()
-            if keys.is_of_tokens(expression):  # who is asked for again is reported again
+            if keys.is_of_tokens(expression):  # a later subscription reports these tokens again
                 self._tokens.forget(expression)
 
     def _arm(self) -> None:
-        """Set the timer to the node's deadline, in the past: as soon as the loop is free."""
+        """Set the timer to the node's deadline; a deadline in the past fires as soon as the loop is free."""
         deadline = self._node.deadline()
         if deadline == self._timer_at:
             return
@@ -308,7 +310,7 @@ class Driver:
 
     def _fire(self) -> None:
         self._timer = self._timer_at = None
-        for _ in range(1 + len(self._inbox) // SLICE):  # what has come before counts before
+        for _ in range(1 + len(self._inbox) // SLICE):  # earlier arrivals come before the timer
             self._drain()
         self._handle(Timer())
         if self._inbox.rest(self._node.awaiting):
@@ -328,7 +330,7 @@ def run(
     on_line: Callable[[str], None] | None = None,
     link: LinkFaults | None = None,
 ) -> int:
-    """Drive a node until it stops; blocks. The exit code: the node's own, 130 / 143 after SIGINT / SIGTERM or the end of stdin."""
+    """Drive a node until it stops; blocks. Return the node's exit code; 130 after SIGINT, 143 after SIGTERM or the end of stdin."""
     return asyncio.run(_run(node, network, watch_stdin, on_line, link))
 
 

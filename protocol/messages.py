@@ -1,8 +1,8 @@
-"""The messages: frozen msgspec structs, one per kind, that travel as msgpack maps (docs/protocol.md is the page for strangers).
+"""The messages: frozen msgspec structs, one per kind, on the wire as msgpack maps (docs/protocol.md specifies them).
 
-Arrays travel as raw little-endian bytes and are read through properties that return read-only numpy views. A message that can be
-built is well-formed in type and range; what only the context can tell (sender against key, limits of the announced sensor) is
-checked where bytes enter, in `codec` and in the agent. All lengths in m, times in s, angles in rad.
+Arrays are raw little-endian bytes on the wire; properties return read-only numpy views of them. `check` holds the rules of a message
+alone. Rules that need the context are checked elsewhere: the sender against the key in `codec`, the limits of the announced sensor in
+the agent. All lengths in m, times in s, angles in rad.
 """
 
 import math
@@ -55,18 +55,18 @@ TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
 Vector = tuple[float, float]
 Triple = tuple[float, float, float]
 Setting = bool | int | float | str
-Agreed = dict[str, dict[str, Setting]]  # section -> name -> value: what all must have in common (`agreement`)
+Agreed = dict[str, dict[str, Setting]]  # section -> name -> value of the settings on which all agree (`agreement`)
 
 
 def check_sensor(sensor: WedgeSensor | None) -> None:
-    """An announced sensor covers some area: what is divided by it must stay finite."""
+    """Refuse an announced sensor without area: quotients by the area must stay finite."""
     if sensor is not None:
         check_number("sensor.radius", sensor.radius, least=LEAST_RADIUS)
         check_number("sensor.angle", sensor.angle, least=LEAST_ANGLE, most=LARGEST_ANGLE)
 
 
 def check_settings(settings: Agreed) -> None:
-    """Settings are few and finite: names and texts count by their characters, any other value as `VALUE_SIZE`."""
+    """Refuse settings that are too many or not finite; names and texts count their characters, other values `VALUE_SIZE`."""
     size = 0
     for section, values in settings.items():
         size += len(section)
@@ -79,7 +79,7 @@ def check_settings(settings: Agreed) -> None:
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, tag_field="type"):
-    """What every message says of itself."""
+    """The fields of every message."""
 
     sender: Name  # unique in the run, the last part of the key
     incarnation: Count  # grows with every restart under the same name
@@ -90,17 +90,17 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, tag_field="t
 
 
 class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
-    """I am here, this is my sensor, and these are the peers whose Hello I have heard."""
+    """The announcement of a participant: its sensor, its settings, and the peers from which it receives Hellos."""
 
     role: Name = "agent"
     software: str = ""
     sensor_class: str = ""  # a name from the scenario, "A" to "H" for those of the paper
-    sensor: WedgeSensor | None = None  # the numbers of a wedge; None: look the class up in your own scenario
+    sensor: WedgeSensor | None = None  # the numbers of a wedge; None: the receiver looks the class up in its own scenario
     max_speed: float = 0.0  # m/s
     max_turn_rate: float = 0.0  # rad/s
     heard: tuple[str, ...] = ()
-    local: bool = False  # True: I hear the world's Hello alone and know my peers by their beacons
-    settings: Agreed = {}  # what all must have in common, as far as it is said; what is missing is not compared
+    local: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
+    settings: Agreed = {}  # those on which all agree; a setting that is missing is not compared
 
     def check(self) -> None:
         check_number("max_speed", self.max_speed, least=0.0)
@@ -113,20 +113,20 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
 
 
 class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
-    """Where I am and how far I reach, at a low rate: enough to decide whether to listen to my Gossip."""
+    """The position and reach of an agent, at a low rate: enough to decide whether to subscribe to its Gossip."""
 
     tick: Tick
     position: Vector  # of the sensor
     cod: Vector  # centroid of detection
     power_radius: float
     reach: float  # of the footprint, from the position
-    column: TileNumber  # of the tile in which this is said: that of the position, or one whose inhabitants are asked
+    column: TileNumber  # of the tile to which this is addressed: the tile of the position, or one that is asked for beacons
     row: TileNumber
     sensor_class: str = ""  # as in Hello
     sensor: WedgeSensor | None = None  # as in Hello
-    asks: bool = False  # True: whoever hears this, say a beacon soon
-    settings: Count = 0  # hash of all settings that the Hello names; 0: not said
-    widest_reach: float = 0.0  # the largest reach, distance from sensor to COD and power radius of all of whom I know, me included
+    asks: bool = False  # True: every receiver sends a beacon soon
+    settings: Count = 0  # hash of the settings of the Hello; 0: not given
+    widest_reach: float = 0.0  # the largest reach, distance from sensor to COD and power radius of all known agents, the sender included
     widest_offset: float = 0.0
     widest_radius: float = 0.0
 
@@ -152,19 +152,19 @@ _NO_BOX = struct.pack("<4d", math.inf, math.inf, -math.inf, -math.inf)
 
 
 class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
-    """One agent's round: where I am and what I see at `tick`, and what I owned after round `claim_tick`."""
+    """The round of one agent: its pose and scan at `tick`, and its cell and particles after round `claim_tick`."""
 
-    sender: str  # a Name like any sender, which the key says as well, and there it is checked: once, not in every round
+    sender: str  # a Name; checked by comparison with the key, which is parsed once and not in every round
     tick: Tick
     pose: Triple  # x, y, heading
     cod: Vector  # generator of the power cell (14)
     power_radius: float  # g(U) (13)
     unused: float  # U, m^2 (11)
     detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
-    scanned: bool = True  # False: no scan in this tick, which is not an empty scan
+    scanned: bool = True  # False: no scan in this tick, unlike an empty scan
     listening: bool = False  # True: a new incarnation without a cell
     claim_tick: Tick = 0  # stamp of the claim and of the particles
-    claim_names: tuple[str, ...] = ()  # who bounds my cell, myself first; empty: I own nothing
+    claim_names: tuple[str, ...] = ()  # the generators that bound the cell, the sender first; empty: no cell
     claim_bytes: bytes = msgspec.field(name="claim", default=b"")  # (G, 3) float64: their COD x, y and power radius
     view: Count = 0  # hash of all generators from which the claim was cut
     weight: float = 0.0  # of each particle, expected targets
@@ -193,7 +193,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
     @once
     def numbers(self) -> bytes:
-        """What the message says in single numbers, `GOSSIP_NUMBERS` of float64, so that many gossips make a table by joining these."""
+        """The single numbers of the message, `GOSSIP_NUMBERS` of float64; a gossip table joins those of many gossips."""
         (x, y, heading), (east, north) = self.pose, self.cod
         counts = len(self.detections_bytes) // 8, len(self.ids_bytes) // 8
         ahead = math.cos(heading), math.sin(heading)
@@ -201,7 +201,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
     @once
     def box(self) -> bytes:
-        """West, south, east and north of the particles as float64, m; inside out when there are none."""
+        """West, south, east and north of the particles as float64, m; infinite and inverted without particles."""
         if not self.states_bytes:
             return _NO_BOX
         places = self.states[:, :2]
@@ -220,7 +220,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
                 raise Malformed("range", "ids: should be strictly ascending")
 
     def is_plain(self) -> bool:
-        """Whether all is well-formed but for what the arrays hold, which `plain_arrays` proves for many at once; False: ask `check`."""
+        """Whether everything but the contents of the arrays is valid; `plain_arrays` proves those. False: `check` decides."""
         detections, claim, ids = len(self.detections_bytes), len(self.claim_bytes), len(self.ids_bytes)
         return (
             are_plain(self.pose, self.cod, (self.power_radius, self.weight))
@@ -256,24 +256,26 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
 
 def plain_arrays(gossips: list[Gossip]) -> bool:
-    """Whether the arrays of gossips that are plain hold nothing but finite numbers in range and ascending ids, shown for all at once as in
-    `check_rows`; False: ask each."""
+    """Whether one pass proves that the arrays of plain gossips hold finite numbers in range and ascending ids (see `check_rows`).
+
+    False: the `check` of each gossip decides.
+    """
     states = np.frombuffer(b"".join([gossip.states_bytes for gossip in gossips]), F4)
     claims = np.frombuffer(b"".join([gossip.claim_bytes for gossip in gossips]), F8)
     detections = np.frombuffer(b"".join([gossip.detections_bytes for gossip in gossips]), F4)
     if not np.vdot(states, states) + np.vdot(claims, claims) + np.vdot(detections, detections) < 0.5 * FARTHEST**2:
         return False
     ids = np.frombuffer(b"".join([gossip.ids_bytes for gossip in gossips]), U8)
-    falls = (np.flatnonzero(ids[1:] <= ids[:-1]) + 1).tolist()  # none but where the next gossip begins
+    falls = (np.flatnonzero(ids[1:] <= ids[:-1]) + 1).tolist()  # allowed only where the next gossip begins
     return not falls or set(falls).issubset(accumulate([len(gossip.ids_bytes) // 8 for gossip in gossips]))
 
 
 class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observation"):
-    """The world to one agent: where your body is and what your sensor returned at `tick`."""
+    """From the world to one agent: the pose of its body and the detections of its sensor at `tick`."""
 
     recipient: Name
     tick: Tick
-    time: float  # of the world, since its start
+    time: float  # world time since its start
     pose: Triple
     detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
 
@@ -289,7 +291,7 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
 
 
 class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
-    """An agent to the world: how my body shall move until the next tick (1)."""
+    """From an agent to the world: the motion of its body until the next tick (1)."""
 
     tick: Tick
     velocity: Vector  # m/s
@@ -301,21 +303,21 @@ class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
 
 
 class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
-    """For watchers: what I believe after round `tick`, and how I fare."""
+    """From an agent to watchers: its estimate after round `tick`, and its counters."""
 
     tick: Tick
     pose: Triple
     cod: Vector
     power_radius: float
     unused: float
-    load: float = 0.0  # expected targets in my footprint
-    mass: float = 0.0  # expected targets in my cell
+    load: float = 0.0  # expected targets in the footprint
+    mass: float = 0.0  # expected targets in the cell
     cell_bytes: bytes = msgspec.field(name="cell", default=b"")  # (V, 2) float64, counter-clockwise
     targets_bytes: bytes = msgspec.field(name="targets", default=b"")  # (M, 2) float64
     view: Count = 0  # hash of the generators from which the cell was cut
-    neighbours: tuple[str, ...] = ()  # who bounds my cell
+    neighbours: tuple[str, ...] = ()  # the agents that bound the cell
     counters: dict[str, int] = {}  # rounds, late, missing, skipped, rejected.<reason>, heard, ...
-    round_seconds: float = 0.0  # how long the round took; 0 where time is virtual
+    round_seconds: float = 0.0  # duration of the round; 0 in virtual time
 
     @once
     def cell(self) -> np.ndarray:
@@ -343,7 +345,7 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
 
 
 class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
-    """The world to watchers, never to agents: where everything really is at `tick`."""
+    """From the world to watchers, never to agents: the true state of everything at `tick`."""
 
     tick: Tick
     time: float
@@ -352,7 +354,7 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
     bodies: tuple[str, ...] = ()  # every body, in team order
     poses_bytes: bytes = msgspec.field(name="poses", default=b"")  # (B, 3) float64
     in_view: int = 0  # targets inside the field of view of some live agent's body
-    alive: tuple[str, ...] = ()  # whose tokens the world sees
+    alive: tuple[str, ...] = ()  # the agents with a token that the world sees
 
     @once
     def targets(self) -> np.ndarray:

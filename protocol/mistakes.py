@@ -1,4 +1,4 @@
-"""Everything that is wrong with the data of a settings file, not only the first thing."""
+"""All mistakes in the data of a settings file, not only the first one."""
 
 import copy
 import re
@@ -8,12 +8,12 @@ import msgspec
 
 from protocol.settings import explain, fits, locate, part_of
 
-MOST = 50  # mistakes that are told
-PLAIN: tuple[Any, ...] = (1.0, 1, "x", False, {}, [])  # one of them takes the place of what is missing or wrong
+MOST = 50  # mistakes that are reported
+PLAIN: tuple[Any, ...] = (1.0, 1, "x", False, {}, [])  # one of them replaces a missing or wrong value
 
 
 def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str]], dict[str, Any]]:
-    """What is wrong: a line each in the words of the file, and the names that lead there; and data without it that `into` takes."""
+    """The mistakes, a line each in the words of the file; their paths; and the data without them, valid for `into`."""
     found: list[str] = []
     paths: list[list[str]] = []
     rest = copy.deepcopy(data)
@@ -23,7 +23,7 @@ def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str
             return found, paths, rest
         except msgspec.ValidationError as error:
             kind, path, hint = _what(str(error), rest, into)
-            if not any(path[: len(known)] == known for known in paths):  # else it follows from what has been told
+            if not any(path[: len(known)] == known for known in paths):  # else it follows from a mistake that is reported
                 found.append(explain(str(error), rest, into))
                 paths.append(path)
             _mend(rest, kind, path, hint)
@@ -48,7 +48,7 @@ def _what(text: str, data: dict[str, Any], into: type) -> tuple[str, list[str], 
 
 
 def _mend(data: dict[str, Any], kind: str, path: list[str], hint: Any) -> None:
-    """Take the mistake out; what cannot be left out gets some value that is right."""
+    """Remove the mistake; a required field gets some valid value."""
     holder: Any = data
     for step in path[:-1]:
         holder = holder[int(step)] if isinstance(holder, list) else holder[step]
@@ -59,7 +59,7 @@ def _mend(data: dict[str, Any], kind: str, path: list[str], hint: Any) -> None:
 
 
 def _some(hint: Any) -> Any:
-    """A value that is right for a type."""
+    """A valid value of a type."""
     if hasattr(hint, "__struct_fields__"):
         hints = get_type_hints(hint, include_extras=True)
         return {field.encode_name: _some(hints[field.name]) for field in msgspec.structs.fields(hint) if field.required}

@@ -1,8 +1,8 @@
 """The Node: a participant without clock, socket or global random numbers.
 
-A driver (`live` or `virtual`) hands it one event at a time with its own monotonic time `now` in s, carries out the returned
-effects in order, and calls again with `Timer` when `deadline()` has passed. A message is the commonest effect: it is published
-under its key.
+A driver (`live` or `virtual`) hands it one event at a time with its own monotonic time `now` in s. The driver carries out the returned
+effects in order, and hands over a `Timer` when `deadline()` has passed. The commonest effect is a message: it is published under
+its key.
 """
 
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ class Started:
 
 
 class Batch:
-    """Messages of one kind that arrived together, in the order of arrival. It is never changed; what is derived from it is computed once.
+    """Messages of one kind that arrived together, in the order of arrival. A batch is immutable; derived values are computed once.
 
     In virtual time all listeners of the same messages share one batch. A sender that listens to its own kind finds its message in it.
     """
 
     def __init__(self, messages: Sequence[Message], payloads: Sequence[bytes] = ()) -> None:
-        """`payloads`: what was on the wire, for recorders; empty where nothing was."""
+        """`payloads`: the bytes on the wire, for recorders; empty for messages without any."""
         self.messages: tuple[Any, ...] = tuple(messages)  # all of `kind`
         self.payloads = tuple(payloads) or (b"",) * len(self.messages)
 
@@ -46,13 +46,13 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Messages have arrived of which keys, senders and contents have been checked."""
+    """A batch of messages has arrived; keys, senders and contents are checked."""
 
     batch: Batch
 
 
 def received(*messages: Message, payloads: Sequence[bytes] = ()) -> Received:
-    """The event that these messages of one kind have arrived together."""
+    """The event of these messages, all of one kind, as one batch."""
     return Received(Batch(messages, payloads))
 
 
@@ -63,9 +63,9 @@ def messages_of(event: object) -> tuple[Any, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """Bytes that were no valid message; `sender` is the name in the key, `reason` one word for the counters.
+    """Bytes that are no valid message; `sender` is the name in the key, `reason` one word for the counters.
 
-    `key` and `payload` are what was on the wire, for recorders.
+    `key` and `payload` are those on the wire, for recorders.
     """
 
     sender: str
@@ -102,8 +102,11 @@ Event = Started | Received | Rejected | Alive | Gone | Timer
 
 @dataclass(frozen=True, slots=True)
 class Subscribe:
-    """From now on deliver messages whose key lies in `expression`; or `Alive` and `Gone` of the tokens that lie in it (`keys.tokens_of`),
-    first of all those that are there. Only a node that does not see all tokens anyway asks for some."""
+    """Deliver the messages with keys in `expression` from now on.
+
+    For an expression of tokens (`keys.tokens_of`) deliver `Alive` and `Gone`, at first `Alive` for every token that is up. Only a node
+    without `sees_all_tokens` subscribes to tokens.
+    """
 
     expression: str
 
@@ -117,7 +120,7 @@ class Unsubscribe:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Leave the run: 0 when done, 3 when fenced off by a younger incarnation."""
+    """Leave the run with an exit code: 0 when done, 3 when a younger incarnation of the same name is alive."""
 
     code: int
     reason: str
@@ -125,40 +128,40 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Reopen:
-    """Leave the network and join it anew: others hear somebody whom this node does not."""
+    """Leave the network and join it again: this node's session is half open."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Warn:
-    """Something that the user should know; it goes to the log."""
+    """A warning to the user; it goes to the log."""
 
     text: str
 
 
 Effect = Message | Subscribe | Unsubscribe | Stop | Reopen | Warn
-NO_EFFECTS: list[Effect] = []  # this very object as an answer: nothing is to be done, and the deadline is what it was; never to be changed
+NO_EFFECTS: list[Effect] = []  # this object as an answer: no effects, and an unchanged deadline; never modified
 
 
 class Node(Protocol):
-    """What a driver drives. A node inherits from this class, and with it the defaults of what a driver may ask."""
+    """What a driver drives. A node inherits from this class, and thereby the default of each optional member."""
 
     run: str  # name of the run, the second part of every key
     role: str  # agent, world, recorder or monitor
     name: str  # unique in the run
     incarnation: int  # grows with every restart under the same name
-    patient: str = ""  # part of the keys of messages that may wait until `awaiting` of them have come; empty: none may
-    newest_only: str = ""  # part of the keys of messages of which a driver hands over the newest alone when several wait
+    patient: str = ""  # part of the keys of messages that may wait until `awaiting` of them have arrived; empty: none
+    newest_only: str = ""  # part of the keys of messages of which only the newest that waits is handed over
     sees_all_tokens: bool = True  # False: the driver shows only the liveliness tokens to which the node subscribes
 
     @property
     def awaiting(self) -> int:
-        """How many patient messages shall wake the node."""
+        """The number of patient messages that wake the node."""
         return 1
 
     def handle(self, event: Event, now: float) -> list[Effect]:
-        """Take one event and return what to do, in order."""
+        """Take one event and return the effects, in order."""
 
     def deadline(self) -> float | None:
-        """When to be called with `Timer` at the latest, in the time of `now`; None: not at all."""
+        """The time of the next `Timer` event at the latest, in the time of `now`; None: none."""

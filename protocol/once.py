@@ -1,4 +1,4 @@
-"""An attribute that is computed when it is first asked for; functools.cached_property takes a lock for that, which costs more."""
+"""An attribute that is computed at its first use. Unlike functools.cached_property it takes no lock, which costs less."""
 
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar, overload
@@ -7,7 +7,7 @@ T = TypeVar("T")
 
 
 class once(Generic[T]):
-    """Decorator of a method without arguments; its result takes the method's place in the instance."""
+    """Decorator of a method without arguments; the result replaces the method in the instance."""
 
     def __init__(self, method: Callable[[Any], T]) -> None:
         self._method, self._name = method, method.__name__

@@ -1,4 +1,4 @@
-"""What the agent and the world process share: arguments, logs as JSON lines, an end with the parent, exit codes."""
+"""The shared part of the agent and the world process: arguments, logs as JSON lines, the end with the parent, exit codes."""
 
 import argparse
 import contextlib
@@ -30,7 +30,7 @@ Role = TypeVar("Role", bound=Node)
 
 
 class JsonLines(logging.Formatter):
-    """One JSON object per record: time, level, run, agent, message, and whatever the caller put in `extra` (tick, counts)."""
+    """One JSON object per record: time, level, run, agent, message, and the fields of `extra` (tick, counts)."""
 
     def __init__(self, run: str, name: str) -> None:
         super().__init__()
@@ -52,13 +52,13 @@ def log_json_lines(run: str, name: str) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines(run, name))
     logging.basicConfig(level=os.environ.get("COVEY_LOG", "INFO").upper(), handlers=[handler], force=True)
-    logging.raiseExceptions = False  # a log that finds no room ends nothing
+    logging.raiseExceptions = False  # a log that cannot be written ends no process
 
 
 def die_with_parent() -> None:
-    """Ask the kernel to kill this process when its parent dies, and leave at once if the parent is gone already.
+    """Ask the kernel to kill this process when its parent dies; leave at once if the parent is already gone.
 
-    The signal is SIGKILL, which also ends a paused process. The end of stdin tells of a parent that died before the call.
+    The signal is SIGKILL, which also ends a paused process. The end of stdin shows a parent that died before the call.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -69,9 +69,9 @@ def die_with_parent() -> None:
 
 
 def let_others_finish() -> None:
-    """Ask the kernel not to push aside who is running whenever a message wakes this process.
+    """Ask the kernel not to preempt a running process when a message wakes this one.
 
-    In lockstep all wait for all, and a round that is interrupted by another's message finds its data gone from the caches.
+    In lockstep every agent waits for every other, and a round that is interrupted finds its data gone from the caches.
     """
     if hasattr(os, "SCHED_BATCH"):
         with contextlib.suppress(OSError):
@@ -79,7 +79,7 @@ def let_others_finish() -> None:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process now: a Zenoh session that failed to close could hold up the interpreter's own end for ever."""
+    """End the process now: a Zenoh session that failed to close could block the end of the interpreter for ever."""
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
@@ -108,7 +108,7 @@ def arguments(role: str, words: list[str] | None = None) -> argparse.Namespace:
 
 
 def network_of(config: Common, options: argparse.Namespace) -> NetworkSettings:
-    """The network settings with the endpoints of the command line laid over them, and the members admitted."""
+    """The network settings, overridden by the endpoints of the command line; by default the members are admitted."""
     listen = tuple(options.listen) if options.listen else config.network.listen
     seeds = tuple(options.seed_endpoint) if options.seed_endpoint else config.network.seeds
     return msgspec.structs.replace(config.network, listen=listen, seeds=seeds, admit=config.network.admit or tuple(config.members))
@@ -123,14 +123,14 @@ def _with_sensor(config: Config, options: argparse.Namespace) -> Config:
 def main(
     role: str, into: type[Config], build: Callable[[Config, str, int], Role], on_line: Callable[[Role, str], None] | None = None
 ) -> NoReturn:
-    """Be one process: read the configuration, build the node, drive it, leave with its exit code; 2 on bad input.
+    """Run one process: read the configuration, build the node, drive it, leave with its exit code; 2 on bad input.
 
-    `on_line` takes the lines that a parent writes to the standard input; without it they say how links are spoilt.
+    `on_line` takes the lines that a parent writes to the standard input. Without it they set the link faults.
     """
     options = arguments(role)
     if options.supervised:
         die_with_parent()
-    sys.path.append(os.environ.get("COVEY_MODULES", "."))  # where a user's own sensor models and controllers are
+    sys.path.append(os.environ.get("COVEY_MODULES", "."))  # the folder of a user's own sensor models and control laws
     try:
         config = _with_sensor(load(options.config, into), options)
         log_json_lines(config.run.name, options.name)
@@ -142,7 +142,7 @@ def main(
         hear = partial(on_line, node) if on_line else link.on_line if link else None
         code = live.run(node, network_of(config, options), watch_stdin=options.supervised, on_line=hear, link=link)
     except BadSetting as error:
-        if error.__cause__ is not None:  # an error inside a class of the user's own, who wants to know where
+        if error.__cause__ is not None:  # an error inside a class of the user's own: the log shows its traceback
             logging.getLogger(__name__).error("%s", error, exc_info=error.__cause__)
         print(f"{role}: {error}", file=sys.stderr)
         code = 2

@@ -1,6 +1,6 @@
-"""From what has arrived to the events of a node: tokens are noted, bytes decoded, senders of garbage shut out.
+"""From arrivals to the events of a node: tokens are noted, bytes decoded, senders of garbage excluded.
 
-Pure bookkeeping without sockets. Both drivers use `in_batches`; `live` also owns a `Reception`.
+Pure bookkeeping without sockets. Both drivers use `in_batches`. The live driver also owns a `Reception`.
 """
 
 from collections import Counter
@@ -16,14 +16,14 @@ from protocol.tokens import Tokens
 
 
 class Decoded(NamedTuple):
-    """A message that has been checked, and what was on the wire."""
+    """A checked message and its bytes on the wire."""
 
     message: Message
     payload: bytes
 
 
 def read(key: str, payload: bytes, message: Message | Malformed) -> Decoded | Rejected:
-    """What the bytes under a key are, once they have been decoded."""
+    """The decoded message with its bytes, or the event that they are rejected."""
     if isinstance(message, Malformed):
         return Rejected(key.rpartition("/")[2], message.reason, key, payload)
     return Decoded(message, payload)
@@ -50,7 +50,7 @@ def _batch(run: list[Decoded]) -> Received:
 
 
 class Reception:
-    """Reads what comes to one node; `counts` are the driver's, of which received, rejected and quarantined are kept here."""
+    """Reads the arrivals of one node. It keeps the driver's `counts` of received, rejected and quarantined messages."""
 
     def __init__(self, tokens: Tokens, counts: Counter[str]) -> None:
         self._tokens = tokens
@@ -58,9 +58,9 @@ class Reception:
         self._quarantine = Quarantine()
 
     def events(self, arrivals: list[Arrival], now: float) -> Iterator[Event]:
-        """The events in the order of arrival; what comes from a source that is shut out is thrown away unread.
+        """The events in the order of arrival. Messages of a source in quarantine are discarded unread.
 
-        A token is reported once when it appears and once when it vanishes, the own one never. `now` is the driver's, s.
+        A token is reported once when it appears and once when it vanishes, the own token never. `now` is the driver's, s.
         """
         return in_batches(self._read(arrivals, now))
 
@@ -84,7 +84,7 @@ class Reception:
                 yield Decoded(message, arrival.payload)
 
     def _refuse(self, arrival: Arrival, error: Malformed | None, now: float) -> Rejected:
-        """Count what was no message, or was not read; who sends too much of it is shut out."""
+        """Count an arrival that is malformed or unread; too many malformed ones put their source in quarantine."""
         source = arrival.source or arrival.key
         if error is None or self._quarantine.holds(source, now):
             self._counts["quarantined"] += 1

@@ -1,4 +1,4 @@
-"""Who has subscribed to a key: an index of expressions, so that a message costs what its listeners cost, however many others there are."""
+"""The index of subscriptions: the listeners of a key, found in a time that does not grow with the number of other listeners."""
 
 from bisect import bisect_left
 from collections.abc import Callable
@@ -12,19 +12,19 @@ T = TypeVar("T")
 class Routes(Generic[T]):
     """Listeners by key expression; `order` sorts the listeners of one key.
 
-    Most expressions are a key, or a parent and one `*` behind it; these are looked up. The few others are compared with every new key.
+    Most expressions are a key, or a parent with one `*` behind it: these are looked up. The others are compared with every new key.
     """
 
     def __init__(self, order: Callable[[T], int]) -> None:
         self._order = order
         self._exact: dict[str, dict[T, None]] = {}  # by key
         self._below: dict[str, dict[T, None]] = {}  # by parent
-        self._in_order: dict[str, list[T]] = {}  # those below a parent, in order; a list is replaced, never changed
+        self._in_order: dict[str, list[T]] = {}  # listeners below a parent, in order; a list is replaced, never modified
         self._other: dict[str, dict[T, None]] = {}  # by expression
-        self._found: dict[str, dict[str, list[T]]] = {}  # what has been looked up, by parent and key
+        self._found: dict[str, dict[str, list[T]]] = {}  # results of earlier look-ups, by parent and key
 
     def add(self, expression: str, listener: T) -> None:
-        """Someone listens to an expression."""
+        """Add a listener to an expression."""
         table, place = self._table(expression)
         table.setdefault(place, {})[listener] = None
         if table is self._below:
@@ -36,7 +36,7 @@ class Routes(Generic[T]):
             known[place] = self._with(known[place], listener)
 
     def remove(self, expression: str, listener: T) -> None:
-        """Someone listens to it no longer."""
+        """Remove a listener from an expression."""
         table, place = self._table(expression)
         del table[place][listener]
         if not table[place]:
@@ -60,7 +60,7 @@ class Routes(Generic[T]):
         return [*listeners[:at], *listeners[at + 1 :]]
 
     def listeners(self, key: str) -> list[T]:
-        """Who listens to a key, in order; not to be changed."""
+        """The listeners of a key, in order; not to be modified."""
         parent = key.rpartition("/")[0]
         if not self._other and key not in self._exact:
             return self._in_order.get(parent, [])
@@ -79,7 +79,7 @@ class Routes(Generic[T]):
         return (self._below, parent) if last == "*" and "*" not in parent else (self._other, expression)
 
     def _looked_up(self, table: dict[str, dict[T, None]], place: str) -> dict[str, list[T]] | None:
-        """Where the listeners of a key stand that are all known and change by one; None: they must be looked up anew."""
+        """The table that holds the known listeners of a key, of which one is to change; None: they must be looked up again."""
         known = self._found.get(place.rpartition("/")[0], {}) if table is self._exact and not self._other else {}
         return known if place in known else None
 

@@ -1,7 +1,7 @@
 """The sensing contract and the sensors of the paper.
 
-A *sensor model* is any object with the four members of `SensorModel`. A *pose* is (x m, y m, heading rad). Wedge sensors carry
-their numbers with them, so a peer can announce one on the wire; other models are named in the scenario as `module:Class`.
+A *sensor model* is any object with the four members of `SensorModel`. A *pose* is (x m, y m, heading rad). A peer announces a wedge
+sensor on the wire by its numbers. A scenario names other models as `module:Class`.
 """
 
 import math
@@ -17,14 +17,14 @@ Pose = tuple[float, float, float]
 
 @runtime_checkable
 class SensorModel(Protocol):
-    """What the swarm needs to know of a sensor; time-invariant, shape and falloff are free (paper, section III).
+    """What the swarm needs to know of a sensor. It is time-invariant; shape and falloff are free (paper, section III).
 
-    It keeps nothing between two calls: in a simulation one object serves all agents of its class.
+    It keeps no state between two calls: in a simulation one object serves all agents of its class.
     """
 
     @property
     def reach(self) -> float:
-        """No point farther than this from the sensor, m, is ever detected."""
+        """The greatest distance at which a point can be detected, m."""
 
     @property
     def area(self) -> float:
@@ -34,7 +34,7 @@ class SensorModel(Protocol):
         """Detection probability p_d of targets at points (N, 2): (N,), 0 outside the footprint."""
 
     def footprint(self, pose: Pose) -> np.ndarray:
-        """Outline of the field of view (V, 2), counter-clockwise; need not be convex."""
+        """Outline of the field of view (V, 2), counter-clockwise; it need not be convex."""
 
 
 _SLIT = 1e-9  # rad
@@ -65,7 +65,7 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def cos_half_angle(self) -> float:
-        """Cosine of half the viewing angle; below -1 for a full disc, so that rounding cuts no ray out of it."""
+        """Cosine of half the viewing angle; below -1 for a full disc, so that rounding excludes no point."""
         return math.cos(self.angle / 2.0) if self.angle < 2.0 * math.pi else -2.0
 
     def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
@@ -77,8 +77,10 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True):
         return np.where(inside, self.prob_detection, 0.0)
 
     def footprint(self, pose: Pose) -> np.ndarray:
-        """The outline with an arc point about every 5 degrees (V, 2); a full disc has no apex, nor one that lacks a slit no wider than
-        rounding, whose sides would cross."""
+        """The outline with an arc point about every 5 degrees (V, 2).
+
+        A full disc has no apex. Neither has a disc with a slit as narrow as rounding: the sides of the slit would cross.
+        """
         steps = max(2, math.ceil(self.angle / math.radians(5.0)))
         bearings = pose[2] + np.linspace(-self.angle / 2.0, self.angle / 2.0, steps + 1)
         arc = np.column_stack([pose[0] + self.radius * np.cos(bearings), pose[1] + self.radius * np.sin(bearings)])
@@ -86,7 +88,7 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True):
 
 
 def wedge_probabilities(sensors: Sequence[WedgeSensor], poses: Sequence[Pose], who: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """p_d (P,) of the points (P, 2), each for the sensor whose index stands in `who` (P,): bit for bit as by `probability`, all at once."""
+    """p_d (P,) of the points (P, 2), each for the sensor of its index in `who` (P,); the bits are those of `probability`."""
     facts = np.array(
         [
             (x, y, math.cos(heading), math.sin(heading), one.radius * one.radius, one.cos_half_angle, one.prob_detection)

@@ -85,7 +85,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
     parameters: dict[str, Any] = {}
 
     def build(self, paper: WedgeSensor | None = None) -> SensorModel:
-        """The sensor, given the one of this name in the paper, if there is one; raises ValueError or ImportError with what is wrong."""
+        """The sensor; `paper`: the sensor of this name in the paper, if any. Raises ValueError or ImportError naming the mistake."""
         if self.model == "wedge":
             if paper is None:
                 if self.angle is None or self.radius is None:
@@ -138,7 +138,7 @@ class NetworkSettings(Section, frozen=True, kw_only=True):
 
 
 class Common(msgspec.Struct, frozen=True, kw_only=True):
-    """The sections that every process of a run needs; other sections are somebody else's."""
+    """The sections that every process of a run needs."""
 
     run: RunSettings = RunSettings()
     arena: ArenaSettings = ArenaSettings()
@@ -155,7 +155,7 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def load_named(name: str) -> Any:
-    """The object that `module:Name` names; raises ValueError or ImportError with what is wrong."""
+    """The object that `module:Name` names; raises ValueError or ImportError naming the mistake."""
     module, colon, attribute = name.partition(":")
     if not colon or not module or module.startswith("."):
         raise ValueError(f"{name!r} should read module:Name")
@@ -163,7 +163,7 @@ def load_named(name: str) -> Any:
         found = importlib.import_module(module)
     except ImportError:
         raise
-    except (Exception, SystemExit) as error:  # whatever a module does while it is imported
+    except (Exception, SystemExit) as error:  # any error that the import of a user's module raises
         where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         raise ValueError(
             f"module {module} cannot be imported: {type(error).__name__}: {error.args[0] if error.args else ''}{where}"
@@ -173,7 +173,7 @@ def load_named(name: str) -> Any:
     return getattr(found, attribute)
 
 
-_BUILT: dict[int, tuple[SensorSettings, SensorModel]] = {}  # one model serves all who have these settings in common, by their id
+_BUILT: dict[int, tuple[SensorSettings, SensorModel]] = {}  # settings by their id -> settings and model; equal settings share one model
 _MOST_BUILT = 256
 
 

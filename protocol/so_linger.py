@@ -1,8 +1,8 @@
-"""Sockets that close at once: Zenoh's would freeze the whole process for 10 s for every link that has gone dead.
+"""Sockets without SO_LINGER, so that the close of a dead link does not block the process for 10 s.
 
-Zenoh gives each TCP and TLS socket SO_LINGER of 10 s, which cannot be configured (zenoh issues 1101 and 2350). When the way to a peer is
-cut, the link's lease runs out, and close() holds up the thread that serves all other links until the unsent data is acknowledged,
-which it never is. So the option is taken off again, as soon as a socket is there and well before its lease can run out. Linux only.
+Zenoh sets SO_LINGER of 10 s on each TCP and TLS socket, which cannot be configured (zenoh issues 1101 and 2350). When the path to a
+peer is cut, the lease of the link runs out. Then close() blocks the thread that serves all other links, until the unsent data is
+acknowledged, which never happens. So the option is taken off every new socket, well before its lease can run out. Linux only.
 """
 
 import contextlib
@@ -15,28 +15,28 @@ OFF = struct.pack("ii", 0, 0)
 
 
 class Sockets:
-    """The sockets of this process whose option has been taken off. One that has been seen without it may be so new that it gets it yet."""
+    """The sockets of this process without the option. A new socket that lacks it may get it later, so it is examined again."""
 
     def __init__(self) -> None:
         self._done: set[str] = set()  # "socket:[inode]"
 
-    def let_go(self) -> int:
-        """Take SO_LINGER off every socket of which that has not been done yet; of how many."""
+    def clear_so_linger(self) -> int:
+        """Take SO_LINGER off every new socket; return the number of sockets that had it."""
         there, changed = set(), set()
-        with contextlib.suppress(OSError):  # there is no such folder elsewhere
+        with contextlib.suppress(OSError):  # the folder exists on Linux alone
             for number in os.listdir(FOLDER):
                 with contextlib.suppress(OSError):  # closed meanwhile
                     name = os.readlink(f"{FOLDER}/{number}")
                     if name.startswith("socket:"):
                         there.add(name)
-                        if name not in self._done and _let_go(int(number)):
+                        if name not in self._done and _clear_so_linger(int(number)):
                             changed.add(name)
         self._done = (self._done & there) | changed
         return len(changed)
 
 
-def _let_go(descriptor: int) -> bool:
-    """Take SO_LINGER off one socket; whether it was on."""
+def _clear_so_linger(descriptor: int) -> bool:
+    """Take SO_LINGER off one socket; True if it was on."""
     with socket.socket(fileno=os.dup(descriptor)) as other:
         on, _ = struct.unpack("ii", other.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))
         if on:

@@ -1,4 +1,4 @@
-"""Standard input of a supervised process: lines from its parent, and an end that says that the parent is gone."""
+"""Standard input of a supervised process: lines from its parent, and an end when the parent is gone."""
 
 import asyncio
 import os
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 
 def follow_stdin(stop: Callable[[int, str], None], on_line: Callable[[str], None] | None) -> None:
-    """In the running event loop, hand lines to `on_line`, and call `stop` with an exit code and a reason when stdin ends."""
+    """Read stdin in the running event loop: hand lines to `on_line`; at its end call `stop` with an exit code and a reason."""
     loop, pending = asyncio.get_running_loop(), b""
 
     def read() -> None:

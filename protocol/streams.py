@@ -1,8 +1,8 @@
 """Random streams by purpose: every draw is keyed by (run seed, purpose, indices), never by the order of calls.
 
-Two kinds live here. `stream` returns a numpy Generator for things that are drawn in sequence (target tracks, start poses).
-`key`, `scramble`, `uniform` and `normal` are counter-based: pure functions of integers, vectorised, made of integer operations
-and exact floating-point steps only, so that every process and every machine computes the same bits.
+There are two kinds. `stream` returns a numpy Generator for values that are drawn in sequence (target tracks, start poses).
+`key`, `scramble`, `uniform` and `normal` are counter-based: pure functions of integers, vectorised. They consist of integer operations
+and exact floating-point steps only, so every process and every machine computes the same bits.
 """
 
 import math
@@ -23,7 +23,7 @@ def _mix(word: int) -> int:
     return word ^ (word >> 31)
 
 
-@lru_cache(maxsize=128)  # in a simulation all agents ask for those of a tick; more would only be kept
+@lru_cache(maxsize=128)  # in a simulation all agents use the keys of the same tick; older keys are not needed
 def key(*parts: int | str) -> int:
     """The 64-bit key of a tuple of integers and words: the same tuple, the same key, on every machine."""
     word = _GOLDEN
@@ -52,7 +52,7 @@ def uniform(bits: np.ndarray) -> np.ndarray:
     return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
-NORMAL_BOUND = 2.0 * math.sqrt(3.0)  # no variate of `normal` is farther out than this, which keeps prediction local
+NORMAL_BOUND = 2.0 * math.sqrt(3.0)  # bound of |normal|, which keeps prediction local
 
 
 def normal(bits: np.ndarray) -> np.ndarray:

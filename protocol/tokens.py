@@ -1,4 +1,4 @@
-"""Which liveliness tokens are up, so that a node is told of each once when it appears and once when it vanishes."""
+"""The liveliness tokens that are up: a node gets one event when a token appears and one when it vanishes."""
 
 import logging
 from collections.abc import Iterable
@@ -6,13 +6,13 @@ from collections.abc import Iterable
 from protocol.keys import Token, matches, parse_token, token_key
 from protocol.node import Alive, Gone
 
-ALONE_SECONDS = 10.0  # after which a process that has met nobody says where to look
+ALONE_SECONDS = 10.0  # after which a process that sees no token logs a warning
 
 log = logging.getLogger(__name__)
 
 
 class Tokens:
-    """The tokens that a session has seen, the own one excepted."""
+    """The tokens that a session has seen, without the own one."""
 
     def __init__(self, own: Token) -> None:
         self._own = own
@@ -20,7 +20,7 @@ class Tokens:
         self._doubtful: set[Token] = set()  # seen by an earlier session, not yet by this one
 
     def see(self, key: str, up: bool) -> Alive | Gone | None:
-        """What to tell the node when a token has appeared or vanished; None: nothing new."""
+        """The event for a token that has appeared or vanished; None: no news."""
         token = parse_token(key)
         if token is None or token == self._own:
             return None
@@ -34,22 +34,22 @@ class Tokens:
         return Gone(token.role, token.name, token.incarnation)
 
     def forget(self, expression: str) -> None:
-        """Nobody asks for these any more; whoever asks again is told again."""
+        """Forget the tokens of a subscription that has ended; a later one reports them again."""
         self._up = {token for token in self._up if not matches(expression, token_key(*token))}
         self._doubtful &= self._up
 
     def doubt(self) -> None:
-        """The session has been closed: what it saw is to be seen again."""
+        """Note that the session was closed: its tokens must be seen again by the next session."""
         self._doubtful = set(self._up)
 
     def lost(self) -> list[Gone]:
-        """What to tell the node of the tokens that have not been seen again."""
+        """The events for the tokens that the new session has not seen again."""
         lost, self._doubtful = sorted(self._doubtful), set()
         self._up -= set(lost)
         return [Gone(token.role, token.name, token.incarnation) for token in lost]
 
     def warn_if_alone(self, seeds: Iterable[str]) -> None:
-        """Say what to look at when nobody has appeared: a session that is refused opens all the same."""
+        """Log what to check when no token has appeared: a session that every peer refuses opens all the same."""
         if not self._up and seeds:
             where = ", ".join(seeds)
             log.warning("nobody has appeared in %g s: does anybody listen at %s, in run %s?", ALONE_SECONDS, where, self._own.run)

@@ -7,13 +7,13 @@ from protocol.settings import NetworkSettings
 
 
 def session_values(settings: NetworkSettings) -> dict[str, Any]:
-    """Zenoh's settings for a peer, by key; why each value is what it is stands in docs/protocol.md."""
+    """Zenoh's settings for a peer, by key; docs/protocol.md gives the reason for each value."""
     return {
         "mode": settings.mode,
         "listen/endpoints": settings.listen if settings.mode != "client" else (),
         "listen/exit_on_failure": True,
         "connect/endpoints": settings.seeds,
-        "connect/timeout_ms": -1,  # 0 would miss a seed that restarts
+        "connect/timeout_ms": -1,  # with 0 a seed that restarts would be missed
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
@@ -21,7 +21,7 @@ def session_values(settings: NetworkSettings) -> dict[str, Any]:
         "scouting/gossip/autoconnect_strategy": {"peer": {"to_peer": "greater-zid", "to_router": "always"}},
         "transport/link/tx/lease": round(1000.0 * settings.lease),
         "transport/link/tx/keep_alive": 4,
-        "transport/link/tx/queue/size/data": 16,  # of 64 kB: what all say in a round comes to everybody within a moment
+        "transport/link/tx/queue/size/data": 16,  # of 64 kB: the messages of a round arrive almost at once
         "transport/link/rx/max_message_size": MAX_BYTES,
         "transport/unicast/open_timeout": 60000,
         "transport/unicast/accept_timeout": 60000,

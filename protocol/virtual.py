@@ -1,8 +1,9 @@
 """The virtual driver: many nodes in one process and in virtual time, on a bus of events.
 
-Events of one instant are delivered first come, first served, but what is said to many after all others, that of a listener together;
-time moves on only when none is left. The real bytes travel: each message is encoded and decoded once. A `Link` may drop, delay, copy or
-spoil them per receiver. Nodes can be stopped, slowed down, started twice under one name, and given clocks that jump.
+Events of one instant are delivered in the order of their creation. Gossips, beacons and Hellos come after all other events, and each
+receiver takes its own in batches. Time advances only when no event of the instant is left. Each message is encoded and decoded
+once, as real bytes. A `Link` may drop, delay, copy or corrupt them per receiver. Nodes can be stopped, slowed down, started twice under
+one name, and given clocks that jump.
 """
 
 import heapq
@@ -21,19 +22,19 @@ from protocol.routes import Routes
 
 
 class Link(Protocol):
-    """What lies between two nodes."""
+    """The faults between two nodes."""
 
     def carry(self, sender: str, receiver: str, key: str, payload: bytes, now: float) -> Sequence[tuple[float, bytes]]:
-        """(delay s, payload) of each copy that arrives; the very object `payload` where nothing was spoilt."""
+        """(delay s, payload) of each copy that arrives; the same object `payload` unless the copy is corrupt."""
 
 
 class _Done:
-    """A slow node has finished its work."""
+    """The event that a slow node has finished its work."""
 
 
 @dataclass
 class _Call:
-    """A function whose time has come."""
+    """The event that a function is due."""
 
     function: Callable[[], None]
 
@@ -45,97 +46,99 @@ class VirtualBus:
     """Drives nodes in virtual time; `now` is in s."""
 
     def __init__(self, *, link: Link | None = None, pace: float = 0.0) -> None:
-        """`pace`: how long every Command is on its way, s, so that time passes in a world that waits for nothing else."""
+        """`pace`: the delay of every Command, s, so that time passes in a world that waits for nothing else."""
         self.now = 0.0
-        self.stopped: dict[str, Stop] = {}  # who left by itself, and why
+        self.stopped: dict[str, Stop] = {}  # label -> reason, of nodes that left by themselves
         self.messages = 0  # published
         self.deliveries = 0
         self.bytes = 0  # published
-        self.tap: Callable[[Node, Event], None] | None = None  # called when a node has taken an event
-        self.batches = True  # messages that come in one instant are handed over together; False: one by one, for comparison
+        self.tap: Callable[[Node, Event], None] | None = None  # called after a node has taken an event
+        self.batches = True  # messages of one instant are handed over together; False: one by one, for comparison
         self._link = link
         self._pace = pace
-        self._seats: dict[str, BusEndpoint] = {}
+        self._endpoints: dict[str, BusEndpoint] = {}
         self._ready: deque[_Entry] = deque()
-        self._boxed: list[BusEndpoint] = []  # whose box may hold something
+        self._boxed: list[BusEndpoint] = []  # endpoints with a box that may hold messages
         self._later: list[tuple[float, int, _Entry]] = []
         self._sequence = 0
         self._routes: Routes[BusEndpoint] = Routes(place_of)  # of messages
-        self._all_seeing: dict[BusEndpoint, None] = {}  # who sees every token
-        self._holders: dict[str, dict[BusEndpoint, None]] = {}  # of tokens, by role and name
-        self._watchers: Routes[BusEndpoint] = Routes(place_of)  # of tokens, by those who do not see all of them
+        self._all_seeing: dict[BusEndpoint, None] = {}  # endpoints that see every token
+        self._holders: dict[str, dict[BusEndpoint, None]] = {}  # endpoints by role and name, as part of the token key
+        self._watchers: Routes[BusEndpoint] = Routes(place_of)  # of tokens, for endpoints that do not see all of them
 
     def nodes(self) -> list[str]:
         """Labels of the nodes on the bus, paused ones included."""
-        return list(self._seats)
+        return list(self._endpoints)
 
     def add(self, node: Node, label: str | None = None) -> None:
-        """Start a node: it and the others see each other's liveliness tokens. Only a second node of a name needs a label of its own."""
+        """Start a node: it and the others see each other's liveliness tokens. Only a second node of the same name needs a label."""
         label = node.name if label is None else label
-        if label in self._seats:
+        if label in self._endpoints:
             raise ValueError(f"{label} is on the bus already")
         self._sequence += 1
-        seat = self._seats[label] = BusEndpoint(node, self._sequence)
-        self._ready.append((seat, Started()))
-        self._holders.setdefault(_parent(seat.token), {})[seat] = None
-        if seat.node.sees_all_tokens:
-            self._all_seeing[seat] = None
-        watching = self._watching(seat.token)
-        for other in self._seats.values() if seat.node.sees_all_tokens else watching:
-            if other is not seat:
-                if seat.node.sees_all_tokens:
-                    self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
+        endpoint = self._endpoints[label] = BusEndpoint(node, self._sequence)
+        self._ready.append((endpoint, Started()))
+        self._holders.setdefault(_parent(endpoint.token), {})[endpoint] = None
+        if endpoint.node.sees_all_tokens:
+            self._all_seeing[endpoint] = None
+        watching = self._watching(endpoint.token)
+        for other in self._endpoints.values() if endpoint.node.sees_all_tokens else watching:
+            if other is not endpoint:
+                if endpoint.node.sees_all_tokens:
+                    self._ready.append((endpoint, Alive(other.node.role, other.node.name, other.node.incarnation)))
                 if other in watching:
                     self._ready.append((other, Alive(node.role, node.name, node.incarnation)))
 
     def remove(self, name: str, *, notice_after: float | None = 0.0) -> Node:
-        """Kill a node: it vanishes; the others see its token go after `notice_after` s (None: never)."""
-        seat = self._seats.pop(name)
-        seat.paused, seat.waiting = True, []
-        self._all_seeing.pop(seat, None)
-        del self._holders[_parent(seat.token)][seat]
-        for expression in seat.expressions:
-            (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, seat)
+        """Kill a node: the others see its token vanish after `notice_after` s (None: never)."""
+        endpoint = self._endpoints.pop(name)
+        endpoint.paused, endpoint.waiting = True, []
+        self._all_seeing.pop(endpoint, None)
+        del self._holders[_parent(endpoint.token)][endpoint]
+        for expression in endpoint.expressions:
+            (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, endpoint)
         if notice_after is not None:
-            self.announce(Gone(seat.node.role, seat.node.name, seat.node.incarnation), notice_after)
-        return seat.node
+            self.announce(Gone(endpoint.node.role, endpoint.node.name, endpoint.node.incarnation), notice_after)
+        return endpoint.node
 
     def announce(self, event: Alive | Gone, delay: float = 0.0, to: Iterable[str] | None = None) -> None:
-        """Let nodes (all but the subject, or those named) see a token appear or vanish, if they look for it."""
-        named = {self._seats[label] for label in to if label in self._seats} if to is not None else self._seats.values()
-        for seat in sorted(named, key=place_of):
-            subject = (seat.node.name, seat.node.incarnation) == (event.name, event.incarnation)
-            if not subject and (seat.node.sees_all_tokens or tokens_of(seat.node.run, event.role, event.name) in seat.expressions):
-                self._schedule(seat, event, delay)
+        """Show a token that appears or vanishes to all nodes but the subject, or to those named, if they subscribe to it."""
+        named = {self._endpoints[label] for label in to if label in self._endpoints} if to is not None else self._endpoints.values()
+        for endpoint in sorted(named, key=place_of):
+            subject = (endpoint.node.name, endpoint.node.incarnation) == (event.name, event.incarnation)
+            if not subject and (
+                endpoint.node.sees_all_tokens or tokens_of(endpoint.node.run, event.role, event.name) in endpoint.expressions
+            ):
+                self._schedule(endpoint, event, delay)
 
     def pause(self, name: str) -> None:
-        """Stop a node in its tracks (SIGSTOP); what arrives is kept."""
-        self._seats[name].paused = True
+        """Pause a node (SIGSTOP); its arrivals are kept."""
+        self._endpoints[name].paused = True
 
     def resume(self, name: str) -> None:
-        """Let a paused node go on; it finds all that has arrived."""
-        seat = self._seats[name]
-        seat.paused = False
-        self._wake(seat)
+        """Resume a paused node (SIGCONT); it takes the arrivals that were kept."""
+        endpoint = self._endpoints[name]
+        endpoint.paused = False
+        self._wake(endpoint)
 
     def jump(self, name: str, seconds: float) -> None:
-        """Set a node's clock forward or back; what it has set its timer to stays."""
-        self._seats[name].clock += seconds
-        self._seats[name].armed = None
+        """Set a node's clock forward or back; its timer stays."""
+        self._endpoints[name].clock += seconds
+        self._endpoints[name].armed = None
 
     def slow(self, name: str, seconds: float) -> None:
-        """From now on a node takes `seconds` of work over every observation and looks at nothing else meanwhile; 0: none."""
-        self._seats[name].work = seconds
+        """Let a node work for `seconds` on every observation and take no other event meanwhile; 0: no work."""
+        self._endpoints[name].work = seconds
 
-    def _wake(self, seat: BusEndpoint) -> None:
-        """Hand a node what has waited for it; of observations the newest only, for nobody works off a queue of them."""
-        if seat.paused or seat.at_work:
+    def _wake(self, endpoint: BusEndpoint) -> None:
+        """Hand a node the events that waited, of observations only the newest."""
+        if endpoint.paused or endpoint.at_work:
             return
-        self._ready.extendleft((seat, event) for event in reversed(seat.catch_up()))
-        self._rearm(seat)
+        self._ready.extendleft((endpoint, event) for event in reversed(endpoint.catch_up()))
+        self._rearm(endpoint)
 
     def run(self, until: float) -> None:
-        """Deliver everything that is due up to the time `until`, which is then the time."""
+        """Deliver all events up to the time `until`, and set the time to it."""
         while self.step(until):
             pass
         self.now = max(self.now, until)
@@ -161,67 +164,67 @@ class VirtualBus:
         return True
 
     def _deliver(self, delivery: Delivery) -> None:
-        """Bring a message to all its listeners; what is said to many goes into their boxes."""
+        """Hand a message to all its listeners; those of kinds in `TO_MANY` go into their boxes."""
         if delivery.kind not in TO_MANY:
             for event in in_batches([delivery.item]):
-                for seat in delivery.listeners:
-                    if seat is not delivery.sender:
-                        self._hand(seat, event)
+                for endpoint in delivery.listeners:
+                    if endpoint is not delivery.sender:
+                        self._hand(endpoint, event)
             return
         run = delivery.with_followers(self._ready) if self.batches else MessageRun(delivery.sender, delivery.item)
-        for seat in delivery.listeners:
-            if len(run.items) > 1 or seat is not delivery.sender:
-                if not seat.box:
-                    self._boxed.append(seat)
-                seat.box.append(run)
+        for endpoint in delivery.listeners:
+            if len(run.items) > 1 or endpoint is not delivery.sender:
+                if not endpoint.box:
+                    self._boxed.append(endpoint)
+                endpoint.box.append(run)
 
     def _empty_boxes(self) -> None:
-        """Nothing else is left of this instant: let everybody take what has come, one listener after the other.
+        """Hand every listener the messages of its box, one listener after the other; no other event of this instant is left.
 
-        With all that a node has heard in hand at once it is not fetched into the caches of the machine anew for every message.
+        A node that takes all its messages in a row is fetched into the processor's caches once, not for every message.
         """
-        seats, self._boxed = self._boxed, []
-        for seat in seats:
-            self._empty(seat)
+        endpoints, self._boxed = self._boxed, []
+        for endpoint in endpoints:
+            self._empty(endpoint)
 
-    def _empty(self, seat: BusEndpoint) -> None:
+    def _empty(self, endpoint: BusEndpoint) -> None:
         if self.batches:
-            events = seat.empty_box()
+            events = endpoint.empty_box()
         else:
-            events = [event for run in seat.box for event in in_batches(run.without(seat))]
-            seat.box = []
+            events = [event for run in endpoint.box for event in in_batches(run.without(endpoint))]
+            endpoint.box = []
         for event in events:
-            self._hand(seat, event)
+            self._hand(endpoint, event)
 
-    def _hand(self, seat: BusEndpoint, event: Event) -> None:
-        """Let a node take an event, or keep it until the node can."""
-        if seat.box:
-            self._empty(seat)
-        if seat.paused or seat.at_work:
+    def _hand(self, endpoint: BusEndpoint, event: Event) -> None:
+        """Hand a node an event, or keep the event while the node is paused or at work."""
+        if endpoint.box:
+            self._empty(endpoint)
+        if endpoint.paused or endpoint.at_work:
             if not isinstance(event, Timer):
-                seat.waiting.append(event)
+                endpoint.waiting.append(event)
             return
-        effects = seat.handle(event, self._time_of(seat) if seat.clock else self.now)
+        effects = endpoint.handle(event, self._time_of(endpoint) if endpoint.clock else self.now)
         for effect in effects:
-            self._carry_out(seat, effect)
+            self._carry_out(endpoint, effect)
         if self.tap is not None:
-            self.tap(seat.node, event)
-        if effects is NO_EFFECTS and seat.armed is not None:
+            self.tap(endpoint.node, event)
+        if effects is NO_EFFECTS and endpoint.armed is not None:
             return
-        if seat.work > 0.0 and is_observation(event):
-            seat.at_work = True
-            self._schedule(seat, _Done(), seat.work)
-        elif seat.deadline() != seat.armed:
-            self._rearm(seat)
+        if endpoint.work > 0.0 and is_observation(event):
+            endpoint.at_work = True
+            self._schedule(endpoint, _Done(), endpoint.work)
+        elif endpoint.deadline() != endpoint.armed:
+            self._rearm(endpoint)
 
-    def _time_of(self, seat: BusEndpoint) -> float:
-        """What a node's clock shows; never just short of its deadline by rounding, or its timer would fire for ever."""
-        now = self.now + seat.clock
-        due = seat.node.deadline() if seat.clock else None
+    def _time_of(self, endpoint: BusEndpoint) -> float:
+        """The time of a node's clock; rounded up to a deadline within 1 us, because its timer would fire for ever otherwise."""
+        now = self.now + endpoint.clock
+        due = endpoint.node.deadline() if endpoint.clock else None
         return due if due is not None and 0.0 < due - now < 1e-6 else now
 
     def _advance(self, until: float) -> bool:
-        while self._later and self._later[0][0] <= (self.now if self._ready else until):  # what is ready comes before a later time
+        while self._later and self._later[0][0] <= (self.now if self._ready else until):  # ready events come before a later time
             time, _, entry = heapq.heappop(self._later)
             if isinstance(entry, tuple) and isinstance(entry[1], Timer):
                 if entry[0].timer != time:
@@ -235,61 +238,61 @@ class VirtualBus:
         """Call a function in `delay` s."""
         self._push(self.now + delay, _Call(function))
 
-    def _schedule(self, seat: BusEndpoint, event: Item | _Done, delay: float) -> None:
+    def _schedule(self, endpoint: BusEndpoint, event: Item | _Done, delay: float) -> None:
         if delay <= 0.0:
-            self._ready.append((seat, event))
+            self._ready.append((endpoint, event))
         else:
-            self._push(self.now + delay, (seat, event))
+            self._push(self.now + delay, (endpoint, event))
 
     def _push(self, time: float, entry: _Entry) -> None:
         self._sequence += 1
         heapq.heappush(self._later, (time, self._sequence, entry))
 
-    def _rearm(self, seat: BusEndpoint) -> None:
-        deadline = seat.armed = seat.deadline()
+    def _rearm(self, endpoint: BusEndpoint) -> None:
+        deadline = endpoint.armed = endpoint.deadline()
         if deadline is None:
-            seat.timer = None
-        elif seat.timer is None or deadline - seat.clock != seat.timer:
-            seat.timer = max(deadline - seat.clock, self.now)
-            self._push(seat.timer, (seat, Timer()))
+            endpoint.timer = None
+        elif endpoint.timer is None or deadline - endpoint.clock != endpoint.timer:
+            endpoint.timer = max(deadline - endpoint.clock, self.now)
+            self._push(endpoint.timer, (endpoint, Timer()))
 
-    def _carry_out(self, seat: BusEndpoint, effect: Effect) -> None:
+    def _carry_out(self, endpoint: BusEndpoint, effect: Effect) -> None:
         if isinstance(effect, Message):
-            self._publish(seat, effect)
+            self._publish(endpoint, effect)
         elif isinstance(effect, Subscribe):
-            self._subscribe(seat, effect.expression)
+            self._subscribe(endpoint, effect.expression)
         elif isinstance(effect, Unsubscribe):
-            self._unsubscribe(seat, effect.expression)
-        elif isinstance(effect, Stop):  # a Reopen is nothing here: no session of ours is ever half open
-            for label in [label for label, other in self._seats.items() if other is seat]:
+            self._unsubscribe(endpoint, effect.expression)
+        elif isinstance(effect, Stop):  # a Reopen has no effect: no session of this bus is ever half open
+            for label in [label for label, other in self._endpoints.items() if other is endpoint]:
                 self.stopped[label] = effect
                 self.remove(label)
 
-    def _subscribe(self, seat: BusEndpoint, expression: str) -> None:
-        seat.expressions[expression] += 1
-        if seat.expressions[expression] > 1:
+    def _subscribe(self, endpoint: BusEndpoint, expression: str) -> None:
+        endpoint.expressions[expression] += 1
+        if endpoint.expressions[expression] > 1:
             return
         if not is_of_tokens(expression):
-            self._routes.add(expression, seat)
+            self._routes.add(expression, endpoint)
             return
-        self._watchers.add(expression, seat)
+        self._watchers.add(expression, endpoint)
         for other in self._holders.get(_parent(expression), {}):
-            if other is not seat:
-                self._ready.append((seat, Alive(other.node.role, other.node.name, other.node.incarnation)))
+            if other is not endpoint:
+                self._ready.append((endpoint, Alive(other.node.role, other.node.name, other.node.incarnation)))
 
-    def _unsubscribe(self, seat: BusEndpoint, expression: str) -> None:
-        seat.expressions[expression] -= 1
-        if seat.expressions[expression] == 0:
-            del seat.expressions[expression]
-            (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, seat)
+    def _unsubscribe(self, endpoint: BusEndpoint, expression: str) -> None:
+        endpoint.expressions[expression] -= 1
+        if endpoint.expressions[expression] == 0:
+            del endpoint.expressions[expression]
+            (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, endpoint)
 
     def _watching(self, token: str) -> dict[BusEndpoint, None]:
-        """Who sees a token come and go, in the order in which they came to the bus."""
+        """The endpoints that see a token, in the order in which they were added."""
         watching = self._watchers.listeners(token)
         return dict.fromkeys(sorted([*self._all_seeing, *watching], key=place_of)) if watching else self._all_seeing
 
-    def _publish(self, seat: BusEndpoint, message: Message) -> None:
-        key = message_key(seat.node.run, message)
+    def _publish(self, endpoint: BusEndpoint, message: Message) -> None:
+        key = message_key(endpoint.node.run, message)
         listeners = self._routes.listeners(key)
         payload = codec.encode(message)
         self.messages += 1
@@ -297,29 +300,29 @@ class VirtualBus:
         item = _item(key, payload)
         pace = self._pace if isinstance(message, Command) else 0.0
         if self._link is None and pace == 0.0:
-            self._ready.append(Delivery(listeners, seat, item))
+            self._ready.append(Delivery(listeners, endpoint, item))
             self.deliveries += len(listeners)
             return
         at_once: list[BusEndpoint] = []
         for listener in listeners:
-            if listener is not seat:
-                for delay, arrived in self._carried(seat, listener, key, payload):
+            if listener is not endpoint:
+                for delay, arrived in self._carried(endpoint, listener, key, payload):
                     self.deliveries += 1
                     if arrived is payload and pace + delay <= 0.0:
                         at_once.append(listener)
                     else:
                         self._schedule(listener, item if arrived is payload else _item(key, arrived), pace + delay)
         if at_once:
-            self._ready.append(Delivery(at_once, seat, item))
+            self._ready.append(Delivery(at_once, endpoint, item))
 
-    def _carried(self, seat: BusEndpoint, listener: BusEndpoint, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
+    def _carried(self, endpoint: BusEndpoint, listener: BusEndpoint, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
         if self._link is None:
             return [(0.0, payload)]
-        return self._link.carry(seat.node.name, listener.node.name, key, payload, self.now)
+        return self._link.carry(endpoint.node.name, listener.node.name, key, payload, self.now)
 
 
 def _item(key: str, payload: bytes) -> Item:
-    """What the bytes under a key are to whoever they reach."""
+    """The message that the bytes under a key hold, or the event that they are rejected; the same for every receiver."""
     [message] = codec.decode_all([(key, payload)])
     return read(key, payload, message)
 

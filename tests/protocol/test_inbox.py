@@ -110,7 +110,7 @@ def test_the_flow_remembers_a_bounded_number_of_keys() -> None:
     flow = RateLimiter(most=1)
     for number in range(9 * RateLimiter.MOST_KEYS):
         flow.admits(f"k{number // 3}", "x", 0.0)
-    assert len(flow._left) == len(flow._suspect) == RateLimiter.MOST_KEYS and len(flow._said) <= RateLimiter.MOST_KEYS + 1
+    assert len(flow._left) == len(flow._suspect) == RateLimiter.MOST_KEYS and len(flow._counts) <= RateLimiter.MOST_KEYS + 1
 
 
 def test_patient_messages_call_the_loop_only_once_enough_of_them_have_come() -> None:

@@ -24,10 +24,10 @@ def test_lingering_sockets_are_let_go_once_and_still_work() -> None:
         with other:
             link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
             assert linger(link) == (1, 10)
-            assert sockets.let_go() >= 1
+            assert sockets.clear_so_linger() >= 1
             assert linger(link)[0] == 0
             link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
-            sockets.let_go()
+            sockets.clear_so_linger()
             assert linger(link) == (1, 10), "a socket is looked at once"
             link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 0, 0))
             link.sendall(b"still open")
@@ -37,7 +37,7 @@ def test_lingering_sockets_are_let_go_once_and_still_work() -> None:
 def test_a_socket_that_gets_its_option_only_after_the_first_look_is_let_go_all_the_same() -> None:
     sockets = Sockets()
     with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as link:
-        sockets.let_go()
+        sockets.clear_so_linger()
         link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
-        sockets.let_go()
+        sockets.clear_so_linger()
         assert linger(link)[0] == 0

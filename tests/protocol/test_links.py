@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from protocol.links import CLEAR, Channel, Condition, Ears, LinkConditions, LiveLink, as_line, sender_of, spoilt
+from protocol.links import CLEAR, Channel, Condition, Ears, LinkConditions, LiveLink, as_line, corrupted, sender_of
 
 
 def arrivals(condition: Condition, number: int = 20000, seed: int = 1) -> list[list[tuple[float, bytes]]]:
@@ -59,8 +59,8 @@ def test_a_spoilt_message_differs_in_one_bit_or_holds_eight_bytes_of_ones() -> N
 
 
 def test_the_place_of_a_fault_is_bounded_by_the_payload() -> None:
-    assert spoilt(b"\x00\x00", 0.6) == b"\x00\x02"  # bit 9.6
-    assert spoilt(b"\x00\x00", 0.99) == b"\x00\x80" and spoilt(b"\x00\x00", 0.0) == b"\xff\xff"
+    assert corrupted(b"\x00\x00", 0.6) == b"\x00\x02"  # bit 9.6
+    assert corrupted(b"\x00\x00", 0.99) == b"\x00\x80" and corrupted(b"\x00\x00", 0.0) == b"\xff\xff"
 
 
 def test_each_direction_has_dice_of_its_own_and_the_same_seed_repeats_them() -> None:

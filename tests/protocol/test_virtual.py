@@ -69,7 +69,7 @@ def say(bus: VirtualBus, node: Scribe, *messages: Effect) -> None:
     """Let a node publish at this time."""
     node.answers = list(messages)
     node.due = bus.now
-    bus._rearm(bus._seats[node.name])
+    bus._rearm(bus._endpoints[node.name])
     bus.run(bus.now)
 
 
@@ -108,7 +108,7 @@ def test_a_local_node_sees_the_tokens_that_it_asks_for_and_everybody_else_sees_i
     assert [event for _, event in late.events if isinstance(event, Alive | Gone)] == [Alive("agent", "b", 4), Gone("agent", "b", 4)]
     assert [event.name for _, event in other.events if isinstance(event, Alive)] == ["a", "b", "d"]
     early.answers, early.due = [Unsubscribe(tokens_of("r", "agent", "b"))], bus.now
-    bus._rearm(bus._seats["a"])
+    bus._rearm(bus._endpoints["a"])
     bus.run(2.0)
     bus.add(Scribe("b", incarnation=5))
     bus.run(3.0)
@@ -149,7 +149,7 @@ def test_a_clock_that_jumps_shows_in_the_time_a_node_is_told_and_moves_no_messag
     say(bus, two, command("b", 5))
     assert one.heard() == [(291.0, 5)]
     one.due = 292.5
-    bus._rearm(bus._seats["a"])
+    bus._rearm(bus._endpoints["a"])
     bus.run(10.0)
     assert [now for now, event in one.events if isinstance(event, Timer)] == [292.5]
 

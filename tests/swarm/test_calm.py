@@ -40,7 +40,7 @@ def test_no_agent_can_hear_the_truth_an_estimate_or_what_is_for_another_agent() 
     run = seen.simulation.scenario.run.name
     forbidden = [f"covey/{run}/truth", f"covey/{run}/estimate/s1", f"covey/{run}/estimate/s9", f"covey/{run}/command/s1"]
     for name in seen.agents:
-        expressions = seen.simulation.bus._seats[name].expressions
+        expressions = seen.simulation.bus._endpoints[name].expressions
         others = [f"covey/{run}/observation/{other}" for other in seen.agents if other != name]
         assert not [key for key in [*forbidden, *others] for expression in expressions if matches(expression, key)]
         assert any(matches(expression, f"covey/{run}/observation/{name}") for expression in expressions)

@@ -119,9 +119,9 @@ def test_a_replayed_message_changes_nothing(restart: bool) -> None:
         said = simulation.agents["s2"]._gossip if "s2" in simulation.agents else None
         if said is not None and tick < 15:
             kept.append(said)
-        for seat in simulation.bus._seats.values() if tick > 30 else ():
-            if seat.node.role == "agent" and seat.node.name != "s2":
-                simulation.bus._schedule(seat, received(kept[tick % len(kept)]), 0.0)
+        for endpoint in simulation.bus._endpoints.values() if tick > 30 else ():
+            if endpoint.node.role == "agent" and endpoint.node.name != "s2":
+                simulation.bus._schedule(endpoint, received(kept[tick % len(kept)]), 0.0)
 
     left_alone, replayed = watch(scenario), watch(scenario, at_tick=replay)
     assert len(kept) > 10 and replayed.result.transcript == left_alone.result.transcript
