@@ -12,6 +12,7 @@ from collections import Counter
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.gossip import outbox
+from agents.gossip.table import announced_sensor
 from agents.interest.manager import InterestManager
 from agents.membership.agreement import SettingsAgreement
 from agents.membership.announcements import SOON, AnnouncementSchedule
@@ -45,6 +46,7 @@ class Agent(Node):
         self.neighbours = PeerTable(config, name)
         self.tick = -1  # of the newest observation; -1: none has come
         self.context = context_of(config, name, self.sensor_class, backend)
+        self.neighbours.own_sensor = announced_sensor(name, self.context.sensor, config.detection.clutter)
         self.local = self.neighbours.local
         self.sees_all_tokens = not self.local
         self._interest = InterestManager(self.context, self.neighbours, incarnation) if self.local else None

@@ -15,6 +15,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.gossip.inbox import RoundInbox
+from agents.gossip.table import AnnouncedSensor
 from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
@@ -43,6 +44,7 @@ class PeerTable:
         self.changed = False  # local: a peer has come or gone since the last selection
         self._config, self._silent = config, config.timing.silent_rounds
         self._name, self.settings = name, config.agreed()
+        self.own_sensor: AnnouncedSensor | None = None  # as it is announced
         self.inbox = RoundInbox()
         self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
 
@@ -113,7 +115,8 @@ class PeerTable:
         """
         interest_set, reasons = self.interest_set, []
         peers = [interest_set.get(name) for name in batch.senders]
-        carried = [peer.announced if peer is not None else None for peer in peers]
+        own, own_name = self.own_sensor, self._name  # in the own place, so that all agents of a process ask the same of a batch
+        carried = [peer.announced if peer is not None else own if name == own_name else None for name, peer in zip(batch.senders, peers)]
         fit = all_plausible(batch, carried)
         for gossip, fits in zip(batch.messages[start:], fit[start:]):
             reason = self._judge(gossip, fits)

@@ -108,8 +108,6 @@ def source_hash(parts: tuple[str, ...]) -> str:
 
 def run_trial(trial: Trial, progress: Callable[[float], None] = lambda share: None) -> Row:
     """Play a trial and return its row; `progress` is told the share of the ticks that are done.
-
-    Messages travel as objects, not bytes: the transcript is the same to the last bit and a tenth of the time is saved.
     """
     scenario = trial.resolve()
     simulation = Simulation(scenario)
