@@ -107,8 +107,7 @@ def source_hash(parts: tuple[str, ...]) -> str:
 
 
 def run_trial(trial: Trial, progress: Callable[[float], None] = lambda share: None) -> Row:
-    """Play a trial and return its row; `progress` is told the share of the ticks that are done.
-    """
+    """Play a trial and return its row; `progress` is told the share of the ticks that are done."""
     scenario = trial.resolve()
     simulation = Simulation(scenario)
     simulation.on_truth = lambda truth: progress((truth.tick + 1) / scenario.run.ticks)
