@@ -35,10 +35,16 @@ print(outer(3.0), sum(outer.stats.cache_hits.values()), outer.stats.cache_path)
 """
 
 
+def environment() -> dict[str, str]:
+    """Of a process that reads the sources of the test anew: Python takes bytecode for current if a source changes within a second."""
+    return {**{name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}, "PYTHONDONTWRITEBYTECODE": "1"}
+
+
 def run(place: Path) -> tuple[float, int, Path]:
     """What the outer loop of a small package makes of 3, how often it was on disk, and where that is."""
-    env = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=place, env=env, capture_output=True, text=True, timeout=110, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], cwd=place, env=environment(), capture_output=True, text=True, timeout=110, check=False
+    )
     assert done.returncode == 0, done.stderr
     found, hits, path = done.stdout.split()
     return float(found), int(hits), Path(path)
@@ -77,7 +83,7 @@ def test_a_process_that_has_compiled_a_loop_keeps_it_when_no_other_does(tmp_path
     held = os.open(place, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
     try:
-        with subprocess.Popen([sys.executable, "-c", PROGRAM], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as other:
+        with subprocess.Popen([sys.executable, "-c", PROGRAM], cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, text=True) as other:
             with pytest.raises(subprocess.TimeoutExpired):
                 other.wait(5.0)
             assert not list(place.glob("*/*.nb?"))
