@@ -136,6 +136,7 @@ def first_of_one_view(journal: Journal, start: int) -> int:
     return next(tick for tick in sorted(views) if tick >= start and len(views[tick]) == 8 and len(set(views[tick])) == 1)
 
 
+@pytest.mark.alone  # it measures how soon the swarm goes on
 def test_without_a_world_agents_hold_still_and_keep_what_they_believe_and_go_on_with_the_next(covey: Covey) -> None:
     covey.start("up", "ledger.toml", "--rate", "1", "--seconds", "1000", "--record", *PATIENT)
     covey.wait(lambda data: data["swarm"]["tick"] >= 12)
