@@ -62,7 +62,7 @@ SEEDS = {"a": "tcp/10.213.1.1:7442", "b": "tcp/10.213.2.1:7443"}  # where the fi
 OBSERVER = """
 import sys, time
 from deploy.cli.listener import Listener
-    from deploy.cli.message_text import plain_line
+from deploy.cli.message_text import plain_line
 from protocol import live
 from protocol.settings import NetworkSettings
 def heard(what, now):
