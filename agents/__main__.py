@@ -1,6 +1,6 @@
 """One agent process: `python -m agents --name s3 --sensor A --config agents.toml`.
 
-The file holds what an agent may know (docs/knowledge.md): the public settings of the swarm, and none of the world's secrets.
+The file holds what an agent may know (docs/explanation/knowledge.md): the public settings of the swarm, and none of the world's secrets.
 """
 
 import os

@@ -8,19 +8,26 @@ mathematics.
 """
 
 from collections import Counter
+from dataclasses import replace
+
+import msgspec
 
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
+from agents.coverage.keep_apart import keep_apart
 from agents.gossip import outbox
 from agents.gossip.table import announced_sensor
 from agents.interest.manager import InterestManager
+from agents.late_rounds import LateRounds
+from agents.look_ahead import OpenRound, look_ahead
 from agents.membership.agreement import SettingsAgreement
 from agents.membership.announcements import SOON, AnnouncementSchedule
+from agents.membership.body_tokens import BodyTokens
+from agents.membership.local_health import LocalHealth
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
+from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
-from agents.tracking.belief import start
-from agents.tracking.births import prior, prior_around, prior_size
-from agents.tracking.particles import NONE
+from agents.tracking.step import Step
 from protocol.failure_detector import FailureDetector
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
@@ -28,6 +35,7 @@ from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, R
 
 EXIT_FENCED = 3
 MANY = 1 << 30
+MOST_OVERDUE = 0.5  # of the time for which a round waits: a round that closes later has not listened
 
 
 class Agent(Node):
@@ -35,7 +43,6 @@ class Agent(Node):
 
     role = "agent"
     patient = "/gossip/"  # a driver may hold gossips back until `awaiting` of them have come
-    newest_only = "/observation/"
 
     def __init__(self, config: AgentConfig, name: str, incarnation: int = 1, backend: Backend = PLAIN, sensor_class: str = "") -> None:
         """`incarnation` grows with every restart under the same name; `sensor_class` empty: the one that the roster names."""
@@ -44,18 +51,22 @@ class Agent(Node):
         self.sensor_class = sensor_class or config.members[name]  # empty: the class that the roster names
         self.counters: Counter[str] = Counter()
         self.neighbours = PeerTable(config, name)
+        self._bodies = BodyTokens(self.neighbours)
         self.tick = -1  # of the newest observation; -1: none has come
         self.context = context_of(config, name, self.sensor_class, backend)
         self.neighbours.own_sensor = announced_sensor(name, self.context.sensor, config.detection.clutter)
         self.local = self.neighbours.local
         self.sees_all_tokens = not self.local
         self._interest = InterestManager(self.context, self.neighbours, incarnation) if self.local else None
-        everywhere = NONE if self.local else prior(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena)
-        self.outcome = RoundResult(start(everywhere, name), self.context.facts.capability)
+        nothing = (0.0, 0.0, -1.0, -1.0) if self.local else None
+        self.outcome = RoundResult(self.context.tracker.start(name, Step(config, 0), nothing), self.context.facts.capability)
         self._failure_detector = FailureDetector(name, ["world"] if self.local else [*config.others(name), "world"])
         self._world_incarnation = 0  # incarnation of the world
         self._observation: Observation | None = None  # of the open round
-        self._gossip: Gossip | None = None  # the own one of the open round; None: no round is open
+        self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
+        self._rounds = LateRounds(self.context)
+        self._fresh: list[Gossip] = []  # of the last round
+        self._said: Gossip | None = None  # the own one of the last round
         self._awaited: set[str] = set()  # peers for whose gossips the open round waits
         self._listening_rounds = 0  # rounds left in which the agent listens and has no cell
         self._rounds_alone = 0  # listening rounds left without any gossip, before the agent takes itself to be alone
@@ -63,10 +74,21 @@ class Agent(Node):
         self._answer_at: float | None = None
         self._announcements = AnnouncementSchedule(0 if self.local else len(config.others(name)), self.neighbours.is_roster_alive)
         self._opened_at = 0.0
+        self._newest_tick = -1  # of the newest observation, played or not
+        self._asked_at: float | None = None  # when the driver was asked to come back at once: the next event shows for how long it was busy
+        self._spared = 0  # observations since the last round that were left out to keep the pace
+        self._pace = Pace(config.run.dt / config.run.rate, measured=config.run.clock == "realtime")
+        self._health = LocalHealth(measured=config.run.clock == "realtime")
         self._agreement = SettingsAgreement(name, self.neighbours.settings, self.counters)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event at `now`, s. Return the effects in order; `NO_EFFECTS` when nothing follows (Node)."""
+        if self._asked_at is not None:
+            self._pace.spend(now - self._asked_at)
+            self._asked_at = None
+        if self._health.served(now):
+            self._pace.forget()
+            self._rounds.lag.forget()
         if type(event) is Received:
             return self._on_batch(event.batch, now)
         match event:
@@ -74,15 +96,22 @@ class Agent(Node):
                 return self._on_timer(now)
             case Alive(role="agent") if event.name == self.name:
                 return self._fence(event.incarnation)
+            case Alive(role="body"):
+                self._bodies.appear(event.name, event.incarnation)
+            case Gone(role="body") if self._bodies.leave(event.name, event.incarnation, self.tick):
+                self._awaited.discard(event.name)
+                return self._close_if_complete(now)
             case Alive():
                 if event.role == "agent":
+                    self._bodies.agent_left(event.name)
                     self._failure_detector.appear(event.name, event.incarnation)
                     self.neighbours.alive(event.name, event.incarnation)
                 if event.role != "agent" or not self.local:
                     self._announcements.peer_appeared(len(self.neighbours.peers), now)
             case Gone(role="agent"):
+                self._bodies.agent_left(event.name)
                 self._failure_detector.leave(event.name, event.incarnation)
-                self.neighbours.gone(event.name, event.incarnation, self.tick)
+                self.neighbours.gone(event.name, event.incarnation, self._newest_tick, doubted=self._health.is_doubtful(now))
                 self._awaited.discard(event.name)
                 return self._close_if_complete(now)
             case Started():
@@ -118,12 +147,18 @@ class Agent(Node):
         """The number of gossips for which the open round waits (Node). Without an open round, gossips wait for the observation."""
         return len(self._awaited) if self._gossip else MANY
 
+    @property
+    def newest_only(self) -> str:
+        """An agent that plays every tick needs the newest observation only (Node). At a slower pace the newest may be one to leave out."""
+        return "/observation/" if self._pace.kept == 1 else ""
+
     def deadline(self) -> float | None:
         """When to call with `Timer`, s (Node): the earliest of the round's end, the next Hello, the next answer and the next selection."""
         if self._interest is None:
-            close, announce = self._close_at, self._announcements.due
-            return announce if close is None or (announce is not None and announce < close) else close
-        times = [time for time in (self._close_at, self._announcements.due, self._answer_at, self._interest.due) if time is not None]
+            times = [time for time in (self._close_at, self._announcements.due, self._health.due, self._asked_at) if time is not None]
+            return min(times, default=None)
+        dues = self._close_at, self._announcements.due, self._health.due, self._asked_at, self._answer_at, self._interest.due
+        times = [time for time in dues if time is not None]
         return min(times, default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
@@ -133,24 +168,64 @@ class Agent(Node):
             return []
         self._world_incarnation = observation.incarnation
         self._failure_detector.speak(observation.sender, now)
-        effects = self._close(now) if self._gossip else []
+        self._newest_tick = max(self._newest_tick, observation.tick)
+        self._pace.observe(observation.tick, now)
+        if not self._pace.plays(observation.tick):
+            return self._spare(observation)
+        effects = self._close(now, patient=False) if self._gossip else []
         if self.tick < 0:
+            self._health.start(now)
             self._listening_rounds = self.config.timing.listening_rounds if observation.tick > 0 else 0
             self._rounds_alone = 2 * self.config.timing.silent_rounds
         elif observation.tick > self.tick + 1:
-            self.counters["skipped"] += observation.tick - self.tick - 1
+            self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._spared)
+        self._spared = 0
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
         self._announcements.observation_arrived(now)
         if self._interest is not None and not self._interest.settled:
             return [*effects, *self._interest.start(observation, self.outcome, now)]
         return [*effects, *self._open_round(observation, now)]
 
+    def _spare(self, observation: Observation) -> list[Effect]:
+        """Leave a tick out to keep the pace: the estimates of the last round move on with their targets."""
+        self._spared += 1
+        self.counters["spared"] += 1
+        said, belief = self._said, self.outcome.belief
+        if said is None or observation.tick % self.config.timing.estimate_every:
+            return []
+        seconds = (observation.tick - belief.stamp) * self.config.run.dt
+        tracks = self.outcome.tracks
+        moved = tracks._replace(positions=self.context.tracker.foresee(belief, tracks.positions, seconds))
+        work = outbox.RoundCost(self.counters, 0.0, self._pace.kept)
+        now_there = msgspec.structs.replace(said, tick=observation.tick, pose=observation.pose)
+        return [outbox.estimate(self.context, self.incarnation, replace(self.outcome, tracks=moved), now_there, work)]
+
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
-        self._gossip = outbox.gossip(self.context, self.incarnation, self.outcome, observation, listening=self._listening_rounds > 0)
-        self._awaited = self.neighbours.missing(self.tick, newcomer=self._listening_rounds > 0)
-        self._close_at = now + self.config.gossip_timeout(missed=self.neighbours.any_missed())
+        self._pace.open(self.tick, now)
+        self._ask_back(now)
+        self._hold_claim()
+        listening, need, lag = self._listening_rounds > 0, self._pace.need, self._rounds.lag.need
+        behind = self._rounds.behind(self.tick, self.outcome.belief.stamp)
+        self._gossip = outbox.gossip(
+            self.context, self.incarnation, self.outcome, observation, listening=listening, pace=need, behind=behind, lag=lag
+        )
+        self._rounds.open(self._gossip, self.outcome.belief, now)
+        self._await()
+        self._close_at = now + self.config.gossip_timeout(missed=self.neighbours.any_missed()) * self._pace.kept
         return [self._gossip, *self._close_if_complete(now)]
+
+    def _await(self) -> None:
+        """Determine the round that is due, and the gossips for which it waits."""
+        due = self._rounds.find_due(self.tick)
+        self._awaited = set() if due is None else self.neighbours.missing(due, newcomer=self._listening_rounds > 0)
+
+    def _hold_claim(self) -> None:
+        """Keep the claim over skipped rounds, as long as peers keep the generator of the silent agent."""
+        belief, timing = self.outcome.belief, self.config.timing
+        most = max(self.config.rounds_of_silence, timing.silent_rounds * self._pace.need)
+        if self._health.due is not None and not self._rounds and 0 <= belief.stamp < self.tick - 1 <= belief.stamp + most:
+            self.outcome = replace(self.outcome, belief=self.context.tracker.hold(belief, Step(self.config, self.tick)))
 
     def _join(self, now: float) -> list[Effect]:
         """Ask for peers until the interest manager is settled. Then start the filter around the expected cell and open the first round."""
@@ -160,9 +235,8 @@ class Agent(Node):
         if not interest.settled:
             return effects
         nearby = interest.surroundings(observation, self.outcome)
-        config = self.config
-        known = prior_around(config.filter.seed, prior_size(config.filter, config.arena), config.filter, config.arena, nearby)
-        self.outcome = RoundResult(start(known, self.name), self.context.facts.capability)
+        known = self.context.tracker.start(self.name, Step(self.config, 0), nearby)
+        self.outcome = RoundResult(known, self.context.facts.capability)
         return [*effects, *self._open_round(observation, now)]
 
     def _on_gossips(self, batch: Batch, now: float) -> list[Effect]:
@@ -188,13 +262,15 @@ class Agent(Node):
 
         Returns the effects and the number of rows taken.
         """
-        reasons = self.neighbours.accept(batch, start, self.tick, self._awaited if self._gossip is not None else None)
+        tick = self.tick if self._rounds.due is None else self._rounds.due
+        reasons = self.neighbours.accept(batch, start, tick, self._awaited if self._gossip is not None else None)
         accepted = [gossip for gossip, reason in zip(batch.messages[start:], reasons) if reason == ACCEPTED]
         if len(accepted) < len(reasons):
             refused = [reason for reason in reasons if reason not in (ACCEPTED, OWN, UNASKED)]
             self.counters.update([f"rejected.{reason}" for reason in refused])
         if accepted:
             self.counters["heard"] += len(accepted)
+            self._rounds.hear(accepted, self.neighbours.interest_set, now)
         reopenings = self._reopen_if_behind(accepted, now) if self._interest is not None else []
         if self._gossip is not None and not self._awaited:
             return [*reopenings, *self._close(now)], len(reasons)
@@ -204,7 +280,7 @@ class Agent(Node):
         """The effects that open a new session, if peers have been more than one tick ahead for long; else none."""
         assert self._interest is not None
         for gossip in gossips:
-            if gossip.tick > self.tick + 1:
+            if gossip.tick > self._newest_tick + 1:
                 reopenings = self._interest.reopen_if_behind(self.tick, now)
                 self.counters["reopened"] += len(reopenings)
                 if reopenings:
@@ -235,7 +311,9 @@ class Agent(Node):
             self.counters[f"rejected.{reason}"] += 1
             return warnings
         is_new = self._failure_detector.greet(hello.sender, now)
-        if is_new:
+        # a Hello sent when the token of a world appeared can be lost, because the world may not have subscribed yet
+        is_restarted_world = hello.role == "world" and 0 < self._world_incarnation < hello.incarnation
+        if is_new or is_restarted_world:
             self._announcements.peer_appeared(len(self.neighbours.peers), now)
         reason = self._failure_detector.split(hello, now) if hello.role == "agent" else ""
         if not reason:
@@ -252,7 +330,7 @@ class Agent(Node):
             effects += self._on_interest_timer(self._interest, now)
         if self._close_at is not None and now >= self._close_at:
             self.counters["late"] += 1
-            effects += self._close(now)
+            effects += self._close(now, patient=False)
         return effects
 
     def _on_interest_timer(self, interest: InterestManager, now: float) -> list[Effect]:
@@ -267,7 +345,7 @@ class Agent(Node):
 
     def _update_interest(self, interest: InterestManager, gossip: Gossip, now: float) -> list[Effect]:
         """Check for half-open links, publish a beacon and select peers anew where they are due; the effects of that."""
-        reopenings = interest.reopen_if_unheard(gossip.tick, now)
+        reopenings = interest.reopen_if_unheard(self.outcome.belief.stamp, now)
         if reopenings:
             self.counters["reopened"] += 1
         effects = [*interest.close_round(gossip, self.outcome), *reopenings]
@@ -275,29 +353,85 @@ class Agent(Node):
         return effects
 
     def _close_if_complete(self, now: float) -> list[Effect]:
-        """Close the open round if it awaits no gossip."""
+        """Close the open tick if its rounds await no gossip."""
         if self._gossip is None or self._awaited:
             return []
         return self._close(now)
 
-    def _close(self, now: float) -> list[Effect]:
-        """Run the open round; the effects are its command and, where due, its estimate and the changes of interest."""
-        observation, gossip = self._observation, self._gossip
-        assert observation is not None and gossip is not None
-        fresh = self.neighbours.fresh(self.tick)
-        self.outcome = run_round(self.context, self.outcome, self.neighbours, gossip, fresh)
-        missing = self.neighbours.close(self.tick, newcomer=self._listening_rounds > 0)
+    def _close(self, now: float, *, patient: bool = True) -> list[Effect]:
+        """Play the rounds that are due, and end the tick. A `patient` agent waits for the gossips of each of them."""
+        while self._rounds.due is not None:
+            if self._awaited and (patient or self._holds(self._rounds.due, now)):
+                break
+            self._play(self._rounds.pop(), now)
+            self._await()
+        return NO_EFFECTS if self._awaited and patient else self._end_tick(now)
+
+    def _holds(self, due: int, now: float) -> bool:
+        """Whether the round that is due waits for another tick, because hardly any gossip has come."""
+        if self._listening_rounds or self._pace.kept > 1 or not self._has_listened(now):
+            return False
+        return self._rounds.holds(self.tick, self._awaited, len(self.neighbours.fresh(due)))
+
+    def _play(self, opened: OpenRound, now: float) -> None:
+        """Play a round."""
+        gossip, newcomer = opened.gossip, self._listening_rounds > 0
+        fresh = self.neighbours.fresh(gossip.tick)
+        self.outcome = run_round(self.context, self.outcome, self.neighbours, gossip, fresh, self._rounds.replay(opened, fresh))
+        self._rounds.recent.keep(self.outcome.belief)
+        missing = self.neighbours.close(gossip.tick, newcomer=newcomer, listened=self._has_listened(now))
         if self._listening_rounds:
             self._count_listening_round(len(fresh), missing)
+        self._fresh = list(fresh.values())
         self.counters["missing"] += missing
         self.counters["rounds"] += 1
-        self._observation = self._gossip = self._close_at = None
+
+    def _end_tick(self, now: float) -> list[Effect]:
+        """End the open tick; the effects are its command and, where due, its estimate and the changes of interest."""
+        observation, gossip = self._observation, self._gossip
+        assert observation is not None and gossip is not None
+        if self.outcome.belief.stamp < self.tick:
+            self.outcome = look_ahead(self._rounds.recent, self.context, self.outcome, gossip, self.neighbours)
+            self.counters["looked_ahead"] += 1
+        if self.config.limits.radius:
+            self._keep_apart(observation)
+        self._keep_pace(now)
+        self._observation, self._gossip, self._close_at, self._said = None, None, None, gossip
+        self._awaited = set()
+        self._ask_back(now)
         command = outbox.command(self.context, self.incarnation, self.outcome, self.tick)
         effects = self._update_interest(self._interest, gossip, now) if self._interest else []
         if self.tick % self.config.timing.estimate_every:
             return [*effects, command]
         seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
-        return [*effects, outbox.estimate(self.context, self.incarnation, self.outcome, gossip, self.counters, seconds), command]
+        work = outbox.RoundCost(self.counters, seconds, self._pace.kept)
+        return [*effects, outbox.estimate(self.context, self.incarnation, self.outcome, gossip, work), command]
+
+    def _keep_apart(self, observation: Observation) -> None:
+        """Keep the body away from those of the peers and from what it senses."""
+        others = [other.pose[:2] for other in self._fresh] + [(x, y) for x, y in observation.obstacles.tolist()]
+        seconds = self.config.run.dt * self._pace.kept
+        command = keep_apart(self.outcome.command, observation.pose[:2], others, self.config.limits, seconds)
+        self.outcome = replace(self.outcome, command=command)
+
+    def _keep_pace(self, now: float) -> None:
+        """Judge the pace and the lag at the end of a tick."""
+        self._pace.close([gossip.pace for gossip in self._fresh])
+        self.neighbours.keep_pace(self._pace.kept)
+        self._rounds.close(self.tick, [gossip.lag for gossip in self._fresh], self._pace.kept, now)
+        for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.neighbours.given_up)):
+            if count:
+                self.counters[name] = count
+
+    def _ask_back(self, now: float) -> None:
+        """Ask the driver for an event as soon as it has done what it is told, which shows how long that took."""
+        self._asked_at = now if self._health.due is not None else None
+
+    def _has_listened(self, now: float) -> bool:
+        """Whether the agent was served in time in the open round, so that the silence of a peer says something."""
+        assert self._close_at is not None
+        overdue = now - self._close_at > MOST_OVERDUE * (self._close_at - self._opened_at)
+        return self._health.due is None or not (overdue or self._health.has_stalled_since(self._opened_at))
 
     def _count_listening_round(self, fresh: int, missing: int) -> None:
         """Count a listening round, in which the agent has no cell.

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.coverage import cells
+from agents.coverage import cells, search_plan
 from agents.coverage.cells import Cell
 from agents.interest.selection import Choice, select_peers
 from agents.tracking import claims, regions
@@ -29,6 +29,7 @@ class Backend(NamedTuple):
     remote_copies: Callable[..., Particles]
     merge: Callable[..., Particles]
     select_peers: Callable[..., Choice]
+    decide: Callable[..., search_plan.Decision]
 
 
 def births_of(step: Step) -> Particles:
@@ -46,4 +47,5 @@ PLAIN = Backend(
     remote_copies=remote_copies,
     merge=merge,
     select_peers=select_peers,
+    decide=search_plan.decide,
 )

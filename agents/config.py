@@ -1,8 +1,9 @@
 """What an agent reads from a scenario: the common sections and those of its filter, births, capacity, partition and control.
 
-Defaults are the readings of what the paper leaves open; docs/paper.md gives the reason for each.
+Defaults are the readings of what the paper leaves open; docs/evidence/paper.md gives the reason for each.
 """
 
+import math
 from typing import Annotated, Literal
 
 import msgspec
@@ -18,8 +19,9 @@ Distance = Annotated[float, msgspec.Meta(ge=0.1, le=1000.0)]  # m
 
 
 class FilterSettings(Section, frozen=True, kw_only=True):
-    """[filter] the particle PHD filter of every agent."""
+    """[filter] the PHD filter of every agent."""
 
+    kind: Literal["particles", "gaussian-mixture"] = "particles"  # what the PHD is made of
     seed: Seed = 0  # of all that the agents draw; 0 in a scenario: derived one-way from run.seed, which agents do not know
     speed: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 2.0  # of every particle, m/s
     heading_noise: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # rad/sqrt(s)
@@ -27,6 +29,7 @@ class FilterSettings(Section, frozen=True, kw_only=True):
     lifetime: NotNegative = 1000.0  # mean survival time, s; 0 = for ever
     border: Literal["cross", "reflect"] = "cross"  # what a particle does at the border of the arena
     prior_density: Density = 0.001  # expected targets per m^2 at the start and in equilibrium
+    prior_particles: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # of the prior per m^2, at least
     particles_per_target: ParticleCount = 75
     least_particles: ParticleCount = 30  # per owner
     most_particles: ParticleCount = 2000  # per owner
@@ -34,7 +37,24 @@ class FilterSettings(Section, frozen=True, kw_only=True):
     halo: Positive = 6.0  # what is updated around the own cell, m
     certainty: Certainty = 0.999  # how sure the filter may be that a target is there: a miss is weighed against that
     vicinity: Distance = 3.0  # particles this close to each other may be one target, m
+    compact: bool = False  # particles take 6 bytes on the wire instead of 24, for links of little bandwidth
     roughening: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.4  # width of a particle, in units of Silverman's rule
+
+
+class MixtureSettings(Section, frozen=True, kw_only=True):
+    """[mixture] what filter.kind = "gaussian-mixture" reads besides [filter]."""
+
+    spread: Distance = 6.0  # largest standard deviation of a place, m; wider components are split
+    merged: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 3.0  # components this close are merged, squared standard deviations
+    pruned: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 1.0e-4  # components of less weight are dropped, expected targets
+    most_components: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 30  # per owner
+
+
+class PoseSettings(Section, frozen=True, kw_only=True):
+    """[pose] how exactly the agents know their own poses: what the filter believes, not what is true."""
+
+    position_noise: NotNegative = 0.0  # standard deviation on each axis, m
+    heading_noise: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # standard deviation, rad
 
 
 class BirthSettings(Section, frozen=True, kw_only=True):
@@ -72,8 +92,23 @@ class PartitionSettings(Section, frozen=True, kw_only=True):
 class ControlSettings(Section, frozen=True, kw_only=True):
     """[control] how the body is driven (18)."""
 
-    mode: str = "lloyd"  # lloyd, static, random, uniform-density, pursuit, or module:Class
+    mode: str = "lloyd"  # lloyd, static, random, uniform-density, pursuit, search-and-track, or module:Class
     heading: Literal["centroid", "literal"] = "centroid"  # face the centroid from the sensor, or as printed from the COD
+
+
+class SearchSettings(Section, frozen=True, kw_only=True):
+    """[search] what control.mode = "search-and-track" weighs; values of 0 switch ingredients off."""
+
+    horizon: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 2.0  # a goal is a place this far ahead, s
+    stale: NotNegative = 5.0  # mass out of view for longer is to be found, s
+    weight: NotNegative = 20.0  # of mass that is to be found
+    inflow: NotNegative = 0.06  # value of each bin at an open border
+    confirmation: NotNegative = 4.0  # value of looking again at mass that may be no target
+    sharing: Fraction = 1.0  # of what is worth seeing: the share that nearer sensors leave to each other
+    falloff: Fraction = 0.4  # a track on top of the sensor or at the edge of its circle is worth this much less than one at the COD
+    look_ahead: NotNegative = 0.7  # weight of the heading after the next
+    step_cost: NotNegative = 0.02  # of moving the goal by the way of a horizon
+    capacity: NotNegative = 1.5  # targets that a sensor of 45 degrees can hold; 0: any number
 
 
 class ExtractionSettings(Section, frozen=True, kw_only=True):
@@ -81,15 +116,18 @@ class ExtractionSettings(Section, frozen=True, kw_only=True):
 
     bin: Annotated[float, msgspec.Meta(ge=0.01, le=1000.0)] = 1.0  # m
     threshold: Positive = 0.5  # mass of a 5 x 5 peak, expected targets
+    beside: NotNegative = 0.0  # mass of a peak within 4 bins of an earlier one, if that is more
 
 
 class TimingSettings(Section, frozen=True, kw_only=True):
     """[timing] of rounds and of membership."""
 
     deadline: Fraction = 0.5  # a round closes at this share of the period at the latest, realtime only
-    silent_rounds: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4  # a silent peer stays a generator this long
+    silent_rounds: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4  # a silent peer stays a generator this long at least
+    silence: NotNegative = 1.0  # and so long at least, s of the clock, realtime only
     listening_rounds: Annotated[int, msgspec.Meta(ge=0, le=100)] = 2  # at most, for a new incarnation
-    overlap: NotNegative = 0.0  # both claims count this close to a contested border, m (docs/decisions/0003)
+    look_ahead: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.0  # how late gossips may be, realtime only, s
+    overlap: NotNegative = 0.0  # both claims count this close to a contested border, m (docs/explanation/decisions/0003)
     estimate_every: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1  # rounds between two estimates
     interest: Literal["all", "neighbours"] = "all"  # whose gossip an agent hears; with neighbours beacons say who is one
     tile: Annotated[float, msgspec.Meta(ge=10.0, le=1.0e9)] = 35.0  # side of the squares in which beacons are said, m
@@ -99,10 +137,13 @@ class AgentConfig(Common, frozen=True, kw_only=True):
     """The settings of an agent process."""
 
     filter: FilterSettings = FilterSettings()
+    mixture: MixtureSettings = MixtureSettings()
     birth: BirthSettings = BirthSettings()
+    pose: PoseSettings = PoseSettings()
     capacity: CapacitySettings = CapacitySettings()
     partition: PartitionSettings = PartitionSettings()
     control: ControlSettings = ControlSettings()
+    search: SearchSettings = SearchSettings()
     extraction: ExtractionSettings = ExtractionSettings()
     timing: TimingSettings = TimingSettings()
 
@@ -113,8 +154,9 @@ class AgentConfig(Common, frozen=True, kw_only=True):
 
     def agreed(self) -> Agreed:
         """The settings that all agents must share to compute parts of one PHD and one diagram."""
-        timing = {name: getattr(self.timing, name) for name in ("silent_rounds", "overlap", "interest", "tile")}
-        own = {"filter": self.filter, "birth": self.birth, "partition": self.partition, "timing": timing}
+        timing = {name: getattr(self.timing, name) for name in ("silent_rounds", "silence", "overlap", "interest", "tile")}
+        own = {"filter": self.filter, "birth": self.birth, "pose": self.pose, "partition": self.partition, "timing": timing}
+        own |= {"mixture": self.mixture} if self.filter.kind == "gaussian-mixture" else {}
         return agreed({**common_sections(self), **own})
 
     def others(self, name: str) -> list[str]:
@@ -123,6 +165,13 @@ class AgentConfig(Common, frozen=True, kw_only=True):
         The roster is a hint: it names the agents expected at the start, may be empty, and other agents may join.
         """
         return [other for other in self.members if other != name]
+
+    @property
+    def rounds_of_silence(self) -> int:
+        """The rounds for which a silent peer stays a generator: in real time those of `timing.silence` s, if that is longer."""
+        if self.run.clock == "lockstep":
+            return self.timing.silent_rounds
+        return max(self.timing.silent_rounds, math.ceil(self.timing.silence * self.run.rate / self.run.dt))
 
     def gossip_timeout(self, *, missed: bool) -> float:
         """How long an open round waits for missing gossips, s.

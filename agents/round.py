@@ -6,8 +6,9 @@ how targets are tracked.
 
 import math
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,13 +16,16 @@ from agents.backend import Backend
 from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, power_radius, sensor_facts, unused_capacity
 from agents.coverage.cells import NO_CELL, Cell
-from agents.coverage.control import STAND, ControlInput, ControlLaw, Situation, control_law
-from agents.gossip.table import GossipTable, announced_sensor, gossip_table
+from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings, control_law
+from agents.coverage.search_and_track import SearchAndTrack
+from agents.gossip.table import REACH, GossipTable, announced_sensor, gossip_table
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer_table import LOCAL_VIEW, PeerTable
 from agents.shared_round import claim_of, shared_round
 from agents.tracking.belief import ParticlePhd
 from agents.tracking.claims import Claim, make_claim
+from agents.tracking.extraction import NO_TRACKS, Tracks
+from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.step import Step
 from agents.tracking.tracker import AnyTracker, Diagram, RegionInput, TrackerState, Update
 from protocol.geometry import EMPTY, distances, polygon_centroid, rectangle
@@ -31,7 +35,6 @@ from protocol.sensing import Pose, SensorModel
 from protocol.settings import sensor_of
 
 HORIZON = 40.0  # m around the own cell; with neighbours only, an agent keeps no older copies of particles farther away
-NO_TARGETS = np.empty((0, 2))
 
 
 class AgentContext(NamedTuple):
@@ -51,8 +54,21 @@ class AgentContext(NamedTuple):
 def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
     """The context of the agent `name` with a sensor of that class. Raises BadSetting for an unknown class."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
-    law, tracker = control_law(config), ParticlePhd(backend)
+    law = control_law(config)
+    tracker: AnyTracker = MixturePhd(backend) if config.filter.kind == "gaussian-mixture" else ParticlePhd(backend)
+    if isinstance(law, SearchAndTrack):
+        law = SearchAndTrack(config.search, backend)
     return AgentContext(name, sensor, sensor_facts(sensor), law, backend, tracker, config, corners, sensor_class)
+
+
+class Frame(NamedTuple):
+    """The own cell of a round and the gossips whose generators it was cut from."""
+
+    region: RegionInput
+    generators: GossipTable
+
+
+Replay = Callable[[GossipTable, np.ndarray], Any]  # see `look_ahead.received`
 
 
 @dataclass
@@ -64,8 +80,10 @@ class RoundResult:
     load: float = 0.0  # expected targets in the footprint
     mass: float = 0.0  # expected targets in the cell
     cell: np.ndarray = field(default_factory=lambda: EMPTY)
-    targets: np.ndarray = field(default_factory=lambda: NO_TARGETS)  # estimates in the cell, (M, 2) m
+    tracks: Tracks = NO_TRACKS  # estimates in the cell
     command: ControlInput = STAND
+    intent: Intent | None = None  # for the next gossip
+    frame: Frame | None = None  # of the round; None: none was played
 
     @property
     def power_radius(self) -> float:
@@ -73,22 +91,29 @@ class RoundResult:
         return power_radius(self.unused)
 
 
-def run_round(context: AgentContext, last: RoundResult, neighbours: PeerTable, own: Gossip, fresh: dict[str, Gossip]) -> RoundResult:
+def run_round(
+    context: AgentContext, last: RoundResult, neighbours: PeerTable, own: Gossip, fresh: dict[str, Gossip], replay: Replay | None = None
+) -> RoundResult:
     """The result of the round of `own.tick`.
 
-    `fresh` holds the gossips of that tick by name, in the order of names. `own` is the gossip of this agent.
+    `fresh` holds the gossips of that tick by name, in the order of names. `own` is the gossip of this agent. `replay` computes the
+    density of the tick before where gossips state older ones.
     """
-    config, step = context.config, Step(context.config, own.tick)
+    step, shared = Step(context.config, own.tick), None
     table = _with_own(context, neighbours, fresh, own)
     generator_table = _generator_table(context, neighbours, own, fresh, table)
-    received = context.tracker.merge(context.tracker.predict(last.belief, step), table, step)
-    shared = shared_round(table, context.backend, context.tracker, step, context.arena) if generator_table is table is received else None
     row = table.names.index(context.name)
+    if replay is None:
+        received = context.tracker.merge(context.tracker.predict(last.belief, step), table, step)
+        if generator_table is table is received:
+            shared = shared_round(table, context.backend, context.tracker, step, context.arena)
     if shared is not None:
         region, near = shared.regions[row], shared.updates[row]
     else:
         cell = _own_cell(context, generator_table, neighbours.far)
         region = RegionInput(context.name, row, context.sensor, own.pose, cell.polygon, _claim(generator_table, cell, neighbours.far))
+        if replay is not None:
+            received = replay(table, cell.polygon)
         near = context.tracker.update(received, table, [region], step)[0]
     diagram = Diagram(
         view=_view(neighbours, fresh, generator_table, region.claim),
@@ -96,14 +121,57 @@ def run_round(context: AgentContext, last: RoundResult, neighbours: PeerTable, o
         acquainted=neighbours.acquainted if neighbours.local else None,
         horizon=HORIZON if neighbours.local else math.inf,
     )
+    belief = context.tracker.share(received, region, near, diagram, step)
+    return result_of(context, own, Frame(region, generator_table), near, table, received, belief, neighbours.pace)
+
+
+def result_of(
+    context: AgentContext,
+    own: Gossip,
+    frame: Frame,
+    near: Update,
+    table: GossipTable,
+    received: Any,
+    belief: TrackerState,
+    ticks: int,
+) -> RoundResult:
+    """The result of an update `near` the own cell at the pose of `own`; `ticks`: until the next command."""
+    situation = _situation(context, own, frame.region.polygon, near, frame.generators, table, ticks)
+    if isinstance(context.law, SearchAndTrack):
+        situation = situation._replace(known=_surroundings(context, own, received, near, table, frame.generators))
     return RoundResult(
-        belief=context.tracker.share(received, region, near, diagram, step),
-        unused=unused_capacity(context.facts.capability, near.detected, near.load, config.capacity),
+        belief=belief,
+        unused=unused_capacity(context.facts.capability, near.detected, near.load, context.config.capacity),
         load=near.load,
         mass=near.mass,
-        cell=region.polygon,
-        targets=near.targets,
-        command=context.law.command(_situation(context, own, region.polygon, near, generator_table, table)),
+        cell=frame.region.polygon,
+        tracks=near.tracks,
+        command=context.law.command(situation),
+        intent=context.law.intent if isinstance(context.law, SearchAndTrack) else None,
+        frame=frame,
+    )
+
+
+def _surroundings(
+    context: AgentContext,
+    own: Gossip,
+    received: Any,
+    near: Update,
+    table: GossipTable,
+    generator_table: GossipTable,
+) -> Surroundings:
+    """What a law that announces goals reads besides the situation."""
+    row = bisect_left(generator_table.names, order(own.sender), key=order)
+    others = [other for other in range(len(generator_table.names)) if generator_table.names[other] != own.sender]
+    partners = np.empty((len(generator_table.names), 5))
+    partners[:, :3], partners[:, 3], partners[:row, 4], partners[row:, 4] = generator_table.plans, generator_table.table[:, REACH], 1.0, 0.0
+    return Surroundings(
+        density=context.tracker.weighted_points(received),
+        around=near.updated,
+        table=table,
+        partners=partners[others],
+        goal=own.goal if own.goal is not None else own.pose[:2],
+        is_open=context.config.filter.border == "cross",
     )
 
 
@@ -175,9 +243,9 @@ def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
 
 
 def _situation(
-    context: AgentContext, own: Gossip, cell: np.ndarray, near: Update, generator_table: GossipTable, table: GossipTable
+    context: AgentContext, own: Gossip, cell: np.ndarray, near: Update, generator_table: GossipTable, table: GossipTable, ticks: int
 ) -> Situation:
-    """What the control law reads."""
+    """What the control law reads; `ticks`: until the next command."""
     config = context.config
     return Situation(
         name=context.name,
@@ -196,6 +264,7 @@ def _situation(
         fields=_fields(context, cell, table) if getattr(context.law, "uses_fields", False) else (),
         generators=generator_table.points,
         own_generator=generator_table.names.index(context.name) if context.name in generator_table.names else -1,
+        ticks=ticks,
     )
 
 

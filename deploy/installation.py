@@ -57,18 +57,23 @@ def versions() -> dict[str, Any]:
 
 
 def need_study_packages(what: str) -> None:
+    """Return when the packages of studies are there; else as `need_packages`."""
+    need_packages(what, STUDY_PACKAGES, STUDY_EXTRA)
+
+
+def need_packages(what: str, packages: tuple[str, ...], extra: str) -> None:
     """Return when the packages are there. Under the launcher of a checkout: install them and start this command again.
 
     Raises BadSetting naming what to install where that is not possible.
     """
-    missing = [package for package in STUDY_PACKAGES if not _is_there(package)]
+    missing = [package for package in packages if not _is_there(package)]
     if not missing:
         return
     launcher = os.environ.get("COVEY_LAUNCHER")
-    if launcher and STUDY_EXTRA not in os.environ.get("COVEY_EXTRAS", "").split():
+    if launcher and extra not in os.environ.get("COVEY_EXTRAS", "").split():
         sys.stdout.flush()
-        os.execve(launcher, [launcher, *sys.argv[1:]], {**os.environ, "COVEY_EXTRAS": STUDY_EXTRA})
-    raise BadSetting(f"{what}: needs {' and '.join(missing)}: python -m pip install {' '.join(missing)}, or install covey[{STUDY_EXTRA}]")
+        os.execve(launcher, [launcher, *sys.argv[1:]], {**os.environ, "COVEY_EXTRAS": extra})
+    raise BadSetting(f"{what}: needs {' and '.join(missing)}: python -m pip install {' '.join(missing)}, or install covey[{extra}]")
 
 
 def _is_there(package: str) -> bool:

@@ -10,11 +10,13 @@ import msgspec
 import tomli_w
 
 from agents.config import AgentConfig
-from protocol.settings import BadSetting, Fraction, NotNegative, RunSettings, Section, convert, read_toml, sensor_of
-from world.config import BodySettings, TargetSettings, WorldConfig, WorldRun
+from protocol.settings import BadSetting, Fraction, NotNegative, Positive, RunSettings, Section, convert, read_toml, sensor_of
+from world.config import BodySettings, RecordedSettings, TargetSettings, WorldConfig, WorldRun
+from world.sources import recording_of
 
 LOCKSTEP_HASTE = 5  # times the messages a second that are no flood: nothing holds the world up there, and one agent alone does 700 ticks/s
 FOLDER = Path(__file__).parent / "scenarios"
+ORACLE = "oracle"  # a control mode that only simulations have (`oracle.Oracle`)
 PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4": (5, 20, 15), "5": (6, 24, 18)}
 
 
@@ -40,6 +42,7 @@ class StudySettings(Section, frozen=True, kw_only=True):
     """[study] how results are averaged."""
 
     steady_share: Fraction = 0.8  # the last share of the run that counts as steady state
+    cutoff: Positive = 10.0  # of OSPA and GOSPA, m
 
 
 class Scenario(AgentConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -48,6 +51,7 @@ class Scenario(AgentConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     run: WorldRun = WorldRun()
     targets: TargetSettings = TargetSettings()
     bodies: BodySettings = BodySettings()
+    recorded: RecordedSettings = RecordedSettings()
     team: TeamSettings = TeamSettings()
     study: StudySettings = StudySettings()
     faults: tuple[FaultSettings, ...] = ()
@@ -59,7 +63,7 @@ def world_config(scenario: Scenario) -> WorldConfig:
 
 
 def agent_config(scenario: Scenario) -> AgentConfig:
-    """What an agent may know of a scenario (docs/knowledge.md): no targets, no bodies, no faults, and not the seed of the world.
+    """What an agent may know of a scenario (docs/explanation/knowledge.md): no targets, bodies or faults, and not the seed of the world.
 
     Agents that hear their neighbours get no roster either.
     """
@@ -146,7 +150,10 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
     run, network = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name), scenario.network
     if run.clock == "lockstep" and "most_per_second" not in data.get("network", {}):
         network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)
-    return msgspec.structs.replace(scenario, members=members, run=run, network=network)
+    recorded = scenario.recorded
+    if recorded.data:  # another process reads it, from another folder
+        recorded = msgspec.structs.replace(recorded, data=str((find(name).parent / recorded.data).absolute()))
+    return msgspec.structs.replace(scenario, members=members, run=run, network=network, recorded=recorded)
 
 
 def named(scenario: Scenario, run: str) -> Scenario:
@@ -154,11 +161,35 @@ def named(scenario: Scenario, run: str) -> Scenario:
     return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, name=run))
 
 
+def targets_in_words(scenario: Scenario) -> str:
+    """How many targets there are, or where they come from."""
+    recorded = scenario.recorded
+    return f"{scenario.targets.count} targets" if recorded.kind == "none" else f"{recorded.kind} of {Path(recorded.data).name}"
+
+
+def recording_remarks(scenario: Scenario) -> tuple[str, ...]:
+    """What was left out of the files of a recorded world, a line each; raises BadSetting for wrong files."""
+    return recording_of(world_config(scenario)).remarks if scenario.recorded.kind != "none" else ()
+
+
 def check_names(scenario: Scenario) -> None:
     """Raise BadSetting for an agent that bears the name of another process."""
-    for name in ("world", "monitor", "supervisor"):
+    for name in ("world", "monitor", "supervisor", "operator"):
         if name in scenario.members:
             raise BadSetting(f"members.{name}: this name belongs to the {name}; call the agent otherwise")
+    for name in bodies_of(scenario).values():
+        if name in scenario.members:
+            raise BadSetting(f"members.{name}: this name belongs to a body; call the agent otherwise")
+
+
+def bodies_of(scenario: Scenario) -> dict[str, str]:
+    """The names of body processes by agent, such as s3.body; none where one world has all bodies."""
+    return {name: f"{name}.body" for name in scenario.members} if scenario.bodies.host == "own" else {}
+
+
+def world_names(scenario: Scenario) -> list[str]:
+    """The processes that are the world of a run: one world, or the bodies."""
+    return [*bodies_of(scenario).values()] or ["world"]
 
 
 def _name_members(counts: dict[str, int]) -> dict[str, str]:
@@ -206,3 +237,9 @@ def toml_value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     return tomli_w.dumps({"value": value}).removeprefix("value = ").removesuffix("\n")
+
+
+def refuse_oracle(scenario: Scenario) -> None:
+    """Raise BadSetting for a live run that asks for the oracle."""
+    if scenario.control.mode == ORACLE:
+        raise BadSetting("control.mode = 'oracle': knows the true targets, which a live run tells no agent; use covey simulate")

@@ -17,12 +17,15 @@ from agents.backend import PLAIN, Backend
 from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
 from deploy.faults.injector import Build, Injector
 from deploy.faults.links import Links, describe
-from deploy.scenario import Scenario, world_config
+from deploy.oracle import Oracle, without_oracle
+from deploy.scenario import ORACLE, Scenario, bodies_of, world_config, world_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer
 from protocol.messages import Truth
 from protocol.settings import BadSetting
 from protocol.virtual import Link, VirtualBus
+from world.body import Body
+from world.targets import Targets
 from world.world import World
 
 
@@ -68,21 +71,32 @@ class Simulation:
         scores: bool = True,
     ) -> None:
         check_faults(scenario.faults, list(scenario.members))
-        if any("world" in [name.strip() for name in fault.who.split(",")] for fault in scenario.faults):
-            raise BadSetting("faults: a simulation has no process to strike whose name is world; `covey up` has")
+        for name in [name.strip() for fault in scenario.faults for name in fault.who.split(",")]:
+            if name in ("world", *(f"{member}.body" for member in scenario.members)):
+                raise BadSetting(f"faults: a simulation has no process to strike whose name is {name}; `covey up` has")
         self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock, pace=0.0))
         self.links = Links(scenario.run.seed, list(scenario.members))
         faulty = any(plain_verb(fault.verb) in LINK_VERBS for fault in scenario.faults)
         pace = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
         self.bus = VirtualBus(link=link or (self.links if faulty else None), pace=pace)
         self.scorer = Scorer(self.scenario, scores=scores)
-        self.injector = Injector(self.bus, self.links, self.scenario, backend or compiled(), build)
+        self.world = World(world_config(self.scenario), 1)
+        given = self.scenario
+        if scenario.control.mode == ORACLE:
+            if bodies_of(scenario):
+                raise BadSetting('bodies.host: must be "world" where control.mode is "oracle", which assigns all bodies at once')
+            given, build = without_oracle(given), Oracle(scenario, self.world).build
+        self.injector = Injector(self.bus, self.links, given, backend or compiled(), build)
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick, after the faults of the tick
         self._schedule = Schedule(scenario.run.seed, scenario.faults)
         self._started = time.perf_counter()
         self.scorer.on_truth = self._tick
         self.bus.add(self.scorer)
-        self.bus.add(World(world_config(self.scenario), 1))
+        if bodies_of(scenario):
+            for name, label in bodies_of(scenario).items():
+                self.bus.add(Body(world_config(self.scenario), name, 1), label)
+        else:
+            self.bus.add(self.world)
         for name in scenario.members:
             self.injector.start(name)
 
@@ -93,8 +107,16 @@ class Simulation:
 
     @property
     def done(self) -> bool:
-        """Whether the world has ended the run."""
-        return "world" in self.bus.stopped
+        """Whether the world, or every body that is left, has ended the run."""
+        names = world_names(self.scenario)
+        return not set(names).intersection(self.bus.nodes()) and any(name in self.bus.stopped for name in names)
+
+    def move_target(self, number: int, place: tuple[float, float]) -> None:
+        """Put a target somewhere else, m, at once; raises BadSetting where it cannot be. The run is no longer that of its seed alone."""
+        targets = self.world.scene.targets
+        if not isinstance(targets, Targets) or bodies_of(self.scenario):
+            raise BadSetting("a target can be moved in a simulated world only, where one process moves all targets")
+        targets.place(number, place)
 
     def run(self) -> Result:
         """Play the run to its end."""
@@ -112,7 +134,7 @@ class Simulation:
 
     def _tick(self, truth: Truth) -> None:
         alive, dead = self.injector.alive(), self.injector.dead()
-        for action in self._schedule.due(truth.time, alive, dead, [*alive, *dead, "world"]):
+        for action in self._schedule.due(truth.time, alive, dead, [*alive, *dead, *world_names(self.scenario)]):
             if action.verb == REFUSED:
                 raise BadSetting(action.options["why"])
             if action.verb in ("pause", "resume") or self.scorer.deaths.paused.intersection(action.names):

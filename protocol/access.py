@@ -1,6 +1,7 @@
 """Access control by the common name of the certificate; every peer enforces it for itself.
 
-An agent publishes under the keys that end in its own name. The world publishes under the keys of the world. A watcher publishes nothing.
+An agent publishes under the keys that end in its own name, and so does its body, which has the same certificate. The world publishes
+under the keys of the world, an operator the halt of all bodies. A watcher publishes nothing.
 Each participant receives only what it may subscribe to. A participant without a certificate of an admitted name sends and receives nothing.
 
 Zenoh judges a message by the neighbour at the other end of the link. Peers never relay for peers, so the neighbour is the sender.
@@ -14,15 +15,18 @@ from protocol.endpoints import own_endpoints
 from protocol.keys import ROOT, Token, all_of, all_tokens, one_of
 from protocol.settings import NetworkSettings
 
-WORLD, WATCHER = "world", "monitor"  # common names of the world and of all watchers
+WORLD, WATCHER, OPERATOR = "world", "monitor", "operator"  # common names of the world, of all watchers and of all operators
 FILES = (("certificate", "certificate"), ("private_key", "key"))  # Zenoh's word, field of the settings
+TLS = {"verify_name_on_connect": False, "close_link_on_expiration": True}  # a certificate that runs out ends its links
 LOOKS = ["declare_liveliness_subscriber", "liveliness_query"]
 DECLARATIONS = ["declare_subscriber", "liveliness_token", "reply", *LOOKS]
 
 
 def common_name(own: Token | None) -> str:
-    """The common name of a participant: its own name, or the name that all watchers share."""
-    return own.name if own is not None and own.role in ("agent", "world") else WATCHER
+    """The common name of a participant: its own name, or the name that all operators or all watchers share."""
+    if own is not None and own.role in ("agent", "body", "world"):
+        return own.name
+    return OPERATOR if own is not None and own.role == "operator" else WATCHER
 
 
 def secured(settings: NetworkSettings, own: Token | None) -> dict[str, Any]:
@@ -37,7 +41,7 @@ def secured(settings: NetworkSettings, own: Token | None) -> dict[str, Any]:
     return {
         "listen/endpoints": own_endpoints(settings),
         "transport/link/protocols": ["tls", "quic"],
-        "transport/link/tls": {"root_ca_certificate": files["ca"], **sides, "enable_mtls": True, "verify_name_on_connect": False},
+        "transport/link/tls": {"root_ca_certificate": files["ca"], **sides, "enable_mtls": True, **TLS},
         "access_control": access_control(own.run if own else "*", settings.admit),
     }
 
@@ -46,7 +50,7 @@ def access_control(run: str, agents: Iterable[str]) -> dict[str, Any]:
     """Zenoh's `access_control` for a run with these agents; everything that is not listed is denied."""
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
-    names = [WORLD, WATCHER, *agents]
+    names = [WORLD, WATCHER, OPERATOR, *agents]
     for name in names:
         own = [
             _rule(f"{name} says", ["put"], ["ingress"], _published(run, name)),
@@ -74,7 +78,9 @@ def _published(run: str, name: str) -> list[str]:
         return []
     if name == WORLD:
         return [one_of(run, "hello", name), all_of(run, "observation"), all_of(run, "truth")]
-    return [one_of(run, kind, name) for kind in ("hello", "beacon", "gossip", "command", "estimate")]
+    if name == OPERATOR:
+        return [all_of(run, "halt")]
+    return [one_of(run, kind, name) for kind in ("hello", "beacon", "gossip", "observation", "command", "estimate")]
 
 
 def _subscribed(run: str, name: str) -> list[str]:
@@ -82,13 +88,18 @@ def _subscribed(run: str, name: str) -> list[str]:
     if name == WATCHER:
         return [f"{ROOT}/{run}/**"]
     if name == WORLD:
-        return [all_of(run, "hello"), all_of(run, "command")]
-    return [*(all_of(run, kind) for kind in ("hello", "beacon", "gossip")), one_of(run, "observation", name)]
+        return [all_of(run, "hello"), all_of(run, "command"), all_of(run, "halt")]
+    if name == OPERATOR:
+        return [all_of(run, "observation")]
+    everybodys, own = ("hello", "beacon", "gossip", "halt"), ("observation", "command", "estimate")
+    return [*(all_of(run, kind) for kind in everybodys), *(one_of(run, kind, name) for kind in own)]
 
 
 def _tokens(run: str, name: str) -> list[str]:
     """The liveliness tokens of the owner of a certificate."""
     if name == WATCHER:
         return [f"{ROOT}/{run}/alive/monitor/**", f"{ROOT}/{run}/alive/recorder/**"]
-    role = WORLD if name == WORLD else "agent"
-    return [f"{ROOT}/{run}/alive/{role}/{name}/*"]
+    if name == OPERATOR:
+        return [f"{ROOT}/{run}/alive/operator/**"]
+    roles = [WORLD] if name == WORLD else ["agent", "body"]
+    return [f"{ROOT}/{run}/alive/{role}/{name}/*" for role in roles]

@@ -4,8 +4,9 @@ from collections.abc import Iterable
 
 import msgspec
 
+from protocol.compact import unpacked
 from protocol.fields import Malformed
-from protocol.keys import NAME, Key, parse_message_key
+from protocol.keys import NAME, OF_ALL, Key, parse_message_key
 from protocol.messages import KINDS, WIRE_VERSION, Beacon, Gossip, Message, Observation, plain_arrays
 
 MAX_BYTES = 512 * 1024
@@ -24,6 +25,8 @@ _decoders = {kind: msgspec.msgpack.Decoder(message_type) for kind, message_type 
 
 def encode(message: Message) -> bytes:
     """The msgpack map of a message."""
+    if isinstance(message, Gossip) and message.particles:
+        message = msgspec.structs.replace(message, states_bytes=b"", ids_bytes=b"")
     return _encoder.encode(message)
 
 
@@ -81,7 +84,18 @@ def _parse(key: str, payload: bytes) -> Message:
     if message.wire != WIRE_VERSION:
         raise Malformed("version", f"wire = {message.wire}: this software speaks version {WIRE_VERSION}")
     _check_name(parts, message)
+    if isinstance(message, Gossip) and message.particles:
+        _unpack(message)
     return message
+
+
+def _unpack(gossip: Gossip) -> None:
+    """Fill in the states and ids of a gossip that states its particles in few bytes. Raises Malformed."""
+    if gossip.states_bytes or gossip.ids_bytes:
+        raise Malformed("shape", "particles: states and ids should be empty beside them")
+    states, ids = unpacked(gossip.particles, gossip.sender, gossip.tick - 1 - gossip.behind)
+    msgspec.structs.force_setattr(gossip, "states_bytes", states.tobytes())
+    msgspec.structs.force_setattr(gossip, "ids_bytes", ids.astype("<u8").tobytes())
 
 
 def _check_version(payload: bytes) -> None:
@@ -98,9 +112,9 @@ def _check_name(parts: Key, message: Message) -> None:
     named = message.recipient if isinstance(message, Observation) else message.sender
     if isinstance(message, Beacon) and message.tile != parts.tile:
         raise Malformed("sender", f"tile = {message.tile}: was said in the tile {parts.tile}")
-    if parts.kind != "truth" and named != parts.name:
+    if parts.kind not in OF_ALL and named != parts.name:
         if not NAME.match(named):
             raise Malformed("format", f"{parts.kind}: {named[:64]!r} is no name")
         raise Malformed("sender", f"{named!r} speaks under the key of {parts.name!r}")
-    if not isinstance(message, Observation) and parts.kind != "truth":
+    if not isinstance(message, Observation) and parts.kind not in OF_ALL:
         msgspec.structs.force_setattr(message, "sender", parts.name)  # one string object per sender makes look-ups faster

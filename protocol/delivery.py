@@ -71,6 +71,7 @@ class BusEndpoint:
     waiting: list[Event] = field(default_factory=list)  # what arrived while it was paused or at work
     clock: float = 0.0  # offset of its clock from the time of the bus, s
     work: float = 0.0  # time that it takes for one observation, s
+    starved: Callable[[], float] | None = None  # draws the time that its next round takes, s; None: none
     at_work: bool = False
     armed: float | None = None  # the deadline for which the timer is set
     box: list[MessageRun] = field(default_factory=list)  # runs of messages of this instant that have not been handed over
@@ -90,11 +91,17 @@ class BusEndpoint:
         box, self.box = self.box, []
         if len(box) == 1 and len(box[0].items) > 1:
             return box[0].events
-        return [*in_batches(item for run in box for item in run.without(self))]
+        items = []
+        for run in box:  # most runs hold one message, of another sender
+            if len(run.items) > 1 or run.senders[0] is not self:
+                items += run.items if self not in run.senders else run.without(self)
+        return [*in_batches(items)]
 
     def catch_up(self) -> list[Event]:
         """The events that waited, of observations only the newest: a slow node skips ticks."""
         events, self.waiting = self.waiting, []
+        if not self.node.newest_only:
+            return events
         newest = max((place for place, event in enumerate(events) if is_observation(event)), default=0)
         return [event for place, event in enumerate(events) if place >= newest or not is_observation(event)]
 

@@ -3,6 +3,8 @@
 Lengths in m, times in s, angles in rad.
 """
 
+import struct
+from operator import lt
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -92,7 +94,62 @@ def check_rows(rows: Rows, data: bytes) -> int:
 DETECTIONS, STATES = Rows("detections", F4, 2, MAX_DETECTIONS), Rows("states", F4, 4, MAX_PARTICLES)
 CLAIM, CELL = Rows("claim", F8, 3, MAX_NAMES), Rows("cell", F8, 2, MAX_NAMES)
 TARGETS, POSES = Rows("targets", F8, 2, MAX_DETECTIONS), Rows("poses", F8, 3, MAX_NAMES)
+OBSTACLES = Rows("obstacles", F8, 2, MAX_NAMES)
 IDS, TARGET_IDS = Rows("ids", U8, 1, MAX_PARTICLES), Rows("ids", U8, 1, MAX_DETECTIONS)
+
+
+LABELS, PEAK_LABELS = Rows("labels", U8, 1, MAX_PARTICLES), Rows("labels", U8, 1, MAX_DETECTIONS)
+DETAILS = Rows("details", F4, 6, MAX_DETECTIONS)
+LARGEST_LABEL = 2**53 - 1
+BYTE_VALUES = bytes(range(256))
+
+
+def pack_labels(labels: np.ndarray) -> tuple[bytes, bytes]:
+    """A table of labels (K,) uint64, strictly ascending, and the number in it of each of `labels` (N,): one byte each, or two if K > 256.
+
+    Both are empty if no label is other than 0.
+    """
+    table, numbers = np.unique(labels, return_inverse=True)
+    if not table.any():
+        return b"", b""
+    return pack(table, "<u8"), pack(numbers, "<u1" if len(table) <= 256 else "<u2")
+
+
+def read_labels(table: bytes, numbers: bytes, count: int) -> np.ndarray:
+    """The labels (N,) of `count` particles from the results of `pack_labels`."""
+    if not table:
+        return np.zeros(count, U8)
+    return np.frombuffer(table, U8).take(np.frombuffer(numbers, "<u1" if len(table) <= 8 * 256 else "<u2"))
+
+
+def are_label_numbers(table: bytes, numbers: bytes, count: int) -> bool:
+    """Whether `numbers` has one number for each of `count` particles, and all are smaller than the length of the table."""
+    known = len(table) // 8
+    if known <= 256:
+        return len(numbers) == (count if known else 0) and not numbers.translate(None, BYTE_VALUES[:known])
+    return len(numbers) == 2 * count and int(np.frombuffer(numbers, "<u2").max(initial=0)) < known
+
+
+def are_plain_labels(table: bytes, numbers: bytes, count: int) -> bool:
+    """Whether `check_labels` would refuse nothing."""
+    if not table:
+        return not numbers
+    known = len(table) // 8
+    if len(table) % 8 or known > MAX_PARTICLES or not are_label_numbers(table, numbers, count):
+        return False
+    labels = struct.unpack(f"<{known}Q", table)
+    return labels[-1] <= LARGEST_LABEL and all(map(lt, labels, labels[1:]))
+
+
+def check_labels(table: bytes, numbers: bytes, count: int) -> None:
+    """Refuse a table that does not ascend or exceeds its limits, and numbers of labels that are not in it."""
+    known = LABELS.count(table)
+    if not are_label_numbers(table, numbers, count):
+        text = f"label_numbers: should be {count} numbers below {known}, in {1 if known <= 256 else 2} byte(s) each, or none without labels"
+        raise Malformed("shape", text)
+    labels = np.frombuffer(table, U8)
+    if not bool(np.all(labels[1:] > labels[:-1])) or (known and int(labels[-1]) > LARGEST_LABEL):
+        raise Malformed("range", f"labels: should be strictly ascending and at most {LARGEST_LABEL}")
 
 
 def pack(array: np.ndarray, dtype: str) -> bytes:

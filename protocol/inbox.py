@@ -74,13 +74,11 @@ class RateLimiter:
 class Inbox:
     """A queue that any thread fills and the event loop empties; on overflow the newest message per key and session stays.
 
-    `newest` marks keys by a part of their text: only the newest message of a session counts, so a slow node skips the others.
     `patient` marks keys with messages that wait until as many have come as `rest` sets: one wake-up for many messages costs less.
     """
 
-    def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, newest: str = "", patient: str = "") -> None:
+    def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, patient: str = "") -> None:
         self.dropped = 0  # messages dropped in favour of newer ones
-        self._newest = newest
         self._patient = patient
         self._waiting = 0  # patient messages in the queue
         self._enough = 1  # patient messages that call the loop
@@ -108,8 +106,11 @@ class Inbox:
             self._called = True
             return True
 
-    def take(self, most: int) -> list[Arrival]:
-        """The oldest entries, at most `most`. After an empty list the next `add` calls the loop again."""
+    def take(self, most: int, newest: str = "") -> list[Arrival]:
+        """The oldest entries, at most `most`. After an empty list the next `add` calls the loop again.
+
+        `newest` marks keys by a part of their text: only the newest message of a session counts, so a slow node skips the others.
+        """
         with self._lock:
             if len(self._queue) <= most:
                 batch, self._bytes, self._waiting = list(self._queue), 0, 0
@@ -119,7 +120,7 @@ class Inbox:
                 self._bytes -= sum([len(arrival.payload) for arrival in batch])
                 self._waiting -= sum(map(self.waits, batch))
             self._called = bool(batch)
-            return self._without_old(batch) if self._newest else batch
+            return self._without_old(batch, newest) if newest else batch
 
     def rest(self, enough: int) -> bool:
         """End a pass of the loop; `enough` patient messages call it again. True when the queue already calls for it."""
@@ -132,12 +133,12 @@ class Inbox:
         """Whether an arrival can wait for others of its kind."""
         return self._patient != "" and arrival.token is None and self._patient in arrival.key
 
-    def _without_old(self, batch: list[Arrival]) -> list[Arrival]:
+    def _without_old(self, batch: list[Arrival], newest: str) -> list[Arrival]:
         """The batch without messages that a newer one of the same key and session replaces, in the batch or in the queue."""
-        last = {(arrival.key, arrival.source): arrival for arrival in (*batch, *self._queue) if self._newest in arrival.key}
+        last = {(arrival.key, arrival.source): arrival for arrival in (*batch, *self._queue) if newest in arrival.key}
         if not last:
             return batch
-        kept = [arrival for arrival in batch if self._newest not in arrival.key or last[arrival.key, arrival.source] is arrival]
+        kept = [arrival for arrival in batch if newest not in arrival.key or last[arrival.key, arrival.source] is arrival]
         self.dropped += len(batch) - len(kept)
         return kept
 

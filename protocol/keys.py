@@ -2,7 +2,8 @@
 
     covey/<run>/hello/<agent>          covey/<run>/gossip/<agent>        covey/<run>/beacon/<column>/<row>/<agent>
     covey/<run>/observation/<agent>    covey/<run>/command/<agent>       covey/<run>/estimate/<agent>
-    covey/<run>/truth                  covey/<run>/alive/<role>/<name>/<incarnation>   (a liveliness token)
+    covey/<run>/truth                  covey/<run>/halt
+    covey/<run>/alive/<role>/<name>/<incarnation>   (a liveliness token)
 
 In an expression `*` stands for one part and `**` for any number of parts. <column>/<row> is the tile of the arena to which a
 beacon is addressed.
@@ -16,6 +17,7 @@ from typing import NamedTuple
 from protocol.messages import Beacon, Message, Observation
 
 ROOT = "covey"
+OF_ALL = ("truth", "halt")  # kinds with one key for the whole run
 LONGEST = 256  # characters of a message key: three names and two numbers
 NAME = re.compile(r"^[A-Za-z0-9_.-]{1,64}\Z")
 
@@ -26,7 +28,7 @@ Tile = tuple[int, int]  # column from the west, row from the south
 
 
 class Key(NamedTuple):
-    """The parts of a message's key; `name` is the agent, empty for truth; `tile` is that of a beacon."""
+    """The parts of a message's key; `name` is the agent, empty for the kinds in `OF_ALL`; `tile` is that of a beacon."""
 
     run: str
     kind: str
@@ -51,8 +53,8 @@ def order(name: str) -> tuple[int, str]:
 def message_key(run: str, message: Message) -> str:
     """The key under which a message is published."""
     kind = type(message).__struct_config__.tag
-    if kind == "truth":
-        return f"{ROOT}/{run}/truth"
+    if kind in OF_ALL:
+        return f"{ROOT}/{run}/{kind}"
     if isinstance(message, Beacon):
         return f"{ROOT}/{run}/beacon/{message.column}/{message.row}/{message.sender}"
     name = message.recipient if isinstance(message, Observation) else message.sender
@@ -61,7 +63,7 @@ def message_key(run: str, message: Message) -> str:
 
 def all_of(run: str, kind: str) -> str:
     """The expression for every key of one kind."""
-    return f"{ROOT}/{run}/truth" if kind == "truth" else one_of(run, kind, "*")
+    return f"{ROOT}/{run}/{kind}" if kind in OF_ALL else one_of(run, kind, "*")
 
 
 def one_of(run: str, kind: str, name: str) -> str:
@@ -102,8 +104,8 @@ def parse_message_key(text: str) -> Key | None:
 @lru_cache(maxsize=1 << 15)  # the same keys return in every round, also with some thousand agents
 def _parse_message_key(text: str) -> Key | None:
     parts = text.split("/")
-    if len(parts) == 3 and parts[0] == ROOT and parts[2] == "truth":
-        return Key(parts[1], "truth", "")
+    if len(parts) == 3 and parts[0] == ROOT and parts[2] in OF_ALL:
+        return Key(parts[1], parts[2], "")
     if parts[0] != ROOT or not NAME.match(parts[-1]):
         return None
     if len(parts) == 4 and parts[2] not in ("alive", "beacon"):

@@ -1,4 +1,4 @@
-"""Faults of a link: loss, delay, duplication, reordering and corruption of payloads between two nodes.
+"""Faults of a link: loss, delay, little bandwidth, duplication, reordering and corruption of payloads between two nodes.
 
 A *condition* describes one direction between two nodes. A *channel* is that direction with its own random stream, keyed by the run
 seed and the two names. So a fault on one link changes no draw of another link. Every message takes the same number of draws: a message
@@ -6,6 +6,7 @@ that is lost at 10 % is lost at 30 % too.
 """
 
 import json
+import math
 from collections.abc import Callable
 from typing import Protocol
 
@@ -22,8 +23,8 @@ class LinkFaults(Protocol):
     def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
         """The copies of a payload that this process publishes."""
 
-    def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """The copies of a payload that arrives at this process."""
+    def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
+        """The copies of a payload that arrives at this process at the time `now`, s."""
 
 
 class Condition(Section, frozen=True, kw_only=True):
@@ -33,6 +34,8 @@ class Condition(Section, frozen=True, kw_only=True):
     burst: NotNegative = 0.0  # mean number of messages lost in a row (Gilbert-Elliott); 0: each is lost on its own (Bernoulli)
     delay: NotNegative = 0.0  # s
     jitter: NotNegative = 0.0  # s, uniform on top of the delay; messages may overtake each other
+    throttle: NotNegative = 0.0  # kbit/s that the link carries, one message after the other; 0: no limit
+    queue: NotNegative = 2.0  # s that a message waits for its turn at most; what would wait longer is lost
     duplicate: Fraction = 0.0  # share of the messages that arrive twice, the copy up to `spread` s later
     reorder: Fraction = 0.0  # share of the messages that are held back by up to `spread` s
     spread: NotNegative = 0.2  # s
@@ -51,18 +54,30 @@ class Channel:
         self._rng = stream(seed, "link", key(sender), key(receiver))
         self._dice: list[list[float]] = []  # the draws of the next messages, the last message first
         self._bad = False  # Gilbert-Elliott: every message is lost while the channel is bad
+        self._free_at = -math.inf  # s, when a link of little bandwidth has carried all that it was given
 
-    def copies(self, payload: bytes, condition: Condition) -> list[tuple[float, bytes]]:
-        """(delay s, payload) of every copy that arrives; the same object `payload` unless the copy is corrupt."""
+    def copies(self, payload: bytes, condition: Condition, now: float) -> list[tuple[float, bytes]]:
+        """(delay s, payload) of every copy that arrives of what is sent at `now` s; the very object unless the copy is corrupt."""
         if condition == CLEAR:
             return [(0.0, payload)]
         lost, jitter, twice, later, held, hold, flip, where = self.throw()
-        if self._loses(lost, condition):
+        waited = self._carry(len(payload), condition, now)
+        if self._loses(lost, condition) or math.isinf(waited):
             return LOST
-        delay = condition.delay + jitter * condition.jitter + (hold * condition.spread if held < condition.reorder else 0.0)
+        delay = waited + condition.delay + jitter * condition.jitter + (hold * condition.spread if held < condition.reorder else 0.0)
         arrived = corrupted(payload, where) if flip < condition.flip and payload else payload
         copies = [(delay, arrived)]
         return [*copies, (delay + later * condition.spread, arrived)] if twice < condition.duplicate else copies
+
+    def _carry(self, size: int, condition: Condition, now: float) -> float:
+        """The time in s until a link of little bandwidth has carried `size` bytes; infinite if the queue is full."""
+        if not condition.throttle:
+            return 0.0
+        begin = max(now, self._free_at)
+        if begin - now > condition.queue:
+            return math.inf
+        self._free_at = begin + 0.008 * size / condition.throttle
+        return self._free_at - now
 
     def throw(self) -> list[float]:
         """The eight draws of the next message, each in [0, 1)."""
@@ -114,8 +129,8 @@ class Ears:
         self._reception, plain = reception, reception.conditions.items()
         self._lossy = {name: condition.drop for name, condition in plain if condition == Condition(drop=condition.drop) != CLEAR}
 
-    def hear(self, sender: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """(delay s, payload) of every copy of a message that arrives."""
+    def hear(self, sender: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
+        """(delay s, payload) of every copy that arrives of a message that is sent at `now` s."""
         if sender in self._reception.cut:
             return LOST
         condition = self._reception.conditions.get(sender)
@@ -126,7 +141,7 @@ class Ears:
             channel = self._channels[sender] = Channel(self._seed, sender, self._receiver)
         share = self._lossy.get(sender)
         if share is None:
-            return channel.copies(payload, condition)
+            return channel.copies(payload, condition, now)
         return LOST if channel.throw()[0] < share else [(0.0, payload)]  # as `copies`, with fewer tests
 
 
@@ -150,9 +165,9 @@ class LiveLink:
         """The payload itself, without delay: the receivers apply the faults."""
         return [(0.0, payload)]
 
-    def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+    def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
         """The copies of a payload that arrives at this process, after the faults of its link."""
-        return self._ears.hear(sender_of(key), payload)
+        return self._ears.hear(sender_of(key), payload, now)
 
 
 def sender_of(key: str) -> str:

@@ -71,7 +71,7 @@ class Driver:
         self._node = node
         self._settings = settings
         self._link = link
-        self._inbox = Inbox(newest=node.newest_only, patient=node.patient)
+        self._inbox = Inbox(patient=node.patient)
         self._rate_limiter = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own)
@@ -167,7 +167,7 @@ class Driver:
     # ------------------------------------------------------------------ the event loop
 
     def _drain(self) -> None:
-        arrivals = self._inbox.take(SLICE)
+        arrivals = self._inbox.take(SLICE, self._node.newest_only)
         if self._link is None:
             self._receive(arrivals)
         else:
@@ -176,9 +176,9 @@ class Driver:
             self._loop.call_soon(self._drain)
 
     def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
-        at_once: list[Arrival] = []
+        at_once, now = list[Arrival](), self._loop.time()
         for arrival in arrivals:
-            copies = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload)
+            copies = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload, now)
             for delay, payload in copies:
                 changed = arrival._replace(payload=payload)
                 if delay > 0.0:

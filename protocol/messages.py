@@ -1,4 +1,4 @@
-"""The messages: frozen msgspec structs, one per kind, on the wire as msgpack maps (docs/protocol.md specifies them).
+"""The messages: frozen msgspec structs, one per kind, on the wire as msgpack maps (docs/reference/protocol.md specifies them).
 
 Arrays are raw little-endian bytes on the wire; properties return read-only numpy views of them. `check` holds the rules of a message
 alone. Rules that need the context are checked elsewhere: the sender against the key in `codec`, the limits of the announced sensor in
@@ -13,9 +13,11 @@ from typing import Annotated, Union
 import msgspec
 import numpy as np
 
+from protocol.components import check_components, read_components
 from protocol.fields import (
     CELL,
     CLAIM,
+    DETAILS,
     DETECTIONS,
     F4,
     F8,
@@ -23,6 +25,7 @@ from protocol.fields import (
     IDS,
     LARGEST_ANGLE,
     LARGEST_AREA,
+    LARGEST_LABEL,
     LARGEST_SETTING,
     LATEST,
     LEAST_ANGLE,
@@ -31,6 +34,8 @@ from protocol.fields import (
     MAX_NAMES,
     MAX_PARTICLES,
     MAX_SETTINGS,
+    OBSTACLES,
+    PEAK_LABELS,
     POSES,
     STATES,
     TARGET_IDS,
@@ -40,10 +45,13 @@ from protocol.fields import (
     Malformed,
     Name,
     are_plain,
+    are_plain_labels,
+    check_labels,
     check_number,
     check_rows,
     check_vector,
     pack,
+    read_labels,
 )
 from protocol.once import once
 from protocol.sensing import WedgeSensor
@@ -51,6 +59,8 @@ from protocol.sensing import WedgeSensor
 WIRE_VERSION = 2
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+LagNumber = Annotated[int, msgspec.Meta(ge=0, le=64)]
+PaceNumber = Annotated[int, msgspec.Meta(ge=1, le=64)]
 TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
 Vector = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -148,6 +158,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
 
 GOSSIP_NUMBERS = 12  # x, y, cosine and sine of the heading, COD x and y, power radius, U, weight, detections, particles, scanned
 _pack_numbers = struct.Struct(f"<{GOSSIP_NUMBERS}d").pack
+_pack_plan = struct.Struct("<3d").pack
 _NO_BOX = struct.pack("<4d", math.inf, math.inf, -math.inf, -math.inf)
 
 
@@ -157,7 +168,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     sender: str  # a Name; checked by comparison with the key, which is parsed once and not in every round
     tick: Tick
     pose: Triple  # x, y, heading
-    cod: Vector  # generator of the power cell (14)
+    cod: Vector  # centroid of detection (14); the generator of the cell, but with `voronoi` the position is
     power_radius: float  # g(U) (13)
     unused: float  # U, m^2 (11)
     detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
@@ -170,6 +181,15 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     weight: float = 0.0  # of each particle, expected targets
     states_bytes: bytes = msgspec.field(name="states", default=b"")  # (N, 4) float32: x, y, vx, vy
     ids_bytes: bytes = msgspec.field(name="ids", default=b"")  # (N,) uint64
+    components_bytes: bytes = msgspec.field(name="components", default=b"")  # (N,) of `COMPONENT`, from a tracker of Gaussian mixtures
+    labels_bytes: bytes = msgspec.field(name="labels", default=b"")  # (K,) uint64: a table of labels, strictly ascending
+    label_numbers_bytes: bytes = msgspec.field(name="label_numbers", default=b"")  # (N,) uint8, uint16 if K > 256: places in the table
+    particles: bytes = b""  # in place of states and ids, which are empty on the wire then: the same in few bytes (protocol/compact.py)
+    goal: Vector | None = None  # the place that the sensor goes to; None: it stays
+    goal_load: float = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
+    pace: PaceNumber = 1  # the sender has the time for the ticks that this number divides
+    behind: LagNumber = 0  # the claim is so many ticks older than that of the tick before: later rounds wait for late gossips
+    lag: LagNumber = 0  # rounds must be played so many ticks late, so that the sender hears most gossips
 
     @once
     def detections(self) -> np.ndarray:
@@ -192,12 +212,28 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         return IDS.read(self.ids_bytes)
 
     @once
+    def components(self) -> np.ndarray:
+        """(N,) of `COMPONENT`, by ascending id."""
+        return read_components(self.components_bytes)
+
+    @once
+    def labels(self) -> np.ndarray:
+        """The label of each particle (N,) uint64; 0: none."""
+        return read_labels(self.labels_bytes, self.label_numbers_bytes, len(self.ids_bytes) // 8)
+
+    @once
     def numbers(self) -> bytes:
         """The single numbers of the message, `GOSSIP_NUMBERS` of float64; a gossip table joins those of many gossips."""
         (x, y, heading), (east, north) = self.pose, self.cod
         counts = len(self.detections_bytes) // 8, len(self.ids_bytes) // 8
         ahead = math.cos(heading), math.sin(heading)
         return _pack_numbers(x, y, *ahead, east, north, self.power_radius, self.unused, self.weight, *counts, self.scanned)
+
+    @once
+    def plan(self) -> bytes:
+        """The goal, or the place of the sensor without one, and its load, as float64."""
+        x, y = self.goal if self.goal is not None else self.pose[:2]
+        return _pack_plan(x, y, self.goal_load)
 
     @once
     def box(self) -> bytes:
@@ -214,21 +250,25 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         states, count = check_rows(STATES, self.states_bytes), IDS.count(self.ids_bytes)
         if count != states:
             raise Malformed("shape", f"ids: {count} ids for {states} states")
+        check_labels(self.labels_bytes, self.label_numbers_bytes, count)
         if count > 1:
             ids = np.frombuffer(self.ids_bytes, U8)
             if 0 in (ids[1:] > ids[:-1]).tobytes():
                 raise Malformed("range", "ids: should be strictly ascending")
+        check_components(self.components_bytes)
 
     def is_plain(self) -> bool:
         """Whether everything but the contents of the arrays is valid; `plain_arrays` proves those. False: `check` decides."""
         detections, claim, ids = len(self.detections_bytes), len(self.claim_bytes), len(self.ids_bytes)
         return (
-            are_plain(self.pose, self.cod, (self.power_radius, self.weight))
+            are_plain(self.pose, self.cod, (self.power_radius, self.weight, self.goal_load))
+            and (self.goal is None or are_plain(self.pose, self.goal, (0.0,)))
             and 0.0 <= self.unused <= LARGEST_AREA
-            and not (detections % 8 or claim % 24 or ids % 8)
+            and not (detections % 8 or claim % 24 or ids % 8 or self.components_bytes)
             and detections <= 8 * MAX_DETECTIONS
             and ids <= 8 * MAX_PARTICLES
             and len(self.states_bytes) == 2 * ids
+            and are_plain_labels(self.labels_bytes, self.label_numbers_bytes, ids // 8)
             and claim == 24 * len(self.claim_names)
             and claim <= 24 * MAX_NAMES
             and (self.claim_names[0] == self.sender if claim else not ids)
@@ -236,6 +276,9 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         )
 
     def _check_numbers(self) -> None:
+        if self.goal is not None:
+            check_vector("goal", self.goal)
+        check_number("goal_load", self.goal_load, least=0.0)
         if are_plain(self.pose, self.cod, (self.power_radius, self.weight)) and 0.0 <= self.unused <= LARGEST_AREA:
             return
         check_vector("pose", self.pose)
@@ -251,6 +294,8 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
             raise Malformed("sender", f"claim_names: the first should be the sender, not {self.claim_names[0][:64]!r}")
         if self.states_bytes and not self.claim_names:
             raise Malformed("shape", "states: particles without a claim")
+        if self.components_bytes and not self.claim_names:
+            raise Malformed("shape", "components: a mixture without a claim")
         if self.claim_tick and self.claim_tick >= self.tick:
             raise Malformed("range", f"claim_tick = {self.claim_tick}: should be earlier than tick = {self.tick}")
 
@@ -278,16 +323,23 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
     time: float  # world time since its start
     pose: Triple
     detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
+    obstacles_bytes: bytes = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
 
     @once
     def detections(self) -> np.ndarray:
         """(M, 2) float32."""
         return DETECTIONS.read(self.detections_bytes)
 
+    @once
+    def obstacles(self) -> np.ndarray:
+        """(K, 2) float64."""
+        return OBSTACLES.read(self.obstacles_bytes)
+
     def check(self) -> None:
         check_number("time", self.time, -LATEST, LATEST)
         check_vector("pose", self.pose)
         check_rows(DETECTIONS, self.detections_bytes)
+        check_rows(OBSTACLES, self.obstacles_bytes)
 
 
 class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
@@ -314,10 +366,13 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     mass: float = 0.0  # expected targets in the cell
     cell_bytes: bytes = msgspec.field(name="cell", default=b"")  # (V, 2) float64, counter-clockwise
     targets_bytes: bytes = msgspec.field(name="targets", default=b"")  # (M, 2) float64
+    details_bytes: bytes = msgspec.field(name="details", default=b"")  # (M, 6) float32: vx, vy, covariance xx, xy, yy, existence
+    labels_bytes: bytes = msgspec.field(name="labels", default=b"")  # (M,) uint64: identities; 0: none
     view: Count = 0  # hash of the generators from which the cell was cut
     neighbours: tuple[str, ...] = ()  # the agents that bound the cell
     counters: dict[str, int] = {}  # rounds, late, missing, skipped, rejected.<reason>, heard, ...
     round_seconds: float = 0.0  # duration of the round; 0 in virtual time
+    pace: PaceNumber = 1  # the sender plays the ticks that this number divides
 
     @once
     def cell(self) -> np.ndarray:
@@ -329,9 +384,25 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
         """(M, 2) float64."""
         return TARGETS.read(self.targets_bytes)
 
+    @once
+    def details(self) -> np.ndarray:
+        """(M, 6) float32: velocity vx, vy in m/s, covariance xx, xy, yy of the position in m^2, existence; zeros if not stated."""
+        return DETAILS.read(self.details_bytes) if self.details_bytes else np.zeros((len(self.targets), DETAILS.columns))
+
+    @once
+    def labels(self) -> np.ndarray:
+        """(M,) uint64; 0: none, or not stated."""
+        return PEAK_LABELS.read(self.labels_bytes) if self.labels_bytes else np.zeros(len(self.targets), U8)
+
     def check(self) -> None:
         check_rows(CELL, self.cell_bytes)
-        check_rows(TARGETS, self.targets_bytes)
+        targets = check_rows(TARGETS, self.targets_bytes)
+        if self.details_bytes or self.labels_bytes:
+            details, labels = check_rows(DETAILS, self.details_bytes), PEAK_LABELS.count(self.labels_bytes)
+            if (details or targets) != targets or (labels or targets) != targets:
+                raise Malformed("shape", f"details, labels: {details} and {labels} rows for {targets} targets")
+            if labels and int(self.labels.max()) > LARGEST_LABEL:
+                raise Malformed("range", f"labels: should be at most {LARGEST_LABEL}")
         plain = are_plain(self.pose, self.cod, (self.power_radius, self.load, self.mass))
         if plain and 0.0 <= self.unused <= LARGEST_AREA and 0.0 <= self.round_seconds <= LATEST:
             return
@@ -378,7 +449,13 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
             raise Malformed("shape", "one id per target, one pose per body")
 
 
-AnyMessage = Union[Hello, Beacon, Gossip, Observation, Command, Estimate, Truth]  # noqa: UP007 (msgspec wants the union object)
+class Halt(Message, frozen=True, kw_only=True, dict=True, tag="halt"):
+    """From an operator to all bodies: stand still until a later Halt with `held` false. The larger incarnation is the later one."""
+
+    held: bool
+
+
+AnyMessage = Union[Hello, Beacon, Gossip, Observation, Command, Estimate, Truth, Halt]  # noqa: UP007 (msgspec wants the union object)
 KINDS: dict[str, type[Message]] = {
     "hello": Hello,
     "beacon": Beacon,
@@ -387,4 +464,5 @@ KINDS: dict[str, type[Message]] = {
     "command": Command,
     "estimate": Estimate,
     "truth": Truth,
+    "halt": Halt,
 }

@@ -148,12 +148,16 @@ class Node(Protocol):
     """What a driver drives. A node inherits from this class, and thereby the default of each optional member."""
 
     run: str  # name of the run, the second part of every key
-    role: str  # agent, world, recorder or monitor
+    role: str  # agent, world, body, recorder, monitor or operator
     name: str  # unique in the run
     incarnation: int  # grows with every restart under the same name
     patient: str = ""  # part of the keys of messages that may wait until `awaiting` of them have arrived; empty: none
-    newest_only: str = ""  # part of the keys of messages of which only the newest that waits is handed over
     sees_all_tokens: bool = True  # False: the driver shows only the liveliness tokens to which the node subscribes
+
+    @property
+    def newest_only(self) -> str:
+        """A part of the keys of messages of which only the newest that waits is handed over; empty: none."""
+        return ""
 
     @property
     def awaiting(self) -> int:

@@ -121,11 +121,16 @@ def _with_sensor(config: Config, options: argparse.Namespace) -> Config:
 
 
 def main(
-    role: str, into: type[Config], build: Callable[[Config, str, int], Role], on_line: Callable[[Role, str], None] | None = None
+    role: str,
+    into: type[Config],
+    build: Callable[[Config, str, int], Role],
+    on_line: Callable[[Role, str], None] | None = None,
+    at_end: Callable[[Role], None] = lambda node: None,
 ) -> NoReturn:
     """Run one process: read the configuration, build the node, drive it, leave with its exit code; 2 on bad input.
 
-    `on_line` takes the lines that a parent writes to the standard input. Without it they set the link faults.
+    `on_line` takes the lines that a parent writes to the standard input. Without it they set the link faults. `at_end` is called when
+    the node is driven no more, for whatever reason but an error in it.
     """
     options = arguments(role)
     if options.supervised:
@@ -141,6 +146,7 @@ def main(
         link = LiveLink(config.dice, options.name, logging.getLogger(__name__).warning) if config.network.link_faults else None
         hear = partial(on_line, node) if on_line else link.on_line if link else None
         code = live.run(node, network_of(config, options), watch_stdin=options.supervised, on_line=hear, link=link)
+        at_end(node)
     except BadSetting as error:
         if error.__cause__ is not None:  # an error inside a class of the user's own: the log shows its traceback
             logging.getLogger(__name__).error("%s", error, exc_info=error.__cause__)

@@ -32,12 +32,16 @@ def read(key: str, payload: bytes, message: Message | Malformed) -> Decoded | Re
 def in_batches(arrived: Iterable[Decoded | Event]) -> Iterator[Event]:
     """The events in the order of arrival; consecutive messages of one kind are one `Received`."""
     run: list[Decoded] = []
+    kind: type[Message] | None = None  # of the messages in `run`
     for item in arrived:
-        if run and not (isinstance(item, Decoded) and type(item.message) is type(run[0].message)):
-            yield _batch(run)
-            run = []
-        if isinstance(item, Decoded):
+        if isinstance(item, Decoded) and type(item.message) is kind:
             run.append(item)
+            continue
+        if run:
+            yield _batch(run)
+        run, kind = [], None
+        if isinstance(item, Decoded):
+            run, kind = [item], type(item.message)
         else:
             yield item
     if run:

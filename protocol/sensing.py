@@ -12,6 +12,8 @@ from typing import Protocol, runtime_checkable
 import msgspec
 import numpy as np
 
+from protocol.measuring import Measurement
+
 Pose = tuple[float, float, float]
 
 
@@ -40,12 +42,16 @@ class SensorModel(Protocol):
 _SLIT = 1e-9  # rad
 
 
-class WedgeSensor(msgspec.Struct, frozen=True, dict=True):
-    """A wedge of `angle` rad and `radius` m, centred on the heading, with constant detection probability (21), figure 2."""
+class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
+    """A wedge of `angle` rad and `radius` m, centred on the heading, with constant detection probability (21), figure 2.
+
+    `measures` is None for a sensor that measures positions.
+    """
 
     angle: float
     radius: float
     prob_detection: float
+    measures: Measurement | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.angle <= 2.0 * math.pi:
@@ -100,6 +106,11 @@ def wedge_probabilities(sensors: Sequence[WedgeSensor], poses: Sequence[Pose], w
     range2 = dx * dx + dy * dy
     inside = (range2 <= radius2) & (dx * cos + dy * sin >= cos_half * np.sqrt(range2))
     return np.where(inside, prob, 0.0)
+
+
+def measurement_of(sensor: SensorModel) -> Measurement | None:
+    """What a sensor measures; None: positions. Only a wedge measures anything else."""
+    return sensor.measures if isinstance(sensor, WedgeSensor) else None
 
 
 def _degrees(angle: float, radius: float, prob_detection: float) -> WedgeSensor:

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import msgspec
 
 from protocol.fields import Name
+from protocol.measuring import Measurement
 from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1.0e9)]
@@ -70,6 +71,7 @@ class LimitSettings(Section, frozen=True, kw_only=True):
 
     speed: Annotated[float, msgspec.Meta(ge=0.0, le=1.0e4)] = 2.0  # m/s
     turn_rate: NotNegative = 5.0  # rad/s
+    radius: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0  # of every body, m; agents keep bodies apart. 0 = points that may meet
 
 
 class SensorSettings(Section, frozen=True, kw_only=True):
@@ -81,6 +83,9 @@ class SensorSettings(Section, frozen=True, kw_only=True):
     angle: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None  # viewing angle, degrees
     radius: Annotated[float, msgspec.Meta(gt=0.0, le=5.0e5)] | None = None  # m
     prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # else that of the paper, or 1
+    measures: Literal["position", "range-bearing", "bearing"] = "position"  # of a wedge; positions have the noise of [detection]
+    range_noise: NotNegative = 0.0  # standard deviation of a range, m
+    bearing_noise: Annotated[float, msgspec.Meta(ge=0.0, le=45.0)] = 0.0  # standard deviation of a bearing, degrees
     model: str = "wedge"
     parameters: dict[str, Any] = {}
 
@@ -93,13 +98,16 @@ class SensorSettings(Section, frozen=True, kw_only=True):
                 paper = WedgeSensor(math.radians(self.angle), self.radius, 1.0)
             angle = paper.angle if self.angle is None else math.radians(self.angle)
             radius = paper.radius if self.radius is None else self.radius
-            return WedgeSensor(angle, radius, paper.prob_detection if self.prob_detection is None else self.prob_detection)
+            prob_detection = paper.prob_detection if self.prob_detection is None else self.prob_detection
+            return WedgeSensor(angle, radius, prob_detection, self._measurement())
         try:
             sensor = load_named(self.model)(**self.parameters)
         except (ValueError, ImportError, TypeError):
             raise
         except (Exception, SystemExit) as error:
             raise ValueError(f"{self.model} raised {type(error).__name__}: {error}") from error
+        if self.measures != "position":
+            raise ValueError(f"measures = {self.measures!r}: should be 'position' for a sensor of one's own; a wedge has others")
         missing = [part for part in ("reach", "area", "probability", "footprint") if not hasattr(sensor, part)]
         if missing:
             raise ValueError(f"{self.model} lacks {', '.join(missing)} of protocol.sensing.SensorModel")
@@ -111,6 +119,14 @@ class SensorSettings(Section, frozen=True, kw_only=True):
         probe(checked, self.model)
         return checked
 
+    def _measurement(self) -> Measurement | None:
+        """What a wedge measures; raises ValueError naming the noise that is missing or superfluous."""
+        if self.measures == "position":
+            if self.range_noise or self.bearing_noise:
+                raise ValueError("range_noise, bearing_noise: a sensor of positions has the noise of [detection]")
+            return None
+        return Measurement(self.measures, math.radians(self.bearing_noise), self.range_noise)
+
 
 class NetworkSettings(Section, frozen=True, kw_only=True):
     """[network] the Zenoh session."""
@@ -118,7 +134,7 @@ class NetworkSettings(Section, frozen=True, kw_only=True):
     mode: Literal["peer", "client", "router"] = "peer"  # peer: everybody is linked to everybody; client: to a router, which passes all on
     listen: tuple[str, ...] = ("tcp/127.0.0.1:0",)
     seeds: tuple[str, ...] = ()  # endpoints to dial
-    lease: Positive = 2.0  # s
+    lease: Positive = 5.0  # s without a byte until a link counts as lost; longer than a machine stands still
     most_per_second: Annotated[int, msgspec.Meta(ge=1)] = 1000  # messages of one session under one key; more is a flood. In lockstep 5000
     insecure: bool = False  # allow endpoints beyond loopback without TLS
     ca: str = ""  # mutual TLS: the file of the authority that all trust; in the next two, {name} stands for the process's name

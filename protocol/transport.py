@@ -7,7 +7,7 @@ from protocol.settings import NetworkSettings
 
 
 def session_values(settings: NetworkSettings) -> dict[str, Any]:
-    """Zenoh's settings for a peer, by key; docs/protocol.md gives the reason for each value."""
+    """Zenoh's settings for a peer, by key; docs/reference/protocol.md gives the reason for each value."""
     return {
         "mode": settings.mode,
         "listen/endpoints": settings.listen if settings.mode != "client" else (),

@@ -15,7 +15,7 @@ from typing import Protocol
 from protocol import codec
 from protocol.delivery import TO_MANY, BusEndpoint, Delivery, Item, MessageRun, is_observation, place_of
 from protocol.keys import is_of_tokens, message_key, tokens_of
-from protocol.messages import Command, Message
+from protocol.messages import Command, Gossip, Message
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.reception import in_batches, read
 from protocol.routes import Routes
@@ -105,7 +105,8 @@ class VirtualBus:
         """Show a token that appears or vanishes to all nodes but the subject, or to those named, if they subscribe to it."""
         named = {self._endpoints[label] for label in to if label in self._endpoints} if to is not None else self._endpoints.values()
         for endpoint in sorted(named, key=place_of):
-            subject = (endpoint.node.name, endpoint.node.incarnation) == (event.name, event.incarnation)
+            node = endpoint.node
+            subject = (node.role, node.name, node.incarnation) == (event.role, event.name, event.incarnation)
             if not subject and (
                 endpoint.node.sees_all_tokens or tokens_of(endpoint.node.run, event.role, event.name) in endpoint.expressions
             ):
@@ -129,6 +130,25 @@ class VirtualBus:
     def slow(self, name: str, seconds: float) -> None:
         """Let a node work for `seconds` on every observation and take no other event meanwhile; 0: no work."""
         self._endpoints[name].work = seconds
+
+    def starve(self, name: str, seconds: Callable[[], float] | None) -> None:
+        """Let every round of a node, from its gossip on, take the seconds that a function draws; None: no time.
+
+        The effects come out after half of that, and the node takes no other event before the end.
+        """
+        self._endpoints[name].starved = seconds
+
+    def freeze(self, seconds: float) -> None:
+        """Stop all nodes at once for some seconds: a machine that stands still."""
+        stopped = [endpoint for endpoint in self._endpoints.values() if not endpoint.paused]
+        for endpoint in stopped:
+            endpoint.paused = True
+        self.call_later(seconds, lambda: self._thaw(stopped))
+
+    def _thaw(self, stopped: list[BusEndpoint]) -> None:
+        for endpoint in stopped:
+            endpoint.paused = endpoint not in self._endpoints.values()
+            self._wake(endpoint)
 
     def _wake(self, endpoint: BusEndpoint) -> None:
         """Hand a node the events that waited, of observations only the newest."""
@@ -205,10 +225,15 @@ class VirtualBus:
                 endpoint.waiting.append(event)
             return
         effects = endpoint.handle(event, self._time_of(endpoint) if endpoint.clock else self.now)
+        if endpoint.starved is not None and any(isinstance(effect, Gossip) for effect in effects):
+            self._labour(endpoint, effects, endpoint.starved())
+            effects = []
         for effect in effects:
             self._carry_out(endpoint, effect)
         if self.tap is not None:
             self.tap(endpoint.node, event)
+        if endpoint.at_work:
+            return
         if effects is NO_EFFECTS and endpoint.armed is not None:
             return
         if endpoint.work > 0.0 and is_observation(event):
@@ -216,6 +241,17 @@ class VirtualBus:
             self._schedule(endpoint, _Done(), endpoint.work)
         elif endpoint.deadline() != endpoint.armed:
             self._rearm(endpoint)
+
+    def _labour(self, endpoint: BusEndpoint, effects: list[Effect], seconds: float) -> None:
+        """Carry out the effects of a starved node after half of the time that its round takes."""
+
+        def carry_out() -> None:
+            for effect in effects if endpoint in self._endpoints.values() else ():
+                self._carry_out(endpoint, effect)
+
+        endpoint.at_work = True
+        self.call_later(0.5 * seconds, carry_out)
+        self._schedule(endpoint, _Done(), seconds)
 
     def _time_of(self, endpoint: BusEndpoint) -> float:
         """The time of a node's clock; rounded up to a deadline within 1 us, because its timer would fire for ever otherwise."""

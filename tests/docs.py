@@ -97,6 +97,8 @@ class Reader:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         (folder / "covey").symlink_to(ROOT / "covey")
+        (folder / ".venv").symlink_to(Path(sys.executable).parents[1])
+        (folder / "docs").symlink_to(ROOT / "docs")
         (folder / "home").mkdir()
         caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # what is compiled there need not be compiled again
         self._environment = {

@@ -1,6 +1,6 @@
 """A notebook is run cell by cell in this process, and its outputs are compared with those that it keeps.
 
-python -m tests.notebook docs/notebook.ipynb    runs it and keeps the outputs
+python -m tests.notebook docs/tutorial/notebook.ipynb    runs it and keeps the outputs
 """
 
 import ast

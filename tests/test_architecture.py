@@ -48,7 +48,8 @@ SHELL = {  # the files where time, sockets and threads live; all others are core
 OUTSIDE_WORLD = {"random", "secrets", "uuid", "time", "datetime", "socket", "asyncio", "threading", "subprocess", "multiprocessing"}
 PURE_RANDOM = {"Generator", "PCG64", "BitGenerator", "SeedSequence"}
 STRANGER = "deploy/examples/stranger.py"
-MOST_LINES = 450  # the subject decides where a file ends; this only asks whether there are two
+BRIDGE = "deploy/bridge/"
+MOST_LINES = 480  # the subject decides where a file ends; this only asks whether there are two
 AGENT_PACKAGES = {
     "numpy",
     "msgspec",
@@ -80,6 +81,12 @@ class Source(NamedTuple):
 Rule = Callable[[Source], list[str]]
 
 
+@cache
+def parsed(source: Source) -> ast.Module:
+    """The syntax tree of a file, which all rules share."""
+    return ast.parse(source.text)
+
+
 def sources() -> list[Source]:
     """All Python files of the four rooms."""
     files = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
@@ -89,7 +96,7 @@ def sources() -> list[Source]:
 def imported(source: Source) -> list[str]:
     """Dotted names of all modules that a file imports, anywhere in it; relative imports begin with a dot."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(source.text)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -113,13 +120,17 @@ def imports_of_tests(source: Source) -> list[str]:
 
 
 def zenoh_outside_live(source: Source) -> list[str]:
-    """Only protocol/live.py imports zenoh, and the example agent that shares nothing with ours."""
-    return sorted(packages(source) & {"zenoh"}) if source.path not in ("protocol/live.py", STRANGER) else []
+    """Only protocol/live.py imports zenoh, and the examples that share nothing with ours."""
+    theirs = source.path in ("protocol/live.py", STRANGER) or source.path.startswith(BRIDGE)
+    return sorted(packages(source) & {"zenoh"}) if not theirs else []
 
 
 def ours_in_the_stranger(source: Source) -> list[str]:
-    """The example agent imports the standard library, zenoh and msgpack alone."""
-    return sorted(packages(source) - sys.stdlib_module_names - {"zenoh", "msgpack"}) if source.path == STRANGER else []
+    """The example agent imports the standard library, zenoh and msgpack alone; the bridge besides rosbags and its own folder."""
+    bridge = source.path.startswith(BRIDGE)
+    theirs = {"zenoh", "msgpack", *(["rosbags", "deploy"] if bridge else [])}
+    ours = [name for name in imported(source) if name.startswith("deploy") and not name.startswith("deploy.bridge.")] if bridge else []
+    return sorted({*ours, *(packages(source) - sys.stdlib_module_names - theirs)}) if bridge or source.path == STRANGER else []
 
 
 def heavy_outside_deploy(source: Source) -> list[str]:
@@ -136,7 +147,7 @@ def global_randomness_in_core(source: Source) -> list[str]:
     """Of numpy.random, core files name only what carries its own state."""
     if not source.is_core:
         return []
-    tree = ast.parse(source.text)
+    tree = parsed(source)
     named = [
         node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np.random", "numpy.random")
     ]
@@ -150,7 +161,7 @@ def star_and_relative_imports(source: Source) -> list[str]:
     """Imports are absolute and name what they take."""
     stars = [
         f"line {node.lineno}: from {node.module} import *"
-        for node in ast.walk(ast.parse(source.text))
+        for node in ast.walk(parsed(source))
         if isinstance(node, ast.ImportFrom) and any(alias.name == "*" for alias in node.names)
     ]
     return stars + [name for name in imported(source) if name.startswith(".")]
@@ -158,7 +169,7 @@ def star_and_relative_imports(source: Source) -> list[str]:
 
 def modules_named_in_strings(source: Source) -> list[str]:
     """No text names a module of a room: a wheel has it under another name. `deploy.installation.command` translates its argument."""
-    tree = ast.parse(source.text)
+    tree = parsed(source)
     translated = {
         id(node.args[0])
         for node in ast.walk(tree)
@@ -182,7 +193,7 @@ def too_long(source: Source) -> list[str]:
 
 def no_module_docstring(source: Source) -> list[str]:
     """Every file says in its first line what it holds."""
-    return [] if ast.get_docstring(ast.parse(source.text)) else ["the module has no docstring"]
+    return [] if ast.get_docstring(parsed(source)) else ["the module has no docstring"]
 
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef
@@ -191,7 +202,7 @@ Definition = ast.FunctionDef | ast.AsyncFunctionDef
 def public_definitions(source: Source) -> list[tuple[str, Definition | ast.ClassDef]]:
     """Public functions and classes of a file and the public methods of those classes, by dotted name."""
     found: list[tuple[str, Definition | ast.ClassDef]] = []
-    for node in ast.parse(source.text).body:
+    for node in parsed(source).body:
         if not isinstance(node, Definition | ast.ClassDef) or node.name.startswith("_"):
             continue
         found.append((node.name, node))
@@ -238,7 +249,7 @@ def keyword_swallowers(source: Source) -> list[str]:
     """No **kwargs: a function says what it takes."""
     return [
         f"line {node.lineno}: **{node.args.kwarg.arg}"
-        for node in ast.walk(ast.parse(source.text))
+        for node in ast.walk(parsed(source))
         if isinstance(node, Definition) and node.args.kwarg
     ]
 
@@ -253,6 +264,8 @@ OFFENDERS: list[tuple[Rule, str, str]] = [
     (zenoh_outside_live, "deploy/x.py", "from zenoh.ext import z_serialize\n"),
     (ours_in_the_stranger, STRANGER, "from protocol.keys import order\n"),
     (ours_in_the_stranger, STRANGER, "import numpy as np\n"),
+    (ours_in_the_stranger, "deploy/bridge/x.py", "from protocol.keys import order\n"),
+    (ours_in_the_stranger, "deploy/bridge/x.py", "from deploy.scenario import Scenario\n"),
     (heavy_outside_deploy, "agents/x.py", "import matplotlib.pyplot as plt\n"),
     (clocks_and_sockets_in_core, "agents/x.py", "import random\n"),
     (clocks_and_sockets_in_core, "world/x.py", "from time import monotonic\n"),
@@ -373,7 +386,7 @@ def import_graph(files: Sequence[Source]) -> dict[str, set[str]]:
     known = {module_of(source) for source in files}
     graph: dict[str, set[str]] = {}
     for source in files:
-        names = [name for name in real_imports(ast.parse(source.text)) if name.partition(".")[0] in ("deploy", "covey")]
+        names = [name for name in real_imports(parsed(source)) if name.partition(".")[0] in ("deploy", "covey")]
         found = {name if name in known else name.rpartition(".")[0] for name in names}
         graph[module_of(source)] = (found & known) - {module_of(source)}
     return graph
@@ -429,7 +442,7 @@ def test_nothing_but_a_benchmark_imports_the_benchmarks() -> None:
 
 def defined_types(source: Source) -> set[str]:
     """Classes of a file, and names in capitals and small letters that it gives to types."""
-    tree = ast.parse(source.text)
+    tree = parsed(source)
     classes = {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
     targets = [node.targets[0] for node in tree.body if isinstance(node, ast.Assign)]
     names = {target.id for target in targets if isinstance(target, ast.Name)}

@@ -1,4 +1,4 @@
-"""docs/protocol.md against the bytes: every kind is read with plain msgpack and struct, and the tables of the page are the schema.
+"""docs/reference/protocol.md against the bytes: plain msgpack and struct read every kind, and the tables of the page are the schema.
 
 Nothing of ours is used to read a message; the encoder writes it. A second group of tests holds the limits, defaults and required
 fields of the page against our decoder, so that the page cannot go stale.
@@ -20,11 +20,11 @@ from protocol.codec import decode, encode
 from protocol.fields import Malformed
 from protocol.keys import message_key
 from protocol.live import session_config
-from protocol.messages import KINDS, WIRE_VERSION, Beacon, Command, Estimate, Gossip, Hello, Message, Observation, Truth
+from protocol.messages import KINDS, WIRE_VERSION, Beacon, Command, Estimate, Gossip, Halt, Hello, Message, Observation, Truth
 from protocol.sensing import WedgeSensor
 from protocol.settings import NetworkSettings
 
-PAGE = (Path(__file__).parents[1] / "docs" / "protocol.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "protocol.md").read_text(encoding="utf-8")
 LETTERS = {"float32": "f", "float64": "d", "uint64": "Q"}
 
 
@@ -42,7 +42,7 @@ class Row(NamedTuple):
 def tables(heading: str) -> list[list[Row]]:
     """The field tables under a heading of the page."""
     section = re.search(rf"^### {re.escape(heading)}\n(.*?)(?=^##|\Z)", PAGE, re.MULTILINE | re.DOTALL)
-    assert section, f"docs/protocol.md has no section {heading!r}"
+    assert section, f"docs/reference/protocol.md has no section {heading!r}"
     found: list[list[Row]] = []
     for line in section[1].splitlines():
         if line.startswith("| field |"):
@@ -109,6 +109,14 @@ FULL: dict[str, Message] = {
         weight=0.25,
         states_bytes=struct.pack("<8f", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
         ids_bytes=struct.pack("<2Q", 5, 2**64 - 1),
+        components_bytes=struct.pack("<5f10eQ", 0.5, *range(4), *range(10), 6),
+        labels_bytes=struct.pack("<2Q", 3, 2**53 - 1),
+        label_numbers_bytes=b"\1\0",
+        goal=(3.5, -4.5),
+        goal_load=0.75,
+        pace=2,
+        behind=1,
+        lag=2,
     ),
     "observation": Observation(
         sender="world",
@@ -118,6 +126,7 @@ FULL: dict[str, Message] = {
         time=0.75,
         pose=(1.0, 2.0, 0.5),
         detections_bytes=struct.pack("<2f", 1.25, -2.5),
+        obstacles_bytes=struct.pack("<2d", 3.0, 4.0),
     ),
     "command": Command(sender="s1", incarnation=7, tick=3, velocity=(1.5, -0.5), turn_rate=0.25),
     "estimate": Estimate(
@@ -132,11 +141,14 @@ FULL: dict[str, Message] = {
         mass=1.5,
         cell_bytes=struct.pack("<6d", 0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
         targets_bytes=struct.pack("<2d", 0.1, 0.2),
+        details_bytes=struct.pack("<6f", 1.0, 2.0, 0.5, 0.25, 0.75, 0.5),
+        labels_bytes=struct.pack("<Q", 2**53 - 1),
         view=2**62 + 1,
         neighbours=("s2",),
         counters={"rounds": 4},
         round_seconds=0.001,
     ),
+    "halt": Halt(sender="operator-7", incarnation=7, held=True),
     "truth": Truth(
         sender="world",
         incarnation=7,
@@ -170,10 +182,13 @@ def is_of_type(value: Any, row: Row) -> bool:
     array = columns(row)
     if array:
         return type(value) is bytes and len(value) % struct.calcsize(f"<{array[0]}{array[1]}") == 0
-    several = re.fullmatch(r"(\d) numbers", row.type)
+    packed = re.fullmatch(r"rows of (\d+) bytes", row.type)
+    if packed:
+        return type(value) is bytes and len(value) % int(packed[1]) == 0
+    several = re.fullmatch(r"(\d) numbers( or nil)?", row.type)
     if several:
         return type(value) is list and len(value) == int(several[1]) and all(type(part) is float for part in value)
-    plain_types = {"text": str, "integer": int, "number": float, "boolean": bool}
+    plain_types = {"text": str, "integer": int, "number": float, "boolean": bool, "bytes": bytes}
     if row.type in plain_types:
         return type(value) is plain_types[row.type]
     if row.type == "name":
@@ -203,17 +218,19 @@ def refusal(kind: str, fields: dict[str, Any]) -> str | None:
 
 def same_length(kind: str, field: str, rows: int) -> dict[str, Any]:
     """The full message with `rows` rows in an array, and just as many in the field that must be as long."""
-    partners = {"states": "ids", "ids": "states", "claim": "claim_names", "claim_names": "claim"}
+    groups = [{"states", "ids", "label_numbers"}, {"claim", "claim_names"}, {"targets", "details", "labels"}]
     if kind == "truth":
-        partners = {"targets": "ids", "ids": "targets", "poses": "bodies", "bodies": "poses"}
+        groups = [{"targets", "ids"}, {"poses", "bodies"}]
+    if kind == "gossip" and field == "labels":  # so many that each particle names its own with two bytes
+        return {**plain(kind), "labels": struct.pack(f"<{rows}Q", *range(rows)), "label_numbers": struct.pack("<2H", 0, rows - 1)}
     message = plain(kind)
-    for name in (field, partners.get(field, field)):
+    for name in next((group for group in groups if field in group), {field}):
         row = next(row for row in FIELDS[kind] if row.field == name)
         array = columns(row)
         if name == "ids":
             message[name] = struct.pack(f"<{rows}Q", *range(rows))
-        elif array:
-            message[name] = bytes(struct.calcsize(f"<{array[0]}{array[1]}") * rows)
+        elif array or row.type == "bytes":
+            message[name] = bytes(struct.calcsize(f"<{array[0]}{array[1]}") * rows if array else rows)
         else:
             message[name] = ["s1"] * rows
     return message
@@ -236,7 +253,7 @@ def test_every_field_has_the_type_of_the_page(kind: str, row: Row) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_example_differs_from_the_defaults_so_that_each_field_is_really_written(kind: str) -> None:
-    by_default = {"type", "wire", "role", "scanned"}
+    by_default = {"type", "wire", "role", "scanned", "particles"}  # the last takes the place of states and ids
     for row in FIELDS[kind]:
         if row.default != "required" and row.field not in by_default:
             assert plain(kind)[row.field] not in ("", 0, 0.0, False, None, [], {}, b"")
@@ -265,7 +282,7 @@ def test_a_required_field_must_be_there_and_any_other_may_be_left_out_for_its_de
     needed = {other.field: plain(kind)[other.field] for other in FIELDS[kind] if other.default == "required"}
     spoken = {
         "the kind of the key": kind,
-        "empty": {} if row.type.startswith("map") else b"" if columns(row) else [],
+        "empty": {} if row.type.startswith("map") else b"" if row.type.startswith("rows") or row.type == "bytes" else [],
         "nil": None,
         "true": True,
         "false": False,
@@ -302,7 +319,7 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in (low, high)] == [None, None]
         outside = [math.nextafter(low, -math.inf), math.nextafter(high, math.inf), math.nan, math.inf, -math.inf]
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in outside] == ["range"] * 5
-    elif re.fullmatch(r"\d numbers", row.type):
+    elif re.fullmatch(r"\d numbers( or nil)?", row.type):
         assert around is not None
         bound, count = float(around[1]), int(row.type[0])
         assert refusal(kind, {**plain(kind), row.field: [bound] * count}) is None
@@ -321,6 +338,17 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         if around:
             bad = struct.pack(f"<{width}{letter}", *[2.0 * float(around[1])] * width)
             assert refusal(kind, {**plain(kind), row.field: bad}) == "range"
+    elif row.field == "components":
+        size, row_bytes = int(row.type.split()[2]), plain(kind)[row.field]
+        assert most is not None and refusal(kind, {**plain(kind), row.field: bytes(size * (int(most[1]) + 1))}) == "size"
+        assert refusal(kind, {**plain(kind), row.field: row_bytes[:-1]}) == "shape"
+        assert refusal(kind, {**plain(kind), row.field: row_bytes * 2}) == "range"  # ids that do not ascend
+        for wrong in ((-0.5, 0.0, 0.0), (math.nan, 0.0, 0.0), (0.5, 2.0e6, 0.0), (0.5, math.nan, 0.0), (0.5, 0.0, math.inf)):
+            weight, mean, factor = wrong
+            bad = struct.pack("<5f10eQ", weight, *[mean] * 4, *[factor] * 10, 6)
+            assert refusal(kind, {**plain(kind), row.field: bad}) == "range"
+    elif row.type == "bytes":
+        assert [refusal(kind, {**plain(kind), row.field: value}) for value in (b"\1", b"\1\2", b"\1\0\0", bytes(16385))] == ["shape"] * 4
     elif row.type == "name":
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in ("", "a b", "x" * 65, "x\n", "a/b")] == ["format"] * 5
     elif row.type == "list of texts" and most:
@@ -399,8 +427,8 @@ def test_the_example_in_bytes_is_what_the_encoder_writes() -> None:
         ("| connect endpoints | the seeds of `[network] seeds`, for ever, every 0.2 to 1 s |", "connect/timeout_ms", -1),
         ("| connect endpoints | the seeds of `[network] seeds`, for ever, every 0.2 to 1 s |", "connect/retry/period_init_ms", 200),
         ("| connect endpoints | the seeds of `[network] seeds`, for ever, every 0.2 to 1 s |", "connect/retry/period_max_ms", 1000),
-        ("| lease | 2 s, 4 keep-alives |", "transport/link/tx/lease", 2000),
-        ("| lease | 2 s, 4 keep-alives |", "transport/link/tx/keep_alive", 4),
+        ("| lease | 5 s, 4 keep-alives |", "transport/link/tx/lease", 5000),
+        ("| lease | 5 s, 4 keep-alives |", "transport/link/tx/keep_alive", 4),
         ("| largest message | 524288 bytes |", "transport/link/rx/max_message_size", 524288),
         ("| shared memory | off |", "transport/shared_memory/enabled", False),
     ],

@@ -1,9 +1,11 @@
 """README and docs/: every line as printed. What a block says is done in a temporary folder, in the order of the page."""
 
+import re
 from pathlib import Path
 
 import pytest
 
+from tests import reference
 from tests.docs import PAGES, ROOT, Block, Reader, blocks_of, problems
 
 WITH_BLOCKS = [page for page in PAGES if blocks_of(page)]
@@ -16,6 +18,55 @@ def test_every_block_of_a_page_says_what_it_is_and_every_mark_is_about_a_line(pa
         assert not line.startswith(("    covey ", "    ./covey ")), (
             f"{page}:{number}: commands stand in a block ```sh, so that they are tried"
         )
+
+
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def prose(page: str) -> str:
+    """The text of a page without its blocks."""
+    return re.sub(r"^```.*?^```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(file: Path) -> set[str]:
+    """What a link may name in a page after `#`: its headings as a site and a repository show them."""
+    headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", (*PAGES, "CHANGELOG.md"))
+def test_every_link_of_a_page_leads_to_a_file_and_a_heading(page: str) -> None:
+    lost = []
+    for link in LINK.findall(prose(page)):
+        path, _, heading = link.partition("#")
+        file = (ROOT / page).parent / path if path else ROOT / page
+        if not link.startswith("http") and not (file.exists() and (not heading or heading in anchors(file))):
+            lost.append(link)
+    assert lost == []
+
+
+def test_the_index_leads_to_every_page() -> None:
+    found = {(ROOT / "docs" / link.partition("#")[0]).resolve() for link in LINK.findall(prose("docs/index.md"))}
+    evidence = {(ROOT / "docs/evidence" / link.partition("#")[0]).resolve() for link in LINK.findall(prose("docs/evidence/index.md"))}
+    assert [page for page in PAGES if page.startswith("docs/") and (ROOT / page).resolve() not in found | evidence] == ["docs/index.md"]
+
+
+def test_every_picture_is_shown_on_a_page_and_dated() -> None:
+    shown = {((ROOT / page).parent / link).resolve() for page in PAGES for link in LINK.findall(prose(page))}
+    dated = (ROOT / "docs/evidence/figures.md").read_text(encoding="utf-8")
+    for file in (ROOT / "docs" / "images").rglob("*.*"):
+        assert file in shown, f"{file.name} is on no page"
+        assert file.name in dated or f"{file.parent.name}/*.png" in dated, f"{file.name} has no command in docs/evidence/figures.md"
+
+
+def test_the_menu_of_the_site_has_every_page() -> None:
+    menu = re.findall(r'"([\w/-]+\.md)"', (ROOT / ".ci" / "zensical.toml").read_text(encoding="utf-8"))
+    assert sorted(f"docs/{page}" for page in menu) == sorted(page for page in PAGES if page.startswith("docs/"))
+
+
+@pytest.mark.parametrize("page", reference.PAGES)
+def test_the_pages_made_from_the_code_are_those_of_this_code(page: str) -> None:
+    assert (reference.FOLDER / page).read_text(encoding="utf-8") == reference.PAGES[page](), "python -m tests.reference writes them anew"
 
 
 def test_an_option_of_a_mark_takes_the_place_of_the_one_that_is_printed(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """The pages and what they name: every command exists with its options, so does every test, and cheap figures are computed again.
 
-Commands are not run here but for those of the last table of docs/figures.md; the real command line reads each of them.
+Commands are not run here but for those of the last table of docs/evidence/figures.md; the real command line reads each of them.
 """
 
 import datetime
@@ -9,8 +9,10 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from cyclopts import CycloptsError, MissingArgumentError
@@ -22,11 +24,14 @@ from deploy.scenario import FOLDER
 from deploy.studies.design import design_fields, design_with, dotted_options
 from deploy.studies.trials import check_method
 from protocol.settings import BadSetting
+from tests import reference
+from tests.docs import blocks_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-FIGURES = ROOT / "docs" / "figures.md"
-MEASURED = ("paper.md", "performance.md", "promises.md", "robustness.md", "scale.md", "watching.md")  # pages whose figures were measured
+FIGURES = ROOT / "docs" / "evidence" / "figures.md"
+MEASURED = ("paper.md", "promises.md")  # pages whose figures are dated in docs/evidence/figures.md; tables of the others say it in each row
+REVISION = re.compile(r"`([0-9a-f]{7}|[0-9a-f]{12})`")
 STANDS_FOR = {"S": "100", "NAME": "efficacy", "RUN": "hunt", "KEY": "truth"}  # words that a reader fills in
 SCENARIOS = {file.stem for file in FOLDER.glob("*.toml")}
 
@@ -53,12 +58,13 @@ def words_of(span: str) -> tuple[str, ...] | None:
     """The words of a `covey` command; None for anything else."""
     said = re.split(r"\s+\| |  +|\s#\s", " ".join(span.split("\n")).strip())[0]
     match = re.fullmatch(r"(?:\./)?covey (\S.*)", said)
-    return tuple(STANDS_FOR.get(word, word) for word in shlex.split(match[1])) if match else None
+    return tuple(STANDS_FOR.get(word, word) for word in shlex.split(match[1].partition(" > ")[0])) if match else None
 
 
 def commands() -> list[Command]:
     """Every `covey` command of every page, once for each page."""
-    found = [Command(page.name, words) for page in PAGES for span in spans(page.read_text()) if (words := words_of(span))]
+    pages = [page for page in PAGES if page.name not in reference.PAGES]  # those are made from the command line itself
+    found = [Command(page.name, words) for page in pages for span in spans(page.read_text()) if (words := words_of(span))]
     return list(dict.fromkeys(found))
 
 
@@ -80,6 +86,8 @@ def complaint(words: tuple[str, ...]) -> str:
             check_study(given)
         elif called.__name__ == "bench" and given.get("what", "all") not in (*BENCHES, "all"):
             return f"no benchmark is called {given['what']}"
+        elif isinstance(given.get("options"), RunOptions) and given["options"].data is not None:
+            return ""  # files of the reader's own
         elif isinstance(given.get("options"), RunOptions) and given.get("scenario", "convergence") in SCENARIOS:
             given["options"].scenario(given.get("scenario", "convergence"))
     except BadSetting as error:
@@ -104,13 +112,27 @@ class Row(NamedTuple):
 
 
 def table(heading: str) -> list[Row]:
-    """The lines of the table under a heading of docs/figures.md, without its head."""
+    """The lines of the table under a heading of docs/evidence/figures.md, without its head."""
     section = re.search(rf"^## {heading}\n(.*?)(?=^## |\Z)", FIGURES.read_text(), re.MULTILINE | re.DOTALL)
-    assert section, f"docs/figures.md has no section {heading!r}"
+    assert section, f"docs/evidence/figures.md has no section {heading!r}"
     lines = [line for line in section[1].splitlines() if line.startswith("|")][2:]
     return [Row(tuple(cell.strip() for cell in line.strip("|").split("|"))) for line in lines]
 
 
+@pytest.fixture(scope="module")
+def modules_of_the_pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """The Python files that the pages tell to write can be imported."""
+    folder = tmp_path_factory.mktemp("pages")
+    for page in PAGES:
+        for block in blocks_of(page.relative_to(ROOT).as_posix()):
+            if block.file.endswith(".py"):
+                (folder / block.file).write_text(block.text)
+    sys.path.insert(0, str(folder))
+    yield
+    sys.path.remove(str(folder))
+
+
+@pytest.mark.usefixtures("modules_of_the_pages")
 @pytest.mark.parametrize("command", OWN, ids=str)
 def test_every_command_of_the_pages_is_one_of_the_command_line(command: Command) -> None:
     assert complaint(command.words) == "", str(command)
@@ -143,10 +165,34 @@ def test_every_measured_page_is_in_the_table_of_figures_with_a_date_a_revision_a
     rows = table("Measured")
     for page, figure, made, revision, command in [row.cells for row in rows]:
         assert datetime.date.fromisoformat(made) <= datetime.date(2100, 1, 1), figure
-        assert re.fullmatch(r"`([0-9a-f]{7}|[0-9a-f]{12})`", revision), f"{figure}: {revision} is no revision"
+        assert REVISION.fullmatch(revision), f"{figure}: {revision} is no revision"
         assert re.search(r"`[^`]+`", command), f"{figure}: no command"
         assert any(name in page for name in (*MEASURED, "README.md")), page
     assert [name for name in MEASURED if not any(name in row.cells[0] for row in rows)] == []
+
+
+def test_every_row_of_evidence_that_claims_something_names_its_command_and_its_revision() -> None:
+    rows, head = [], [""]
+    for page in sorted((ROOT / "docs" / "evidence").glob("*.md")):
+        for line in page.read_text().splitlines():
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            head = cells if line.startswith("| ") and not head[0] else head if line.startswith("|") else [""]
+            if line.startswith("| ") and cells is not head and {"command", "revision"} <= set(head) and head[0].startswith("claim"):
+                rows.append((page.name, dict(zip(head, cells))))
+    assert len(rows) > 20
+    claims = [next(iter(row.values())) for _, row in rows]
+    assert [claim for claim in claims if claims.count(claim) > 1 and not claim.startswith("the same")] == []  # no figure twice
+    for name, row in rows:
+        assert REVISION.fullmatch(row["revision"]), (name, row)
+        assert row["command"] and row.get("machine", "-") in ("E", "b", "X", "-"), (name, row)
+
+
+@cache
+def printed(words: tuple[str, ...]) -> Any:
+    """What a command prints as JSON."""
+    done = subprocess.run([sys.executable, "-m", "deploy", *words], cwd=ROOT, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 @pytest.mark.parametrize("row", table("Computed again by the tests"), ids=lambda row: row.cells[0])
@@ -154,9 +200,9 @@ def test_the_cheap_figures_are_what_their_commands_print(row: Row) -> None:
     """A change of the method moves them: then the page is to be changed with it."""
     words = words_of(row.cells[0].strip("`"))
     assert words is not None
-    done = subprocess.run([sys.executable, "-m", "deploy", *words], cwd=ROOT, capture_output=True, text=True, timeout=100, check=False)
-    assert done.returncode == 0, done.stderr
     field, figure = row.cells[1].strip("`"), row.cells[2]
-    found = json.loads(done.stdout.splitlines()[-1])[field]
+    found = printed(words)
+    for part in field.split("."):
+        found = found[int(part) if part.isdecimal() else part]
     digits = len(figure.partition(".")[2])
-    assert f"{found:.{digits}f}" == figure, f"docs/figures.md says {field} = {figure}, the command prints {found}"
+    assert f"{found:.{digits}f}" == figure, f"docs/evidence/figures.md says {field} = {figure}, the command prints {found}"

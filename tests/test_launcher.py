@@ -105,6 +105,24 @@ echo "$1" >> {tmp_path}/calls
     assert (tmp_path / "calls").read_text().split() == ["venv", "pip", "venv", "pip"]
 
 
+def test_two_launchers_at_once_set_up_one_after_the_other(tmp_path: Path) -> None:
+    """The second waits, finds all done, and runs its command."""
+    fake_environment(tmp_path / ".venv")
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.write_text(python.read_text().replace('&& echo "$@" >>', '&& /bin/sleep 2 && echo "$@" >>'))
+    for name in ("covey", "pyproject.toml"):
+        (tmp_path / name).write_bytes((ROOT / name).read_bytes())
+    both = [
+        subprocess.Popen([sys.executable, str(tmp_path / "covey"), "ps"], env={"PATH": ""}, stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    said = sorted(process.communicate(timeout=60)[1] for process in both)
+    assert [process.returncode for process in both] == [0, 0]
+    assert said[0] == "covey: another ./covey is setting up; waiting for it\n"
+    assert said[1].startswith("covey: setting up ")
+    assert len((tmp_path / ".venv" / "installed").read_text().splitlines()) == 1
+
+
 def fake_environment(folder: Path, interpreter: str = sys.executable) -> None:
     """An environment whose Python notes what it is asked to install, and says what it runs."""
     (folder / "bin").mkdir(parents=True)

@@ -1,7 +1,7 @@
 """The paper, claim by claim: Chen and Dames, ICRA 2021, coverage control for heterogeneous sensors by unused sensing capacity.
 
 Each test quotes what it tests, names the section, and states the departure where Covey reads the paper differently or where the paper
-contradicts itself. docs/paper.md is the same map for readers. What takes whole studies is measured there, with the commands.
+contradicts itself. docs/evidence/paper.md is the same map for readers. What takes whole studies is measured there, with the commands.
 """
 
 import itertools
@@ -18,7 +18,7 @@ from agents.coverage.cells import power_cell
 from agents.coverage.control import STAND, Lloyd, Situation, approach
 from agents.tracking.births import Scan, prior
 from agents.tracking.claims import power_distances
-from agents.tracking.particles import NONE, Particles
+from agents.tracking.particles import NONE, Particles, unlabelled
 from agents.tracking.phd import resample, update
 from agents.tracking.regions import in_view, moments
 from deploy.scenario import TeamSettings, resolve, team_counts
@@ -46,7 +46,7 @@ def density(points: np.ndarray) -> np.ndarray:
 
 def cloud(points: np.ndarray, weights: np.ndarray) -> Particles:
     """Particles at points."""
-    return Particles(np.column_stack([points, np.zeros_like(points)]), weights, np.arange(len(points), dtype=np.uint64))
+    return unlabelled(np.column_stack([points, np.zeros_like(points)]), weights, np.arange(len(points), dtype=np.uint64))
 
 
 def objective(points: np.ndarray, radii: np.ndarray, owners: np.ndarray) -> float:
@@ -438,7 +438,7 @@ def test_claim_targets_cross_the_border_and_their_number_stays_about_the_same() 
 @pytest.mark.slow
 def test_claim_of_section_iv_a_the_team_finds_all_targets() -> None:
     """IV-A: "All 8 targets are located inside sensor FoVs" after 200 s. Ambiguous: one run is shown. Over seeds the share of targets in
-    view over the last 5 s is about .95 (docs/paper.md); here one seed, and more than four fifths of the target-time of the whole run."""
+    view over the last 5 s is about .95 (docs/evidence/paper.md); here one seed, and more than four fifths of the target-time of the run."""
     result = simulate(resolve("convergence", {"run.dt": 0.5}))
     assert result.share_in_view > 0.8 and result.targets_in_view >= 7
 

@@ -1,20 +1,24 @@
 """The world process: `python -m world --config run.toml [--incarnation N] [--keep FILE] [--restore FILE]`.
 
+`python -m world --body s3 --config run.toml [--keep FILE] [--restore FILE]` is the part for the agent s3 alone: its body.
+
 With `--keep` the newest Truth stands in FILE, so that a world that was killed can be started again where it stopped with `--restore`.
 """
 
 import argparse
 import logging
 import sys
+import time
 from pathlib import Path
 from typing import NoReturn
 
 from protocol import codec, process
 from protocol.fields import Malformed
 from protocol.keys import all_of
-from protocol.messages import Truth
+from protocol.messages import Halt, Truth
 from protocol.node import Effect, Event, Node
 from protocol.settings import BadSetting
+from world.body import Body, check_epoch
 from world.config import WorldConfig
 from world.world import World
 
@@ -53,13 +57,32 @@ class KeptWorld(Node):
     def _keep(self, truth: Truth) -> None:
         if self._path is None:
             return
-        fresh = self._path.with_name(self._path.name + ".new")
-        try:
-            fresh.write_bytes(codec.encode(truth))
-            fresh.replace(self._path)  # in one step, so that the file is always whole
-        except OSError as error:
-            log.warning("%s: %s; the truth is no longer kept", self._path, error.strerror, extra={"tick": truth.tick})
+        if not write_whole(self._path, codec.encode(truth)):
             self._path = None
+
+
+def write_whole(path: Path, payload: bytes) -> bool:
+    """Write a file in one step, so that it is always whole; False when that fails, which the log says."""
+    fresh = path.with_name(path.name + ".new")
+    try:
+        fresh.write_bytes(payload)
+        fresh.replace(path)
+    except OSError as error:
+        log.warning("%s: %s; it is no longer kept", path, error.strerror)
+        return False
+    return True
+
+
+def read_halt(path: Path, run: str) -> Halt:
+    """The halt that was kept in a file; raises BadSetting naming the file."""
+    try:
+        message = codec.decode(all_of(run, "halt"), path.read_bytes())
+    except OSError as error:
+        raise BadSetting(f"--keep {path}: {error.strerror}") from None
+    except Malformed as error:
+        raise BadSetting(f"--keep {path}: no kept Halt: {error}; remove it only when the robot may move") from None
+    assert isinstance(message, Halt)
+    return message
 
 
 def read_truth(path: Path, run: str) -> Truth:
@@ -75,11 +98,15 @@ def read_truth(path: Path, run: str) -> Truth:
 
 
 def main() -> NoReturn:
-    """Be the world process."""
+    """Be the world process, or that of one body."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--restore", type=Path)
+    parser.add_argument("--body")
     own, sys.argv[1:] = parser.parse_known_args()  # the rest is common to all processes
+
+    if own.body is not None:
+        be_body(own.body, own.keep, own.restore)
 
     def build(config: WorldConfig, name: str, incarnation: int) -> World | KeptWorld:
         if name != World.name:
@@ -91,6 +118,26 @@ def main() -> NoReturn:
         return KeptWorld(world, own.keep) if own.keep else world
 
     process.main("world", WorldConfig, build, lambda world, line: world.expect(tuple(line.split())))
+
+
+def be_body(name: str, keep: Path | None, restore: Path | None) -> NoReturn:
+    """Be the process of the body of one agent. With `restore` a simulated one begins at its pose in that Truth.
+
+    The file `keep` holds the newest halt, so that a body that was halted stands when it is started again.
+    """
+    sys.argv += ["--name", name]
+
+    def build(config: WorldConfig, name: str, incarnation: int) -> Body:
+        check_epoch(config, time.time())
+        unix = time.time() - time.monotonic()  # read once: a clock that is set while the body runs moves no tick
+        body = Body(config, name, incarnation, unix, read_truth(restore, config.run.name) if restore else None)
+        if keep is not None:
+            if keep.exists():
+                body.hold.take(read_halt(keep, config.run.name))
+            body.hold.on_order = lambda halt: write_whole(keep, codec.encode(halt))
+        return body
+
+    process.main("world", WorldConfig, build, lambda body, line: body.expect(tuple(line.split())), Body.end)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The detector: what the sensors return in one tick, with misses, Gaussian noise and Poisson clutter.
 
-A die is keyed by (seed, sensor name, tick, target id) or (seed, sensor name, tick, number), never by the order of calls: who else is
-there changes nobody's scan. All sensors of a tick are thrown together, because numpy pays per call.
+A die is keyed by (seed, sensor name, tick, target id) or (seed, sensor name, tick, number), never by the order of calls.
+So a scan does not depend on which other agents there are. All sensors of a tick are thrown together, because numpy pays per call.
 """
 
 import math
@@ -12,9 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.fields import MAX_DETECTIONS
-from protocol.sensing import Pose, SensorModel, WedgeSensor, wedge_probabilities
+from protocol.measuring import Measurement, measured
+from protocol.sensing import Pose, SensorModel, WedgeSensor, measurement_of, wedge_probabilities
 from protocol.settings import DetectionSettings
 from protocol.streams import key, scramble, uniform
+from world.targets import wrap
 
 _MISS, _RADIUS, _ANGLE, _COUNT, _EAST, _NORTH = range(1, 7)  # one salt per use of a word, so that its draws are independent
 _MOST_BATCHES = 100
@@ -108,8 +110,12 @@ class Detector:
         `positions` (T, 2) and `ids` (T,) are the targets, `seen` their sightings. Detections may lie a little outside arena or footprint.
         """
         words = scramble(np.array([key("scan", name) for name in names], dtype=np.uint64), key(self._seed, "scans", tick))
-        true_owners, true_points = self._detections(words, positions, ids, seen)
+        true_owners, true_points = self._detections(words, positions, ids, seen, sensors, poses)
         clutter_owners, clutter_points = self._clutter(words, sensors, poses)
+        for index, sensor in enumerate(sensors):
+            if (measurement := measurement_of(sensor)) is not None:
+                own = clutter_owners == index
+                clutter_points[own] = measured(measurement, poses[index], clutter_points[own])
         owners = np.concatenate([true_owners, clutter_owners])
         points = np.vstack([true_points, clutter_points]).astype(np.float32)
         order = np.lexsort((points[:, 1], points[:, 0], owners))
@@ -117,15 +123,29 @@ class Detector:
         points = points[order]
         return [points[start : min(end, start + MAX_DETECTIONS)] for start, end in pairwise(starts)]
 
-    def _detections(self, words: np.ndarray, positions: np.ndarray, ids: np.ndarray, seen: Sightings) -> tuple[np.ndarray, np.ndarray]:
-        """Sensor indices (M,) and noisy points (M, 2) of the sightings that are not missed."""
+    def _detections(
+        self,
+        words: np.ndarray,
+        positions: np.ndarray,
+        ids: np.ndarray,
+        seen: Sightings,
+        sensors: Sequence[SensorModel],
+        poses: Sequence[Pose],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Sensor indices (M,) and noisy detections (M, 2) of the sightings that are not missed."""
         dice = scramble(ids, key("target"))[seen.targets] ^ words[seen.sensors]
         hit = uniform(scramble(dice, _MISS)) < seen.probabilities
         dice, owners, points = dice[hit], seen.sensors[hit], positions[seen.targets[hit]]
         # Box and Muller: two normal variates from two uniform ones.
         radius = self._noise * np.sqrt(-2.0 * np.log1p(-uniform(scramble(dice, _RADIUS))))
         angle = 2.0 * math.pi * uniform(scramble(dice, _ANGLE))
-        return owners, points + np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        noise = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        found = points + noise
+        for index, sensor in enumerate(sensors):
+            if (measurement := measurement_of(sensor)) is not None:
+                own = owners == index
+                found[own] = with_noise(measurement, measured(measurement, poses[index], points[own]), noise[own] / self._noise)
+        return owners, found
 
     def _clutter(self, words: np.ndarray, sensors: Sequence[SensorModel], poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
         """Sensor indices (M,) and points (M, 2) of the clutter."""
@@ -143,6 +163,15 @@ class Detector:
         more = [clutter_points(those[index], places[index], int(numbers[busy[index]]), int(words[busy[index]])) for index in short.tolist()]
         owners = np.concatenate([owners, np.repeat(short, [len(some) for some in more])])
         return busy[owners], np.vstack([points, *more])
+
+
+def with_noise(measurement: Measurement, exact: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+    """Ranges and bearings (M, 2) with standard normal `deviations` (M, 2) of their noise; no range is below 1 mm."""
+    if measurement.kind == "bearing":
+        ranges = exact[:, 0]
+    else:
+        ranges = np.maximum(exact[:, 0] + measurement.range_noise * deviations[:, 0], 1e-3)
+    return np.column_stack([ranges, wrap(exact[:, 1] + measurement.bearing_noise * deviations[:, 1])])
 
 
 def _first_draws(

@@ -55,7 +55,7 @@ class Roster:
 
     def is_complete(self, expected: tuple[str, ...], world: str) -> bool:
         """Whether all the expected are alive, heard here, and say that they hear each other and the world; who knows its peers by
-        their beacons need hear the world alone.
+        their beacons need hear the world alone. `world` empty: a run without a world.
 
         It is asked with every Hello: what has been checked once is checked again when nobody is missing.
         """
@@ -63,7 +63,7 @@ class Roster:
             self._check(world)
         if not self._unchecked or expected is not self._expected:
             self._expected = expected
-            self._everybody = {*expected, world}
+            self._everybody = {*expected, world} - {""}
             self._unchecked = [name for name in self._everybody if name != world]
             self._check(world)
         return not self._unchecked
@@ -76,4 +76,4 @@ class Roster:
         hello = self.hellos.get(name)
         if hello is None or self.live(name) != hello.incarnation:
             return False
-        return world in hello.heard if hello.local else self._everybody - {name} <= set(hello.heard)
+        return world in ("", *hello.heard) if hello.local else self._everybody - {name} <= set(hello.heard)

@@ -42,9 +42,9 @@ class Gospa:
 def gospa(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0, order: float = 1.0, alpha: float = 2.0) -> Gospa:
     """Generalised OSPA distance of two sets of points, m, with its parts; it is a sum over targets, not a mean.
 
-    (min over assignments sum min(d, cutoff)^order + cutoff^order / alpha |n - m|)^(1/order), 0 < alpha <= 2. With alpha = 2 a pair at
-    the cutoff costs as much as one missed and one false target and is counted as these; with a smaller alpha it stays a
-    localisation error. Reference: Rahmathullah, Garcia-Fernandez and Svensson, FUSION 2017.
+    (min over assignments sum min(d, cutoff)^order + cutoff^order / alpha |n - m|)^(1/order), 0 < alpha <= 2. With alpha = 2 a pair at the
+    cutoff costs as much as one missed and one false target and is counted as these. With a smaller alpha it stays a localisation error.
+    Reference: Rahmathullah, Garcia-Fernandez and Svensson, FUSION 2017.
 
     >>> gospa(np.array([[0.0, 0.0], [50.0, 0.0]]), np.array([[3.0, 4.0]]))
     Gospa(total=10.0, localisation=5.0, missed=5.0, false=0.0)
@@ -54,10 +54,10 @@ def gospa(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0, order: 
     return _gospa(_assigned_costs(truth, estimate, cutoff, order), len(truth), len(estimate), cutoff, order, alpha)
 
 
-def errors(truth: np.ndarray, estimate: np.ndarray) -> tuple[float, Gospa]:
-    """`ospa` and `gospa` of two sets of points with their default cutoff, order and alpha, of one assignment."""
-    assigned = _assigned_costs(truth, estimate, 10.0, 1.0)
-    return _ospa(assigned, max(len(truth), len(estimate)), 10.0, 1.0), _gospa(assigned, len(truth), len(estimate), 10.0, 1.0, 2.0)
+def errors(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0) -> tuple[float, Gospa]:
+    """`ospa` and `gospa` of two sets of points with their default order and alpha, of one assignment."""
+    assigned = _assigned_costs(truth, estimate, cutoff, 1.0)
+    return _ospa(assigned, max(len(truth), len(estimate)), cutoff, 1.0), _gospa(assigned, len(truth), len(estimate), cutoff, 1.0, 2.0)
 
 
 def _gospa(assigned: np.ndarray, targets: int, estimates: int, cutoff: float, order: float, alpha: float) -> Gospa:

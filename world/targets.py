@@ -1,7 +1,7 @@
 """Targets: the ground truth of what moves, as arrays of positions (T, 2) m, headings (T,) rad and ids (T,) uint64.
 
-Tracks depend on the seed, the scenario and the number of ticks alone, never on the sensors: two runs with the same seed see the same
-targets whatever the swarm does, and a restarted world reaches tick k again by stepping k times.
+Tracks depend on the seed, the scenario and the number of ticks alone, never on the sensors. Two runs with the same seed see the same
+targets whatever the swarm does. A restarted world reaches tick k again by stepping k times.
 """
 
 import math
@@ -79,8 +79,8 @@ def arrival_rate(settings: TargetSettings, arena: ArenaSettings) -> float:
 def arrivals(rng: np.random.Generator, number: int, arena: ArenaSettings, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Positions (N, 2) and headings (N,) at a tick's end of `number` targets that entered during it.
 
-    Each crosses the border at a uniform place and time of the tick, by the cosine law inward, and goes on straight; `step` is the way
-    of a whole tick, m. One that has cut a corner and left again is not returned.
+    Each crosses the border at a uniform place and time of the tick, by the cosine law inward, and goes on straight.
+    `step` is the way of a whole tick, m. One that has cut a corner and left again is not returned.
     """
     draws = rng.random((number, 3))
     along = draws[:, 0] * 2.0 * (arena.width + arena.height)
@@ -147,6 +147,10 @@ class Targets:
             self.positions, self.headings, self.ids = positions[kept], wrap(headings[kept]), self.ids[kept]
             self._enter()
         self.tick += 1
+
+    def place(self, number: int, position: tuple[float, float]) -> None:
+        """Put the target of an id somewhere in the arena, m; no effect when it has left. Its heading stays."""
+        self.positions = np.where((self.ids == number)[:, None], np.array(position), self.positions)
 
     def _enter(self) -> None:
         rng = stream(self._seed, "arrivals", self.tick)

@@ -13,15 +13,17 @@ from protocol.agreement import agreed, common_sections
 from protocol.failure_detector import FailureDetector
 from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
-from protocol.messages import Command, Hello, Message, Observation, Truth
+from protocol.messages import Command, Halt, Hello, Message, Observation, Truth
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
-from protocol.sensing import Pose, SensorModel
+from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
-from world.bodies import Bodies, check_given, start_pose
+from world.bodies import check_given, free_pose, from_other_frame, pose_with_error
+from world.commands import CommandBook
 from world.config import WorldConfig
-from world.detector import Detector, count_in_view, sightings
+from world.halt import Hold
+from world.proximity import around
 from world.roster import Roster
-from world.targets import Targets
+from world.scene import Scene
 
 HELLO_PERIOD = 0.25  # s, until the start
 HOLD = 2.0  # a command drives a body for so long at most, s of world time, real time only
@@ -55,18 +57,17 @@ class World(Node):
         self._period = config.run.dt / config.run.rate
         self._pause = config.run.dt / config.run.pace if self._lockstep and config.run.pace else 0.0  # s between two ticks, at least
         self._not_before = 0.0  # lockstep: when the tick may end
-        self._detector = Detector(config.detection, config.run.seed)
-        self._sensors: dict[str, SensorModel] = {}
         self._last_poses: dict[str, Pose] = {}  # of a restored run
         self._expected, self._patience, self._strict = tuple(config.members), config.run.start_timeout, config.run.strict
-        self.targets = Targets(config.targets, config.arena, config.run.dt, config.run.seed)
-        self.bodies = Bodies(config.run.dt, config.limits)
+        self.scene = Scene(config)
+        self.bodies = self.scene.bodies
         if restored is not None:
             self._restore(restored)
         for name, sensor_class in config.members.items():
             self._embody(name, sensor_of(config, sensor_class))
         self._settings = agreed(common_sections(config))
-        self._commands: dict[str, Command] = {}  # the newest of each live agent
+        self._commands = CommandBook(lockstep=self._lockstep)
+        self._hold = Hold()  # by an operator: no command moves a body
         self._waiting: set[str] = set()  # lockstep: whose command of this tick is still missing
         self._due: float | None = None
         self._changed = 0.0  # when an agent came, or one heard of more than before; until the start
@@ -94,6 +95,8 @@ class World(Node):
     def _take(self, message: Message, now: float) -> list[Effect]:
         if isinstance(message, Command):
             return self._obey(message, now)
+        if isinstance(message, Halt):
+            self._hold.take(message)
         return self._hear(message, now) if isinstance(message, Hello) and message.role == "agent" else []
 
     @property
@@ -111,7 +114,7 @@ class World(Node):
 
     def _begin(self, now: float) -> list[Effect]:
         self._changed, self._due = now, now + HELLO_PERIOD
-        return [Subscribe(all_of(self.run, "hello")), Subscribe(all_of(self.run, "command")), self._hello()]
+        return [*(Subscribe(all_of(self.run, kind)) for kind in ("hello", "command", "halt")), self._hello()]
 
     def _on_time(self, now: float) -> list[Effect]:
         if self._due is None or now < self._due:
@@ -147,7 +150,7 @@ class World(Node):
             return self._try_start(now)
         if not is_new:
             return []
-        self._commands.pop(name, None)
+        self._commands.drop(name)
         return [self._hello(), *self._no_longer_wait(name, now)]
 
     def _bury(self, name: str, incarnation: int, now: float) -> list[Effect]:
@@ -155,30 +158,18 @@ class World(Node):
         self._presence.leave(name, incarnation)
         if not self._roster.vanish(name, incarnation):
             return []
-        self._commands.pop(name, None)
+        self._commands.drop(name)
         return self._no_longer_wait(name, now)
 
     def _obey(self, command: Command, now: float) -> list[Effect]:
         """Keep a command until the tick ends."""
         self._presence.speak(command.sender, now)
-        if not self._is_valid(command):
+        moves = self.started and command.sender in self.bodies.poses
+        if not moves or not self._commands.keep(command, self.tick, self._roster.live(command.sender)):
             self.ignored_commands += 1
             return []
-        self._commands[command.sender] = command
         self._roster.note_spoken(command.sender, command.incarnation)
         return self._no_longer_wait(command.sender, now)
-
-    def _is_valid(self, command: Command) -> bool:
-        """Whether a command comes from who counts and is newer than the one at hand; in lockstep it must be of this very tick.
-
-        In real time a command of an earlier tick still counts: an agent that is always a little late must not stand still.
-        """
-        if not self.started or command.sender not in self.bodies.poses or self._roster.live(command.sender) != command.incarnation:
-            return False
-        if command.tick > self.tick or (self._lockstep and command.tick < self.tick):
-            return False
-        held = self._commands.get(command.sender)
-        return held is None or command.tick > held.tick
 
     def _no_longer_wait(self, name: str, now: float) -> list[Effect]:
         """In lockstep the tick ends with the last answer that it waited for."""
@@ -209,25 +200,24 @@ class World(Node):
     def _open_tick(self, now: float) -> list[Effect]:
         """What everybody sees at this tick."""
         present = self._present()
-        sensors, poses = [self._sensors[name] for name in present], [self.bodies.poses[name] for name in present]
-        targets = self.targets
-        seen = sightings(sensors, poses, targets.positions)
-        scans = self._detector.scans(sensors, poses, present, targets.positions, targets.ids, self.tick, seen)
+        scans, in_view = self.scene.scans({name: self.bodies.poses[name] for name in present})
         if self._lockstep:
             self._waiting = {name for name in present if self._roster.speaks(name)}
             self._not_before = max(self._not_before, now - self._pause) + self._pause  # late by less than a pause is made up for
             self._due = now + self._config.run.patience if self._waiting else max(now + self._period, self._not_before)
         else:
             self._due = self._anchor + (self.tick + 1) * self._period
-        return [*map(self._observation, present, scans), self._truth(present, count_in_view(seen))]
+        truth = self.scene.truth(self.bodies.poses, in_view, present, self.name, self.incarnation)
+        return [*map(self._observation, present, scans), truth]
 
     def _finish_tick(self, now: float) -> list[Effect]:
         """Move bodies and targets on and open the next tick."""
         self.late_commands += len(self._waiting)
         self._waiting = set()
-        self.bodies.move(self._commands_in_force())
-        self.targets.step()
+        commands = self._commands_in_force()
         self.tick += 1
+        self.scene.step_until(self.tick)
+        self.bodies.move(commands)
         if self.tick >= self._config.run.ticks:
             return self._stop(0, "done")
         if not self._lockstep and now - (self._anchor + self.tick * self._period) > MOST_PERIODS_LATE * self._period:
@@ -237,10 +227,13 @@ class World(Node):
 
     def _commands_in_force(self) -> dict[str, Command]:
         """The commands that move bodies in this tick: its own in lockstep; in real time the newest, as long as they hold."""
+        if self._hold.holds:
+            return {}
         if self._lockstep:
-            return {name: command for name, command in self._commands.items() if command.tick == self.tick}
+            return {name: command for name, command in self._commands.newest.items() if command.tick == self.tick}
         dt = self._config.run.dt
-        return {name: command for name, command in self._commands.items() if (self.tick - command.tick) * dt < HOLD}
+        hold = HOLD if self._config.limits.radius == 0.0 else 2.0 * dt  # for so long a command keeps its body apart from others
+        return {name: command for name, command in self._commands.newest.items() if (self.tick - command.tick) * dt < hold}
 
     def _stop(self, code: int, reason: str) -> list[Effect]:
         self._due, self._waiting, self.started = None, set(), False
@@ -253,24 +246,25 @@ class World(Node):
     def _embody_guest(self, name: str) -> None:
         """Give a body to a live agent that is no member but has said what its sensor is."""
         hello = self._roster.hellos.get(name)
-        if name in self._sensors or hello is None or self._roster.live(name) != hello.incarnation or len(self._sensors) >= MAX_NAMES:
+        sensors = self.scene.sensors
+        if name in sensors or hello is None or self._roster.live(name) != hello.incarnation or len(sensors) >= MAX_NAMES:
             return
         if hello.sensor is not None:
             self._embody(name, hello.sensor)
 
     def _embody(self, name: str, sensor: SensorModel) -> None:
         config = self._config
-        self._sensors[name] = sensor
-        self.bodies.place(name, self._last_poses.get(name) or start_pose(name, config.bodies, config.arena, config.run.seed))
+        self.scene.sensors[name] = sensor
+        self.bodies.place(name, self._last_poses.get(name) or free_pose(name, config, self.bodies.poses.values()))
 
     def _restore(self, truth: Truth) -> None:
         """Go on where an earlier incarnation stopped; raises BadSetting when that was another run."""
-        step_until(self.targets, min(truth.tick, self._config.run.ticks - 1))
-        mine = self.targets.positions
-        if not np.array_equal(self.targets.ids, truth.ids) or not np.allclose(mine, truth.targets, rtol=0.0, atol=1e-6):
+        self.scene.step_until(min(truth.tick, self._config.run.ticks - 1))
+        mine = self.scene.targets
+        if not np.array_equal(mine.ids, truth.ids) or not np.allclose(mine.positions, truth.targets, rtol=0.0, atol=1e-6):
             raise BadSetting(f"restore: tick {truth.tick} that was kept does not come from this scenario and seed {self._config.run.seed}")
-        step_until(self.targets, min(truth.tick + RESTORE_GAP, self._config.run.ticks - 1))
-        self.tick = self.targets.tick
+        self.scene.step_until(min(truth.tick + RESTORE_GAP, self._config.run.ticks - 1))
+        self.tick = self.scene.targets.tick
         self._last_poses = {name: (x, y, heading) for name, (x, y, heading) in zip(truth.bodies, truth.poses.tolist())}
         self._expected, self._patience, self._strict = truth.alive, min(self._patience, RESTORE_TIMEOUT), False
 
@@ -279,32 +273,26 @@ class World(Node):
         return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=heard, settings=self._settings)
 
     def _observation(self, name: str, detections: np.ndarray) -> Observation:
+        bodies, true = self._config.bodies, self.bodies.poses[name]
+        reported = pose_with_error(true, bodies, name, self.tick, self._config.run.seed)
+        if reported != true and measurement_of(self.scene.sensors[name]) is None:
+            # a position is stated in the frame that the agent believes in
+            detections = from_other_frame(detections, true, reported)
         return Observation(
             sender=self.name,
             incarnation=self.incarnation,
             recipient=name,
             tick=self.tick,
             time=self.tick * self._config.run.dt,
-            pose=self.bodies.poses[name],
+            pose=reported,
             detections_bytes=pack(detections, "<f4"),
+            obstacles_bytes=self._obstacles(name, reported),
         )
 
-    def _truth(self, present: list[str], in_view: int) -> Truth:
-        return Truth(
-            sender=self.name,
-            incarnation=self.incarnation,
-            tick=self.tick,
-            time=self.tick * self._config.run.dt,
-            targets_bytes=pack(self.targets.positions, "<f8"),
-            ids_bytes=pack(self.targets.ids, "<u8"),
-            bodies=tuple(self.bodies.poses),
-            poses_bytes=pack(np.array(list(self.bodies.poses.values())), "<f8"),
-            in_view=in_view,
-            alive=tuple(present),
-        )
-
-
-def step_until(targets: Targets, tick: int) -> None:
-    """Bring the targets to a later tick."""
-    while targets.tick < tick:
-        targets.step()
+    def _obstacles(self, name: str, reported: Pose) -> bytes:
+        """What stands or moves close to a body, where its agent places it."""
+        if not self._config.limits.radius:
+            return b""
+        true = self.bodies.poses[name]
+        found = around(true, [pose[:2] for other, pose in self.bodies.poses.items() if other != name], self._config)
+        return pack(found if reported == true else from_other_frame(found, true, reported), "<f8")

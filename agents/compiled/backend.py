@@ -11,11 +11,13 @@ from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 
 from agents.backend import Backend
-from agents.compiled import birth_kernels, cell_kernels, claim_kernels, merge_kernels, region_kernels, selection_kernels
+from agents.compiled import birth_kernels, cell_kernels, claim_kernels, merge_kernels, region_kernels, search_kernels, selection_kernels
 from agents.config import AgentConfig
+from agents.coverage import search_plan
 from agents.coverage.cells import NO_CELL, TOUCH, Cell
 from agents.gossip.table import COLUMNS, KIND, OTHER, REACH, GossipTable
 from agents.interest import selection
@@ -23,7 +25,9 @@ from agents.interest.tiles import Rectangle
 from agents.tracking import phd, regions
 from agents.tracking.births import DIRECTIONS, inflow, starting_on_border
 from agents.tracking.claims import Claim, Claims
-from agents.tracking.particles import NONE, Particles
+from agents.tracking.extraction import Tracks
+from agents.tracking.measuring import kernel_variance
+from agents.tracking.particles import NONE, Particles, unlabelled
 from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
@@ -91,7 +95,7 @@ def background_births(step: Step) -> Particles:
         return NONE
     on_border = starting_on_border(config.filter, birth)
     states, ids = birth_kernels.background(count, on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
-    found = Particles(states, np.full(count, mass / count), ids)
+    found = unlabelled(states, np.full(count, mass / count), ids)
     _BORN.append((config, tick, found))
     return found
 
@@ -108,7 +112,7 @@ def merge(received: Particles, kept: np.ndarray, copies: Particles, free: np.nda
 
 
 _NO_CORNERS = np.empty((0, 2))  # writable, because a read-only array would need a second compilation
-_NOTHING_STATED = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty((0, COLUMNS))
+_NOTHING_STATED = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty(0, np.uint64), np.empty((0, COLUMNS))
 # A pure memo of the settings and keys of the last eight configurations, because all agents of a simulation share one.
 _PREPARED: deque[tuple[AgentConfig, np.ndarray, np.ndarray]] = deque(maxlen=8)
 
@@ -124,15 +128,17 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     numbers += [filters.certainty, filters.vicinity / phd.BINS]
     numbers += [birth.measurement, birth.copies, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
-    numbers += [config.extraction.bin, config.extraction.threshold]
+    numbers += [config.extraction.bin, config.extraction.threshold, config.extraction.beside]
+    numbers += [filters.gate, kernel_variance(filters)]
+    numbers += [config.pose.position_noise * config.pose.position_noise, config.pose.heading_noise * config.pose.heading_noise]
     salts = [key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
     settings, keys = np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
     _PREPARED.append((config, settings, keys))
     return settings, keys
 
 
-def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States, ids and table rows of the gossips whose boxes of particles touch the surroundings of a region."""
+def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, ...]:
+    """States, ids, labels and table rows of the gossips whose boxes of particles touch the surroundings of a region."""
     (x, y), reach, width = region.pose[:2], region.sensor.reach + step.reach, step.config.filter.halo + step.reach
     near = region_kernels.touching(table.boxes, region.polygon if len(region.polygon) else _NO_CORNERS, width, x, y, reach)
     return *table.stated_by(near.tolist()), table.table[near]
@@ -169,7 +175,8 @@ def _update_wedges(
         return []
     config = step.config
     settings, keys = prepared(config)
-    stated, others = _NOTHING_STATED, NONE
+    stated: tuple[np.ndarray, ...] = _NOTHING_STATED
+    others = NONE
     if not isinstance(received, GossipTable):
         others = received
     elif config.timing.interest == "all" or len(regions_) > 1 or received.stands_ready:
@@ -177,13 +184,14 @@ def _update_wedges(
     else:
         stated = stated_near(received, regions_[0], step)
     corners = _end_to_end([region.polygon for region in regions_])
-    updated, own, kept, targets, results = region_kernels.update_regions(
+    updated, own, kept, tracks, names, results = region_kernels.update_regions(
         settings,
         keys,
         step.tick,
         table.table,
         table.salts,
         table.detections,
+        table.rays,
         stated,
         tuple(others),
         tuple(births),
@@ -196,12 +204,15 @@ def _update_wedges(
     )
     if len(regions_) == 1:
         _, _, _, _, mass, east, north, load, detected = results[0].tolist()
-        return [RegionUpdate(Particles(*updated), Particles(*own), Particles(*kept), mass, east, north, load, detected, targets)]
+        return [
+            RegionUpdate(Particles(*updated), Particles(*own), Particles(*kept), mass, east, north, load, detected, _tracks(tracks, names))
+        ]
     ends, found = np.cumsum(results[:, : region_kernels.SIZES], axis=0, dtype=np.int64).tolist(), []
     for before, after, result in zip([[0] * region_kernels.SIZES, *ends], ends, results.tolist()):
         near, mine, drawn = [_rows(*part) for part in zip((updated, own, kept), before, after)]
         mass, east, north, load, detected = result[region_kernels.SIZES :]
-        found.append(RegionUpdate(near, mine, drawn, mass, east, north, load, detected, targets[before[3] : after[3]]))
+        rows = slice(before[3], after[3])
+        found.append(RegionUpdate(near, mine, drawn, mass, east, north, load, detected, _tracks(tracks[rows], names[rows])))
     return found
 
 
@@ -211,10 +222,14 @@ def _draws(seed: int, names: tuple[str, ...]) -> np.ndarray:
     return np.array([key(seed, "resample", name) for name in names], dtype=np.uint64)
 
 
-def _rows(whole: tuple[np.ndarray, np.ndarray, np.ndarray], start: int, end: int) -> Particles:
+def _tracks(tracks: np.ndarray, names: np.ndarray) -> Tracks:
+    """Estimates from the columns of agents/compiled/extraction_kernels.py."""
+    return Tracks(tracks[:, :2].copy(), tracks[:, 2:].copy(), names)
+
+
+def _rows(whole: tuple[np.ndarray, ...], start: int, end: int) -> Particles:
     """The particles from `start` to `end`."""
-    states, weights, ids = whole
-    return Particles(states[start:end], weights[start:end], ids[start:end])
+    return Particles(*(part[start:end] for part in whole))
 
 
 def _end_to_end(arrays: list[np.ndarray]) -> np.ndarray:
@@ -234,6 +249,22 @@ def select_peers(
     return selection.Choice(chosen, Rectangle(*needed))
 
 
+def decide(task: search_plan.Task, memory: search_plan.Memory) -> search_plan.Decision:
+    """See `search_plan.decide`."""
+    if not task.table.all_wedges or type(task.sensor) is not WedgeSensor:
+        return search_plan.decide(task, memory)
+    settings = np.array(msgspec.structs.astuple(task.settings), dtype=float)
+    density, around, rows = task.density, tuple(task.around), task.table.table
+    answer = search_kernels.decide(
+        np.array(task.body), settings, density.states, density.weights, around, rows, task.partners, tuple(memory), *_RAYS
+    )
+    vx, vy, turn_rate, goal_x, goal_y, load = [float(number) for number in answer[:6]]  # loops run as plain Python give numpy's
+    return search_plan.Decision((vx, vy), turn_rate, (goal_x, goal_y), load, search_plan.Memory(*answer[6]))
+
+
+_RAYS = search_plan.DIRECTIONS, search_plan.EDGES
+
+
 FAST = Backend(
     cut_cells=cut_cells,
     background_births=background_births,
@@ -243,4 +274,5 @@ FAST = Backend(
     remote_copies=remote_copies,
     merge=merge,
     select_peers=select_peers,
+    decide=decide,
 )

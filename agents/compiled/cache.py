@@ -16,8 +16,14 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-# Compiled loops depend on each other, on the column numbers of the gossip table, and on the limits of messages.
-SOURCES = ("agents/compiled/*kernels.py", "agents/gossip/table.py", "protocol/codec.py", "protocol/fields.py")
+# Compiled loops depend on each other, on column numbers of the gossip table, on constants of the search, and on the limits of messages.
+SOURCES = (
+    "agents/compiled/*kernels.py",
+    "agents/coverage/search_plan.py",
+    "agents/gossip/table.py",
+    "protocol/codec.py",
+    "protocol/fields.py",
+)
 MOST_FOLDERS = 4  # one for each state of the sources, the present one included; going back to a recent state needs no compilation
 
 
@@ -48,6 +54,8 @@ def cached(loop: Callable[..., Any]) -> Any:
     import numba
 
     config: Any = numba.config
+    if config.DISABLE_JIT:  # NUMBA_DISABLE_JIT: the loops run as plain Python
+        return loop
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder())  # numba reads it only while it decorates a function
     try:
         compiled: Any = numba.njit(cache=True)(loop)

@@ -14,15 +14,19 @@ from numba import njit
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import around, distance
 from agents.compiled.extraction_kernels import block
-from agents.compiled.particle_kernels import normal, scramble, wedge
+from agents.compiled.label_kernels import birth_label, label_scan
+from agents.compiled.measuring_kernels import birth_place, noise_of
+from agents.compiled.measuring_kernels import pairs as ray_pairs
+from agents.compiled.particle_kernels import blank, normal, scramble, wedge
 
 _S52 = np.uint64(52)
+_BEARING = 2.0  # the model of a bearing alone, of agents/tracking/measuring.py
 _FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
 
 
 @njit
-def _exp_minus(value: float) -> float:
+def exp_minus(value: float) -> float:
     """Twin of `phd.exp_minus` for one value."""
     small = value * (1.0 / 64.0)
     result = 1.0 / 3628800.0
@@ -52,7 +56,7 @@ def _birth_densities(points: np.ndarray, sums: np.ndarray, kappa: float, nearby:
 
     `sums` (M,) are the sums of w p_d g(z) of the particles for each detection.
     """
-    _, _, radius, least, least_share, most, _, _, _ = birth
+    _, _, radius, least, least_share, most, _, _, _, _ = birth
     lowest, area = max(least, min(least_share * kappa, 0.5 * most)), math.pi * radius * radius
     for m in range(len(points)):
         known = 0.0
@@ -64,16 +68,16 @@ def _birth_densities(points: np.ndarray, sums: np.ndarray, kappa: float, nearby:
 
 
 @njit
-def _raster(x: np.ndarray, y: np.ndarray, detections: np.ndarray, spread: float, side: float) -> tuple:
+def _raster(x: np.ndarray, y: np.ndarray, detections: np.ndarray, spreads: np.ndarray, side: float) -> tuple:
     """The grid of bins of `side` m for `_missed`: its first column, its first row, masses, explained masses and factors.
 
-    It covers the particles, the detections, and births within `spread` m of the detections.
+    It covers the particles, the detections, and births within `spreads` (M,) m of the detections.
     """
     west, south, east, north = math.inf, math.inf, -math.inf, -math.inf
     for n in range(len(x)):
         west, south, east, north = min(west, x[n]), min(south, y[n]), max(east, x[n]), max(north, y[n])
     for m in range(len(detections)):
-        px, py = detections[m, 0], detections[m, 1]
+        px, py, spread = detections[m, 0], detections[m, 1], spreads[m]
         west, south, east, north = min(west, px - spread), min(south, py - spread), max(east, px + spread), max(north, py + spread)
     if west > east:
         return 0, 0, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))
@@ -177,7 +181,7 @@ def _likelihoods(squares: np.ndarray, shares: np.ndarray, noise: float) -> None:
     """Multiply shares by the Gaussian density, per m^2, at squared distances in m^2."""
     scale, exponent_scale = 1.0 / (2.0 * math.pi * noise * noise), 0.5 / (noise * noise)
     for p in range(len(squares)):
-        shares[p] = shares[p] * (_exp_minus(squares[p] * exponent_scale) * scale)
+        shares[p] = shares[p] * (exp_minus(squares[p] * exponent_scale) * scale)
 
 
 @njit
@@ -215,7 +219,7 @@ def _pick(
     """The new count of `picked` after the detections of a scan within the halo of the cell; `box` is the box around the cell."""
     for m in range(first, first + np.int64(row[9])):
         x, y = detections[m, 0], detections[m, 1]
-        if not _beyond(box, x, y, halo) and distance(polygon, x, y) <= halo:
+        if row[16] == _BEARING or (not _beyond(box, x, y, halo) and distance(polygon, x, y) <= halo):
             picked[count] = m
             count += 1
     return count
@@ -231,25 +235,28 @@ def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: f
 
 @cached
 def update(
-    states: np.ndarray,
-    weights: np.ndarray,
-    ids: np.ndarray,
+    particles: tuple,
     table: np.ndarray,
     salts: np.ndarray,
     all_detections: np.ndarray,
+    all_rays: np.ndarray,
     polygon: np.ndarray,
     halo: float,
     noises: tuple,
     miss: tuple,
     birth: tuple,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Twin of `regions.correct` for wedges: states, weights and ids of the particles after all scans, the births last.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Twin of `regions.correct` for wedges: states, weights, ids and labels of the particles after all scans, the births last.
 
-    `noises` are the deviations of the sensors and of the likelihood in m, and the squared gate in m^2. `miss` is (certainty, side of a
-    bin). `birth` is (on, copies, radius, least, least share, most, speed, key of the births, directions).
+    `noises` are the deviations of the sensors and of the likelihood in m, the squared gate in m^2, the gate in deviations, the variance
+    of a particle's kernel in m^2, and those of a pose in m^2 and rad^2. `all_rays` has no columns if all detections are exact positions.
+    `miss` is (certainty, side of a bin). `birth` is (on, copies, radius, least, least share, most, speed, key of the births, directions,
+    stamp of the labels).
     """
-    on, copies, radius, _, _, _, speed, births_key, directions = birth
-    noise, likelihood_noise, gate2 = noises
+    states, weights, ids, labels = particles
+    on, copies, radius, _, _, _, speed, births_key, directions, stamp = birth
+    noise, likelihood_noise, gate2, gate, kernel, place2, turn2 = noises
+    has_rays = all_rays.shape[1] > 0
     box = around(polygon, 0.0)
     sensors, begins = _scans(table, polygon, box, halo)
     scans, starts, close = len(sensors), np.zeros(len(sensors) + 1, np.int64), 0
@@ -258,32 +265,47 @@ def update(
         close = starts[s + 1] = _pick(table[sensors[s]], begins[s], polygon, box, halo, all_detections, picked, close)
     count = len(weights)
     capacity = count + (close * copies if on else 0)
-    new_states, new_weights, new_ids = np.empty((capacity, 4)), np.empty(capacity), np.empty(capacity, np.uint64)
-    new_states[:count], new_weights[:count], new_ids[:count] = states, weights, ids
+    new_states, new_weights, new_ids, new_labels = blank(capacity)
+    new_states[:count], new_weights[:count], new_ids[:count], new_labels[:count] = states, weights, ids, labels
     x, y, seen = np.empty(capacity), np.empty(capacity), np.empty(capacity, np.bool_)
     x[:count], y[:count] = states[:, 0], states[:, 1]
-    detections, densities = np.empty((close, 2)), np.zeros(close)
+    detections, densities, spreads = np.empty((close, 2)), np.zeros(close), np.full(close, _FARTHEST * noise)
+    rays = np.empty((close, all_rays.shape[1]))
     for m in range(close):
-        detections[m] = all_detections[picked[m]]
+        detections[m], rays[m] = all_detections[picked[m]], all_rays[picked[m]]
+        if has_rays:
+            spreads[m] = rays[m, 3]
     if on:
         densities = _nearby(x[:count], y[:count], weights, detections, radius)
     found, gained = _pair_buffers(2 * count + 256), np.empty(capacity)
-    raster = _raster(x[:count], y[:count], detections, _FARTHEST * noise, miss[1])
+    raster = _raster(x[:count], y[:count], detections, spreads, miss[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         _mark_view(x[:count], y[:count], sensor, seen)
-        pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
+        point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel, place2, turn2)
+        pairs = -1
         while pairs < 0:
-            found = _pair_buffers(4 * len(found[0]))
-            pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
+            if has_rays:
+                pairs = ray_pairs(x[:count], y[:count], seen, sensor, points, point_rays, scan_noise, gate, found)
+            else:
+                pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
+            if pairs < 0:
+                found = _pair_buffers(4 * len(found[0]))
         rows, columns, squares, shares = found
-        _likelihoods(squares[:pairs], shares[:pairs], likelihood_noise)
+        if has_rays:
+            for p in range(pairs):
+                shares[p] = new_weights[rows[p]] * sensor[6] * (exp_minus(squares[p] * 0.5) * shares[p])
+        else:
+            _likelihoods(squares[:pairs], shares[:pairs], likelihood_noise)
         norms = np.zeros(len(points))
         for p in range(pairs):
             norms[columns[p]] += shares[p]
         born = densities[starts[s] : starts[s + 1]]
         if on:
-            _birth_densities(points, norms, sensor[7], born, birth)
+            if sensor[16] == _BEARING:
+                born[:] = min(max(birth[3], min(birth[4] * sensor[7], 0.5 * birth[5])), birth[5])
+            else:
+                _birth_densities(points, norms, sensor[7], born, birth)
         for m in range(len(points)):
             fresh = wedge(points[m, 0], points[m, 1], sensor) * born[m]
             norm = sensor[7] + fresh + norms[m]
@@ -295,17 +317,25 @@ def update(
         _missed(x[:count], y[:count], new_weights, seen, sensor[6], gained, points, born, miss, raster)
         for n in range(count):
             new_weights[n] += gained[n]
+        salt, given = scramble(salts[sensors[s]], births_key), np.zeros(len(points), np.uint64)
         if on:
-            salt = scramble(salts[sensors[s]], births_key)
+            for m in range(len(points)):
+                number = np.uint64(picked[starts[s] + m] - begins[s])
+                given[m] = birth_label(scramble(number * np.uint64(copies), salt), stamp)
+        label_scan(new_labels, new_weights, rows[:pairs], columns[:pairs], shares[:pairs], norms, given)
+        if on:
             for m in range(len(points)):
                 number = np.uint64(picked[starts[s] + m] - begins[s])
                 for copy in range(copies):
                     new_id = scramble(number * np.uint64(copies) + np.uint64(copy), salt)
-                    x[count] = points[m, 0] + normal(scramble(new_id, np.uint64(1))) * noise
-                    y[count] = points[m, 1] + normal(scramble(new_id, np.uint64(2))) * noise
+                    if has_rays:
+                        x[count], y[count] = birth_place(new_id, sensor, points[m], point_rays[m], scan_noise)
+                    else:
+                        x[count] = points[m, 0] + normal(scramble(new_id, np.uint64(1))) * noise
+                        y[count] = points[m, 1] + normal(scramble(new_id, np.uint64(2))) * noise
                     direction = np.int64(scramble(new_id, np.uint64(3)) >> _S52)
                     new_states[count, 0], new_states[count, 1] = x[count], y[count]
                     new_states[count, 2], new_states[count, 3] = directions[direction, 0] * speed, directions[direction, 1] * speed
-                    new_ids[count], new_weights[count] = new_id, born[m] / np.float64(copies)
+                    new_ids[count], new_weights[count], new_labels[count] = new_id, born[m] / np.float64(copies), given[m]
                     count += 1
-    return new_states, new_weights, new_ids
+    return new_states, new_weights, new_ids, new_labels

@@ -8,6 +8,9 @@ import math
 import numpy as np
 
 from agents.compiled.cache import cached
+from agents.compiled.label_kernels import NO_LABEL, add, assign_labels
+
+TRACK = 8  # columns of an estimate: x, y in m, then those of `extraction.Tracks.details`
 
 
 @cached
@@ -52,8 +55,10 @@ def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
 
 
 @cached
-def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, threshold: float) -> np.ndarray:
-    """Twin of `extraction.estimate_targets`: estimated positions (M, 2) in m, heaviest first; bins of side `size` m."""
+def estimate_tracks(
+    states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size: float, threshold: float, beside: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `extraction.estimate_tracks`: estimates (M, TRACK), heaviest first, and their labels; bins of side `size` m."""
     left = low = np.int64(1 << 60)
     right = high = -left
     for n in range(len(weights)):
@@ -69,14 +74,15 @@ def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, thres
         east[row, column] += weights[n] * states[n, 0]
         north[row, column] += weights[n] * states[n, 1]
     rows, columns, blocks, number = _peaks(masses, threshold)
-    found, targets = np.empty((len(weights) + 1, 2)), 0
+    found, targets = np.empty((len(weights) + 1, TRACK)), 0
+    cores = np.empty((len(found), 2), np.int64)
     while number > 0:
         peak = np.argmax(blocks[:number])
         row, column = rows[peak], columns[peak]
         if blocks[peak] < threshold:
             break
         if targets == len(found):
-            found = np.concatenate((found, np.empty_like(found)))
+            found, cores = np.concatenate((found, np.empty_like(found))), np.concatenate((cores, np.empty_like(cores)))
         best, core_row, core_column = -1.0, row, column
         for r in range(row - 1, row + 2):
             for c in range(column - 1, column + 2):
@@ -86,6 +92,8 @@ def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, thres
         mass = _window(masses, core_row, core_column, 1)
         found[targets, 0] = _window(east, core_row, core_column, 1) / mass
         found[targets, 1] = _window(north, core_row, core_column, 1) / mass
+        found[targets, 7] = min(blocks[peak], 1.0)
+        cores[targets, 0], cores[targets, 1] = core_row + low, core_column + left
         targets += 1
         unit = 1.0
         for stage in range(2):
@@ -99,5 +107,35 @@ def estimate_targets(states: np.ndarray, weights: np.ndarray, size: float, thres
                 unit -= min(unit, mass)
         for peak in range(number):
             if abs(rows[peak] - row) <= 4 and abs(columns[peak] - column) <= 4:
-                blocks[peak] = block(masses, rows[peak], columns[peak])
-    return found[:targets]
+                mass = block(masses, rows[peak], columns[peak])
+                blocks[peak] = mass if mass >= beside else 0.0
+    return found[:targets], _describe(states, weights, labels, size, cores[:targets], found)
+
+
+@cached
+def _describe(states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size: float, cores: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Twin of `extraction._described`: write velocities and covariances of estimates with these cores, and return their labels."""
+    columns, rows = np.floor(states[:, 0] / size), np.floor(states[:, 1] / size)
+    known, sums, starts, number = np.empty(64, np.uint64), np.empty(64), np.zeros(len(cores) + 1, np.int64), 0
+    for peak in range(len(cores)):
+        row, column, x, y, mass = np.float64(cores[peak, 0]), np.float64(cores[peak, 1]), found[peak, 0], found[peak, 1], 0.0
+        vx = vy = xx = xy = yy = 0.0
+        first, count = number, 0
+        for n in range(len(weights)):
+            if abs(rows[n] - row) > 1.0 or abs(columns[n] - column) > 1.0 or not weights[n] > 0.0:
+                continue
+            weight, dx, dy = weights[n], states[n, 0] - x, states[n, 1] - y
+            mass += weight
+            vx += weight * states[n, 2]
+            vy += weight * states[n, 3]
+            xx += weight * (dx * dx)
+            xy += weight * (dx * dy)
+            yy += weight * (dy * dy)
+            if labels[n] != NO_LABEL:
+                if first + count == len(known):
+                    known, sums = np.concatenate((known, np.empty_like(known))), np.concatenate((sums, np.empty_like(sums)))
+                count = add(known[first:], sums[first:], count, labels[n], weight)
+        number = starts[peak + 1] = first + count
+        for column, moment in enumerate((vx, vy, xx, xy, yy)):
+            found[peak, 2 + column] = moment / mass
+    return assign_labels(known, sums, starts)

@@ -13,7 +13,7 @@ from agents.compiled.cell_kernels import apart, around
 from agents.compiled.claim_kernels import owned
 from agents.compiled.particle_kernels import blank, move_one, sort_by_id
 
-_Particles = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Particles = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @njit
@@ -44,18 +44,18 @@ def remote_copies(
     horizon: float,
     motion: tuple,
 ) -> _Particles:
-    """Twin of `merge.remote_copies`: states, weights and ids of the copies; `motion` is the tuple of `backend.motion`."""
-    near_states, near_weights, near_ids = near
-    states, weights, ids = received
+    """Twin of `merge.remote_copies`: states, weights, ids and labels of the copies; `motion` is the tuple of `backend.motion`."""
+    near_states, near_weights, near_ids, near_labels = near
+    states, weights, ids, labels = received
     width, height = motion[9], motion[10]
-    found, found_weights, found_ids = blank(len(near_ids) + len(ids))
+    found, found_weights, found_ids, found_labels = blank(len(near_ids) + len(ids))
     mine, count = owned(near_states, generators, first, width, height), 0
     for n in range(len(near_ids)):
         x, y = near_states[n, 0], near_states[n, 1]
         if near_weights[n] > 0.0 and not mine[n] and 0.0 <= x <= width and 0.0 <= y <= height:
             for axis in range(4):
                 found[count, axis] = near_states[n, axis]
-            found_weights[count], found_ids[count] = near_weights[n], near_ids[n]
+            found_weights[count], found_ids[count], found_labels[count] = near_weights[n], near_ids[n], near_labels[n]
             count += 1
     moved, moved_weights, number = np.empty((len(ids), 4)), np.empty(len(ids)), 0
     rows, east, north = np.empty(len(ids), np.int64), np.empty(len(ids)), np.empty(len(ids))
@@ -71,16 +71,16 @@ def remote_copies(
         if outside[k]:
             for axis in range(4):
                 found[count, axis] = moved[k, axis]
-            found_weights[count], found_ids[count] = moved_weights[k], ids[rows[k]]
+            found_weights[count], found_ids[count], found_labels[count] = moved_weights[k], ids[rows[k]], labels[rows[k]]
             count += 1
-    return found[:count], found_weights[:count], found_ids[:count]
+    return found[:count], found_weights[:count], found_ids[:count], found_labels[:count]
 
 
 @cached
 def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
-    """Twin of `merge.merge`: states, weights and ids in canonical order."""
-    received_states, received_weights, received_ids = received
-    states, weights, ids = copies
+    """Twin of `merge.merge`: states, weights, ids and labels in canonical order."""
+    received_states, received_weights, received_ids, received_labels = received
+    states, weights, ids, labels = copies
     number = len(received_ids)
     rows, chosen_ids, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
     for n in range(number):
@@ -91,7 +91,7 @@ def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) ->
         count += free[n]
     chosen_ids = chosen_ids[:count]
     order, known = sort_by_id(chosen_ids, np.arange(count)), 0
-    merged, merged_weights, merged_ids = blank(count)
+    merged, merged_weights, merged_ids, merged_labels = blank(count)
     for rank in range(count):
         k = order[rank]
         if rank > 0 and chosen_ids[k] == chosen_ids[order[rank - 1]]:
@@ -102,5 +102,6 @@ def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) ->
         for axis in range(4):
             merged[known, axis] = source[at, axis]
         merged_weights[known], merged_ids[known] = weight, chosen_ids[k]
+        merged_labels[known] = received_labels[at] if n < number else labels[at]
         known += 1
-    return merged[:known], merged_weights[:known], merged_ids[:known]
+    return merged[:known], merged_weights[:known], merged_ids[:known], merged_labels[:known]

@@ -1,6 +1,6 @@
 """Compiled particle kernels: prediction, selection and resampling for numba, each the bit-for-bit twin of a numpy function.
 
-Data types: particles are arrays of states (N, 4), weights (N,) and ids (N,) uint64. A sensor is a row of `GossipTable.table`
+Data types: particles are arrays of states (N, 4), weights (N,), ids and labels (N,) uint64. A sensor is a row of `GossipTable.table`
 (agents/gossip/table.py) or its first seven columns. The arguments of a step of prediction are the tuple of `motion`
 (agents/compiled/backend.py).
 
@@ -65,9 +65,9 @@ def move_one(x: float, y: float, vx: float, vy: float, particle_id: np.uint64, m
 
 
 @njit
-def blank(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Uninitialised states, weights and ids of `number` particles."""
-    return np.empty((number, 4)), np.empty(number), np.empty(number, np.uint64)
+def blank(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Uninitialised states, weights, ids and labels of `number` particles."""
+    return np.empty((number, 4)), np.empty(number), np.empty(number, np.uint64), np.empty(number, np.uint64)
 
 
 @cached
@@ -153,9 +153,16 @@ def in_view(states: np.ndarray, weights: np.ndarray, sensor: np.ndarray) -> tupl
 
 @cached
 def resample(
-    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, mass: float, count: int, offset: float, salt: np.uint64
-) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `phd.resample`: states (count, 4), rounded to float32, and ids (count,), ascending; equal ids occur once."""
+    states: np.ndarray,
+    weights: np.ndarray,
+    ids: np.ndarray,
+    labels: np.ndarray,
+    mass: float,
+    count: int,
+    offset: float,
+    salt: np.uint64,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Twin of `phd.resample`: states (count, 4), rounded to float32, ids (count,), ascending, and labels; equal ids occur once."""
     chosen, new_ids, parents = np.empty((count, 4)), np.empty(count, np.uint64), np.empty(count, np.int64)
     step = mass / count
     parent, reached, copy, last = 0, weights[0], 0, -1
@@ -169,22 +176,29 @@ def resample(
         new_ids[n] = ids[parent] if copy == 0 else scramble(ids[parent] + np.uint64(copy), salt)
         parents[n] = parent
     order = sort_by_id(new_ids, np.arange(count))
-    sorted_ids, unique = np.empty(count, np.uint64), 0
+    sorted_ids, kept_labels, unique = np.empty(count, np.uint64), np.empty(count, np.uint64), 0
     for rank in range(count):
         n = order[rank]
         if rank > 0 and new_ids[n] == new_ids[order[rank - 1]]:
             continue
-        sorted_ids[unique] = new_ids[n]
+        sorted_ids[unique], kept_labels[unique] = new_ids[n], labels[parents[n]]
         for axis in range(4):
             chosen[unique, axis] = np.float64(np.float32(states[parents[n], axis]))
         unique += 1
-    return chosen[:unique], sorted_ids[:unique]
+    return chosen[:unique], sorted_ids[:unique], kept_labels[:unique]
 
 
 @cached
 def take(
-    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    states: np.ndarray,
+    weights: np.ndarray,
+    ids: np.ndarray,
+    labels: np.ndarray,
+    generators: np.ndarray,
+    first: np.ndarray,
+    width: float,
+    height: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Twin of `regions.take`: the particles in the arena and in the cell of generator 0, in canonical order."""
     chosen, count = np.empty(len(ids), np.int64), 0
     inside = owned(states, generators, first, width, height)
@@ -192,13 +206,13 @@ def take(
         chosen[count] = n
         count += inside[n]
     order = sort_by_id(ids, chosen[:count])
-    own_states, own_weights, own_ids, own = np.empty((count, 4)), np.empty(count), np.empty(count, np.uint64), 0
+    (own_states, own_weights, own_ids, own_labels), own = blank(count), 0
     for rank in range(count):
         n = order[rank]
         if rank == 0 or ids[n] != ids[order[rank - 1]]:
-            own_states[own], own_weights[own], own_ids[own] = states[n], weights[n], ids[n]
+            own_states[own], own_weights[own], own_ids[own], own_labels[own] = states[n], weights[n], ids[n], labels[n]
             own += 1
-    return own_states[:own], own_weights[:own], own_ids[:own]
+    return own_states[:own], own_weights[:own], own_ids[:own], own_labels[:own]
 
 
 @cached

@@ -1,7 +1,7 @@
 """The compiled computation of a round: the bit-for-bit twin of `regions.update_regions` for wedges, one call for all owners.
 
 Data types: the settings and the keys of a run are arrays with the columns below; a result is a row of SIZES and SUMS columns. The stated
-particles are states (N, 4) float32, ids (N,), and the rows of the gossip table that state them.
+particles are states (N, 4) float32, ids and labels (N,), and the rows of the gossip table that state them.
 
 Rules as in agents/compiled/particle_kernels.py. Particles that cannot come near an owner are not predicted. The others are sorted and
 predicted once, and each owner gates its part. Filters write each index and advance the count without branches, because such branches
@@ -15,7 +15,8 @@ from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import around, near
 from agents.compiled.claim_kernels import owned
 from agents.compiled.correction_kernels import update
-from agents.compiled.extraction_kernels import estimate_targets
+from agents.compiled.extraction_kernels import TRACK, estimate_tracks
+from agents.compiled.label_kernels import stamp_of
 from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take
 from agents.gossip.table import PARTICLES, WEIGHT
 
@@ -26,7 +27,7 @@ SUMS = 5  # next columns: mass, its sums of x and y, load and detected
 # Columns of the settings; and of the keys, each without the tick.
 DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, LIKELIHOOD_NOISE, GATE2 = range(13)
 CERTAINTY, MISS_BIN, BIRTHS, COPIES, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
-PER_TARGET, LEAST, MOST, BIN, THRESHOLD = range(21, 26)
+PER_TARGET, LEAST, MOST, BIN, THRESHOLD, BESIDE, GATE, KERNEL, PLACE2, TURN2 = range(21, 31)
 TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
 
 _S11 = np.uint64(11)
@@ -70,11 +71,11 @@ def _within(x: float, y: float, box: BoxLimits, disc: tuple[float, float, float]
 def _candidates(stated: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Indices, ids and weights of the particles in the box or in the disc: the stated ones, then the others.
 
-    The stated particles are (states float32, ids, rows of the table with their numbers and weights). The others are (states, weights, ids),
-    and their indices continue those of the stated ones.
+    The stated particles are (states float32, ids, labels, rows of the table with their numbers and weights). The others are (states,
+    weights, ids, labels), and their indices continue those of the stated ones.
     """
-    gossip_states, gossip_ids, table = stated
-    states, weights, ids = others
+    gossip_states, gossip_ids, _, table = stated
+    states, weights, ids, _ = others
     number, size, count = len(gossip_ids), len(gossip_ids) + len(ids), 0
     within, places = np.empty(size, np.bool_), np.empty(size, np.int64)
     for n in range(number):
@@ -99,13 +100,13 @@ def _candidates(stated: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tu
 
 @njit
 def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
-    """The candidates one step later, each id once and ids ascending, then the births: x, y, states, weights, ids.
+    """The candidates one step later, each id once and ids ascending, then the births: x, y, states, weights, ids, labels.
 
-    The sixth value is the number of particles before the births.
+    The seventh value is the number of particles before the births.
     """
     places, candidate_ids, masses = _candidates(stated, others, box, disc)
     order, number, born, known = sort_by_id(candidate_ids, np.arange(len(candidate_ids))), len(stated[1]), len(births[2]), 0
-    states, weights, ids = blank(len(candidate_ids) + born)
+    states, weights, ids, labels = blank(len(candidate_ids) + born)
     for rank in range(len(candidate_ids)):
         k = order[rank]
         if rank > 0 and candidate_ids[k] == candidate_ids[order[rank - 1]]:
@@ -114,21 +115,23 @@ def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: 
         if n < number:
             x, y, vx, vy = stated[0][n, 0], stated[0][n, 1], stated[0][n, 2], stated[0][n, 3]
             moved = move_one(np.float64(x), np.float64(y), np.float64(vx), np.float64(vy), candidate_ids[k], motion)
+            labels[known] = stated[2][n]
         else:
             n -= number
             moved = move_one(others[0][n, 0], others[0][n, 1], others[0][n, 2], others[0][n, 3], candidate_ids[k], motion)
+            labels[known] = others[3][n]
         states[known, 0], states[known, 1], states[known, 2], states[known, 3], inside = moved
         weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, candidate_ids[k]
         known += 1
     end = known + born
-    states[known:end], weights[known:end], ids[known:end] = births
-    return states[:end, 0].copy(), states[:end, 1].copy(), states, weights, ids, known
+    states[known:end], weights[known:end], ids[known:end], labels[known:end] = births
+    return states[:end, 0].copy(), states[:end, 1].copy(), states, weights, ids, labels, known
 
 
 @njit
 def _gate(predicted: tuple, polygon: np.ndarray, halo: float, sensor: np.ndarray, scratch: tuple) -> tuple:
-    """Twin of `regions.gate`: states, weights and ids of the particles within the halo of the cell, and of the others within reach."""
-    x, y, states, weights, ids, known = predicted
+    """Twin of `regions.gate`: states, weights, ids and labels of the particles within the halo, and of the others within reach."""
+    x, y, states, weights, ids, labels, known = predicted
     boxed, seen, rows, some = scratch
     west, south, east, north = around(polygon, halo)
     far2, count, near_count, far_count = sensor[4] * sensor[4], 0, 0, 0
@@ -149,19 +152,21 @@ def _gate(predicted: tuple, polygon: np.ndarray, halo: float, sensor: np.ndarray
     for n in range(known):
         rows[far_count] = n
         far_count += seen[n]
-    return *_rows(near_rows, states, weights, ids), *_rows(rows[:far_count], states, weights, ids)
+    return *_rows(near_rows, states, weights, ids, labels), *_rows(rows[:far_count], states, weights, ids, labels)
 
 
 @njit
-def _rows(rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States, weights and ids of the particles at the indices `rows`."""
-    some_states, some_weights, some_ids = blank(len(rows))
+def _rows(
+    rows: np.ndarray, states: np.ndarray, weights: np.ndarray, ids: np.ndarray, labels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """States, weights, ids and labels of the particles at the indices `rows`."""
+    some_states, some_weights, some_ids, some_labels = blank(len(rows))
     for k in range(len(rows)):
         n = rows[k]
         for axis in range(4):
             some_states[k, axis] = states[n, axis]
-        some_weights[k], some_ids[k] = weights[n], ids[n]
-    return some_states, some_weights, some_ids
+        some_weights[k], some_ids[k], some_labels[k] = weights[n], ids[n], labels[n]
+    return some_states, some_weights, some_ids, some_labels
 
 
 @njit
@@ -191,6 +196,7 @@ def _update_region(
     table: np.ndarray,
     salts: np.ndarray,
     detections: np.ndarray,
+    rays: np.ndarray,
     gated: tuple,
     polygon: np.ndarray,
     generators: np.ndarray,
@@ -199,7 +205,7 @@ def _update_region(
     directions: np.ndarray,
 ) -> tuple:
     """The fields of a `regions.RegionUpdate` for one owner from its gated particles; `sensor` is its row of the table."""
-    near_states, near_weights, near_ids, far_states, far_weights, _ = gated
+    near_states, near_weights, near_ids, near_labels, far_states, far_weights, _, _ = gated
     halo = settings[HALO]
     birth = (
         settings[BIRTHS] != 0.0,
@@ -211,25 +217,40 @@ def _update_region(
         settings[SPEED],
         scramble(now, keys[BIRTH]),
         directions,
+        stamp_of(now),
     )
-    noise, miss = (settings[NOISE], settings[LIKELIHOOD_NOISE], settings[GATE2]), (settings[CERTAINTY], settings[MISS_BIN])
-    states, weights, ids = update(near_states, near_weights, near_ids, table, salts, detections, polygon, halo, noise, miss, birth)
-    own_states, own_weights, own_ids = take(states, weights, ids, generators, first, settings[WIDTH], settings[HEIGHT])
+    noise = (
+        settings[NOISE],
+        settings[LIKELIHOOD_NOISE],
+        settings[GATE2],
+        settings[GATE],
+        settings[KERNEL],
+        settings[PLACE2],
+        settings[TURN2],
+    )
+    miss = settings[CERTAINTY], settings[MISS_BIN]
+    near = near_states, near_weights, near_ids, near_labels
+    states, weights, ids, labels = update(near, table, salts, detections, rays, polygon, halo, noise, miss, birth)
+    own = take(states, weights, ids, labels, generators, first, settings[WIDTH], settings[HEIGHT])
+    own_states, own_weights, own_ids, own_labels = own
     mass, east, north = first_moments(own_states, own_weights)
     near_load, near_detected = in_view(states, weights, sensor)
     far_load, far_detected = in_view(far_states, far_weights, sensor)
-    kept_states, kept_ids, each = np.empty((0, 4)), np.empty(0, np.uint64), 0.0
+    kept_states, kept_ids, kept_labels, each = np.empty((0, 4)), np.empty(0, np.uint64), np.empty(0, np.uint64), 0.0
     if mass > 0.0:
         count = int(min(max(np.rint(settings[PER_TARGET] * mass), settings[LEAST]), settings[MOST]))
         offset = np.float64(scramble(now, owner) >> _S11) * 2.0**-53
-        kept_states, kept_ids = resample(own_states, own_weights, own_ids, mass, count, offset, scramble(now, keys[SPLIT]))
+        kept = resample(own_states, own_weights, own_ids, own_labels, mass, count, offset, scramble(now, keys[SPLIT]))
+        kept_states, kept_ids, kept_labels = kept
         each = mass / count
-    targets = np.empty((0, 2))
+    targets, names = np.empty((0, TRACK)), np.empty(0, np.uint64)
     if len(generators) > 0 and len(weights) > 0:
-        targets = estimate_targets(states, weights, settings[BIN], settings[THRESHOLD])
-        targets = targets[owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])]
-    updated, own, kept = (states, weights, ids), (own_states, own_weights, own_ids), (kept_states, np.full(len(kept_ids), each), kept_ids)
-    return updated, own, kept, mass, east, north, near_load + far_load, near_detected + far_detected, targets
+        targets, names = estimate_tracks(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE])
+        inside = owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])
+        targets, names = targets[inside], names[inside]
+    drawn = kept_states, np.full(len(kept_ids), each), kept_ids, kept_labels
+    sums = mass, east, north, near_load + far_load, near_detected + far_detected
+    return (states, weights, ids, labels), own, drawn, sums, targets, names
 
 
 @njit
@@ -238,17 +259,17 @@ def _append(whole: tuple, size: int, part: tuple, least: int) -> tuple:
 
     Arrays that are too small grow to `least` particles or more.
     """
-    states, weights, ids = whole
+    states, weights, ids, labels = whole
     end = size + len(part[2])
     if size == 0:
         return part
     if end > len(ids):
         more = max(2 * end, least)
-        wider, heavier, longer = blank(more)
-        wider[:size], heavier[:size], longer[:size] = states[:size], weights[:size], ids[:size]
-        states, weights, ids = wider, heavier, longer
-    states[size:end], weights[size:end], ids[size:end] = part
-    return states, weights, ids
+        wider, heavier, longer, named = blank(more)
+        wider[:size], heavier[:size], longer[:size], named[:size] = states[:size], weights[:size], ids[:size], labels[:size]
+        states, weights, ids, labels = wider, heavier, longer, named
+    states[size:end], weights[size:end], ids[size:end], labels[size:end] = part
+    return states, weights, ids, labels
 
 
 @cached
@@ -259,6 +280,7 @@ def update_regions(
     table: np.ndarray,
     salts: np.ndarray,
     detections: np.ndarray,
+    rays: np.ndarray,
     stated: tuple,
     others: tuple,
     births: tuple,
@@ -269,7 +291,9 @@ def update_regions(
     draws: np.ndarray,
     directions: np.ndarray,
 ) -> tuple:
-    """Twin of `regions.update_regions`: updated, own and resampled particles and targets (T, 2) in m, owner after owner, and results.
+    """Twin of `regions.update_regions`: updated, own and resampled particles, tracks and their labels, owner after owner, and results.
+
+    A track (TRACK columns) is x, y in m and the columns of `extraction.Tracks.details`.
 
     The results (K, SIZES + SUMS) hold the sizes and sums of K owners. `spans` (K, 3) are the row of each owner in the table, its number of
     corners and its number of generators. `draws` (K,) are the keys of the resampling of each owner.
@@ -279,7 +303,7 @@ def update_regions(
     predicted = _predict(stated, others, births, box, disc, _motion(settings, keys, now))
     size = len(predicted[0])
     scratch = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
-    updated, own, kept, targets = blank(0), blank(0), blank(0), np.empty((0, 2))
+    updated, own, kept, targets, names = blank(0), blank(0), blank(0), np.empty((0, TRACK)), np.empty(0, np.uint64)
     results, start = np.empty((number, SIZES + SUMS)), np.zeros(SIZES, np.int64)
     corner = bound = 0
     for k in range(number):
@@ -289,15 +313,15 @@ def update_regions(
         gated = _gate(predicted, polygon, halo, sensor, scratch)
         claim = generators[claimed], first[claimed]
         found = _update_region(
-            settings, keys, now, sensor, table, salts, detections, gated, polygon, claim[0], claim[1], draws[k], directions
+            settings, keys, now, sensor, table, salts, detections, rays, gated, polygon, claim[0], claim[1], draws[k], directions
         )
         updated, own = _append(updated, start[0], found[0], 2 * size), _append(own, start[1], found[1], 2 * size)
         kept = _append(kept, start[2], found[2], 2 * size)
-        targets = np.concatenate((targets, found[8])) if k > 0 else found[8]
-        sizes = len(found[0][2]), len(found[1][2]), len(found[2][2]), len(found[8])
+        targets, names = (np.concatenate((targets, found[4])), np.concatenate((names, found[5]))) if k > 0 else (found[4], found[5])
+        sizes = len(found[0][2]), len(found[1][2]), len(found[2][2]), len(found[5])
         for column in range(SIZES):
             start[column] += sizes[column]
             results[k, column] = sizes[column]
-        for column, value in enumerate(found[3:8]):
+        for column, value in enumerate(found[3]):
             results[k, SIZES + column] = value
-    return updated, own, kept, targets, results
+    return updated, own, kept, targets, names, results

@@ -3,7 +3,7 @@
 Data types: `SensorFacts` holds the detecting capability and the COD of a sensor, which do not depend on its pose.
 
 Rules. For constant detection probability the literal unused capacity (11) is D - p_d whenever mass is in view. It subtracts a mean of
-p_d, which has no unit, from an area. `CapacitySettings.mode` chooses other readings (docs/paper.md).
+p_d, which has no unit, from an area. `CapacitySettings.mode` chooses other readings (docs/evidence/paper.md).
 """
 
 import math

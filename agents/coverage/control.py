@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from agents.config import AgentConfig
+from agents.gossip.table import GossipTable
 from agents.tracking.particles import Particles
 from protocol.foreign import fault_of, shown
 from protocol.geometry import EMPTY, polygon_centroid, wrap_angle
@@ -21,6 +22,24 @@ from protocol.streams import key
 
 ControlInput = tuple[tuple[float, float], float]
 STAND: ControlInput = ((0.0, 0.0), 0.0)
+
+
+class Surroundings(NamedTuple):
+    """What a law that announces goals reads besides."""
+
+    density: Particles  # the particles everywhere that counted one tick before
+    around: Particles  # those around the own cell, after the scans of this tick
+    table: GossipTable  # the gossips of this tick
+    partners: np.ndarray  # (K, 5): goal x, y in m, load there, reach in m, 1 if the name comes before the own one
+    goal: tuple[float, float]  # the own one, as it was announced, m
+    is_open: bool  # targets cross the border of the arena
+
+
+class Intent(NamedTuple):
+    """What a law announces: a goal in m, and the load there."""
+
+    goal: tuple[float, float]
+    load: float
 
 
 class Situation(NamedTuple):
@@ -42,6 +61,8 @@ class Situation(NamedTuple):
     fields: tuple[tuple[SensorModel, Pose], ...] = ()  # sensors around the cell that scanned; for laws with `uses_fields = True`
     generators: np.ndarray = EMPTY  # (N, 2) m, of the diagram
     own_generator: int = -1  # the row of the agent's generator; -1 without one
+    known: Surroundings | None = None  # for laws that announce a goal (`search_and_track`)
+    ticks: int = 1  # until the next command
 
 
 class ControlLaw(Protocol):
@@ -86,7 +107,10 @@ class RandomWalk:
 
 
 LAWS: dict[str, type[ControlLaw]] = {"lloyd": Lloyd, "uniform-density": UniformDensity, "static": Static, "random": RandomWalk}
-OWN_FILES = {"pursuit": f"{__package__}.pursuit:Pursuit"}  # laws in files that import this one
+OWN_FILES = {  # laws in files that import this one
+    "pursuit": f"{__package__}.pursuit:Pursuit",
+    "search-and-track": f"{__package__}.search_and_track:SearchAndTrack",
+}
 
 
 def control_law(config: AgentConfig) -> ControlLaw:
@@ -131,8 +155,8 @@ class CheckedLaw:
 
 
 def approach(situation: Situation, goal: tuple[float, float]) -> ControlInput:
-    """The command towards a goal, m: the driven point reaches it in one step and the body faces it, within the limits (18)."""
-    limits, dt = situation.limits, situation.dt
+    """The command towards a goal, m: the driven point reaches it by the next command and the body faces it, within the limits (18)."""
+    limits, dt = situation.limits, situation.dt * situation.ticks
     vx, vy = (goal[0] - situation.driven[0]) / dt, (goal[1] - situation.driven[1]) / dt
     speed = math.sqrt(vx * vx + vy * vy)
     if speed > limits.speed:

@@ -1,10 +1,11 @@
 """The messages that an agent sends, made of its context and the result of its last round."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from agents.coverage.capacity import place
 from agents.round import AgentContext, RoundResult
-from agents.tracking.particles import NONE
+from agents.tracking.tracker import Said
 from protocol.fields import pack
 from protocol.messages import Agreed, Command, Estimate, Gossip, Hello, Observation
 from protocol.sensing import WedgeSensor
@@ -28,11 +29,24 @@ def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], setti
     )
 
 
-def gossip(context: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
-    """The gossip of a tick: pose, scan and generator; and the owned particles, if the last round is that of the tick before."""
+def gossip(
+    context: AgentContext,
+    incarnation: int,
+    outcome: RoundResult,
+    observation: Observation,
+    *,
+    listening: bool,
+    pace: int = 1,
+    behind: int = 0,
+    lag: int = 0,
+) -> Gossip:
+    """The gossip of a tick: pose, scan and generator; and the owned state, if the last round is that of the tick before.
+
+    `behind`: so many rounds before this tick are still to be played, and the last round is that before them.
+    """
     owned = outcome.belief.mine
-    current = outcome.belief.stamp == observation.tick - 1
-    particles = owned.particles if current else NONE
+    current = outcome.belief.stamp == observation.tick - 1 - behind
+    said = context.tracker.say(owned, context.config.filter) if current else Said()
     return Gossip(
         sender=context.name,
         incarnation=incarnation,
@@ -43,13 +57,22 @@ def gossip(context: AgentContext, incarnation: int, outcome: RoundResult, observ
         unused=outcome.unused,
         detections_bytes=observation.detections_bytes,
         listening=listening,
-        claim_tick=max(0, observation.tick - 1),
+        claim_tick=max(0, outcome.belief.cut if current else observation.tick - 1),
         claim_names=owned.claim.names if current else (),
         claim_bytes=pack(owned.claim.generators, "<f8") if current else b"",
         view=owned.view if current else 0,
-        weight=float(particles.weights[0]) if len(particles.weights) else 0.0,
-        states_bytes=pack(particles.states, "<f4"),
-        ids_bytes=pack(particles.ids, "<u8"),
+        weight=said.weight,
+        states_bytes=said.states,
+        ids_bytes=said.ids,
+        labels_bytes=said.labels,
+        label_numbers_bytes=said.label_numbers,
+        components_bytes=said.components,
+        particles=said.particles,
+        goal=outcome.intent.goal if outcome.intent is not None else None,
+        goal_load=outcome.intent.load if outcome.intent is not None else 0.0,
+        pace=pace,
+        behind=behind if current else 0,
+        lag=lag,
     )
 
 
@@ -59,10 +82,16 @@ def command(context: AgentContext, incarnation: int, outcome: RoundResult, tick:
     return Command(sender=context.name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
 
 
-def estimate(
-    context: AgentContext, incarnation: int, outcome: RoundResult, sent: Gossip, counters: Mapping[str, int], seconds: float
-) -> Estimate:
-    """The estimate for observers: the result of the round in which the agent `sent` a gossip, and its duration in `seconds`."""
+class RoundCost(NamedTuple):
+    """What a round cost, for observers."""
+
+    counters: Mapping[str, int]
+    seconds: float  # from the opening of the round to its end
+    pace: int  # the agent plays the ticks that this number divides
+
+
+def estimate(context: AgentContext, incarnation: int, outcome: RoundResult, sent: Gossip, work: RoundCost) -> Estimate:
+    """The estimate for observers: the result of the round in which the agent `sent` a gossip, and what it cost."""
     return Estimate(
         sender=context.name,
         incarnation=incarnation,
@@ -74,9 +103,12 @@ def estimate(
         load=outcome.load,
         mass=outcome.mass,
         cell_bytes=pack(outcome.cell, "<f8"),
-        targets_bytes=pack(outcome.targets, "<f8"),
+        targets_bytes=pack(outcome.tracks.positions, "<f8"),
+        details_bytes=pack(outcome.tracks.details, "<f4"),
+        labels_bytes=pack(outcome.tracks.labels, "<u8"),
         view=outcome.belief.mine.view,
         neighbours=outcome.belief.mine.claim.names[1:],
-        counters=dict(counters),
-        round_seconds=seconds,
+        counters=dict(work.counters),
+        round_seconds=work.seconds,
+        pace=work.pace,
     )

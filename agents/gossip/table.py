@@ -5,6 +5,7 @@ operations on whole arrays.
 """
 
 import hashlib
+import math
 import struct
 from collections import deque
 from collections.abc import Sequence
@@ -16,18 +17,41 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, sensor_facts
 from agents.tracking.births import Scan
+from agents.tracking.measuring import is_exact, kernel_variance, model_of, noise_of, spread_of
 from agents.tracking.particles import Particles
+from protocol.components import read_components
+from protocol.measuring import places_of
 from protocol.messages import GOSSIP_NUMBERS, Gossip
 from protocol.once import once
-from protocol.sensing import SensorModel, WedgeSensor
+from protocol.sensing import SensorModel, WedgeSensor, measurement_of
 from protocol.streams import key
 
-COLUMNS = 16
-X, Y, COS, SIN, REACH, COS_HALF, PROB, KAPPA, KIND, DETECTIONS, WEIGHT, EAST, NORTH, RADIUS, PARTICLES, SALT = range(COLUMNS)
+COLUMNS = 19
+(
+    X,
+    Y,
+    COS,
+    SIN,
+    REACH,
+    COS_HALF,
+    PROB,
+    KAPPA,
+    KIND,
+    DETECTIONS,
+    WEIGHT,
+    EAST,
+    NORTH,
+    RADIUS,
+    PARTICLES,
+    SALT,
+    MODEL,
+    RANGE_NOISE,
+    BEARING_NOISE,
+) = range(COLUMNS)
 SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
-_SENSOR = struct.Struct("<5dQ")
-_SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT]
+_SENSOR = struct.Struct("<5dQ3d")
+_SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE]
 _MOST_ANNOUNCED = 20000
 
 
@@ -36,7 +60,9 @@ class AnnouncedSensor(NamedTuple):
 
     sensor: SensorModel
     facts: SensorFacts
-    columns: bytes  # its part of a row: reach m, cosine of the half angle, p_d, clutter density per m^2, kind of scan, key of the name
+    columns: (
+        bytes  # its part of a row: reach m, cosine of the half angle, p_d, clutter density per m^2, kind of scan, key of the name, model
+    )
 
 
 def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
@@ -50,7 +76,9 @@ def _announced(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSenso
     half, probability, kind = 0.0, 0.0, OTHER
     if isinstance(sensor, WedgeSensor):
         half, probability, kind = sensor.cos_half_angle, sensor.prob_detection, WEDGE
-    packed = _SENSOR.pack(sensor.reach, half, probability, clutter / sensor.area, kind, key("sensor", name))
+    packed = _SENSOR.pack(
+        sensor.reach, half, probability, clutter / sensor.area, kind, key("sensor", name), *model_of(measurement_of(sensor))
+    )
     return AnnouncedSensor(sensor, _facts(sensor), packed)  # type: ignore[arg-type]
 
 
@@ -60,15 +88,21 @@ def _facts(sensor: SensorModel) -> SensorFacts:
     return sensor_facts(sensor)
 
 
-Stated = tuple[np.ndarray, np.ndarray]  # states (N, 4) float32 and ids (N,) uint64
+_NO_LABELS = np.empty(0, dtype=np.uint64)
+Stated = tuple[np.ndarray, np.ndarray, np.ndarray]  # states (N, 4) float32; ids and labels (N,) uint64
 
 
 class GossipTable:
     """Gossips of one round in the order of names. A table never changes; derived arrays are computed once."""
 
-    def __init__(self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], diagram: str) -> None:
-        """`sensors`: of the senders. `diagram`: "power", "voronoi-cod" or "voronoi"; it determines the generators."""
-        self.gossips, self.sensors, self.diagram = gossips, sensors, diagram
+    def __init__(
+        self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], diagram: str, config: AgentConfig | None = None
+    ) -> None:
+        """`sensors`: of the senders. `diagram`: "power", "voronoi-cod" or "voronoi"; it determines the generators.
+
+        `config` states the noise of detections and poses; without one poses are exact.
+        """
+        self.gossips, self.sensors, self.diagram, self._config = gossips, sensors, diagram, config
         self.names = tuple([gossip.sender for gossip in gossips])
         self.shared: Any = None  # the results that all agents with this table share (`shared_round`)
 
@@ -78,12 +112,17 @@ class GossipTable:
         numbers = np.frombuffer(b"".join([gossip.numbers for gossip in self.gossips])).reshape(-1, GOSSIP_NUMBERS)
         table = np.empty((len(numbers), COLUMNS))
         table[:, : SIN + 1] = numbers[:, :4]
-        table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, 6)
+        table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, len(_SENSOR_COLUMNS))
         table[:, KIND] *= numbers[:, 11]
         table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = numbers[:, 9], numbers[:, 8], numbers[:, 10]
         table[:, EAST : NORTH + 1] = numbers[:, :2] if self.diagram == "voronoi" else numbers[:, 4:6]
         table[:, RADIUS] = numbers[:, 6] if self.diagram == "power" else 0.0
         return table
+
+    @once
+    def plans(self) -> np.ndarray:
+        """The goal x, y in m and its load of each sender (N, 3); the place of a sender without a goal."""
+        return np.frombuffer(b"".join([gossip.plan for gossip in self.gossips])).reshape(-1, 3)
 
     @once
     def salts(self) -> np.ndarray:
@@ -119,9 +158,38 @@ class GossipTable:
 
     @once
     def detections(self) -> np.ndarray:
-        """All detections (D, 2) float64, scan after scan, m."""
+        """The places of all detections (D, 2) float64, scan after scan, m; of a bearing alone the middle of its beam."""
         joined = bytearray().join([gossip.detections_bytes for gossip in self.gossips])
-        return np.frombuffer(joined, dtype="<f4").reshape(-1, 2).astype(float)
+        rows = np.frombuffer(joined, dtype="<f4").reshape(-1, 2).astype(float)
+        if not self.table[:, MODEL].any():
+            return rows
+        parts = [
+            places_of(measurement_of(each.sensor), each.sensor.reach, gossip.pose, gossip.detections)
+            for gossip, each in zip(self.gossips, self.sensors)
+        ]
+        return np.concatenate(parts).astype(float)
+
+    @once
+    def has_rays(self) -> bool:
+        """Whether a sensor measures anything but positions, or poses are not exact."""
+        return bool(self.table[:, MODEL].any()) or (self._config is not None and not is_exact(self._config.pose))
+
+    @once
+    def rays(self) -> np.ndarray:
+        """The rays of all detections (D, 4) of agents/tracking/measuring.py; (D, 0) if all are exact positions."""
+        if not self.has_rays or self._config is None:
+            return np.empty((len(self.detections), 0))
+        rays, places, settings = np.empty((len(self.detections), 4)), self.detections.tolist(), self._config
+        kernel, number = kernel_variance(settings.filter), 0
+        for row in self.table.tolist():
+            noise = noise_of((row[MODEL], row[RANGE_NOISE], row[BEARING_NOISE]), settings.detection.noise, kernel, settings.pose)
+            for _ in range(int(row[DETECTIONS])):
+                dx, dy = places[number][0] - row[X], places[number][1] - row[Y]
+                far = math.sqrt(dx * dx + dy * dy)
+                east, north = (dx / far, dy / far) if far > 0.0 else (row[COS], row[SIN])
+                rays[number] = east, north, far, spread_of(noise.model, far, row[REACH], noise)
+                number += 1
+        return rays
 
     @once
     def listening(self) -> bool:
@@ -141,7 +209,7 @@ class GossipTable:
 
     @property
     def stated(self) -> Stated:
-        """States (N, 4) float32 and ids (N,) uint64 of all particles, gossip after gossip, at the tick of their claims.
+        """States (N, 4) float32, ids and labels (N,) uint64 of all particles, gossip after gossip, at the tick of their claims.
 
         These arrays are the largest of a round, and no later round reads them. Only the last table that computed them keeps them.
         """
@@ -159,7 +227,7 @@ class GossipTable:
         gossips = self.gossips
         states = np.frombuffer(bytearray().join([gossips[row].states_bytes for row in rows]), dtype=np.float32)
         ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
-        return states.reshape(-1, 4), ids
+        return states.reshape(-1, 4), ids, np.concatenate([_NO_LABELS, *[gossips[row].labels for row in rows]])
 
     @once
     def boxes(self) -> np.ndarray:
@@ -169,17 +237,23 @@ class GossipTable:
     @once
     def particles(self) -> Particles:
         """The particles of `stated` with their weights."""
-        states, ids = self.stated
-        return Particles(states.astype(float), self.table[:, WEIGHT].repeat(self.table[:, PARTICLES].astype(np.int64)), ids)
+        states, ids, labels = self.stated
+        return Particles(states.astype(float), self.table[:, WEIGHT].repeat(self.table[:, PARTICLES].astype(np.int64)), ids, labels)
+
+    @once
+    def components(self) -> np.ndarray:
+        """The components of all Gaussian mixtures (N,), gossip after gossip (protocol/components.py)."""
+        return read_components(b"".join([gossip.components_bytes for gossip in self.gossips]))
 
     def scans(self) -> list[Scan]:
         """The scans of this tick, in the order of the update: by ascending p_d, then by name."""
         found, ends = [], np.cumsum(self.table[:, DETECTIONS]).astype(np.int64)
         for gossip, announced_sensor, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
             if numbers[KIND] != SILENT:
-                detections = self.detections[end - np.int64(numbers[DETECTIONS]) : end]
-                order = np.arange(len(detections), dtype=np.uint64)
-                scan = Scan(key("sensor", gossip.sender), announced_sensor.sensor, gossip.pose, detections, order, float(numbers[KAPPA]))
+                rows = slice(end - np.int64(numbers[DETECTIONS]), end)
+                order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), key("sensor", gossip.sender)
+                rays, kappa = self.rays[rows] if self.has_rays else None, float(numbers[KAPPA])
+                scan = Scan(salt, announced_sensor.sensor, gossip.pose, self.detections[rows], order, kappa, rays)
                 found.append((float(numbers[PROB]), scan))
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 
@@ -199,7 +273,7 @@ def gossip_table(gossips: list[Gossip], sensors: list[AnnouncedSensor], config: 
     for known in _RECENT:
         if known.diagram == diagram and known.sensors == sensors and known.gossips == gossips:
             return known
-    table = GossipTable(gossips, sensors, diagram)
+    table = GossipTable(gossips, sensors, diagram, config)
     _RECENT.append(table)
     return table
 

@@ -53,7 +53,8 @@ class InterestManager:
         self._context, self._neighbours, self._incarnation = context, neighbours, incarnation
         self._tiling = Tiling(config.timing.tile, config.arena)
         drift = JUMP + config.limits.speed * config.run.dt
-        self._ground = Ground(context.arena, bounds_of(context.sensor, context.facts), drift, distances)
+        own_bounds = bounds_of(context.sensor, context.facts)  # type: ignore[arg-type]  # a sensor model is hashable
+        self._ground = Ground(context.arena, own_bounds, drift, distances)
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE, LINGER))
         self._phase = key("beacon", context.name) % self._period
         self._unknown_until = 0  # until this tick the others may not know this agent
@@ -165,7 +166,7 @@ class InterestManager:
         announced = Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius)
         peer = self._neighbours.peers.get(beacon.sender)
         if peer is not None and peer.announced is not None:
-            announced = announced.wider(bounds_of(*peer.announced[:2]))
+            announced = announced.wider(bounds_of(*peer.announced[:2]))  # type: ignore[arg-type]  # a sensor model is hashable
         known = self._ground.bounds
         wider = known.wider(announced)
         if wider is not known:

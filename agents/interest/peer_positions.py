@@ -12,7 +12,7 @@ class PeerPositions(PositionTable):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
-        self._diagram, self._silent = config.partition.kind, config.timing.silent_rounds
+        self._diagram, self._silent = config.partition.kind, config.rounds_of_silence
         self._pending: dict[str, Gossip] = {}  # the newest gossip of each peer in closed rounds, not noted yet
         self.needed: Rectangle | None = None  # outside of this no new peer matters before the next selection
 

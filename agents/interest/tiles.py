@@ -1,6 +1,7 @@
-"""The tiles of the arena in which beacons are published (docs/protocol.md), and bounds on unknown agents."""
+"""The tiles of the arena in which beacons are published (docs/reference/protocol.md), and bounds on unknown agents."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 from agents.coverage.capacity import SensorFacts, power_radius
@@ -48,12 +49,14 @@ class Bounds(NamedTuple):
 
     def wider(self, other: "Bounds") -> "Bounds":
         """The bounds of both groups of agents; the same object if the others add nothing."""
-        both = Bounds(*map(max, self, other))
-        return self if both == self else both
+        if other.reach <= self.reach and other.offset <= self.offset and other.radius <= self.radius:
+            return self
+        return Bounds(*map(max, self, other))
 
 
+@lru_cache(maxsize=1024)
 def bounds_of(sensor: SensorModel, facts: SensorFacts) -> Bounds:
-    """The bounds of an agent with that sensor."""
+    """The bounds of an agent with that sensor; a pure memo, because many agents carry sensors of one class."""
     return Bounds(sensor.reach, math.hypot(*facts.cod_offset), power_radius(facts.capability))
 
 

@@ -10,7 +10,7 @@ from agents.gossip.table import AnnouncedSensor, announced_sensor
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
-from protocol.settings import BadSetting, sensor_of
+from protocol.settings import ArenaSettings, BadSetting, sensor_of
 
 TOLERANCE = 1.0 + 1e-9  # factor by which a gossip may exceed what its sender's sensor can do: rounding of another implementation
 
@@ -25,6 +25,7 @@ class Peer:
     announced: AnnouncedSensor | None = None
     left_at: int | None = None  # the last tick of a gossip sent before its token vanished; a later gossip revives the peer
     missed: int = 0  # rounds without a gossip in a row
+    doubted: bool = False  # its token vanished while this agent was late itself
     beacon: Beacon | None = None  # the newest one
     rank: tuple[int, str] = (0, "")  # sorts peers in the order of names
     differs: tuple[str, ...] = ()  # the peer is refused: these settings differ from the own ones
@@ -47,8 +48,10 @@ def steady(peers: Iterable[Peer], local: bool) -> bool:
     return all(peer.left_at is None and not peer.missed and peer.announced is not None and (peer.token or local) for peer in peers)
 
 
-def plausible(gossip: Gossip, announced: AnnouncedSensor) -> bool:
-    """Whether a gossip stays within what its sender's sensor can do: U <= D, and the COD within reach."""
+def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) -> bool:
+    """Whether a gossip stays within what its sender's sensor can do: U <= D, the COD within reach, and the goal in the arena."""
+    if gossip.goal is not None and not (0.0 <= gossip.goal[0] <= arena.width and 0.0 <= gossip.goal[1] <= arena.height):
+        return False
     most = announced.facts.capability * TOLERANCE
     apart = math.dist(gossip.cod, gossip.pose[:2])
     return gossip.unused <= most and math.pi * gossip.power_radius**2 <= most and apart <= announced.sensor.reach * TOLERANCE
@@ -57,7 +60,7 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor) -> bool:
 _JUDGED: deque[tuple[Batch, list[AnnouncedSensor | None], list[bool]]] = deque(maxlen=2)
 
 
-def all_plausible(batch: Batch, carried: list[AnnouncedSensor | None]) -> list[bool]:
+def all_plausible(batch: Batch, carried: list[AnnouncedSensor | None], arena: ArenaSettings) -> list[bool]:
     """`plausible` of each gossip of a batch; False where the sensor is unknown.
 
     A pure memo of the last two answers: in virtual time all listeners judge the same batch.
@@ -65,6 +68,6 @@ def all_plausible(batch: Batch, carried: list[AnnouncedSensor | None]) -> list[b
     for known, sensors, found in _JUDGED:
         if known is batch and sensors == carried:
             return found
-    found = [announced is not None and plausible(gossip, announced) for gossip, announced in zip(batch.messages, carried)]
+    found = [announced is not None and plausible(gossip, announced, arena) for gossip, announced in zip(batch.messages, carried)]
     _JUDGED.append((batch, carried, found))
     return found

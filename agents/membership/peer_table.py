@@ -2,12 +2,18 @@
 
 A *peer* is a live agent. Its liveliness token is a suspicion, no proof. When the token vanishes, the peer stops being a generator at
 once. A later gossip of the same incarnation brings it back, if it cannot have been sent before. A peer that falls silent with its token
-up stays a generator for `silent_rounds` rounds, at its last position.
+up stays a generator for `rounds_of_silence` rounds, at its last position. Only rounds in which this agent really listened count.
+
+A token that vanishes while this agent is late is doubted. It counts at the end of the next round in which at least twice as many peers
+are heard as are doubted. A doubt about most peers is one about this agent: those peers are treated as silent ones.
 
 With interest "all" every peer is in the interest set. With "neighbours" (`local`) beacons make peers known, and the agent subscribes to
 the gossips of those that it selects.
 """
 
+import math
+from collections import deque
+from collections.abc import Iterable
 from itertools import compress
 from operator import attrgetter
 
@@ -25,7 +31,7 @@ from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
 
-LOCAL_VIEW = 1  # the view of agents with complete interest sets: they cut parts of one diagram
+LOCAL_VIEW = 1  # no hash: the view of agents that hear neighbours and whose interest sets are complete; they cut parts of one diagram
 ACCEPTED = ""
 OWN, UNASKED = "own", "unasked"  # reasons without a fault of the sender
 
@@ -42,10 +48,15 @@ class PeerTable:
         self.certified = False  # local: no unknown peer can own a point that matters in this round
         self.acquainted, self._version = frozenset[str](), -1  # local: peers whose claims fit the own one; by which version of positions
         self.changed = False  # local: a peer has come or gone since the last selection
-        self._config, self._silent = config, config.timing.silent_rounds
+        self._config, self._silent = config, config.rounds_of_silence
+        self._measures_pace = config.run.clock == "realtime"
+        self._listened: deque[int] = deque(maxlen=self._silent)  # the last closed rounds in which this agent listened
         self._name, self.settings = name, config.agreed()
         self.own_sensor: AnnouncedSensor | None = None  # as it is announced
         self.inbox = RoundInbox()
+        self.pace = 1  # this agent plays the ticks that this number divides
+        self._paces: dict[str, int] = {}  # of the peers that do not play every tick
+        self.given_up = 0  # how often a peer with its token up has been silent for too long
         self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
 
     def alive(self, name: str, incarnation: int) -> None:
@@ -53,17 +64,30 @@ class PeerTable:
         peer = self._peer(name, incarnation, token=True)
         if peer:
             self.changed |= peer.left_at is not None
-            peer.token, peer.left_at = True, None
+            peer.token, peer.left_at, peer.doubted = True, None, False
             if peer.beacon is not None:
                 self.positions.note(peer, peer.beacon)
 
-    def gone(self, name: str, incarnation: int, tick: int) -> None:
-        """A token vanished in the round `tick`. The peer may have been a tick ahead, and gossips of it may still be on their way."""
+    def gone(self, name: str, incarnation: int, tick: int, *, doubted: bool = False) -> None:
+        """A token vanished in the round `tick`. `doubted`: this agent was late, and may itself be the reason."""
         peer = self.peers.get(name)
         if peer and peer.incarnation == incarnation:
-            peer.token, peer.left_at, self._steady = False, tick + 1, False
-            self.positions.remove(name)
-            self.changed = True
+            peer.token, peer.doubted, self._steady = False, doubted, False
+            if not doubted:
+                self._bury(peer, tick)
+
+    def _bury(self, peer: Peer, tick: int) -> None:
+        """A peer has left in the round `tick`. It may have been a tick ahead, and gossips of it may still be on their way."""
+        peer.left_at, peer.doubted = tick + 1, False
+        self.positions.remove(peer.name)
+        self.changed = True
+
+    def _settle_doubts(self, tick: int, heard: int) -> None:
+        """Count the doubted tokens as lost, unless they are too many beside the number of peers `heard` in this round."""
+        doubted = [peer for peer in self.peers.values() if peer.doubted]
+        if 2 * len(doubted) <= heard:
+            for peer in doubted:
+                self._bury(peer, tick)
 
     def take_hello(self, hello: Hello) -> str | None:
         """Take a Hello and remember the announced sensor. Returns the reason for refusing it; None: it is accepted.
@@ -109,15 +133,16 @@ class PeerTable:
         * incarnation: a younger incarnation is known;
         * stranger: the sender's sensor is unknown;
         * settings: the sender's settings differ;
-        * stale: a later tick of the same peer is closed;
+        * stale: this tick or a later one of the same peer is closed;
         * dead: it was sent before the peer's token vanished;
         * bounds: the sender's sensor cannot do what it states.
         """
         interest_set, reasons = self.interest_set, []
-        peers = [interest_set.get(name) for name in batch.senders]
         own, own_name = self.own_sensor, self._name  # in the own place, so that all agents of a process ask the same of a batch
-        carried = [peer.announced if peer is not None else own if name == own_name else None for name, peer in zip(batch.senders, peers)]
-        fit = all_plausible(batch, carried)
+        carried = [
+            peer.announced if (peer := interest_set.get(name)) is not None else own if name == own_name else None for name in batch.senders
+        ]
+        fit = all_plausible(batch, carried, self._config.arena)
         for gossip, fits in zip(batch.messages[start:], fit[start:]):
             reason = self._judge(gossip, fits)
             reasons.append(reason)
@@ -142,7 +167,7 @@ class PeerTable:
             peer = self._peer(name, gossip.incarnation)
             if peer is None:
                 return "incarnation"
-            fits = peer.announced is not None and plausible(gossip, peer.announced)
+            fits = peer.announced is not None and plausible(gossip, peer.announced, self._config.arena)
         if peer.announced is None:
             return "settings" if peer.differs else "stranger"
         last = self.inbox.last.get(name)
@@ -152,7 +177,7 @@ class PeerTable:
             return "dead"
         if not fits:
             return "bounds"
-        peer.missed = 0
+        peer.missed, peer.doubted = 0, False
         if peer.left_at is not None:
             peer.left_at, self.changed = None, True
         return ACCEPTED
@@ -168,6 +193,13 @@ class PeerTable:
         A newcomer waits for every live peer, since it has heard none of them yet.
         """
         gossips = self.inbox.of(tick)
+        if self._paces and len(gossips) < len(self.interest_set):
+            return self._expected(tick, newcomer=newcomer) - {name for name, pace in self._paces.items() if tick % pace}
+        return self._expected(tick, newcomer=newcomer)
+
+    def _expected(self, tick: int, *, newcomer: bool) -> set[str]:
+        """The peers whose gossip of `tick` would be missing if all played every tick."""
+        gossips = self.inbox.of(tick)
         if self._steady or len(gossips) == len(self.interest_set):
             return self.interest_set.keys() - gossips.keys()
         if self.local:  # a beacon of each has come lately
@@ -176,7 +208,10 @@ class PeerTable:
                 for name, peer in self.interest_set.items()
                 if peer.left_at is None and peer.missed < self._silent and name not in gossips
             }
-        silent, others = self._silent, [peer for name, peer in self.interest_set.items() if name not in gossips and peer.token]
+        silent, others = (
+            self._silent,
+            [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.doubted)],
+        )
         return {peer.name for peer in others if (peer.missed < silent if self.inbox.knows(peer.name) else newcomer or tick == 0)}
 
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
@@ -185,25 +220,57 @@ class PeerTable:
         It is a fresh gossip, or the last one of a peer that has been silent for a short time.
         """
         found, oldest = {}, tick - self._silent
+        if self._listened:
+            rounds = min(self._silent, len(self._listened))
+            oldest = min(oldest, self._listened[-rounds] - (self._silent - rounds))
         for name, peer in self.interest_set.items():
             gossip = fresh.get(name) or self.inbox.newest(name, tick)
-            if gossip is not None and gossip.tick >= oldest and not gossip.listening and peer.left_at is None:
+            if gossip is None or gossip.listening or peer.left_at is not None:
+                continue
+            if gossip.tick >= oldest - self._silent * (gossip.pace - 1):
                 found[name] = gossip
         return found
 
-    def close(self, tick: int, *, newcomer: bool = False) -> int:
-        """Close the round `tick`: drop its gossips and count the missing peers. Returns their number."""
+    def close(self, tick: int, *, newcomer: bool = False, listened: bool = True) -> int:
+        """Close the round `tick`: drop its gossips and count the missing peers. Returns their number.
+
+        `listened` false: the agent was late, and the silence of its peers in this round says nothing.
+        """
         missing = self.missing(tick, newcomer=newcomer)
-        for name in missing:
-            self.peers[name].missed += 1
-            if self.peers[name].missed >= self._silent:
-                self.positions.remove(name)
+        if listened:
+            self._listened.append(tick)
+            self._count_silent(missing)
         complete = len(self.inbox.of(tick)) == len(self.interest_set)
+        if not self._steady:
+            self._settle_doubts(tick, len(self.inbox.of(tick)))
         self._steady = complete and (self._steady or steady(self.interest_set.values(), self.local))
         for gossips in self.inbox.close(tick, len(self.interest_set)):
             if self.local:
                 self.positions.close(gossips)
+            if self._measures_pace:
+                self._note_paces(gossips.values())
         return len(missing)
+
+    def _note_paces(self, gossips: Iterable[Gossip]) -> None:
+        """Remember which peers do not play every tick."""
+        for gossip in gossips:
+            if gossip.pace > 1:
+                self._paces[gossip.sender] = gossip.pace
+            elif self._paces:
+                self._paces.pop(gossip.sender, None)
+
+    def keep_pace(self, pace: int) -> None:
+        """From now on play the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
+        timing = self._config.timing
+        self.pace, self._silent = pace, max(timing.silent_rounds, math.ceil(self._config.rounds_of_silence / pace))
+
+    def _count_silent(self, missing: set[str]) -> None:
+        """Count a round of silence of each missing peer."""
+        for name in missing:
+            self.peers[name].missed += 1
+            if self.peers[name].missed >= self._silent:
+                self.given_up += 1
+                self.positions.remove(name)
 
     def any_missed(self) -> bool:
         """Whether some peer was silent in the last round."""

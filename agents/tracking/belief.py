@@ -4,23 +4,29 @@ Data types: `Belief` holds the owned state and the `Copies` of all other particl
 
 Rules. The owner of a cell is the authority for the particles in it. All other agents keep copies and move them with the same keyed
 noise. A belief is stamped with the tick of its last round. No particle is handed over: a particle that crosses a border lands in
-exactly one cell, and the particles of a dead agent live on in the copies (docs/journey.md).
+exactly one cell, and the particles of a dead agent live on in the copies (docs/explanation/journey.md).
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from agents.backend import Backend
+from agents.config import FilterSettings
 from agents.gossip.table import GossipTable, received_particles
+from agents.tracking.births import prior, prior_around, prior_size
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
-from agents.tracking.particles import NONE, Particles, canonical, join, select
+from agents.tracking.extraction import foreseen
+from agents.tracking.particles import NONE, WIRE, Particles, canonical, join, select
 from agents.tracking.regions import RegionUpdate, predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import Diagram, OwnedState, RegionInput
+from agents.tracking.tracker import Diagram, OwnedState, RegionInput, Said
+from protocol.compact import packed, quantised
+from protocol.fields import pack, pack_labels
 from protocol.keys import order
 from protocol.messages import Gossip
 
@@ -28,11 +34,12 @@ MOST_COPIES = 6000  # limit against growth without bound: this number of copies,
 MOST_TIMES = 4.0  # or this many times the number in a fresh draw of the same mass, if that is more
 
 
+@lru_cache(maxsize=256)
 def share_of(gossip: Gossip) -> OwnedState:
-    """The state that the sender of a gossip owns."""
+    """The state that the sender of a gossip owns; a pure memo, because all listeners of a process read the same gossip."""
     names = gossip.claim_names
     claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
-    particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids)
+    particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids, gossip.labels)
     return OwnedState(gossip.sender, claim, particles, gossip.view)
 
 
@@ -57,6 +64,7 @@ class Copies:
 
     near: Particles
     round: Round | None = None
+    held: tuple[Step, ...] = ()  # the steps of skipped rounds, in which the copies only move
 
     def all(self) -> Particles:
         """All copies, at the stamp of the belief."""
@@ -64,6 +72,9 @@ class Copies:
             step, backend, received, polygon, claim, horizon = self.round
             copies = backend.remote_copies(self.near, received_particles(received), polygon, claim, horizon, step)
             self.near, self.round = worth_keeping(copies, step.config.filter.particles_per_target), None
+        for step in self.held:
+            self.near = predict(self.near, step)
+        self.held = ()
         return self.near
 
 
@@ -89,6 +100,12 @@ class Belief:
     copies: Copies
     everyone: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
     acquainted: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
+    held_since: int | None = None  # the claim was cut in this round and held over skipped ones; None: it was cut at `stamp`
+
+    @property
+    def cut(self) -> int:
+        """The tick of the round in which the claim was cut."""
+        return self.stamp if self.held_since is None else self.held_since
 
 
 def start(prior: Particles, name: str) -> Belief:
@@ -96,19 +113,69 @@ def start(prior: Particles, name: str) -> Belief:
     return Belief(stamp=-1, mine=OwnedState(name, NO_CLAIM, NONE, 0), copies=Copies(prior))
 
 
+def _released(belief: Belief) -> Belief:
+    """The belief without a claim: all particles are copies."""
+    particles = canonical(join([belief.mine.particles, belief.copies.all()]))
+    return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
+
+
+def _as_stated(particles: Particles, owner: str, step: Step) -> Particles:
+    """The owned particles at the tick of a step, as the next gossip states them."""
+    if not step.config.filter.compact:
+        return particles
+    states, ids = quantised(particles.states, step.config.filter.speed, owner, step.tick)
+    return Particles(states.astype(float), particles.weights, ids, particles.labels)
+
+
 class ParticlePhd(NamedTuple):
     """The particle PHD as a `Tracker`."""
 
     backend: Backend
 
+    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> Belief:
+        """See `Tracker.start`."""
+        seed, filters, arena = step.config.filter.seed, step.config.filter, step.config.arena
+        count = prior_size(filters, arena)
+        return start(prior(seed, count, filters, arena) if box is None else prior_around(seed, count, filters, arena, box), name)
+
+    def say(self, mine: OwnedState, settings: FilterSettings) -> Said:
+        """See `Tracker.say`."""
+        states, weights, ids, labels = mine.particles
+        compact = packed(states, settings.speed) if settings.compact else b""
+        return Said(float(weights[0]) if len(weights) else 0.0, pack(states, "<f4"), pack(ids, "<u8"), *pack_labels(labels), compact)
+
+    def weighted_points(self, received: GossipTable | Particles) -> Particles:
+        """See `Tracker.weighted_points`."""
+        return received_particles(received)
+
     def predict(self, belief: Belief, step: Step) -> Belief:
         """See `Tracker.predict`: all particles become copies, and move by the keyed noise of the missed ticks."""
         if belief.stamp >= step.tick - 1:
             return belief
-        particles = canonical(join([belief.mine.particles, belief.copies.all()]))
+        released = _released(belief)
+        particles = released.copies.near
         for missed in range(belief.stamp + 1, step.tick):
             particles = predict(particles, step._replace(tick=missed))
-        return Belief(step.tick - 1, OwnedState(belief.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
+        return replace(released, stamp=step.tick - 1, copies=Copies(particles))
+
+    def hold(self, belief: Belief, step: Step) -> Belief:
+        """See `Tracker.hold`: all particles move by the keyed noise of the missed ticks; the owned ones are rounded as on the wire.
+
+        Particles may leave the cell meanwhile, so a held claim counts only where all hold the claims of one diagram (`merge`).
+        """
+        missed = tuple([step._replace(tick=tick) for tick in range(belief.stamp + 1, step.tick)])
+        particles = belief.mine.particles
+        for each in missed:
+            particles = predict(particles, each)
+        particles = select(particles, particles.weights > 0.0)
+        particles = particles._replace(states=particles.states.astype(WIRE).astype(float))
+        mine = belief.mine._replace(particles=_as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
+        copies = Copies(belief.copies.near, belief.copies.round, (*belief.copies.held, *missed))
+        return Belief(step.tick - 1, mine, copies, belief.everyone, belief.acquainted, held_since=belief.cut)
+
+    def foresee(self, belief: Belief, targets: np.ndarray, seconds: float) -> np.ndarray:
+        """See `Tracker.foresee`: the owned particles show how the targets move."""
+        return foreseen(targets, belief.mine.particles, seconds)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
         """The particles that count at `belief.stamp`, or the table itself when only its particles count; there an id may occur twice.
@@ -121,9 +188,11 @@ class ParticlePhd(NamedTuple):
         # All newcomers share the view of an empty diagram. It claims nothing, so that their copies count.
         unknown = set() if belief.acquainted is None else table.everyone - belief.acquainted - {belief.mine.owner}
         last, config = step.tick - 1, step.config
-        agreed = belief.mine.view != 0 and table.claimed == (last, belief.mine.view) and not unknown
+        agreed = belief.mine.view != 0 and table.claimed == (belief.cut, belief.mine.view) and not unknown
         if agreed and belief.everyone and belief.everyone <= table.everyone:
             return table
+        if belief.cut < last:
+            belief = _released(belief)
         shares = [share_of(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
         shares.insert(0, belief.mine)
         claims = end_to_end([share.claim for share in shares])
@@ -143,5 +212,5 @@ class ParticlePhd(NamedTuple):
     def share(self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step) -> Belief:
         """See `Tracker.share`: the drawn particles are owned; the copies are computed when a peer falls silent."""
         copies = Copies(update.updated, Round(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
-        mine = OwnedState(region.owner, region.claim, update.kept, diagram.view)
+        mine = OwnedState(region.owner, region.claim, _as_stated(update.kept, region.owner, step), diagram.view)
         return Belief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)

@@ -12,17 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.config import BirthSettings, FilterSettings
-from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances
-from protocol.sensing import Pose, SensorModel, WedgeSensor
+from agents.config import BirthSettings, FilterSettings, PoseSettings
+from agents.tracking.labels import birth_labels
+from agents.tracking.measuring import BEARING, birth_places, kernel_variance, model_of, noise_of
+from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances, unlabelled
+from protocol.sensing import Pose, SensorModel, WedgeSensor, measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble, uniform
 
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
 
-
+EXACT = PoseSettings()
 SQUARE = 25.0  # m, side of the squares by which the prior is sorted
-LEAST_PRIOR = 0.3  # particles per m^2: `least_particles` for each of the 16 agents of team 1 in its 40 x 40 m, the paper's densest team
 
 
 class Scan(NamedTuple):
@@ -31,9 +32,10 @@ class Scan(NamedTuple):
     salt: int  # the key of the sensor's name
     sensor: SensorModel
     pose: Pose
-    detections: np.ndarray  # (M, 2) float64, m
+    detections: np.ndarray  # (M, 2) float64: their places, m
     numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
+    rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None for exact positions
 
 
 def sensor_row(sensor: WedgeSensor, pose: Pose) -> tuple[float, ...]:
@@ -43,12 +45,16 @@ def sensor_row(sensor: WedgeSensor, pose: Pose) -> tuple[float, ...]:
 
 def near_part(scan: Scan, close: np.ndarray) -> Scan:
     """The scan with the detections chosen by a mask (M,) alone."""
-    return scan if close.all() else scan._replace(detections=scan.detections[close], numbers=scan.numbers[close])
+    rays = None if scan.rays is None else scan.rays[close]
+    return scan if close.all() else scan._replace(detections=scan.detections[close], numbers=scan.numbers[close], rays=rays)
 
 
 def prior_size(filters: FilterSettings, arena: ArenaSettings) -> int:
-    """Number of particles of the prior over the whole arena: enough for its mass, and at least `LEAST_PRIOR` per m^2."""
-    return round(max(filters.particles_per_target * filters.prior_density, LEAST_PRIOR) * arena.width * arena.height)
+    """Number of particles of the prior over the whole arena: enough for its mass, and at least `prior_particles` per m^2.
+
+    The default is `least_particles` for each of the 16 agents of team 1 in its 40 x 40 m, the paper's densest team.
+    """
+    return round(max(filters.particles_per_target * filters.prior_density, filters.prior_particles) * arena.width * arena.height)
 
 
 def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings) -> Particles:
@@ -60,7 +66,7 @@ def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings)
     x = uniform(scramble(ids, 1)) * arena.width
     y = uniform(scramble(ids, 2)) * arena.height
     states = np.column_stack([x, y, _directions(scramble(ids, 3)) * settings.speed])
-    return canonical(Particles(states.astype(WIRE).astype(float), np.full(count, mass / count), ids))
+    return canonical(unlabelled(states.astype(WIRE).astype(float), np.full(count, mass / count), ids))
 
 
 @lru_cache(maxsize=2)
@@ -115,7 +121,7 @@ def background_births(seed: int, tick: int, dt: float, settings: FilterSettings,
     places = np.where(on_border[:, None], corner + border[:, :2] * rest[:, None], anywhere)
     headings = border[:, :2] * sideways[:, None] + border[:, 2:] * inward[:, None]
     headings = np.where(on_border[:, None], headings, _directions(scramble(ids, 3)))
-    return Particles(np.column_stack([places, headings * settings.speed]), np.full(count, mass / count), ids)
+    return unlabelled(np.column_stack([places, headings * settings.speed]), np.full(count, mass / count), ids)
 
 
 def inflow(dt: float, settings: FilterSettings, arena: ArenaSettings) -> float:
@@ -157,6 +163,8 @@ def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth
     """
     if not birth.measurement:
         return np.zeros(len(scan.detections))
+    if model_of(measurement_of(scan.sensor))[0] == BEARING:  # the place along the beam is not known
+        return np.full(len(scan.detections), min(least_density(scan.clutter_density, birth), birth.most_density))
     radius2, near = birth.radius * birth.radius, squared_distances(predicted.states, scan.detections)
     masses = column_sums(np.where(near <= radius2, predicted.weights[:, None], 0.0))
     others = np.column_stack([scan.detections, scan.detections])
@@ -171,9 +179,17 @@ def least_density(clutter_density: float, birth: BirthSettings) -> float:
 
 
 def measurement_births(
-    scan: Scan, per_copy: np.ndarray, tick: int, seed: int, noise: float, settings: FilterSettings, birth: BirthSettings
+    scan: Scan,
+    per_copy: np.ndarray,
+    labels: np.ndarray,
+    tick: int,
+    seed: int,
+    noise: float,
+    settings: FilterSettings,
+    birth: BirthSettings,
+    own_pose: PoseSettings = EXACT,
 ) -> Particles:
-    """`copies` new particles around each detection, of weight `per_copy` (M,).
+    """`copies` new particles around each detection, of weight `per_copy` (M,) and with the labels (M,) of the detections.
 
     Ids and offsets from the detection are pure functions of (seed, sensor, detection number, tick, copy).
     """
@@ -181,7 +197,16 @@ def measurement_births(
     numbers = np.repeat(scan.numbers * np.uint64(copies), copies) + np.tile(np.arange(copies, dtype=np.uint64), len(scan.numbers))
     ids = scramble(numbers, key(seed, "birth", tick, scan.salt))
     places = np.repeat(scan.detections, copies, axis=0)
-    x = places[:, 0] + normal(scramble(ids, 1)) * noise
-    y = places[:, 1] + normal(scramble(ids, 2)) * noise
+    if scan.rays is not None:
+        scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), own_pose)
+        places = birth_places(ids, scan.pose, places, np.repeat(scan.rays, copies, axis=0), scan.sensor.reach, scan_noise)
+    else:
+        x, y = places[:, 0] + normal(scramble(ids, 1)) * noise, places[:, 1] + normal(scramble(ids, 2)) * noise
+        places = np.column_stack([x, y])
     velocities = _directions(scramble(ids, 3)) * settings.speed
-    return Particles(np.column_stack([x, y, velocities]), np.repeat(per_copy, copies), ids)
+    return Particles(np.column_stack([places, velocities]), np.repeat(per_copy, copies), ids, np.repeat(labels, copies))
+
+
+def founded_labels(scan: Scan, tick: int, seed: int, birth: BirthSettings) -> np.ndarray:
+    """The labels (M,) that the detections of a scan found, each from the id of the first copy of its births."""
+    return birth_labels(scramble(scan.numbers * np.uint64(birth.copies), key(seed, "birth", tick, scan.salt)), tick)

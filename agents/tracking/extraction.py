@@ -1,24 +1,58 @@
-"""Target extraction: estimated positions of targets from particles.
+"""Target extraction: estimated targets from particles.
 
-Data types: grids (rows, columns) of bins of side `bin` m with the mass in each, and the mass-weighted sums of x and y.
+Data types: `Tracks` are estimated targets. Grids (rows, columns) of bins of side `bin` m hold the mass in each, and the mass-weighted sums
+of x and y.
 
 Rules. Sums run in a fixed order, the same as in agents/compiled/extraction_kernels.py.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from agents.config import ExtractionSettings
-from agents.tracking.particles import Particles
+from agents.tracking.labels import NO_LABEL, assign_labels
+from agents.tracking.particles import Particles, squared_distances, total
+
+NEAR = 3.0  # m around an estimate, in which particles are taken for its target
+
+
+class Tracks(NamedTuple):
+    """Estimated targets: positions (M, 2) m, details (M, 6), and labels (M,) uint64, 0 for none.
+
+    The details are the velocity vx, vy in m/s, the covariance xx, xy, yy of the position in m^2, and the existence: the mass of the peak,
+    at most 1.
+    """
+
+    positions: np.ndarray
+    details: np.ndarray
+    labels: np.ndarray
+
+
+DETAILS = 6
+NO_TRACKS = Tracks(np.empty((0, 2)), np.empty((0, DETAILS)), np.empty(0, dtype=np.uint64))
+
+
+def select_tracks(tracks: Tracks, chosen: np.ndarray) -> Tracks:
+    """The tracks chosen by a mask (M,) bool."""
+    return Tracks(*(part[chosen] for part in tracks))
 
 
 def estimate_targets(particles: Particles, settings: ExtractionSettings = ExtractionSettings()) -> np.ndarray:
-    """Estimated target positions (M, 2) in m, heaviest first.
+    """Estimated target positions (M, 2) in m, heaviest first (`estimate_tracks`)."""
+    return estimate_tracks(particles, settings).positions
+
+
+def estimate_tracks(particles: Particles, settings: ExtractionSettings = ExtractionSettings()) -> Tracks:
+    """Estimated targets, heaviest first.
 
     Masses are binned. The heaviest 5 x 5 block is a peak while it holds at least `threshold` expected targets. Its estimate is the
-    mean of its heaviest 3 x 3 block, the core. One expected target is then removed from the block, the core first.
+    mean of its heaviest 3 x 3 block, the core. One expected target is then removed from the block, the core first. What is left within
+    4 bins of it is no peak below `beside`: part of a target that was half out of view. Velocity, covariance and label come from the
+    particles in the core.
     """
     if not len(particles.weights):
-        return np.empty((0, 2))
+        return NO_TRACKS
     columns = np.floor(particles.states[:, 0] / settings.bin).astype(np.int64)
     rows = np.floor(particles.states[:, 1] / settings.bin).astype(np.int64)
     left, low = int(columns.min()) - 4, int(rows.min()) - 4
@@ -32,18 +66,51 @@ def estimate_targets(particles: Particles, settings: ExtractionSettings = Extrac
     east, north = binned(particles.weights * particles.states[:, 0]), binned(particles.weights * particles.states[:, 1])
     blocks = block_sums(masses, 2)
     found: list[tuple[float, float]] = []
+    cores, existence = list[tuple[int, int]](), list[float]()
     while True:
         row, column = divmod(int(blocks.argmax()), shape[1])
         if blocks[row, column] < settings.threshold:
-            return np.array(found).reshape(-1, 2)
+            positions = np.array(found).reshape(-1, 2)
+            return _described(positions, existence, cores, particles, rows - low, columns - left)
         core = _heaviest_core(masses, row, column)
         mass = _window_sum(masses, *core, 1)
+        cores.append(core)
+        existence.append(min(float(blocks[row, column]), 1.0))
         found.append((_window_sum(east, *core, 1) / mass, _window_sum(north, *core, 1) / mass))
         _remove_one(masses, east, north, row, column, core)
         near = (slice(max(row - 6, 0), row + 7), slice(max(column - 6, 0), column + 7))
         fresh = block_sums(masses[near], 2)
         top, side = row - near[0].start, column - near[1].start
-        blocks[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5] = fresh[max(top - 4, 0) : top + 5, max(side - 4, 0) : side + 5]
+        beside = fresh[max(top - 4, 0) : top + 5, max(side - 4, 0) : side + 5]
+        blocks[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5] = np.where(beside >= settings.beside, beside, 0.0)
+
+
+def _described(
+    positions: np.ndarray, existence: list[float], cores: list[tuple[int, int]], particles: Particles, rows: np.ndarray, columns: np.ndarray
+) -> Tracks:
+    """Estimates with velocity, covariance and label; `rows` and `columns` (N,) are the bins of the particles."""
+    details, peaks = np.empty((len(cores), DETAILS)), list[dict[int, float]]()
+    for number, (row, column) in enumerate(cores):
+        near = np.flatnonzero((np.abs(rows - row) <= 1) & (np.abs(columns - column) <= 1) & (particles.weights > 0.0))
+        weights, states, labels = particles.weights[near], particles.states[near], particles.labels[near]
+        mass, (x, y) = total(weights), positions[number]
+        dx, dy = states[:, 0] - x, states[:, 1] - y
+        terms = states[:, 2], states[:, 3], dx * dx, dx * dy, dy * dy
+        details[number] = (*(total(weights * term) / mass + 0.0 for term in terms), existence[number])  # no zero is negative
+        known, places = np.unique(labels, return_inverse=True)
+        sums = np.bincount(places, weights, len(known))
+        peaks.append({label: weight for label, weight in zip(known.tolist(), sums.tolist()) if label != NO_LABEL})
+    return Tracks(positions, details, np.array(assign_labels(peaks), dtype=np.uint64))
+
+
+def foreseen(targets: np.ndarray, particles: Particles, seconds: float) -> np.ndarray:
+    """The positions (M, 2) in m some seconds later: each target moves by the mean velocity of the particles within `NEAR` m of it."""
+    moved = targets.copy()
+    for row, target in enumerate(targets):
+        near = squared_distances(particles.states, target[None])[:, 0] <= NEAR * NEAR
+        if near.any():
+            moved[row] += particles.states[near, 2:].mean(axis=0) * seconds
+    return moved
 
 
 def block_sums(masses: np.ndarray, half: int) -> np.ndarray:

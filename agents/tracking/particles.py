@@ -1,6 +1,6 @@
 """Weighted particles, and the operations that keep their order.
 
-Data types: `Particles` hold states, weights and 64-bit ids side by side.
+Data types: `Particles` hold states, weights, 64-bit ids and labels (agents/tracking/labels.py) side by side.
 
 Rules. The canonical order is by ascending id. Sums run one after the other in the order of the particles, so that a particle that
 contributes zero changes no bit.
@@ -12,15 +12,21 @@ import numpy as np
 
 
 class Particles(NamedTuple):
-    """states (N, 4): x, y in m and vx, vy in m/s; weights (N,): expected targets; ids (N,) uint64."""
+    """states (N, 4): x, y in m and vx, vy in m/s; weights (N,): expected targets; ids and labels (N,) uint64."""
 
     states: np.ndarray
     weights: np.ndarray
     ids: np.ndarray
+    labels: np.ndarray  # 0: none
 
 
-NONE = Particles(np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.uint64))
+NONE = Particles(np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.uint64), np.empty(0, dtype=np.uint64))
 WIRE = np.float32  # the precision of states on the wire
+
+
+def unlabelled(states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> Particles:
+    """Particles without labels."""
+    return Particles(states, weights, ids, np.zeros(len(ids), dtype=np.uint64))
 
 
 def join(parts: list[Particles]) -> Particles:
@@ -31,13 +37,15 @@ def join(parts: list[Particles]) -> Particles:
         np.concatenate([part.states for part in parts]),
         np.concatenate([part.weights for part in parts]),
         np.concatenate([part.ids for part in parts]),
+        np.concatenate([part.labels for part in parts]),
     )
 
 
 def select(particles: Particles, chosen: np.ndarray) -> Particles:
     """The particles chosen by a mask (N,) bool or by an array of indices."""
     rows = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
-    return Particles(particles.states.take(rows, axis=0), particles.weights.take(rows), particles.ids.take(rows))
+    states, weights, ids, labels = particles
+    return Particles(states.take(rows, axis=0), weights.take(rows), ids.take(rows), labels.take(rows))
 
 
 def canonical(particles: Particles) -> Particles:

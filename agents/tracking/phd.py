@@ -11,10 +11,13 @@ import math
 
 import numpy as np
 
-from agents.config import BirthSettings, FilterSettings
-from agents.tracking.births import Scan, birth_density, measurement_births, survival_probability
+from agents.config import BirthSettings, FilterSettings, PoseSettings
+from agents.tracking.births import EXACT, Scan, birth_density, founded_labels, measurement_births, survival_probability
 from agents.tracking.extraction import block_sums, estimate_targets
+from agents.tracking.labels import CLAIMED, EXPLAINED, NO_LABEL, heaviest
+from agents.tracking.measuring import densities, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, join, squared_distances
+from protocol.sensing import measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble
 
@@ -42,7 +45,7 @@ def predict(particles: Particles, tick: int, seed: int, dt: float, settings: Fil
         y, vy = _reflect(y, vy, arena.height)
     weights = particles.weights * survival_probability(dt, settings)
     inside = (x >= 0.0) & (x <= arena.width) & (y >= 0.0) & (y <= arena.height)
-    return Particles(np.column_stack([x, y, vx, vy]), np.where(inside, weights, 0.0), particles.ids)
+    return Particles(np.column_stack([x, y, vx, vy]), np.where(inside, weights, 0.0), particles.ids, particles.labels)
 
 
 def _reflect(place: np.ndarray, speed: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +80,14 @@ def likelihood_noise(noise: float, settings: FilterSettings) -> float:
 
 
 def update(
-    particles: Particles, scans: list[Scan], tick: int, seed: int, noise: float, settings: FilterSettings, birth: BirthSettings
+    particles: Particles,
+    scans: list[Scan],
+    tick: int,
+    seed: int,
+    noise: float,
+    settings: FilterSettings,
+    birth: BirthSettings,
+    own_pose: PoseSettings = EXACT,
 ) -> Particles:
     """The PHD after all scans of a tick, one after the other (iterated corrector), births appended in the order of detections.
 
@@ -87,24 +97,41 @@ def update(
     """
     predicted = particles
     for scan in scans:
-        corrected, per_copy = correct(particles, predicted, scan, noise, settings, birth)
-        particles = Particles(particles.states, corrected, particles.ids)
+        founded = founded_labels(scan, tick, seed, birth)
+        corrected, per_copy, labels, given = correct(particles, predicted, scan, founded, noise, settings, birth, own_pose)
+        particles = Particles(particles.states, corrected, particles.ids, labels)
         if birth.measurement and len(scan.detections):
-            particles = join([particles, measurement_births(scan, per_copy, tick, seed, noise, settings, birth)])
+            born = measurement_births(scan, per_copy, given, tick, seed, noise, settings, birth, own_pose)
+            particles = join([particles, born])
     return particles
 
 
 def correct(
-    particles: Particles, predicted: Particles, scan: Scan, noise: float, settings: FilterSettings, birth: BirthSettings
-) -> tuple[np.ndarray, np.ndarray]:
-    """The weights (N,) after one scan, and the weight of each copy of a measurement birth at each detection (M,)."""
+    particles: Particles,
+    predicted: Particles,
+    scan: Scan,
+    founded: np.ndarray,
+    noise: float,
+    settings: FilterSettings,
+    birth: BirthSettings,
+    own_pose: PoseSettings = EXACT,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The weights (N,) after one scan, the weight of each copy of a birth at each detection (M,), and the labels of both.
+
+    `founded` (M,) are the labels of the detections that no living label explains (`labels`).
+    """
     probability = scan.sensor.probability(particles.states[:, :2], scan.pose)
-    spread = likelihood_noise(noise, settings)
-    squared = squared_distances(particles.states, scan.detections)
-    within = (squared <= (settings.gate * spread) ** 2) & (probability > 0.0)[:, None]
-    rows, columns = np.nonzero(within)
-    likelihood = exp_minus(squared[rows, columns] * (0.5 / (spread * spread))) * (1.0 / (2.0 * math.pi * spread * spread))
-    shares = np.zeros(within.shape)
+    if scan.rays is not None:
+        scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), own_pose)
+        squared, peaks = densities(particles.states, scan.pose, scan.detections, scan.rays, scan.sensor.reach, scan_noise)
+        rows, columns = np.nonzero((squared <= settings.gate * settings.gate) & (probability > 0.0)[:, None])
+        likelihood = exp_minus(squared[rows, columns] * 0.5) * peaks[rows, columns]
+    else:
+        spread = likelihood_noise(noise, settings)
+        squared = squared_distances(particles.states, scan.detections)
+        rows, columns = np.nonzero((squared <= (settings.gate * spread) ** 2) & (probability > 0.0)[:, None])
+        likelihood = exp_minus(squared[rows, columns] * (0.5 / (spread * spread))) * (1.0 / (2.0 * math.pi * spread * spread))
+    shares = np.zeros(squared.shape)
     shares[rows, columns] = particles.weights[rows] * probability[rows] * likelihood
     sums = column_sums(shares)
     density = birth_density(predicted, scan, sums / _positive(scan.clutter_density + sums), birth)
@@ -114,7 +141,26 @@ def correct(
     for number in range(len(norms)):
         gained = gained + shares[:, number] / norms[number]
     born = fresh / norms
-    return particles.weights * missed(particles, probability, gained, scan.detections, born, settings) + gained, born / birth.copies
+    corrected = particles.weights * missed(particles, probability, gained, scan.detections, born, settings) + gained
+    labels, given = _labels_after(particles.labels, corrected, shares, norms, founded if birth.measurement else np.zeros_like(founded))
+    return corrected, born / birth.copies, labels, given
+
+
+def _labels_after(
+    labels: np.ndarray, weights: np.ndarray, shares: np.ndarray, norms: np.ndarray, founded: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The labels of the particles (N,) and of the births (M,) after a scan, by the rules of agents/tracking/labels.py.
+
+    `shares` (N, M) are the terms w p_d g(z) of the particles with new `weights` (N,), and `norms` (M,) the sums N(z).
+    """
+    after, given = labels.copy(), founded.copy()
+    for number in range(len(norms)):
+        rows = np.flatnonzero(shares[:, number])
+        label, weight = heaviest(labels[rows], shares[rows, number])
+        if label != NO_LABEL and weight >= EXPLAINED * norms[number]:
+            given[number] = label
+        after[rows[(labels[rows] == NO_LABEL) & (shares[rows, number] / norms[number] > CLAIMED * weights[rows])]] = given[number]
+    return after, given
 
 
 def _positive(values: np.ndarray) -> np.ndarray:
@@ -162,7 +208,7 @@ def resample(particles: Particles, owner: str, tick: int, seed: int, settings: F
     """Equally weighted particles of the same mass: systematic resampling with one uniform keyed by (seed, owner, tick).
 
     The first copy of a particle keeps its id, and further copies get new ids. States are rounded to the precision of the wire, so
-    that the owner holds exactly the particles of its gossip. Ids ascend.
+    that the owner holds exactly the particles of its gossip. Ids ascend. All copies keep the label.
     """
     sums = np.add.accumulate(particles.weights)
     mass = float(sums[-1]) if len(sums) else 0.0
@@ -176,4 +222,4 @@ def resample(particles: Particles, owner: str, tick: int, seed: int, settings: F
     again = copies > 0
     ids[again] = scramble(ids[again] + copies[again].astype(np.uint64), key(seed, "split", tick))
     states = particles.states[parents].astype(WIRE).astype(float)
-    return canonical(Particles(states, np.full(count, mass / count), ids))
+    return canonical(Particles(states, np.full(count, mass / count), ids, particles.labels[parents]))

@@ -15,12 +15,13 @@ from agents.gossip.table import GossipTable, received_particles
 from agents.tracking import claims, phd
 from agents.tracking.births import near_part
 from agents.tracking.claims import Claim
-from agents.tracking.extraction import estimate_targets
+from agents.tracking.extraction import NO_TRACKS, Tracks, estimate_tracks, select_tracks
+from agents.tracking.measuring import BEARING, model_of
 from agents.tracking.particles import Particles, canonical, join, select, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol import geometry
-from protocol.sensing import Pose, SensorModel
+from protocol.sensing import Pose, SensorModel, measurement_of
 
 
 class RegionUpdate(NamedTuple):
@@ -34,7 +35,7 @@ class RegionUpdate(NamedTuple):
     north: float
     load: float  # the integrals of v and of p_d v over the footprint (10), expected targets
     detected: float
-    targets: np.ndarray  # estimates in the cell (M, 2), m
+    tracks: Tracks  # estimates in the cell
 
 
 def update_regions(
@@ -57,11 +58,11 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     near_load, near_detected = in_view(updated, region.sensor, region.pose)
     far_load, far_detected = in_view(seen, region.sensor, region.pose)
     kept = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
-    targets = np.empty((0, 2))
+    tracks = NO_TRACKS
     if claim.names:
-        targets = estimate_targets(updated, config.extraction)
-        targets = targets[claims.owned(targets, claim, config.arena)]
-    return RegionUpdate(updated, own, kept, mass, east, north, near_load + far_load, near_detected + far_detected, targets)
+        tracks = estimate_tracks(updated, config.extraction)
+        tracks = select_tracks(tracks, claims.owned(tracks.positions, claim, config.arena))
+    return RegionUpdate(updated, own, kept, mass, east, north, near_load + far_load, near_detected + far_detected, tracks)
 
 
 def predict(particles: Particles, step: Step) -> Particles:
@@ -88,8 +89,12 @@ def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step:
     for scan in table.scans():
         apart = geometry.distances(polygon, np.array([scan.pose]))[0]
         if apart <= config.filter.halo + scan.sensor.reach:
-            close.append(near_part(scan, geometry.distances(polygon, scan.detections) <= config.filter.halo))
-    return phd.update(particles, close, step.tick, config.filter.seed, config.detection.noise, config.filter, config.birth)
+            near = geometry.distances(polygon, scan.detections) <= config.filter.halo
+            if model_of(measurement_of(scan.sensor))[0] == BEARING:  # its beam may come near although its middle does not
+                near |= True
+            close.append(near_part(scan, near))
+    noise = config.detection.noise
+    return phd.update(particles, close, step.tick, config.filter.seed, noise, config.filter, config.birth, config.pose)
 
 
 def take(particles: Particles, claim: Claim, step: Step) -> Particles:

@@ -1,4 +1,4 @@
-"""A step of prediction: its tick and its settings."""
+"""The context of a tick: its number and the settings, from which a step of prediction follows."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from protocol.streams import NORMAL_BOUND
 
 
 class Step(NamedTuple):
-    """The step of prediction from the tick before to `tick`."""
+    """The context of `tick`; its prediction goes from the tick before to it."""
 
     config: AgentConfig
     tick: int

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
 from agents.tracking.claims import Claim
+from agents.tracking.extraction import Tracks
 from agents.tracking.particles import Particles
 from agents.tracking.step import Step
 from protocol.sensing import Pose, SensorModel
@@ -43,6 +45,10 @@ class Update(Protocol):
     """The result of a round for the region of one owner."""
 
     @property
+    def updated(self) -> Particles:
+        """The density around the cell as weighted points, in no order."""
+
+    @property
     def own(self) -> Particles:
         """The density in the cell as weighted points, for control laws that use it."""
 
@@ -67,8 +73,8 @@ class Update(Protocol):
         """The integral of p_d times the density over the footprint (10), expected targets."""
 
     @property
-    def targets(self) -> np.ndarray:
-        """Estimates in the cell (M, 2), m."""
+    def tracks(self) -> Tracks:
+        """Estimates in the cell, with identities."""
 
 
 class OwnedState(NamedTuple):
@@ -80,12 +86,28 @@ class OwnedState(NamedTuple):
     view: int  # of the diagram that its cell was cut from
 
 
+class Said(NamedTuple):
+    """The arrays of an owned state, as its gossip carries them (protocol/messages.py)."""
+
+    weight: float = 0.0
+    states: bytes = b""
+    ids: bytes = b""
+    labels: bytes = b""
+    label_numbers: bytes = b""
+    particles: bytes = b""  # states and ids in few bytes, if `filter.compact`
+    components: bytes = b""
+
+
 class TrackerState(Protocol):
     """The belief that an agent holds between two rounds."""
 
-    stamp: int  # the tick of its last round
-    mine: OwnedState  # stated in the next gossip
+    stamp: int  # the tick of its last round, or of the last prediction
+    mine: Any  # the owned state, stated in the next gossip: owner, claim and view, and what the tracker says of its targets
     everyone: frozenset[str]  # see `Diagram`
+
+    @property
+    def cut(self) -> int:
+        """The tick of the round in which the claim was cut."""
 
 
 B = TypeVar("B", bound=TrackerState)
@@ -96,8 +118,26 @@ U = TypeVar("U", bound=Update)
 class Tracker(Protocol[B, R, U]):
     """The functions of a tracker: pure functions of beliefs, gossips and regions."""
 
+    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> B:
+        """The belief before the first round: the prior, and nothing owned; of the surroundings of a rectangle alone, if one is given.
+
+        A rectangle is west, south, east and north, m.
+        """
+
+    def say(self, mine: Any, settings: FilterSettings) -> Said:
+        """What a gossip carries of an owned state."""
+
+    def weighted_points(self, received: R | GossipTable) -> Particles:
+        """The density that counts as weighted points, for control laws that search."""
+
     def predict(self, belief: B, step: Step) -> B:
-        """The belief at the tick before `step.tick`, of an agent that missed rounds: it claims nothing."""
+        """Catch up after missed rounds: the belief at the tick before `step.tick`, which claims nothing. `update` predicts the rest."""
+
+    def hold(self, belief: B, step: Step) -> B:
+        """The belief at the tick before `step.tick`, of an agent that skipped rounds: it holds its claim."""
+
+    def foresee(self, belief: B, targets: np.ndarray, seconds: float) -> np.ndarray:
+        """Estimates (M, 2) of the round of `belief`, m, some seconds later."""
 
     def merge(self, belief: B, table: GossipTable, step: Step) -> R | GossipTable:
         """The density that counts at the tick before, given the gossips of this tick; the table itself if nothing else counts."""

@@ -1,4 +1,4 @@
-"""`covey bench`: figures of this machine, each beside a reference from the same run (docs/performance.md)."""
+"""`covey bench`: figures of this machine, each beside a reference from the same run (docs/evidence/performance.md)."""
 
 import json
 import os
@@ -60,6 +60,12 @@ def _realtime(seconds: float = 60.0) -> Iterable[BenchRow]:
     return processes.realtime(seconds=seconds)
 
 
+def _tls() -> Iterable[BenchRow]:
+    from deploy.bench import processes
+
+    return processes.tls()
+
+
 def _memory() -> Iterable[BenchRow]:
     return [{key: row[key] for key in ("agents", "spawn", "PSS, MB")} for row in _start()]
 
@@ -82,11 +88,18 @@ def _replay() -> Iterable[BenchRow]:
     return pages.replay()
 
 
+def _overload() -> Iterable[BenchRow]:
+    from deploy.bench import overload
+
+    return overload.measure()
+
+
 BENCHES: dict[str, Callable[[], Iterable[BenchRow]]] = {
     "round": _round,
     "simulate": _simulate,
     "live": _live,
     "realtime": _realtime,
+    "tls": _tls,
     "scale": _scale,
     "start": _start,
     "codec": _codec,
@@ -94,6 +107,7 @@ BENCHES: dict[str, Callable[[], Iterable[BenchRow]]] = {
     "peers": _peers,
     "page": _page,
     "replay": _replay,
+    "overload": _overload,
 }
 
 

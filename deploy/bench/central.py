@@ -78,7 +78,9 @@ class Central:
             self._unused[index] = self._capacity(member, updated)
         self._particles = join(owned) if owned else NONE
         settings = scenario.extraction
-        estimates = extraction_kernels.estimate_targets(updated.states, updated.weights, settings.bin, settings.threshold)
+        estimates = extraction_kernels.estimate_tracks(
+            updated.states, updated.weights, updated.labels, settings.bin, settings.threshold, settings.beside
+        )[0][:, :2]
         score, _ = errors(self._targets.positions, estimates)
         self._bodies.move(commands)
         self._targets.step()
@@ -146,8 +148,8 @@ def _drawn(own: Particles, owner: str, step: Step) -> Particles:
     if mass <= 0.0:
         return NONE
     count, salt = phd.sample_size(mass, filters), np.uint64(key(filters.seed, "split", tick))
-    states, ids = particle_kernels.resample(*own, mass, count, phd.sample_offset(filters.seed, owner, tick), salt)  # type: ignore[arg-type]
-    return Particles(states, np.full(len(ids), mass / count), ids)
+    states, ids, labels = particle_kernels.resample(*own, mass, count, phd.sample_offset(filters.seed, owner, tick), salt)  # type: ignore[arg-type]
+    return Particles(states, np.full(len(ids), mass / count), ids, labels)
 
 
 def play(scenario: Scenario, backend: Backend) -> float:

@@ -15,7 +15,8 @@ from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, RoundResult
 from agents.tracking.belief import Belief, Copies
 from agents.tracking.claims import make_claim
-from agents.tracking.particles import NONE, Particles
+from agents.tracking.extraction import Tracks
+from agents.tracking.particles import NONE, unlabelled
 from agents.tracking.tracker import OwnedState
 from deploy import __main__ as command_line
 from deploy.installation import command
@@ -55,7 +56,7 @@ def play(me: AgentContext, last: RoundResult, neighbours: PeerTable, mine: Gossi
     everybody = max(len(config.members), len(neighbours.peers) + 1)
     count = round(PARTICLES / everybody)
     states = np.tile(np.array([*mine.cod, 1.0, 1.0]), (count, 1))
-    owned = Particles(states, np.full(count, 1.0 / count), np.arange(1, count + 1, dtype=np.uint64))
+    owned = unlabelled(states, np.full(count, 1.0 / count), np.arange(1, count + 1, dtype=np.uint64))
     share = OwnedState(me.name, make_claim(names, bounds, tuple(order(name) for name in names)), owned, VIEW)
     side = math.sqrt(config.arena.width * config.arena.height / everybody)
     angle = TURN_RATE * mine.tick * config.run.dt
@@ -64,7 +65,7 @@ def play(me: AgentContext, last: RoundResult, neighbours: PeerTable, mine: Gossi
         unused=last.unused,
         mass=1.0,
         cell=rectangle(side, side) + mine.cod - 0.5 * side,
-        targets=np.array([mine.cod]),
+        tracks=Tracks(np.array([mine.cod]), np.zeros((1, 6)), np.ones(1, dtype=np.uint64)),
         command=((SPEED * math.cos(angle), SPEED * math.sin(angle)), TURN_RATE),
     )
 

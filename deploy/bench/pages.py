@@ -149,7 +149,11 @@ def costs(recording: Recording, folder: Path) -> list[BenchRow]:
     """CPU of what a monitor does with a message: decode, score, note for the page, record; and of a frame and a greeting."""
     entries = list(recording.entries(0, COUNTED))
     heard = list(map(event_of, entries))
-    scorer, picture, recorder = Scorer(recording.scenario), Picture(recording.scenario), Recorder(folder / "costs.mcap", recording.scenario)
+    scorer, picture, recorder = (
+        Scorer(recording.scenario, recorded=True),
+        Picture(recording.scenario),
+        Recorder(folder / "costs.mcap", recording.scenario),
+    )
     parts: dict[str, Callable[[RecordedEntry, Event], object]] = {
         "decode": lambda entry, event: event_of(entry),
         "score": lambda entry, event: scorer.handle(event, 0.0),

@@ -1,6 +1,6 @@
-"""`covey bench start`, `memory`, `live` and `realtime`: real processes over loopback, from `covey up` to the first tick and on.
+"""`covey bench start`, `memory`, `live`, `realtime` and `tls`: real processes over loopback, from `covey up` to the first tick and on.
 
-Rates are ticks within a window of wall time; beside them stands the CPU time per tick of all agents and the world, which a busy machine
+Rates are ticks within a window of wall time. Beside them stands the CPU time per tick of all agents and the world, which a busy machine
 disturbs less. The reference of `live` is the same swarm with empty rounds (`deploy.bench.empty`).
 """
 
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from deploy import installation
 from deploy.bench.timing import BenchRow
+from deploy.live.certificates import make_keys
 from deploy.live.control import ControlClient
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
@@ -23,7 +24,7 @@ from protocol.settings import BadSetting
 PAGE_TOTAL = "Pss:"
 START_SECONDS = 180.0
 NAME = "bench"
-TEAMS = {16: "A4,B12", 48: "5", 96: "A12,C48,D36", 200: "A25,C100,D75"}
+TEAMS = {16: "A4,B12", 32: "3", 48: "5", 96: "A12,C48,D36", 200: "A25,C100,D75"}
 SETTLE, WINDOW = 0.2, 10.0  # wall s: before anything is measured, for each agent, and then
 
 
@@ -55,6 +56,15 @@ class Swarm:
                 raise BadSetting(f"bench: the swarm has not started within {START_SECONDS:g} s")
             time.sleep(0.02)
         return time.monotonic()
+
+    @property
+    def pid(self) -> int:
+        """The process of the supervisor."""
+        return self._process.pid
+
+    def ask(self, verb: str, who: str) -> None:
+        """Let the supervisor carry out a fault."""
+        self._client.ask(verb, who=who)
 
     def status(self) -> dict[str, Any]:
         """What `covey ps` is told."""
@@ -89,13 +99,13 @@ class Swarm:
 
 
 @contextmanager
-def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False) -> Iterator[Swarm]:
-    """A swarm of processes of section IV-B; ended at the latest when the context is left."""
+def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False, prefix: tuple[str, ...] = ()) -> Iterator[Swarm]:
+    """A swarm of processes of section IV-B; ended at the latest when the context is left. `prefix`: words before the command."""
     before = os.environ.get("COVEY_RUNS")
     with tempfile.TemporaryDirectory() as folder:
         os.environ["COVEY_RUNS"] = folder
         program = installation.command("deploy.bench.empty") if empty else installation.command("deploy")
-        command = [*program, "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
+        command = [*prefix, *program, "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
         process = subprocess.Popen(
             [*command, "--seconds", "1000000", *words],
             cwd=installation.ROOT,
@@ -176,8 +186,19 @@ def realtime(agents: int = 48, seconds: float = 60.0) -> Iterator[BenchRow]:
         yield _in_real_time(agents, seconds, settings)
 
 
-def _in_real_time(agents: int, seconds: float, settings: tuple[str, ...]) -> BenchRow:
-    words = [word for setting in settings for word in ("--set", setting)]
+def tls(agents: int = 16, seconds: float = 15.0, turns: int = 3) -> Iterator[BenchRow]:
+    """At 4 Hz over plain TCP and over mutual TLS, in turns: the CPU of world and agents, and the ratio of the two."""
+    with tempfile.TemporaryDirectory() as folder:
+        make_keys(["world", "monitor", *(f"s{number}" for number in range(1, agents + 1))], Path(folder))
+        for _ in range(turns):
+            plain = _in_real_time(agents, seconds, ())
+            secured = _in_real_time(agents, seconds, (), keys=folder)
+            secured["of the plain CPU"] = secured["CPU per tick, ms"] / plain["CPU per tick, ms"]
+            yield from (plain, secured)
+
+
+def _in_real_time(agents: int, seconds: float, settings: tuple[str, ...], keys: str = "") -> BenchRow:
+    words = [word for setting in settings for word in ("--set", setting)] + (["--keys", keys] if keys else [])
     with swarm(agents, "zygote", words) as running:
         time.sleep(SETTLE * agents)
         begin = running.mark()
@@ -187,11 +208,12 @@ def _in_real_time(agents: int, seconds: float, settings: tuple[str, ...]) -> Ben
     wall = end.at - begin.at
     return {
         "agents": agents,
-        "settings": " ".join(settings),
+        "settings": "TLS" if keys else " ".join(settings),
         "wall, s": wall,
         "ticks": end.tick - begin.tick,
         "rounds skipped": end.skipped - begin.skipped,
         "CPU, cores": (end.cpu - begin.cpu) / wall,
+        "CPU per tick, ms": 1000.0 * (end.cpu - begin.cpu) / max(end.tick - begin.tick, 1),
         "received per agent-round": received,
         "load": os.getloadavg()[0],
     }

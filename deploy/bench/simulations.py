@@ -88,10 +88,10 @@ def scale(sizes: tuple[int, ...] = (48, 200, 400, 1000, 5000), enough: int = 100
     """Per agent-round at constant density, once all have chosen their neighbours and whoever was heard of at the start only has been
     forgotten: CPU, deliveries, messages, bytes, peers listened to. Of small swarms several are played, to measure `enough` agents.
 
-    The CPU is that of agents, bus, codec and world; the swarm is not scored, because that is nobody's part of a round. In a small arena
-    most agents live at its edge, where there are fewer to be heard: the time for each gossip heard and for each delivery leaves that out,
-    and so does the time of those agents (without bus and world) that hear 26 to 33, and the number of those to whom an agent listens that
-    is far from every edge.
+    The CPU is that of agents, bus, codec and world; the swarm is not scored, because that is nobody's part of a round. In a small
+    arena most agents live at its edge, where there are fewer to be heard. Four figures leave that out: the time for each gossip heard,
+    the time for each delivery, the time of the agents that hear 26 to 33 (without bus and world), and how many an agent hears that is
+    far from every edge.
     """
     smallest: dict[str, float] = {}
     for agents in sizes:

@@ -12,7 +12,7 @@ from agents.backend import Backend
 from agents.gossip.table import GossipTable, announced_sensor
 from agents.tracking import phd
 from agents.tracking.claims import NO_CLAIM
-from agents.tracking.particles import Particles
+from agents.tracking.particles import Particles, unlabelled
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from deploy.bench.timing import BenchRow, median_seconds
@@ -41,7 +41,7 @@ def our_scan(backend: Backend) -> Any:
     said = Gossip(sender="s1", incarnation=1, tick=1, pose=pose, cod=pose[:2], power_radius=1.0, unused=0.0, detections_bytes=seen)
     words = GossipTable([said], [announced_sensor("s1", sensor, 0.1)], "power")
     states = np.hstack([_points(PARTICLES, 1), np.ones((PARTICLES, 2))])
-    particles = Particles(states, np.full(PARTICLES, DETECTIONS / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
+    particles = unlabelled(states, np.full(PARTICLES, DETECTIONS / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
 
     region = RegionInput("s1", 0, sensor, pose, corners, NO_CLAIM)
 

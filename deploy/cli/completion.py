@@ -23,7 +23,10 @@ def studies(context: CompletionContext) -> list[str]:
 
 def benches(context: CompletionContext) -> list[str]:
     """What can be measured, as the help of `covey bench` says; nothing but the benchmarks imports them."""
-    return [*("round", "simulate", "live", "realtime", "scale", "start", "codec", "memory", "peers", "page", "replay"), "all"]
+    return [
+        *("round", "simulate", "live", "realtime", "tls", "scale", "start", "codec", "memory", "peers", "page", "replay", "overload"),
+        "all",
+    ]
 
 
 def runs(context: CompletionContext) -> list[str]:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:  # they bring scipy and shapely, which `ps` has no use for
 
 PLAIN_PERIOD = 5.0  # s between two plain lines
 LIVE_PERIOD = 0.25  # s between two pictures of the panel
+SLOW = 0.95  # of the speed that was asked for: a slower world says its factor
+MOST_NAMED = 3  # agents named in a line
 
 
 class Display:
@@ -94,11 +96,21 @@ def tick_rate_words(tick_rate: dict[str, Any]) -> str:
     """`7.1 of 8 ticks/s, 3 rounds skipped, 1 late`; zeros are left out."""
     speed = "" if tick_rate["ticks_per_s"] is None else f"{tick_rate['ticks_per_s']:.1f}"
     asked = f" of {tick_rate['asked_per_s']:g}" if speed and tick_rate["asked_per_s"] is not None else ""
+    slow = tick_rate["asked_per_s"] is not None and tick_rate["ticks_per_s"] is not None
+    factor = tick_rate["ticks_per_s"] / tick_rate["asked_per_s"] if slow else 1.0
     counts = [
+        f"{factor:.2f} x the speed asked for" if factor < SLOW else "",
+        f"pace {tick_rate['pace']}: {some(tick_rate['slowest'])}" if tick_rate["slowest"] else "",
+        f"stalled: {some(tick_rate['stalled'])}" if tick_rate["stalled"] else "",
         f"{tick_rate['skipped']} rounds skipped" if tick_rate["skipped"] else "",
         f"{tick_rate['late']} late" if tick_rate["late"] else "",
     ]
     return ", ".join(filter(None, [f"{speed}{asked} ticks/s" if speed else "", *counts]))
+
+
+def some(names: list[str]) -> str:
+    """The first names of a list, and how many more there are."""
+    return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")
 
 
 def status_table(status: "Status") -> Table:
@@ -125,7 +137,7 @@ def process_table(data: dict[str, Any]) -> Table:
     title = f"{data['run']} ({data['scenario']})  {swarm_line(data['swarm'])}"
     caption = "\n".join(filter(None, [f"subscribe at {data['endpoint']}", data["swarm"]["tick_rate"]["advice"]]))
     table = Table(title=title, title_justify="left", box=None, caption=caption, caption_justify="left")
-    for head in ("name", "class", "state", "pid", "inc", "tick", "cell %", "mass", "targets", "round ms", "skipped", "late"):
+    for head in ("name", "class", "state", "pid", "inc", "tick", "cell %", "mass", "targets", "round ms", "pace", "skipped", "late"):
         table.add_column(head, justify="left" if head in ("name", "class", "state") else "right", no_wrap=True)
     for row in data["processes"]:
         table.add_row(*process_cells(row), style="" if row["state"] == "running" else "red" if row["state"] == "dead" else "yellow")
@@ -140,10 +152,10 @@ def process_cells(row: dict[str, Any]) -> list[str]:
         state = f"dead: {row['end']}{when}" if row["end"] else "not started"
     if row.get("differs") and state != "dead":
         state = f"{row['state']}, refused: other {', '.join(row['differs'])}"
-    figures = [""] * 7
+    figures = [""] * 8
     if "tick" in row and row["tick"] >= 0:
         owns = [f"{100.0 * row['cell']:.1f}", f"{row['mass']:.2f}", str(row["targets"])] if row["alive"] else ["", "", ""]
-        figures = [str(row["tick"]), *owns, f"{row['round_ms']:.1f}", str(row["skipped"]), str(row["late"])]
+        figures = [str(row["tick"]), *owns, f"{row['round_ms']:.1f}", str(row["pace"]), str(row["skipped"]), str(row["late"])]
     return [row["name"], row["class"], state, str(row["pid"] or ""), str(row["incarnation"]), *figures]
 
 

@@ -6,12 +6,13 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from cyclopts import CycloptsError
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+MOST_REMARKS = 3  # about the files of a recorded world, before a run
 
 
 def open_standard_files() -> None:
@@ -73,6 +74,14 @@ def complain(text: str, code: int) -> int:
     with contextlib.suppress(OSError):
         print(f"covey: {' '.join(text.split())}", file=sys.stderr, flush=True)
     return code
+
+
+def tell_remarks(lines: Sequence[str]) -> None:
+    """Some of the lines of data that were left out, on standard error."""
+    for line in lines[:MOST_REMARKS]:
+        complain(line, OK)
+    if len(lines) > MOST_REMARKS:
+        complain(f"and {len(lines) - MOST_REMARKS} more; `covey check` names all", OK)
 
 
 def _details(error: Exception) -> str:

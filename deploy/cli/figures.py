@@ -1,14 +1,18 @@
 """`figures`: draw a recorded run or a study."""
 
+from collections.abc import Callable
 from pathlib import Path
 
+from rich.console import Console
+
 from deploy.cli.errors import writing
+from deploy.cli.simulate import ProgressLine
 from deploy.recording.recording import Recording, find_recording
 
 
-def draw(what: str, into: Path | None, animate: bool) -> int:
+def draw(what: str, into: Path | None, animate: bool, explain: bool) -> int:
     """Draw what a name or path stands for: a study, or else a recorded run."""
-    return draw_study(Path(what), into) if is_study(Path(what)) else draw_run(what, into, animate)
+    return draw_study(Path(what), into) if is_study(Path(what)) else draw_run(what, into, animate, explain)
 
 
 def is_study(path: Path) -> bool:
@@ -26,8 +30,9 @@ def draw_study(path: Path, into: Path | None) -> int:
     return 0
 
 
-def draw_run(name: str, out: Path | None, animate: bool) -> int:
+def draw_run(name: str, out: Path | None, animate: bool, explain: bool) -> int:
     """Draw the figures of one run."""
+    from deploy.plots import method_figures  # loads matplotlib
     from deploy.plots.run_figures import write_animation, write_figure  # loads matplotlib
 
     recording = Recording(find_recording(name))
@@ -35,6 +40,14 @@ def draw_run(name: str, out: Path | None, animate: bool) -> int:
     with writing("--into", folder):
         for file in write_figure(recording, folder):
             print(file)
+        for file in method_figures.write_figures(recording, folder) if explain else []:
+            print(file)
         if animate:
-            print(write_animation(recording, folder))
+            print(write_animation(recording, folder, _progress()))
     return 0
+
+
+def _progress() -> Callable[[int, int], None]:
+    """Say on standard error how far a film is, every second or, outside a terminal, every five."""
+    console = Console(stderr=True, highlight=False)
+    return ProgressLine(lambda text: console.print(f"film: {text}", soft_wrap=True), 1.0 if console.is_terminal else 5.0).tell

@@ -37,7 +37,7 @@ def run_in_foreground(
             if zygote is not None:
                 zygote.close()
             raise
-        server, address = page_of(supervisor, showing.page), ""
+        server, address = page_of(supervisor, showing.page, tour=showing.stays), ""
         if server is not None:
             address = server.bind()
             directory.page.write_text(address + "\n", encoding="utf-8")
@@ -69,9 +69,9 @@ def run_in_foreground(
     leave(code)
 
 
-def page_of(supervisor: Supervisor, page: bool | str) -> PageServer | None:
-    """The page of a run; None when none is wanted."""
+def page_of(supervisor: Supervisor, page: bool | str, tour: bool) -> PageServer | None:
+    """The page of a run; None when none is wanted. `tour`: it offers its guided tour."""
     address = address_of(page)
     if address is None:
         return None
-    return PageServer(LiveSource(supervisor.scorer, Picture(supervisor.scenario), supervisor.directory), address)
+    return PageServer(LiveSource(supervisor.scorer, Picture(supervisor.scenario), supervisor.directory, tour), address)

@@ -89,13 +89,13 @@ def hz(key: str, seconds: float | None, run: str | None) -> int:
 
 def ls(seconds: float, run: str | None) -> int:
     """Print the live processes and all keys with messages, after listening for some seconds."""
-    directory, scenario = swarm_to_watch(run)
+    _, scenario = swarm_to_watch(run)
     rates, console = Rates(), Console(highlight=False)
     own = own_name("ls")
     node = Listener(scenario.run.name, own, expression("**", scenario.run.name), rates.note, seconds)
     code = live.run(node, scenario.network)
-    console.print(f"run {directory.name}: {scenario.run.scenario}, {len(scenario.members)} agents")
-    for role in ("world", "agent", "monitor", "recorder"):
+    console.print(f"run {scenario.run.name}: {scenario.run.scenario}, {len(scenario.members)} agents")
+    for role in ("world", "body", "agent", "monitor", "recorder", "operator"):
         names = sorted((name for kind, name, _ in node.tokens if kind == role and name != own), key=order)
         if names:
             console.print(f"{role + 's' * (len(names) > 1)}: {', '.join(names)}", soft_wrap=True)
@@ -116,17 +116,18 @@ def rates_table(rates: Rates) -> Table:
 def record(file: Path | None, run: str | None) -> int:
     """Record a running swarm from outside until Ctrl-C or until it ends."""
     directory, scenario = swarm_to_watch(run)
-    path = recording_path(file if file is not None else True, directory.path)
+    path = recording_path(file if file is not None else True, directory.path if directory else Path())
     assert path is not None
     recorder = open_recorder(path, scenario)
 
     async def work() -> int:
-        driver = live.Driver(RecorderNode(recorder, scenario.run.name, own_name("recorder")), scenario.network)
-        faults = asyncio.create_task(_note_faults(directory, recorder.note_fault))
+        driver = live.Driver(RecorderNode(recorder, scenario, own_name("recorder")), scenario.network)
+        faults = asyncio.create_task(_note_faults(directory, recorder.note_fault)) if directory else None
         try:
-            return await _serve_while_running(driver, directory.is_running)
+            return await _serve_while_running(driver, _end_of(directory))
         finally:
-            faults.cancel()
+            if faults:
+                faults.cancel()
 
     print(f"recording into {path}; Ctrl-C ends it", flush=True)
     code = _until_interrupted(work())
@@ -157,13 +158,18 @@ def watch_page(page: bool | str, run: str | None) -> int:
     scorer = Scorer(scenario, own_name("page"))
     server = PageServer(LiveSource(scorer, Picture(scenario), directory), address)
     print(f"page: {server.bind()}", flush=True)
-    print(f"run {directory.name}; Ctrl-C ends the page, not the run", flush=True)
+    print(f"run {scenario.run.name}; Ctrl-C ends the page, not the run", flush=True)
 
     async def work() -> int:
         async with Observers(scorer, None, server):
-            return await _serve_while_running(live.Driver(scorer, scenario.network), directory.is_running)
+            return await _serve_while_running(live.Driver(scorer, scenario.network), _end_of(directory))
 
     return _until_interrupted(work())
+
+
+def _end_of(directory: RunDirectory | None) -> Callable[[], bool]:
+    """Whether a run is running; of a swarm on other machines nobody knows when it ends."""
+    return directory.is_running if directory else lambda: True
 
 
 async def _serve_while_running(driver: live.Driver, is_running: Callable[[], bool]) -> int:

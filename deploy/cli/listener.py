@@ -6,7 +6,9 @@ from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
-from deploy.scenario import Scenario
+from msgspec import structs
+
+from deploy.scenario import Scenario, resolve
 from deploy.storage.run_directory import RunDirectory, find_running
 from protocol.keys import ROOT, message_key
 from protocol.messages import Message
@@ -27,13 +29,27 @@ class KeyedPayload(NamedTuple):
     reason: str
 
 
-def swarm_to_watch(run: str | None) -> tuple[RunDirectory, Scenario]:
-    """The running run of that name, or the newest, and its resolved scenario, which says where the swarm is found."""
+def swarm_to_watch(run: str | None) -> tuple[RunDirectory | None, Scenario]:
+    """The running run of that name, or the newest, and its resolved scenario, which says where the swarm is found.
+
+    A name that ends in .toml is the file of a swarm on other machines. No supervisor is here then, and no run directory.
+    """
+    if run is not None and run.endswith(".toml"):
+        return None, swarm_elsewhere(run)
     directory = find_running(run)
     try:
         return directory, load(directory.config, Scenario)
     except BadSetting:
         raise BadSetting(f"--run {directory.name}: the run is starting or ending; try again in a second") from None
+
+
+def swarm_elsewhere(file: str) -> Scenario:
+    """The scenario of a swarm that runs on other machines; raises BadSetting where it does not say how to reach them."""
+    scenario = resolve(file)
+    if not scenario.network.seeds:
+        raise BadSetting(f"--run {file}: network.seeds is empty; should hold the endpoints of the swarm, such as 'tls/10.0.0.1:7447'")
+    admitted = scenario.network.admit or tuple(scenario.members)
+    return structs.replace(scenario, network=structs.replace(scenario.network, admit=admitted))
 
 
 def expression(text: str, run: str) -> str:

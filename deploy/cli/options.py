@@ -49,10 +49,12 @@ class RunOptions:
     """The three sensor classes of teams 2 to 5."""
     targets: Annotated[int | None, WHOLE] = None
     """Number of targets at the start."""
+    data: Path | None = None
+    """The files of a recorded world: a file, or the folder of mrclam."""
     partition: Literal["power", "voronoi", "voronoi-cod"] | None = None
     capacity: Literal["literal", "expected", "static", "saturating"] | None = None
     control: str | None = None
-    """lloyd, static, random, uniform-density, pursuit, or module:Class."""
+    """lloyd, static, random, uniform-density, pursuit, search-and-track, or module:Class; in a simulation also oracle."""
     dt: float | None = None
     """World time between two ticks, s."""
     seconds: float | None = None
@@ -67,10 +69,12 @@ class RunOptions:
     """Any setting of the scenario: section.key=value. May be repeated."""
     run: str | None = None
     """Name of the run, and of its directory under ./runs (or COVEY_RUNS); default: <date>-<scenario>-<n>."""
+    bodies: Literal["world", "own"] | None = None
+    """Who runs the bodies: one world process, or every body its own."""
     lockstep: Annotated[bool, FLAG] = False
     """As fast as it goes: the world waits for every live agent."""
-    rate: float | None = None
-    """Real time, so many world seconds per second."""
+    rate: float | Literal["auto"] | None = None
+    """Real time, so many world seconds per second; auto: at most real time, and slower where the agents need it."""
     spawn: Literal["zygote", "exec"] = "zygote"
     """How agent processes start: forked from a prepared process, or each executed anew. Of demo and up only."""
     strict: Annotated[bool, FLAG] = False
@@ -91,14 +95,15 @@ class RunOptions:
             "team.composition": self.team,
             "team.triple": self.triple,
             "targets.count": self.targets,
+            "recorded.data": str(self.data.absolute()) if self.data else None,
             "partition.kind": self.partition,
             "capacity.mode": self.capacity,
             "control.mode": self.control,
             "run.dt": self.dt,
             "run.seconds": self.seconds,
             "run.name": self.run,
-            "run.rate": self.rate,
-            "run.clock": "lockstep" if self.lockstep else "realtime" if self.rate is not None else None,
+            "bodies.host": self.bodies,
+            **self._clock(),
             "run.strict": self.strict or None,
             "network.insecure": self.insecure or None,
             **self._certificates(),
@@ -106,6 +111,12 @@ class RunOptions:
         }
         given = {dotted: value for dotted, value in named.items() if value is not None}
         return {**given, **dict(parse_set(text) for text in self.settings)}
+
+    def _clock(self) -> dict[str, str | float | None]:
+        """How time passes. A world that waits for its agents, but is no faster than real time, slows down to what they can do."""
+        if self.rate == "auto":
+            return {"run.clock": "lockstep", "run.pace": 1.0}
+        return {"run.rate": self.rate, "run.clock": "lockstep" if self.lockstep else "realtime" if self.rate is not None else None}
 
     def _certificates(self) -> dict[str, str | None]:
         """Where `covey keys` has put them."""
@@ -116,12 +127,14 @@ class RunOptions:
         """The resolved scenario; raises BadSetting naming what is wrong."""
         import msgspec
 
+        from deploy.cli.errors import tell_remarks
         from deploy.cli.scenario_checks import check_scenario
-        from deploy.scenario import resolve
+        from deploy.scenario import recording_remarks, resolve
 
         scenario = resolve(name, self.overrides())
         scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *self.faults()))
         check_scenario(scenario)
+        tell_remarks(recording_remarks(scenario))
         return scenario
 
     def requested_name(self, scenario: "Scenario") -> str | None:

@@ -5,7 +5,6 @@ import contextlib
 import logging
 import os
 import shutil
-import signal
 from collections import deque
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from rich.console import Console
 
 from deploy.cli.display import result_table
 from deploy.cli.errors import writing
+from deploy.cli.terminal import stop_event
 from deploy.installation import need_study_packages
 from deploy.page.server import PageServer, address_of
 from deploy.recording.recording import DRAWING, Recording, find_recording
@@ -22,7 +22,9 @@ from deploy.recording.rescore import difference, rescore, write_scores
 from deploy.storage.kept_runs import new_run_directory
 from protocol.endpoints import free_port
 from protocol.live import Driver
-from protocol.settings import NetworkSettings
+from protocol.settings import BadSetting, NetworkSettings
+
+ON_EARTH = ("geojson", "cot")  # forms of an export that lie on Earth
 
 
 def score(name: str, csv: Path | None, as_json: bool) -> int:
@@ -45,8 +47,14 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
     return 0
 
 
-def export(name: str, form: str, out: Path | None) -> int:
-    """Write a recording in the form of other tools."""
+def export(name: str, form: str, out: Path | None, origin: tuple[float, float] | None = None, began: str | None = None) -> int:
+    """Write a recording in the form of other tools. `origin` and `began`: where and when it was, for forms that lie on Earth."""
+    if form in ON_EARTH:
+        return _export_on_earth(Recording(find_recording(name)), form, out, origin, began)
+    if origin is not None or began is not None:
+        raise BadSetting(f"--origin, --began: are for --to {' and --to '.join(ON_EARTH)}, not for --to {form}")
+    if form == "mot":
+        return _export_mot(Recording(find_recording(name)), out)
     need_study_packages("export")
     from deploy.recording.foxglove import write_foxglove
     from deploy.recording.tables import write_tables  # these load slowly
@@ -73,6 +81,28 @@ def export(name: str, form: str, out: Path | None) -> int:
     return 0
 
 
+def _export_mot(recording: Recording, out: Path | None) -> int:
+    """Write the folder of the MOT challenge."""
+    from deploy.recording.mot import write_mot
+
+    folder = out or recording.path.parent / "mot"
+    with writing("--out", folder):
+        files = write_mot(recording, folder)
+    print("\n".join(map(str, files)))
+    return 0
+
+
+def _export_on_earth(recording: Recording, form: str, out: Path | None, origin: tuple[float, float] | None, began: str | None) -> int:
+    """Write GeoJSON or Cursor-on-Target."""
+    from deploy.recording.geographic import earth_of, write_cot, write_geojson
+
+    earth, file = earth_of(recording, origin, began), out or recording.path.with_suffix(f".{form}")
+    with writing("--out", file):
+        number = write_geojson(recording, earth, file) if form == "geojson" else write_cot(recording, earth, file)
+    print(f"{number} {'features' if form == 'geojson' else 'events'} in {file}")
+    return 0
+
+
 def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
     """Play a recording on the page, and on Zenoh too if asked, until Ctrl-C."""
     recording = Recording(find_recording(name))
@@ -89,9 +119,7 @@ def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
 
 
 async def _play(server: PageServer, recording: Recording, publish: bool) -> None:
-    loop, over = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, over.set)
+    over = stop_event()
     await server.open()
     try:
         if publish:

@@ -9,15 +9,18 @@ import numpy as np
 
 from agents.coverage.capacity import sensor_facts
 from agents.coverage.control import CheckedLaw, Situation, control_law
-from agents.tracking.births import LEAST_PRIOR, prior_size
-from agents.tracking.particles import Particles
+from agents.tracking.births import prior_size
+from agents.tracking.particles import unlabelled
 from deploy.faults.faults import check_fault
-from deploy.scenario import FaultSettings, Scenario, check_names, spelled_out
+from deploy.scenario import ORACLE, FaultSettings, Scenario, check_names, recording_remarks, spelled_out, world_config
 from protocol.endpoints import check_endpoints
 from protocol.geometry import rectangle
 from protocol.mistakes import mistakes
-from protocol.sensing import WedgeSensor
+from protocol.sensing import WedgeSensor, measurement_of
 from protocol.settings import BadSetting, sensor_of
+from world.bodies import check_given, start_poses
+from world.config import TargetSettings
+from world.sources import body_source
 from world.targets import CheckedMotion, build_motion
 
 MOST_PRIOR = 1_000_000  # particles that an agent starts with
@@ -58,6 +61,8 @@ def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield from _told("sensors", lambda name=sensor_class: _try_sensor(scenario, name))  # type: ignore[misc]
     yield from _told("control", lambda: _try_law(scenario))
     yield from _told("targets", lambda: _try_motion(scenario))
+    yield from _told("bodies", lambda: _try_bodies(scenario))
+    yield from _told("recorded", lambda: _try_recording(scenario))
     for number, fault in enumerate(scenario.faults):
         yield from _told("faults", lambda where=f"faults[{number}].", fault=fault: _try_fault(scenario, fault, where))  # type: ignore[misc]
 
@@ -66,9 +71,9 @@ def check_costs(scenario: Scenario) -> None:
     """Raise BadSetting, with a possible value, when an agent would need more memory or time than a machine has."""
     filters, arena = scenario.filter, scenario.arena
     area, particles = arena.width * arena.height, prior_size(filters, arena)
-    if particles > MOST_PRIOR and area > MOST_PRIOR / LEAST_PRIOR:
+    if particles > MOST_PRIOR and area * filters.prior_particles > MOST_PRIOR:
         line = f"arena.width = {arena.width!r}, arena.height = {arena.height!r}: a prior of {particles} particles"
-        raise BadSetting(f"{line}; should be at most {MOST_PRIOR / LEAST_PRIOR:.2g} m^2")
+        raise BadSetting(f"{line}; should be at most {MOST_PRIOR / filters.prior_particles:.2g} m^2")
     if particles > MOST_PRIOR:
         most = MOST_PRIOR / (filters.particles_per_target * area)
         line = f"filter.prior_density = {filters.prior_density!r}: a prior of {particles} particles in {area:.3g} m^2"
@@ -94,6 +99,10 @@ def _told(section: str, attempt: Callable[[], object]) -> Iterator[tuple[str, st
 
 def _try_sensor(scenario: Scenario, sensor_class: str) -> None:
     sensor = sensor_of(scenario, sensor_class)
+    measures = measurement_of(sensor)
+    if scenario.filter.kind == "gaussian-mixture" and measures is not None and measures.kind == "bearing":
+        line = f'sensors.{sensor_class}.measures = "bearing"'
+        raise BadSetting(f'{line}: a Gaussian mixture needs places or ranges too; should be range-bearing, or filter.kind = "particles"')
     if not isinstance(sensor, WedgeSensor):
         try:
             sensor_facts(sensor)
@@ -106,6 +115,8 @@ def _try_sensor(scenario: Scenario, sensor_class: str) -> None:
 
 def _try_law(scenario: Scenario) -> None:
     """Try a control law of the user for one agent and one tick, in the middle of the arena."""
+    if scenario.control.mode == ORACLE:
+        return
     law = control_law(scenario)
     if not isinstance(law, CheckedLaw):
         return
@@ -121,7 +132,7 @@ def _try_law(scenario: Scenario) -> None:
             driven=middle,
             cell=rectangle(scenario.arena.width, scenario.arena.height),
             centroid=middle,
-            particles=Particles(np.array([[*middle, 1.0, 0.0]]), np.array([0.5]), np.array([1], dtype=np.uint64)),
+            particles=unlabelled(np.array([[*middle, 1.0, 0.0]]), np.array([0.5]), np.array([1], dtype=np.uint64)),
             sensor=sensor,
             limits=scenario.limits,
             heading=scenario.control.heading,
@@ -138,6 +149,23 @@ def _try_motion(scenario: Scenario) -> None:
     motion = build_motion(scenario.targets, scenario.run.dt, scenario.run.seed)
     if isinstance(motion, CheckedMotion):
         motion.move(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 1.0]), np.array([1, 2], dtype=np.uint64), 0)
+
+
+def _try_bodies(scenario: Scenario) -> None:
+    """Make no bodies of the model, and find a place for bodies with a size."""
+    config = world_config(scenario)
+    body_source(config)
+    check_given(config)
+    if scenario.limits.radius:
+        start_poses(config)
+
+
+def _try_recording(scenario: Scenario) -> None:
+    """Read the files of a recorded world."""
+    if scenario.recorded.kind != "none" and scenario.targets != TargetSettings():
+        kind = scenario.recorded.kind
+        raise BadSetting(f"recorded.kind = {kind!r}: has targets of its own; should be none where [targets] or --targets says something")
+    recording_remarks(scenario)
 
 
 def _try_fault(scenario: Scenario, fault: FaultSettings, where: str) -> None:

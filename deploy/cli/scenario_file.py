@@ -1,4 +1,4 @@
-"""`init`, `check` and `config`: commands on scenario files."""
+"""`init`, `check`, `platform` and `config`: commands on scenario files."""
 
 import os
 import shutil
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from deploy.cli.template import template
 from deploy.installation import versions
-from deploy.scenario import Scenario, toml_text
+from deploy.scenario import Scenario, agent_config, recording_remarks, targets_in_words, toml_text, world_config
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import ROOM, runs_folder
 from protocol.settings import BadSetting, NetworkSettings
@@ -33,10 +33,30 @@ def init(file: Path) -> int:
     return 0
 
 
-def config(scenario: Scenario) -> int:
-    """Print a resolved scenario as TOML."""
-    print(toml_text(scenario), end="")
+def try_platform(scenario: Scenario, agent: str) -> int:
+    """Try the platform of an agent's body and print which rules of the contract it keeps; 1 when one is broken."""
+    from deploy.live.platform_check import check_and_print
+
+    if agent not in scenario.members:
+        raise BadSetting(f"platform: {agent}: the scenario has no such agent; it has {', '.join(scenario.members)}")
+    return check_and_print(agent, world_config(scenario))
+
+
+def config(scenario: Scenario, agents: bool) -> int:
+    """Print a resolved scenario as TOML, or the part of it that its agents may know."""
+    print(toml_text(agent_config(scenario) if agents else scenario), end="")
     return 0
+
+
+def check_network_and_print(scenario: Scenario, name: str) -> int:
+    """Print what is found on the network of a scenario with the certificate of `name`; 1 when something is wrong."""
+    from deploy.live.network_check import check_network
+
+    wrong = 0
+    for right, text in check_network(scenario, name):
+        print(f"{'ok    ' if right else 'WRONG '} {text}", flush=True)
+        wrong += not right
+    return 1 if wrong else 0
 
 
 def complain(lines: list[str]) -> int:
@@ -55,8 +75,10 @@ def check(scenario: Scenario) -> int:
     team = ", ".join(f"{classes.count(name)} {name}" for name in dict.fromkeys(classes))
     run = scenario.run
     print(f"scenario   {run.scenario} is right: {len(classes)} agents ({team})")
-    print(f"           {scenario.targets.count} targets, {run.ticks} ticks of {run.dt:g} s")
+    print(f"           {targets_in_words(scenario)}, {run.ticks} ticks of {run.dt:g} s")
     found = versions()
+    for remark in recording_remarks(scenario):
+        print(f"left out   {remark}")
     print(f"machine    Python {found['python']}, {found['cores']} cores, {found['machine']}")
     check_loopback()
     open_session(NetworkSettings()).close()

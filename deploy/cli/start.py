@@ -12,7 +12,7 @@ from deploy.cli.options import DisplayOptions
 from deploy.installation import command, environment
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
-from deploy.scenario import FaultSettings, Scenario, named
+from deploy.scenario import FaultSettings, Scenario, named, refuse_oracle, targets_in_words
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.kept_runs import new_run_directory
 from deploy.storage.run_directory import runs_folder
@@ -28,6 +28,7 @@ def run_live(scenario: Scenario, requested_name: str | None, title: str, showing
 
     `requested_name`: the name that the user gives the run; None: one of the date and the scenario.
     """
+    refuse_oracle(scenario)
     check_loopback()
     detached = os.environ.pop(DETACHED, None)  # the name that the waiting command has chosen
     directory, lock = new_run_directory(detached or requested_name, scenario.run.scenario)
@@ -40,13 +41,19 @@ def run_live(scenario: Scenario, requested_name: str | None, title: str, showing
 
 
 def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions, spawn: Spawn = "zygote") -> NoReturn:
-    """Section IV-A live, with 3 of 16 agents killed at mid-run unless the options say otherwise."""
+    """A scenario live, with 3 agents killed at mid-run unless the options say otherwise."""
     if not scenario.faults:
         deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
         scenario = msgspec.structs.replace(scenario, faults=(deaths,))
-    agents, targets, run = len(scenario.members), scenario.targets.count, scenario.run
-    title = f"{agents} agent processes and one world, {targets} targets, {run.seconds:g} s of world time, {_pace(scenario)}; Ctrl-C ends it"
+    agents, run = len(scenario.members), scenario.run
+    who = f"{agents} agent processes and one world, {targets_in_words(scenario)}"
+    title = f"{who}, {run.seconds:g} s of world time, {_pace(scenario)}; Ctrl-C ends it"
     run_live(scenario, requested_name, title, showing, spawn)
+
+
+def with_pace(scenario: Scenario, pace: float) -> Scenario:
+    """The scenario at so many world seconds per second, at most."""
+    return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, pace=pace))
 
 
 def _pace(scenario: Scenario) -> str:

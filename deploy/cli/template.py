@@ -6,7 +6,7 @@ The purpose of a setting is the comment beside its declaration. The allowed valu
 import inspect
 import re
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 from msgspec.inspect import DictType, Field, FloatType, IntType, LiteralType, StructType, Type, UnionType, VarTupleType, type_info
@@ -22,11 +22,32 @@ FIRST = ("run", "arena", "team", "targets")  # what is changed most
 COLUMN = 40  # where comments begin
 
 
+class SettingRow(NamedTuple):
+    """One setting: its name, its default as TOML, its purpose and the allowed values."""
+
+    name: str
+    default: str
+    note: str
+
+
+class SectionRows(NamedTuple):
+    """One section: its heading as TOML, its purpose, its settings."""
+
+    heading: str
+    purpose: str
+    rows: tuple[SettingRow, ...]
+
+
 def template() -> str:
     """The text of the file."""
+    return "\n".join([HEAD, *("\n".join(_lines(section)) + "\n" for section in sections())])
+
+
+def sections() -> list[SectionRows]:
+    """All sections of a scenario; first those that are changed most."""
     notes = _notes(Scenario)
     ordered = sorted(_fields(Scenario), key=lambda field: FIRST.index(field.name) if field.name in FIRST else len(FIRST))
-    return "\n".join([HEAD, *("\n".join(_section(field, notes.get(field.name, ""))) + "\n" for field in ordered)])
+    return [_section(field, notes.get(field.name, "")) for field in ordered]
 
 
 def dotted_names() -> list[str]:
@@ -35,27 +56,29 @@ def dotted_names() -> list[str]:
     return [f"{name}.{inner.name}" for name, kind in sections if isinstance(kind, StructType) for inner in _fields(kind.cls)]
 
 
-def _section(field: Field, note: str) -> Iterator[str]:
-    """The lines of one section."""
+def _section(field: Field, note: str) -> SectionRows:
     kind = field.type
     if isinstance(kind, StructType):
-        yield _with(f"[{field.name}]", _purpose(kind.cls))
-        yield from _settings(kind.cls)
-    elif isinstance(kind, DictType) and isinstance(kind.value_type, StructType):
-        yield _with(f"# [{field.name}.NAME]", _purpose(kind.value_type.cls))
-        yield from _settings(kind.value_type.cls)
-    elif isinstance(kind, VarTupleType) and isinstance(kind.item_type, StructType):
-        yield _with(f"# [[{field.name}]]", _purpose(kind.item_type.cls))
-        yield from _settings(kind.item_type.cls)
-    else:
-        yield _with(f"# [{field.name}]", note)
+        return SectionRows(f"[{field.name}]", _purpose(kind.cls), _rows(kind.cls))
+    if isinstance(kind, DictType) and isinstance(kind.value_type, StructType):
+        return SectionRows(f"[{field.name}.NAME]", _purpose(kind.value_type.cls), _rows(kind.value_type.cls))
+    if isinstance(kind, VarTupleType) and isinstance(kind.item_type, StructType):
+        return SectionRows(f"[[{field.name}]]", _purpose(kind.item_type.cls), _rows(kind.item_type.cls))
+    return SectionRows(f"[{field.name}]", note, ())
 
 
-def _settings(section: type) -> Iterator[str]:
+def _rows(section: type) -> tuple[SettingRow, ...]:
     notes = _notes(section)
-    for field in _fields(section):
-        known = [part for part in (notes.get(field.name, ""), allowed(field.type)) if part]
-        yield _with(f"# {field.name} = {_default(field)}", "; ".join(known))
+    known = {field.name: [part for part in (notes.get(field.name, ""), allowed(field.type)) if part] for field in _fields(section)}
+    return tuple(SettingRow(field.name, _default(field), "; ".join(known[field.name])) for field in _fields(section))
+
+
+def _lines(section: SectionRows) -> Iterator[str]:
+    """The lines of one section; one that holds names of the user's, or nothing, is a comment."""
+    single = section.rows and "NAME" not in section.heading and not section.heading.startswith("[[")
+    yield _with(section.heading if single else f"# {section.heading}", section.purpose)
+    for row in section.rows:
+        yield _with(f"# {row.name} = {row.default}", row.note)
 
 
 def _default(field: Field) -> str:

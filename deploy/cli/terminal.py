@@ -30,6 +30,14 @@ def is_ours() -> bool:
         return False
 
 
+def stop_event() -> asyncio.Event:
+    """An event that Ctrl-C and SIGTERM set, in the loop that runs."""
+    over = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, over.set)
+    return over
+
+
 @contextlib.contextmanager
 def keyboard(show_cursor: Callable[[bool], object]) -> Iterator[Pressed]:
     """Keys without Enter and without an echo. Ctrl-Z gives the terminal back until the program is in front again."""

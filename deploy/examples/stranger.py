@@ -1,4 +1,4 @@
-"""An agent of another make, written from docs/protocol.md alone: Python with zenoh and msgpack, and nothing of Covey.
+"""An agent of another make, written from docs/reference/protocol.md alone: Python with zenoh and msgpack, and nothing of Covey.
 
     python stranger.py RUN tcp/127.0.0.1:7447 x1 [degrees m prob_detection s]
 

@@ -5,11 +5,14 @@ The words are the same in a scenario's [[faults]], on the command line, in a sim
     kill, restart        a process vanishes; comes back under its name with its body where it stands
     pause, resume        a process is stopped in its tracks; goes on
     slow                 it takes `value` s over every observation
+    starve               it gets this share of the time that it needs to play every tick
+    freeze               all processes, the world included, stand still for `value` s
     join, twin           a newcomer (options.class), or a second process of a name
     jump                 its clock jumps by `value` s (options.back = true: back)
     partition            the selected and the rest do not hear each other (options.kind = "one-way": only the rest is deaf; "bridge":
                          one of the rest hears both sides); with options.tokens = false the sessions stay up
     drop, delay          a share of the messages is lost (options.burst: in runs of so many); all come `value` s late (options.jitter)
+    throttle             every link carries `value` kbit/s, one message after the other; what would wait longer than options.queue s is lost
     duplicate, reorder   a share comes twice; is held back and overtaken (options.spread s at most)
     flip                 a share has one wrong bit
     heal                 all links are clear again
@@ -26,15 +29,15 @@ from deploy.scenario import FaultSettings
 from protocol.settings import BadSetting
 from protocol.streams import stream
 
-PROCESS_VERBS = ("kill", "pause", "resume", "restart", "slow", "join", "twin", "jump")
-LINK_VERBS = ("partition", "heal", "drop", "delay", "duplicate", "reorder", "flip")
+PROCESS_VERBS = ("kill", "pause", "resume", "restart", "slow", "starve", "freeze", "join", "twin", "jump")
+LINK_VERBS = ("partition", "heal", "drop", "delay", "throttle", "duplicate", "reorder", "flip")
 VERBS = (*PROCESS_VERBS, *LINK_VERBS)
 LIVE_VERBS = ("kill", "pause", "resume", "restart", *LINK_VERBS)  # the others need a simulation
 SYNONYMS = {"loss": "drop"}
-SHARES = ("drop", "duplicate", "reorder", "flip")  # whose value is a share of the messages
-NEED_VALUE = (*SHARES, "delay", "slow", "jump")
+SHARES = ("drop", "duplicate", "reorder", "flip", "starve")  # whose value is a share of the messages, or of the time
+NEED_VALUE = (*SHARES, "delay", "throttle", "slow", "freeze", "jump")
 INVERSE = {"kill": "restart", "pause": "resume", "partition": "heal"}  # what ends a fault that lasts `seconds`
-ENDED_BY_ZERO = (*SHARES, "delay", "slow")
+ENDED_BY_ZERO = (*SHARES, "delay", "throttle", "slow")
 OPTIONS: dict[str, dict[str, type]] = {  # what a fault may say beside its value
     "kill": {"silent": bool},
     "join": {"class": str},
@@ -42,6 +45,7 @@ OPTIONS: dict[str, dict[str, type]] = {  # what a fault may say beside its value
     "partition": {"kind": str, "tokens": bool},
     "drop": {"burst": float},
     "delay": {"jitter": float},
+    "throttle": {"queue": float},
     "duplicate": {"spread": float},
     "reorder": {"spread": float},
 }
@@ -117,14 +121,14 @@ def check_fault(fault: FaultSettings, where: str, members: Sequence[str], *, liv
     if verb == "join" or (verb in LINK_VERBS and not fault.who and verb != "partition"):
         return
     try:
-        choose(fault.who, members, [*members, "world"], stream(0, "faults", 0))
+        choose(fault.who, members, [*members, "world", *(f"{name}.body" for name in members)], stream(0, "faults", 0))
     except BadSetting as error:
         raise BadSetting(f"{where}who = {error}") from None
 
 
 def _check_value(fault: FaultSettings, verb: str, where: str) -> None:
     if verb in NEED_VALUE and fault.value is None:
-        what = "a share between 0 and 1" if verb in SHARES else "a number of seconds"
+        what = "a share between 0 and 1" if verb in SHARES else "a number of kbit/s" if verb == "throttle" else "a number of seconds"
         raise BadSetting(f"{where}value is missing: {verb} needs {what}")
     if verb in SHARES and fault.value is not None and fault.value > 1.0:
         raise BadSetting(f"{where}value = {fault.value}: should be a share between 0 and 1")

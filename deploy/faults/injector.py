@@ -1,7 +1,7 @@
 """The injector: carries out faults on the agents of a simulation.
 
-What the network would do to liveliness tokens is done here as well: the token of a stopped process, or of one behind a cut, is lost
-after `network.lease` s, and is seen again when the process goes on or shortly after the cut has healed.
+What the network would do to liveliness tokens is done here as well. The token of a stopped process, or of one behind a cut, is lost after
+`network.lease` s. It is seen again when the process goes on, or shortly after the cut has healed.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,6 +16,7 @@ from deploy.faults.faults import LINK_VERBS, Action
 from deploy.faults.links import Links
 from deploy.scenario import Scenario, agent_config
 from protocol.node import Alive, Gone
+from protocol.streams import stream
 from protocol.virtual import VirtualBus
 
 RECONNECT = 0.5  # s from the end of a cut to the new session
@@ -54,6 +55,9 @@ class Injector:
         if action.verb in LINK_VERBS:
             self._links.act(action)
             self._look_at_sessions()
+            return
+        if action.verb == "freeze":
+            self._freeze(action.value or 0.0)
             return
         for name in action.names:
             if action.verb == "join":
@@ -96,8 +100,32 @@ class Injector:
                 self._resume(label)
             case "slow":
                 self._bus.slow(label, value)
+            case "starve":
+                self._starve(label, value)
             case "jump":
                 self._bus.jump(label, -value if action.options.get("back") else value)
+
+    def _starve(self, label: str, share: float) -> None:
+        """Every round takes a period of the world, on average, divided by the share of the time that the agent gets; 0 ends it."""
+        run = self.scenario.run
+        rng = stream(run.seed, f"starve {label}")
+        mean = run.dt / run.rate / share if share > 0.0 else 0.0
+        self._bus.starve(label, (lambda: mean * float(0.5 + rng.random())) if share > 0.0 else None)
+
+    def _freeze(self, seconds: float) -> None:
+        """All nodes stand still. After more than the lease every session between agents is lost, and opened again."""
+        self._bus.freeze(seconds)
+        if seconds <= self.scenario.network.lease:
+            return
+        for pair in self._pairs():
+            for one, other in (pair, pair[::-1]):
+                agent = self.agents[one]
+                self._bus.announce(Gone("agent", agent.name, agent.incarnation), seconds, to=[other])
+            self._bus.call_later(seconds + RECONNECT, partial(self._see_if_there, *pair))
+
+    def _see_if_there(self, one: str, other: str) -> None:
+        if one in self.agents and other in self.agents and not self._cut(one, other):
+            self._see(one, other)
 
     def _join(self, name: str, sensor_class: str) -> None:
         if name in self._incarnations:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from deploy.faults.faults import SHARES, Action
+from deploy.faults.faults import Action
 from protocol.links import CLEAR, Condition, Ears, LinkConditions
 
 Direction = tuple[str, str]  # sender, receiver
@@ -56,7 +56,7 @@ class Links:
     def carry(self, sender: str, receiver: str, key: str, payload: bytes, now: float) -> Sequence[tuple[float, bytes]]:
         """(delay s, payload) of every copy that arrives (`protocol.virtual.Link`)."""
         ears = self._ears.get(receiver)
-        return ears.hear(sender, payload) if ears else [(0.0, payload)]
+        return ears.hear(sender, payload, now) if ears else [(0.0, payload)]
 
     def _partition(self, names: Sequence[str], kind: str) -> set[Direction]:
         """The directions that are cut between those meant and the rest."""
@@ -71,11 +71,11 @@ class Links:
         """Set the condition of every link from or to those meant."""
         changes: dict[str, float] = {name: float(value) for name, value in action.options.items()}
         changes[action.verb] = action.value or 0.0
-        if not action.value and action.verb not in SHARES:
+        if action.verb == "delay" and not action.value:
             changes["jitter"] = 0.0
         for direction in self._around(action.names):
             changed = msgspec.structs.replace(self._conditions.get(direction, CLEAR), **changes)
-            if msgspec.structs.replace(changed, burst=0.0, spread=CLEAR.spread) == CLEAR:
+            if msgspec.structs.replace(changed, burst=0.0, spread=CLEAR.spread, queue=CLEAR.queue) == CLEAR:
                 self._conditions.pop(direction, None)
             else:
                 self._conditions[direction] = changed
@@ -96,5 +96,6 @@ def describe(action: Action) -> str:
     if action.verb == "partition":
         kind = {"one-way": "nobody hears", "bridge": "cut off but for one bridge:"}.get(str(action.options.get("kind")), "cut off")
         return f"{kind} {who}"
-    amount = f"{action.value:g} s" if action.verb == "delay" else f"{100.0 * (action.value or 0.0):g} % of the messages"
-    return f"{action.verb} {amount} from and to {who}"
+    value = action.value or 0.0
+    amounts = {"delay": f"{value:g} s", "throttle": f"to {value:g} kbit/s" if value else "no more"}
+    return f"{action.verb} {amounts.get(action.verb, f'{100.0 * value:g} % of the messages')} from and to {who}"

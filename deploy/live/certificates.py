@@ -36,8 +36,8 @@ def make_keys(
 ) -> list[Path]:
     """The certificates made, one for each name, signed by the folder's authority, which is made when it is missing.
 
-    `hosts` are addresses beyond loopback under which the owners listen. Raises BadSetting for a name that cannot be one, for a host
-    that is none, unless `force` for a file that exists, and unless `in_git` for a folder in a git work tree.
+    `hosts` are addresses beyond loopback under which the owners listen. Raises BadSetting for a name or a host that cannot be one. It also
+    does for a file that exists, unless `force`, and for a folder in a git work tree, unless `in_git`.
     """
     tree = work_tree(folder)
     if tree is not None and not in_git:

@@ -1,7 +1,7 @@
 """One child process of a run: started, paused, resumed, killed, and looked at. Nothing here waits.
 
-A child ends with its supervisor whatever happens: its stdin is a pipe that only the supervisor holds, and it asks the kernel for
-SIGKILL when the thread that started it ends; so children are started from the main thread only.
+A child ends with its supervisor whatever happens. Its stdin is a pipe that only the supervisor holds, and it asks the kernel for SIGKILL
+when the thread that started it ends. So children are started from the main thread only.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from deploy.installation import ROOT, command, environment
 from deploy.live.zygote import Forked, Zygote
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, world_names
 from deploy.storage.run_directory import RunDirectory
 
 Spawn = Literal["zygote", "exec"]  # how agents are started
@@ -39,6 +39,7 @@ class Child:
     returncode: int | None = None  # of the newest incarnation; negative: the signal that ended it
     ended_at: float | None = None  # Unix time, for people only
     seen_stopped: bool = False  # since the last signal that was sent from here
+    body_of: str = ""  # the agent whose body it is; empty: it is none
     process: subprocess.Popen[bytes] | Forked | None = field(default=None, repr=False)
     zygote: Zygote | None = field(default=None, repr=False)  # forks it; None: it is executed
 
@@ -58,7 +59,9 @@ class Child:
         self.incarnation += 1
         self.paused, self.seen_stopped, self.returncode, self.ended_at = False, False, None, None
         config = self.directory.agents if self.room == "agents" else self.directory.config
-        words = ["--name", self.name, "--config", str(config), "--supervised"]
+        halt = str(self.directory.log(self.name).with_suffix(".halt"))
+        own = ["--body", self.body_of, "--keep", halt] if self.body_of else ["--name", self.name]
+        words = [*own, "--config", str(config), "--supervised"]
         words += ["--incarnation", str(self.incarnation), *self.arguments, *extra]
         if self.zygote is not None:
             with contextlib.suppress(OSError):  # a zygote that has died: the child is executed instead
@@ -157,7 +160,7 @@ def _message(line: str) -> str:
 
 def rooms(scenario: Scenario) -> dict[str, str]:
     """The processes of a run and the room that each is of."""
-    return {"world": "world", **dict.fromkeys(scenario.members, "agents")}
+    return {**dict.fromkeys(world_names(scenario), "world"), **dict.fromkeys(scenario.members, "agents")}
 
 
 def process_rows(children: Mapping[str, Child], members: Mapping[str, str], agents: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, world_names
 from protocol.endpoints import free_port
 from protocol.settings import BadSetting, NetworkSettings
 
@@ -17,7 +17,7 @@ def seed_listeners(scenario: Scenario) -> dict[str, str]:
         return {"monitor": scenario.network.listen[0]}
     if scenario.network.mode == "client":
         return {"monitor": f"tcp/127.0.0.1:{free_port()}"}
-    names = ["monitor", "world", *list(scenario.members)[:SEED_AGENTS]]
+    names = ["monitor", world_names(scenario)[0], *list(scenario.members)[:SEED_AGENTS]]
     ports: set[int] = set()
     while len(ports) < len(names):
         ports.add(free_port())

@@ -38,7 +38,7 @@ class Startup:
             if child.zygote is not None:
                 await self._prepare(child.zygote, tell)
             child.start()
-            if child.name == "world":
+            if child.room == "world":
                 self.expect()
         heard, end = 0, time.monotonic() + HOLD
         while loading.is_alive() or (time.monotonic() < end and not self._are_heard(first)):
@@ -60,11 +60,12 @@ class Startup:
             tell(f"the process that prepares agents has ended, see {log}; each agent starts by itself, and works slower")
 
     def expect(self) -> None:
-        """Tell the world to wait for all agents whose processes have not ended; so it needs no time limit."""
+        """Tell the world, or every body, to wait for all agents whose processes have not ended; so it needs no time limit."""
         if self._scorer.truth is None:
             ended = {child.name for child in self._children if child.returncode is not None}
-            world = next(child for child in self._children if child.name == "world")
-            world.tell(" ".join(name for name in self._members if name not in ended))
+            for child in self._children:
+                if child.room == "world":
+                    child.tell(" ".join(name for name in self._members if name not in ended))
 
     def _are_heard(self, children: list[Child]) -> bool:
         """Whether the monitor has heard all of these that run."""

@@ -22,7 +22,7 @@ from deploy.live.processes import Child, process_rows, rooms
 from deploy.live.seeds import endpoints, seed_listeners
 from deploy.live.startup import Startup
 from deploy.live.zygote import Zygote
-from deploy.scenario import FaultSettings, Scenario, check_names
+from deploy.scenario import FaultSettings, Scenario, bodies_of, check_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer, Status
 from deploy.storage.kept_runs import link_latest
@@ -58,7 +58,7 @@ class Supervisor:
         check_faults(scenario.faults, list(scenario.members), live=True, link_faults=scenario.network.link_faults)
         check_endpoints(scenario.network)
         check_names(scenario)
-        for name in ("monitor", "world", *scenario.members):
+        for name in ("monitor", *(() if bodies_of(scenario) else ("world",)), *scenario.members):
             check_files(scenario.network, name)
         self.directory = directory
         self.result: Result | None = None
@@ -84,6 +84,8 @@ class Supervisor:
         self._zygote = zygote
         for name in scenario.members:
             self.children[name].zygote = self._zygote
+        for name, body in bodies_of(scenario).items():
+            self.children[body].body_of = name
         self._start = Startup(list(scenario.members), list(self.children.values()), self.scorer, zygote, directory.log("zygote"))
         self._schedule = Schedule(scenario.run.seed, scenario.faults)
         self._links = Links(scenario.run.seed, list(scenario.members))
@@ -233,10 +235,14 @@ class Supervisor:
 
     def _on_death(self, child: Child) -> None:
         log.info("%s ended: %s", child.name, child.end(), extra={"tick": self.scorer.truth.tick if self.scorer.truth else None})
-        if child.name == "world" and child.returncode == 0:
+        if child.room == "world" and child.returncode == 0 and not any(other.is_running for other in self._others_of_the_world(child)):
             self._end(0)
             return
-        if child.returncode == EXIT_BAD_INPUT or (self.scorer.truth is None and child.returncode == 1):
+        if child.body_of and child.returncode == 0:
+            return
+        if (child.returncode == EXIT_BAD_INPUT and not self._others_of_the_world(child)) or (
+            self.scorer.truth is None and child.returncode == 1
+        ):
             self._fail(BadSetting(child.last_log_line() or f"{child.name} ended with {child.end()}"))
         if self.scorer.truth is None and self.scenario.run.strict:
             why = self._start.waiting() if child.name == "world" else f"{child.name} died: {child.end()}"
@@ -244,7 +250,7 @@ class Supervisor:
         self._start.expect()
         self._note_pauses("kill", [child.name])
         words = f"{child.name} died: {child.end()}"
-        if child.crashed:
+        if child.crashed or child.returncode == EXIT_BAD_INPUT:
             self.crashed.append(child.name)
             words += f": {child.last_log_line()}"
         if child.name == "world":
@@ -252,6 +258,14 @@ class Supervisor:
             otherwise = "Ctrl-C ends the run" if self._attended else f"after {WORLD_SECONDS:.0f} s without it the run ends"
             words += f"; the swarm stands still until `covey restart world --run {self.directory.name}`, {otherwise}"
         self._tell(words)
+
+    def _others_of_the_world(self, child: Child) -> list[Child]:
+        """The other bodies that have not failed, of a body; none where one world has all bodies."""
+        return [
+            other
+            for other in self.children.values()
+            if child.body_of and other.body_of and other is not child and other.returncode != EXIT_BAD_INPUT
+        ]
 
     def _fail(self, error: Exception) -> None:
         if self._over is not None and not self._over.done():
@@ -358,7 +372,7 @@ class Supervisor:
             child.poll()
         if child.name == "world":
             self._still_since = None
-        if child.name == "world" and self.scorer.truth is not None:
+        if child.room == "world" and self.scorer.truth is not None:
             self.directory.truth.write_bytes(encode(self.scorer.truth))
             child.start("--restore", str(self.directory.truth))
         else:

@@ -12,7 +12,7 @@ from typing import Literal
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
 from agents.compiled.cache import compiled_before, loops_on_disk, tidy
-from agents.config import AgentConfig, TimingSettings
+from agents.config import AgentConfig, ControlSettings, TimingSettings
 from deploy.installation import ROOT, command
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Started, Timer, received
@@ -91,10 +91,12 @@ def _one_by_one() -> Iterator[None]:
 
 
 def _play_all(backend: Backend) -> None:
-    interests: tuple[Literal["all", "neighbours"], ...] = ("all", "neighbours")
-    for interest in interests:
+    played: tuple[tuple[Literal["all", "neighbours"], str], ...]
+    played = ("all", "lloyd"), ("neighbours", "lloyd"), ("all", "search-and-track")
+    for interest, law in played:
         arena, timing = ArenaSettings(width=15.0, height=15.0), TimingSettings(interest=interest)  # in some round both hear the same
-        _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing), backend)
+        control = ControlSettings(mode=law)
+        _play(AgentConfig(members=dict.fromkeys(NAMES, "A"), arena=arena, timing=timing, control=control), backend)
 
 
 def _play(config: AgentConfig, backend: Backend) -> None:

@@ -1,7 +1,8 @@
 """What goes to a browser: a greeting with everything that a newcomer needs, then frames, each of which stands for itself.
 
 A frame is binary: the length of a JSON text (uint32, little-endian), the text, and the density of the PHD as bytes, row by row from
-the south: 255 x (1 - exp(-density / 0.25 per m^2)) per square of the grid. A frame that is lost is lost: the next one says it all.
+the south: 255 x (1 - exp(-density / full)) per square of the grid, full = min(0.25 per m^2, 0.15 per square). A frame that is lost is
+lost: the next one says it all. A comparison has a second moment, `beside`, and a second density after the first.
 """
 
 import math
@@ -12,12 +13,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deploy.page.picture import Happening, KnownAgent, Picture
+from deploy.page.picture import Happening, KnownAgent, Picture, silent_after
 from deploy.scoring.scorer import Score
 from protocol.keys import order
+from protocol.messages import Estimate
 
 LONGEST_SIDE = 128  # squares of the density grid
-FULL_DENSITY = 0.25  # expected targets per m^2 at which the grid is at 63 % of its range
+FULL_DENSITY = 0.25  # expected targets per m^2 at which the grid is at 63 % of its range,
+FULL_SQUARE = 0.15  # or so many in a square of the grid, where squares are larger than those of 100 m
 RECENT = 30  # happenings that every frame repeats
 MOST_POINTS = 1200  # of a curve in a greeting
 MOST_PARTICLES = 3000  # of one agent's belief
@@ -38,6 +41,7 @@ def greeting(picture: Picture, scores: Sequence[Score], about: dict[str, Any]) -
         "ticks": run.ticks,
         "partition": picture.scenario.partition.kind,
         "arena": [arena.width, arena.height],
+        "silent": silent_after(picture.scenario) * run.dt,
         "agents": [_outfit(known) for known in picture.agents.values()],
         "curves": curves(scores),
         "happenings": [_happening(one) for one in picture.happenings],
@@ -47,13 +51,23 @@ def greeting(picture: Picture, scores: Sequence[Score], about: dict[str, Any]) -
     return _encode(data)
 
 
-def frame(picture: Picture, score: Score | None, extra: dict[str, Any]) -> bytes:
-    """The picture of this moment."""
-    data = {**moment(picture, score), **extra}
+def frame(picture: Picture, score: Score | None, extra: dict[str, Any], beside: tuple[Picture, Score | None] | None = None) -> bytes:
+    """The picture of this moment, and that of a second swarm beside it where there is one."""
+    data, density = _drawn(picture, score)
+    data.update(extra)
+    if beside is not None:
+        data["beside"], other = _drawn(*beside)
+        density += other
+    text = _encode(data)
+    return struct.pack("<I", len(text)) + text + density
+
+
+def _drawn(picture: Picture, score: Score | None) -> tuple[dict[str, Any], bytes]:
+    """The two parts of a frame: what is said in JSON, and the density."""
+    data = moment(picture, score)
     density, size, square = density_grid(picture)
     data["grid"] = [*size, square]
-    text = _encode(data)
-    return struct.pack("<I", len(text)) + text + density.tobytes()
+    return data, density.tobytes()
 
 
 def moment(picture: Picture, score: Score | None) -> dict[str, Any]:
@@ -108,7 +122,8 @@ def density_grid(picture: Picture) -> tuple[np.ndarray, tuple[int, int], float]:
     row = np.clip((particles[:, 1] / square).astype(int), 0, rows - 1)
     mass = np.bincount(row * columns + column, weights=particles[:, 2], minlength=rows * columns).reshape(rows, columns)
     smooth = _blurred(_blurred(mass, 0), 1) / square**2
-    return np.rint(255.0 * (1.0 - np.exp(-smooth / FULL_DENSITY))).astype(np.uint8), (columns, rows), square
+    full = min(FULL_DENSITY, FULL_SQUARE / square**2)
+    return np.rint(255.0 * (1.0 - np.exp(-smooth / full))).astype(np.uint8), (columns, rows), square
 
 
 def _blurred(grid: np.ndarray, axis: int) -> np.ndarray:
@@ -132,12 +147,16 @@ def _agent(picture: Picture, known: KnownAgent) -> dict[str, Any]:
     data: dict[str, Any] = {"name": known.name, "state": known.state, "incarnation": known.incarnation, "age": picture.age(known)}
     data["pose"] = [round(pose[0], 2), round(pose[1], 2), round(pose[2], 3)] if pose else None
     if gossip is not None:
-        data["seen"] = _flat(gossip.detections) if known.alive else []
+        data["seen"] = _flat(known.places(gossip)) if known.alive else []
+        data["said"] = gossip.tick
         data["cod"], data["radius"] = [round(gossip.cod[0], 2), round(gossip.cod[1], 2)], round(gossip.power_radius, 2)
     if estimate is not None:
         rejected = sum(count for name, count in estimate.counters.items() if name.startswith("rejected."))
         data["cell"] = _flat(estimate.cell) if known.alive else []
         data["targets"] = _flat(estimate.targets) if known.alive else []
+        data["neighbours"] = estimate.neighbours
+        data["labels"] = estimate.labels.tolist() if known.alive else []
+        data["velocities"] = _flat(estimate.details[:, :2]) if known.alive else []
         data["unused"], data["load"], data["mass"] = round(estimate.unused, 2), round(estimate.load, 3), round(estimate.mass, 3)
         data["skipped"], data["late"] = estimate.counters.get("skipped", 0), estimate.counters.get("late", 0)
         data["ms"], data["rejected"] = round(1000.0 * estimate.round_seconds, 2), rejected + known.rejected
@@ -145,34 +164,34 @@ def _agent(picture: Picture, known: KnownAgent) -> dict[str, Any]:
 
 
 def belief(picture: Picture, name: str) -> dict[str, Any] | None:
-    """The belief of one agent: its claim, the positions of its neighbours, its particles; None for an unknown name."""
+    """The belief of one agent at the tick that is drawn: its claim, its cell, its particles; None for an unknown name."""
     known = picture.agents.get(name)
     if known is None:
         return None
-    estimate, gossip = known.estimate, known.gossip
+    gossip, (seen, estimate) = picture.outcome(known), picture.said(known)
     data: dict[str, Any] = {"name": name, "class": known.sensor_class, "state": known.state, "incarnation": known.incarnation}
     data["age"] = picture.age(known)
     if gossip is not None:
-        step = max(1, math.ceil(len(gossip.states) / MOST_PARTICLES))
+        states = gossip.states if len(gossip.states) else gossip.components["mean"]
+        step = max(1, math.ceil(len(states) / MOST_PARTICLES))
         places = [round_pair(place) for place in gossip.claim.tolist()]
         data["claim"] = [{"name": who, "at": place[:2], "radius": place[2]} for who, place in zip(gossip.claim_names, places)]
-        data["particles"], data["weight"] = _flat(gossip.states[::step, :2]), gossip.weight
-        data["detections"], data["listening"] = _flat(gossip.detections), gossip.listening
+        data["particles"], data["weight"] = _flat(states[::step, :2]), gossip.weight
+        data["detections"], data["listening"] = _flat(known.places(seen or gossip)), gossip.listening
     if estimate is not None:
         data["neighbours"] = sorted(estimate.neighbours, key=order)
         data["cell"], data["targets"] = _flat(estimate.cell), _flat(estimate.targets)
         data["unused"], data["load"], data["mass"] = estimate.unused, estimate.load, estimate.mass
         data["counters"], data["tick"] = estimate.counters, estimate.tick
-        data["agree"] = agreement(picture, known)
+        data["agree"] = agreement(picture, estimate)
     return data
 
 
-def agreement(picture: Picture, known: KnownAgent) -> list[int]:
-    """How many live agents cut the same diagram as this one in its newest tick, and how many have spoken of that tick."""
-    mine = known.estimate
-    others = [other.estimate for other in picture.agents.values() if other.alive and other.estimate is not None]
-    same_tick = [estimate for estimate in others if mine is not None and estimate.tick == mine.tick]
-    return [sum(estimate.view == mine.view for estimate in same_tick if mine), len(same_tick)]
+def agreement(picture: Picture, mine: Estimate) -> list[int]:
+    """How many live agents cut the same diagram as the sender of an estimate in its tick, and how many have spoken of that tick."""
+    others = [other.estimates.get(mine.tick) for other in picture.agents.values() if other.alive]
+    spoken = [estimate for estimate in others if estimate is not None]
+    return [sum(estimate.view == mine.view for estimate in spoken), len(spoken)]
 
 
 def round_pair(values: Sequence[float]) -> list[float]:

@@ -12,12 +12,14 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from agents.tracking.gaussians import points, unpacked
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
 from protocol.keys import order
+from protocol.measuring import places_of
 from protocol.messages import Estimate, Gossip, Hello, Observation, Truth
 from protocol.node import Alive, Event, Gone, Received, Rejected
-from protocol.sensing import SensorModel
+from protocol.sensing import SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
 
 TRAIL = 12.0  # s of the world that trails reach back
@@ -63,6 +65,12 @@ class KnownAgent:
     estimates: dict[int, Estimate] = field(default_factory=dict)
     rejected: int = 0  # what watchers had to reject of what came under its name
     state: str = "waiting"  # waiting, alive, listening, silent, paused, dead
+
+    def places(self, gossip: Gossip) -> np.ndarray:
+        """The places of the detections in one of its gossips (M, 2), m."""
+        if self.sensor is None:
+            return gossip.detections
+        return places_of(measurement_of(self.sensor), self.sensor.reach, gossip.pose, gossip.detections)
 
     def forget(self) -> None:
         """Forget what it has said."""
@@ -204,6 +212,10 @@ class Picture:
             return known.gossip, known.estimate
         return up_to(known.gossips, self.shown.tick), up_to(known.estimates, self.shown.tick)
 
+    def outcome(self, known: KnownAgent) -> Gossip | None:
+        """What an agent has made of the tick that is drawn: the gossip of a tick carries the particles and the claim of the one before."""
+        return up_to(known.gossips, self.shown.tick + 1) if self.shown else known.gossip
+
     def age(self, known: KnownAgent) -> float | None:
         """Age of the newest gossip of an agent, s of world time; None without one."""
         if known.gossip is None or self.truth is None:
@@ -211,15 +223,15 @@ class Picture:
         return max(0, self.truth.tick - known.gossip.tick) * self.scenario.run.dt
 
     def particles(self) -> np.ndarray:
-        """Every particle that a live agent owned after the tick that is drawn, (N, 3): x, y in m, weight in expected targets.
-
-        The gossip of a tick carries the particles of the tick before.
-        """
+        """Every particle or node of a component that a live agent owned after the tick that is drawn, (N, 3): x, y in m, weight."""
         parts = []
         for known in self.agents.values():
-            gossip = up_to(known.gossips, self.shown.tick + 1) if self.shown else known.gossip
+            gossip = self.outcome(known)
             if known.alive and gossip is not None and len(gossip.states):
                 parts.append(np.column_stack([gossip.states[:, :2], np.full(len(gossip.states), gossip.weight)]))
+            if known.alive and gossip is not None and len(gossip.components):
+                spread = points(unpacked(gossip.components))
+                parts.append(np.column_stack([spread.states[:, :2], spread.weights]))
         return np.concatenate(parts) if parts else np.empty((0, 3))
 
     def _hear(self, message: object) -> None:

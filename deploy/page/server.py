@@ -178,7 +178,7 @@ class PageServer:
         if state == self._shown and (picture.version == self._version or now - self._shown_at < IDLE_PERIOD):
             return
         self._shown, self._version, self._shown_at = state, picture.version, now
-        data = frame(picture, score, extra)
+        data = frame(picture, score, extra, self.source.beside())
         self.figures.frames += 1
         self.figures.frame_bytes += len(data)
         for client in self._clients:
@@ -248,7 +248,7 @@ class PageServer:
                     if client.roster_version != self.source.picture.roster_version:
                         client.roster_version = self.source.picture.roster_version
                         await client.socket.send_str(self._greeting())
-                        client.frame = client.frame or frame(self.source.picture, self.source.score(), self._extra())
+                        client.frame = client.frame or frame(self.source.picture, self.source.score(), self._extra(), self.source.beside())
                     data, client.frame = client.frame, None
                     if data is not None:
                         await client.socket.send_bytes(data)

@@ -18,6 +18,13 @@ STATE_PERIOD = 1.0  # s between two status requests
 BUTTONS = ("kill", "pause", "resume", "restart", "partition", "heal")
 
 
+def number_of(value: object, least: float, most: float) -> float:
+    """A number that a browser sends; raises BadSetting unless it is one between the bounds."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+        raise BadSetting(f"{value!r}: should be a number from {least:g} to {most:g}")
+    return float(value)
+
+
 class Source(Protocol):
     """What the server needs of a source."""
 
@@ -30,6 +37,9 @@ class Source(Protocol):
 
     def score(self) -> Score | None:
         """The score of the moment that the picture shows."""
+
+    def beside(self) -> tuple[Picture, Score | None] | None:
+        """A second swarm in the same arena and at the same tick, and its score; None: there is none."""
 
     def about(self, may_act: bool) -> dict[str, Any]:
         """What a newcomer must know: the kind of source, and what may be clicked."""
@@ -47,12 +57,14 @@ class Source(Protocol):
 class LiveSource:
     """A running swarm. The driver of the scorer feeds the picture; the supervisor, if it can be reached, carries out clicks."""
 
-    def __init__(self, scorer: Scorer, picture: Picture, directory: RunDirectory | None) -> None:
+    def __init__(self, scorer: Scorer, picture: Picture, directory: RunDirectory | None, tour: bool = False) -> None:
+        """`tour`: newcomers are offered the guided tour."""
         self.picture = picture
         self.jumps = 0
         self.period = FRAME_PERIOD
         self._scorer = scorer
         self._directory = directory
+        self._tour = tour
         self._look_again = asyncio.Event()
         self._faults = 0  # of the supervisor's list that stand on the time line
         self._waiting = ""  # what the first tick waits for
@@ -64,9 +76,12 @@ class LiveSource:
         """The last but one: when a tick has been scored, all has been heard of the one before, its particles included."""
         return self._scorer.scores[-2] if len(self._scorer.scores) > 1 else None
 
+    def beside(self) -> None:
+        return None
+
     def about(self, may_act: bool) -> dict[str, Any]:
         possible = [verb for verb in BUTTONS if verb not in LINK_VERBS or self.picture.scenario.network.link_faults]
-        return {"source": "live", "verbs": possible if may_act and self._directory else []}
+        return {"source": "live", "verbs": possible if may_act and self._directory else [], "tour": self._tour}
 
     def extra(self) -> dict[str, Any]:
         if self._waiting and self.picture.truth is None:

@@ -1,13 +1,14 @@
 """The figure and the tables of the robustness study.
 
 curves.csv holds a line for each bout and tick, bouts.csv one for each bout, robustness.csv the medians over the seeds. The figure has a
-panel that says how much of the swarm can die, and one for each kind of fault with OSPA around it: medians over the seeds, and bands
-between the quartiles.
+panel that says how much of the swarm can die, and one for each kind of fault with OSPA around it.
+Lines are medians over the seeds, bands lie between the quartiles.
 """
 
 import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
@@ -19,13 +20,29 @@ from deploy.studies.robustness import NONE, Row, curve, summary, table
 SHOWN: dict[str, tuple[float, ...]] = {  # as curves
     "kill": (0.1, 0.3, 0.5),
     "loss": (0.1, 0.3, 0.5),
+    "bursts": (0.1, 0.3, 0.5),
     "delay": (0.1, 0.5, 2.0),
+    "throttle": (128.0, 64.0, 32.0),
     "partition": (3.0, 6.0, 12.0),
 }
 COLOURS = ("#f4a736", "#cf3d2e", "#5e0b3f")  # from the least to the worst level
 GREY = "#8a8a8a"
-LABELS = {"kill": "{:.0%} killed", "loss": "{:.0%} lost", "delay": "{:g} s late", "partition": "for {:g} s"}
-TITLES = {"kill": "deaths", "loss": "messages lost", "delay": "messages delayed", "partition": "cut in two halves"}
+LABELS = {
+    "kill": "{:.0%} killed",
+    "loss": "{:.0%} lost",
+    "bursts": "{:.0%} lost",
+    "delay": "{:g} s late",
+    "throttle": "{:g} kbit/s",
+    "partition": "for {:g} s",
+}
+TITLES = {
+    "kill": "deaths",
+    "loss": "messages lost",
+    "bursts": "messages lost in bursts",
+    "delay": "messages delayed",
+    "throttle": "little bandwidth",
+    "partition": "cut in two halves",
+}
 BEFORE, AFTER = 20.0, 60.0  # s that are shown
 SMOOTH = 3.0  # s of the running mean, for the eye
 
@@ -63,7 +80,7 @@ def draw(rows: Sequence[Row], stem: Path) -> list[Path]:
         top = max(panels[kind].get_ylim()[1] for kind in kinds)
         for kind in kinds:
             panels[kind].set_ylim(0.0, top)
-        for letter, panel in zip("abcde", panels.values()):
+        for letter, panel in zip(ascii_lowercase, panels.values()):
             panel.set_title(f"({letter}) {panel.get_title()}", loc="left")
             panel.set_title("")
             panel.grid(axis="y", linewidth=0.3, color="#cccccc")
@@ -73,10 +90,11 @@ def draw(rows: Sequence[Row], stem: Path) -> list[Path]:
 
 
 def mosaic(kinds: Sequence[str]) -> list[list[str]]:
-    """Which panel stands where, in rows of six places: deaths above, with two panels; the other kinds of faults below."""
+    """Which panel stands where, in rows of six places: deaths above, with two panels; the other kinds of faults below, three in a row."""
     others = [kind for kind in kinds if kind != "kill"]
     above = [["deaths"] * 4 + ["kill"] * 2] if "kill" in kinds else []
-    return above + ([[kind for kind in others for _ in range(6 // len(others))]] if others else [])
+    rows = [others[start : start + 3] for start in range(0, len(others), 3)]
+    return above + [[kind for kind in row for _ in range(6 // len(row))] for row in rows]
 
 
 def _deaths(panel: Axes, cells: Sequence[Row]) -> None:

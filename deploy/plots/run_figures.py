@@ -4,7 +4,7 @@ Drawn from a recording with matplotlib, in a style for a column of a paper (PDF 
 """
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
+from PIL import Image, ImageColor  # comes with matplotlib
 
 from deploy.page.frames import density_grid
 from deploy.page.picture import Picture
@@ -40,6 +41,8 @@ TARGET, ESTIMATE, GONE = "#111111", "#c1121f", "#8a949e"
 PANEL = 2.35  # in, of a panel's side
 FRAMES_PER_SECOND = 10
 MOST_FRAMES = 600
+FILM_DPI = 100.0
+COLOURS = 84  # of a GIF, beside those of cells, targets and estimates
 
 
 @dataclass
@@ -131,7 +134,7 @@ def draw_moment(axes: Axes, picture: Picture) -> None:
         if known.alive and pose is not None and known.sensor is not None:
             axes.fill(*known.sensor.footprint(pose).T, facecolor=colour, alpha=0.1, edgecolor=colour, linewidth=0.4, zorder=2)
         if pose is not None:
-            _body(axes, pose, colour if known.alive else GONE)
+            _body(axes, pose, colour, known.alive)
         if known.alive and estimate is not None:
             axes.plot(*estimate.targets.T, "x", color=ESTIMATE, markersize=4.0, markeredgewidth=1.0, zorder=6)
     if picture.shown is not None:
@@ -149,7 +152,7 @@ def draw_trajectories(axes: Axes, picture: Picture, ways: Trajectories) -> None:
         if body and pose:
             axes.plot(*np.array(body).T, color=colour, linewidth=0.8, zorder=3)
             axes.plot(*body[0], ".", color=colour, markersize=3.0, zorder=3)
-            _body(axes, pose, colour if known.alive else GONE)
+            _body(axes, pose, colour, known.alive)
 
 
 def _arena(axes: Axes, picture: Picture) -> None:
@@ -160,9 +163,11 @@ def _arena(axes: Axes, picture: Picture) -> None:
     axes.tick_params(direction="in", top=True, right=True, length=2.0)
 
 
-def _body(axes: Axes, pose: tuple[float, float, float], colour: str) -> None:
-    marker = MarkerStyle(_ARROW).rotated(rad=pose[2])
-    axes.plot(pose[0], pose[1], marker=marker, color=colour, markersize=5.5, markeredgecolor="white", markeredgewidth=0.4, zorder=7)
+def _body(axes: Axes, pose: tuple[float, float, float], colour: str, alive: bool) -> None:
+    """An arrow for a living body, a grey cross for a dead one."""
+    marker = MarkerStyle(_ARROW).rotated(rad=pose[2]) if alive else MarkerStyle("X")
+    shade = colour if alive else GONE
+    axes.plot(pose[0], pose[1], marker=marker, color=shade, markersize=8.0, markeredgecolor="white", markeredgewidth=0.4, zorder=7)
 
 
 _ARROW = np.array([[1.2, 0.0], [-0.9, 0.75], [-0.5, 0.0], [-0.9, -0.75], [1.2, 0.0]])
@@ -172,7 +177,7 @@ def _legend() -> list[Line2D]:
     arrow = MarkerStyle(_ARROW)
     return [
         Line2D([], [], color=MUTED[0], marker=arrow, markersize=6.0, linestyle="none", label="sensor, its cell and footprint"),
-        Line2D([], [], color=GONE, marker=arrow, markersize=6.0, linestyle="none", label="dead"),
+        Line2D([], [], color=GONE, marker="X", markersize=6.0, linestyle="none", label="dead"),
         Line2D([], [], color=TARGET, marker="o", markerfacecolor="none", markersize=5.0, linestyle="none", label="target"),
         Line2D([], [], color=ESTIMATE, marker="x", markersize=4.5, linestyle="none", label="estimate"),
         Line2D([], [], color="#15336e", marker="s", alpha=0.6, markersize=5.0, linestyle="none", label="density of the PHD"),
@@ -190,17 +195,20 @@ def write_figure(recording: Recording, folder: Path) -> list[Path]:
     return files
 
 
-def write_animation(recording: Recording, folder: Path) -> Path:
-    """Write the run as `run.mp4` where ffmpeg is installed, as `run.gif` elsewhere; ten pictures a second, 600 at most."""
+def write_animation(recording: Recording, folder: Path, progress: Callable[[int, int], None] = lambda done, ticks: None) -> Path:
+    """Write the run as `run.mp4` where ffmpeg is installed, as `run.gif` elsewhere; ten pictures a second, 600 at most.
+
+    `progress` is called with (ticks done, ticks in all).
+    """
     folder.mkdir(parents=True, exist_ok=True)
     with_film = shutil.which("ffmpeg") is not None
     file = folder / ("run.mp4" if with_film else "run.gif")
     every = max(1, -(-recording.scenario.run.ticks // MOST_FRAMES), round(0.5 / recording.scenario.run.dt))
-    with matplotlib.rc_context({**STYLE, "figure.dpi": 110.0}):
-        figure = Figure(figsize=(4.6, 4.8), layout="constrained")
+    with matplotlib.rc_context({**STYLE, "figure.dpi": FILM_DPI}):
+        figure = Figure(figsize=(4.0, 4.2), layout="constrained")
         axes = figure.subplots()
-        writer = animation.FFMpegWriter(FRAMES_PER_SECOND) if with_film else animation.PillowWriter(FRAMES_PER_SECOND)
-        with writer.saving(figure, str(file), dpi=110):
+        writer = animation.FFMpegWriter(FRAMES_PER_SECOND) if with_film else SmallGif(FRAMES_PER_SECOND)
+        with writer.saving(figure, str(file), dpi=FILM_DPI):
             for picture in pictures(recording):
                 assert picture.shown is not None
                 if picture.shown.tick % every == 0:
@@ -208,4 +216,25 @@ def write_animation(recording: Recording, folder: Path) -> Path:
                     draw_moment(axes, picture)
                     axes.set_title(f"t = {picture.shown.time:.1f} s")
                     writer.grab_frame()
+                    progress(picture.shown.tick + 1, recording.scenario.run.ticks)
     return file
+
+
+class SmallGif(animation.PillowWriter):
+    """A GIF whose frames share one palette: what does not change from frame to frame takes no room, a third of the bytes in all."""
+
+    _frames: list[Image.Image]
+
+    def finish(self) -> None:
+        """Write the file."""
+        frames = [frame.convert("RGB") for frame in self._frames]
+        width, height = frames[0].size
+        sample = Image.new("RGB", (width, 4 * height))
+        for place in range(4):
+            sample.paste(frames[place * len(frames) // 4], (0, place * height))
+        common = sample.quantize(COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or []
+        drawn = [ImageColor.getrgb(colour) for colour in (*MUTED, TARGET, ESTIMATE, GONE)]  # thin lines are too few pixels to be counted
+        palette = Image.new("P", (1, 1))
+        palette.putpalette([*common[: 3 * COLOURS], *(part for colour in drawn for part in colour[:3])])
+        flat = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+        flat[0].save(self.outfile, save_all=True, append_images=flat[1:], duration=round(1000 / self.fps), loop=0)

@@ -66,8 +66,10 @@ def scene(picture: Picture, time: float) -> Json:
     if picture.shown is not None:
         entities.append(_entity("targets", stamp, spheres=[_ball(place, 0.8, (1.0, 1.0, 1.0, 0.9)) for place in picture.shown.targets]))
     said = [picture.said(known)[1] for known in picture.agents.values() if known.alive]
-    places = [place for estimate in said if estimate is not None for place in estimate.targets]
-    entities.append(_entity("estimates", stamp, spheres=[_ball(place, 0.55, (1.0, 0.69, 0.0, 1.0)) for place in places]))
+    found = [(place, label) for one in said if one is not None for place, label in zip(one.targets.tolist(), one.labels.tolist())]
+    spheres = [_ball(place, 0.55, (1.0, 0.69, 0.0, 1.0)) for place, _ in found]
+    names = [_text((x, y + 0.8), str(label), 0.7) for (x, y), label in found if label]
+    entities.append(_entity("estimates", stamp, spheres=spheres, texts=names))
     return {"deletions": gone, "entities": entities}
 
 
@@ -80,9 +82,13 @@ def _agent(picture: Picture, name: str, pose: tuple[float, float, float], colour
     turn = {"x": 0.0, "y": 0.0, "z": math.sin(pose[2] / 2.0), "w": math.cos(pose[2] / 2.0)}
     sizes = {"shaft_length": 0.8, "shaft_diameter": 0.3, "head_length": 0.6, "head_diameter": 0.7}
     arrow = {"pose": {"position": _point(pose), "orientation": turn}, **sizes, "color": _named(colour)}
-    text = {"pose": _still((pose[0], pose[1] + 1.2)), "billboard": True, "font_size": 1.1, "scale_invariant": False}
-    label = {**text, "color": _named((1.0, 1.0, 1.0, 1.0)), "text": name}
-    return _entity(f"agent {name}", stamp, lines=lines, arrows=[arrow], texts=[label])
+    return _entity(f"agent {name}", stamp, lines=lines, arrows=[arrow], texts=[_text((pose[0], pose[1] + 1.2), name, 1.1)])
+
+
+def _text(place: tuple[float, float], text: str, size: float) -> Json:
+    """White text of `size` m that faces the reader."""
+    shape = {"pose": _still(place), "billboard": True, "font_size": size, "scale_invariant": False}
+    return {**shape, "color": _named((1.0, 1.0, 1.0, 1.0)), "text": text}
 
 
 def _entity(

@@ -31,7 +31,7 @@ class Moment(NamedTuple):
 
 def moments(recording: Recording) -> Iterator[Moment]:
     """Every tick but the last."""
-    scorer, picture = Scorer(recording.scenario), Picture(recording.scenario)
+    scorer, picture = Scorer(recording.scenario, recorded=True), Picture(recording.scenario)
 
     def show(event: Event, now: float) -> None:
         scorer.handle(event, now)

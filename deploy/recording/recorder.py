@@ -1,9 +1,9 @@
 """The recorder: everything that is heard goes into an MCAP file, the bytes as they were on the wire.
 
-One channel per key expression, its schema attached; the resolved scenario stands at the head of the file. The log time of a message
-is the world's time in ns when it was heard, so that a recording has one clock whatever the run's pace was; the publish time is the
-wall clock's (Unix time, whole ms). A liveliness token is recorded under its key as the map {"alive": true or false}. A fault that does
-not show by itself, such as a cut between agents, is a metadata record of its own.
+One channel per key expression, its schema attached; the resolved scenario stands at the head of the file. The log time of a message is the
+world's time in ns when it was heard, so that a recording has one clock whatever the run's pace was. The publish time is the wall clock's
+(Unix time, whole ms). A liveliness token is recorded under its key as the map {"alive": true or false}. A fault that does not show by
+itself, such as a cut between agents, is a metadata record of its own.
 
 What is heard reaches the file after 0.9 s at the latest, as a small chunk: a recorder that is killed loses less than a second. When 5 s
 of the world have passed, one large chunk takes the place of the small ones: the file is 8 % smaller, its index a fifth as long.
@@ -26,9 +26,11 @@ from deploy.installation import versions
 from deploy.recording.crash_safe_file import GrowingFile
 from deploy.scenario import Scenario, toml_text
 from deploy.scoring.result import Fault
+from deploy.scoring.scorer import witness_of
+from protocol.codec import encode
 from protocol.keys import all_of, message_key, token_key
 from protocol.messages import KINDS, Truth
-from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 
 FLUSH_SECONDS = 0.9
 CHUNK_SECONDS = 5.0  # of the world; larger chunks save nothing more
@@ -199,9 +201,10 @@ class RecorderNode(Node):
     role = "recorder"
     incarnation = 1
 
-    def __init__(self, recorder: Recorder, run: str, name: str) -> None:
-        self.run, self.name = run, name
+    def __init__(self, recorder: Recorder, scenario: Scenario, name: str) -> None:
+        self.run, self.name = scenario.run.name, name
         self._recorder = recorder
+        self._witness = witness_of(scenario, "monitor", self.incarnation)
         self._due: float | None = None
 
     def deadline(self) -> float | None:
@@ -214,6 +217,8 @@ class RecorderNode(Node):
             self._due = now + FLUSH_SECONDS
             return [Subscribe(all_of(self.run, kind)) for kind in KINDS]
         self._recorder.see(event, now)
+        for truth in self._witness.take(event) if self._witness is not None else ():
+            self._recorder.see(received(truth, payloads=(encode(truth),)), now)
         if self._due is not None and now >= self._due:
             self._due = now + FLUSH_SECONDS
             self._recorder.flush(FLUSH_SECONDS)
@@ -225,5 +230,5 @@ def message_schema(kind: str) -> dict[str, Any]:
     message = KINDS[kind]
     whole = msgspec.json.schema(message)
     schema: dict[str, Any] = {**whole["$defs"][message.__name__], "$defs": whole["$defs"]}
-    schema["$comment"] = "msgpack map; arrays are little-endian bytes, see docs/protocol.md"
+    schema["$comment"] = "msgpack map; arrays are little-endian bytes, see docs/reference/protocol.md"
     return schema

@@ -6,12 +6,14 @@ line, so that the curves are complete before they are played.
 
 import asyncio
 import bisect
+import math
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from deploy.page.picture import TRAIL, Picture, paused_after
+from deploy.page.source import number_of
 from deploy.recording.recording import RecordedEntry, Recording, event_of
 from deploy.recording.rescore import rescore_slowly
 from deploy.scoring.scorer import Score, Scorer
@@ -38,7 +40,7 @@ class ReplaySource:
         self.outbox: deque[Message] | None = None  # played messages that wait for publication
         self.playing, self.speed = playing, speed
         self._recording = recording
-        self._scorer = Scorer(recording.scenario)
+        self._scorer = Scorer(recording.scenario, recorded=True)
         self._historian = Picture(recording.scenario)
         self._scan: Iterator[float] | None = rescore_slowly(recording, self._scorer)
         self._scorer.on_event = self._historian.see
@@ -64,11 +66,15 @@ class ReplaySource:
         at = bisect.bisect_left(scores, truth.tick - 1, key=lambda score: score.tick)
         return scores[at] if at < len(scores) and scores[at].tick <= truth.tick else None
 
+    def beside(self) -> None:
+        return None
+
     def about(self, may_act: bool) -> dict[str, Any]:
         return {"source": "replay", "verbs": []}
 
     def extra(self) -> dict[str, Any]:
-        return {"play": {"playing": self.playing, "speed": self.speed, "scanned": self.is_scanned}}
+        tick = math.floor(self.clock / self.picture.scenario.run.dt + 1e-9) * self.picture.scenario.run.dt  # a finer clock would be a frame
+        return {"play": {"playing": self.playing, "speed": self.speed, "scanned": self.is_scanned, "clock": round(tick, 2)}}
 
     async def ask(self, request: dict[str, Any]) -> str:
         """{"play": true}, {"seek": 12.5} or {"speed": 10}."""
@@ -77,9 +83,9 @@ class ReplaySource:
             if self.playing and self.clock >= self._recording.seconds:
                 self.seek(0.0)
         elif "seek" in request:
-            self.seek(_number(request["seek"], 0.0, 1e12))
+            self.seek(number_of(request["seek"], 0.0, 1e12))
         elif "speed" in request:
-            self.speed = _number(request["speed"], *SPEEDS)
+            self.speed = number_of(request["speed"], *SPEEDS)
         else:
             raise BadSetting("a replay knows play, seek and speed")
         return ""
@@ -177,10 +183,3 @@ def _is_talk(entry: RecordedEntry) -> bool:
     """Whether it is a message of or to an agent: neither the truth nor a token."""
     parts = parse_message_key(entry.key)
     return parts is not None and parts.kind != "truth"
-
-
-def _number(value: object, least: float, most: float) -> float:
-    """A number from outside; raises BadSetting unless it is one between the bounds."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-        raise BadSetting(f"{value!r}: should be a number from {least:g} to {most:g}")
-    return float(value)

@@ -99,17 +99,18 @@ def _log_points(stream: "RecordingStream", picture: Picture) -> None:
     """Particles, detections, true targets and estimates."""
     import rerun
 
-    living = [picture.said(known) for known in picture.agents.values() if known.alive]
-    detections = [place for gossip, _ in living if gossip is not None for place in gossip.detections]
-    estimates = [place for _, estimate in living if estimate is not None for place in estimate.targets]
+    living = [(known, *picture.said(known)) for known in picture.agents.values() if known.alive]
+    detections = [place for known, gossip, _ in living if gossip is not None for place in known.places(gossip)]
+    said = [estimate for _, _, estimate in living if estimate is not None]
+    estimates, labels = [place for one in said for place in one.targets], [str(label) for one in said for label in one.labels.tolist()]
     drawn: list[tuple[str, Iterable[Any], float, tuple[int, int, int]]] = [
         ("particles", picture.particles()[:, :2], 0.06, (255, 214, 120)),
         ("detections", detections, 0.15, (155, 215, 255)),
         ("targets", picture.shown.targets if picture.shown is not None else [], 0.4, (255, 255, 255)),
-        ("estimates", estimates, 0.28, (255, 176, 0)),
     ]
     for name, places, radius, colour in drawn:
         stream.log(f"arena/{name}", rerun.Points3D(_flat(places), radii=radius, colors=[colour]))
+    stream.log("arena/estimates", rerun.Points3D(_flat(estimates), radii=0.28, colors=[(255, 176, 0)], labels=labels))
 
 
 def _log_score(stream: "RecordingStream", score: Score) -> None:

@@ -15,13 +15,14 @@ from deploy.scoring.scorer import Score, Scorer
 FIGURES = (
     *("mean_ospa", "steady_ospa", "final_ospa", "mean_gospa", "steady_gospa", "final_gospa"),
     *("cardinality_error", "hole_area", "overlap_area", "share_in_view", "mass_residual"),
+    *("id_switches", "idf1", "hota", "mota", "track_ospa"),
 )
 COLUMNS = Score.__dataclass_fields__.keys()
 
 
 def rescore(recording: Recording) -> Scorer:
     """The scorer that has heard the whole recording; its `scores` and `result` are those of the run."""
-    scorer = Scorer(recording.scenario)
+    scorer = Scorer(recording.scenario, recorded=True)
     for _ in rescore_slowly(recording, scorer):
         pass
     return scorer

@@ -7,15 +7,20 @@ times in s, angles in rad. The drawing for Foxglove is in `deploy.recording.foxg
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow
 from pyarrow import csv, parquet
 
 from deploy.recording.moments import messages
 from deploy.recording.recording import Recording
 from deploy.recording.rescore import COLUMNS
+from deploy.scenario import Scenario
 from deploy.scoring.scorer import Scorer
 from protocol.geometry import polygon_area
+from protocol.measuring import places_of
 from protocol.messages import Estimate, Gossip, Truth
+from protocol.sensing import measurement_of
+from protocol.settings import sensor_of
 
 TableRow = tuple[Any, ...]
 NUMBER, WHOLE, WORD = pyarrow.float64(), pyarrow.int64(), pyarrow.string()
@@ -39,7 +44,7 @@ SCHEMAS: dict[str, list[tuple[str, pyarrow.DataType]]] = {
 
 def tables(recording: Recording) -> dict[str, pyarrow.Table]:
     """All five tables by name."""
-    scorer = Scorer(recording.scenario)
+    scorer = Scorer(recording.scenario, recorded=True)
     dt = recording.scenario.run.dt
     rows: dict[str, list[TableRow]] = {name: [] for name in SCHEMAS}
     for message in messages(recording, scorer.handle):
@@ -49,11 +54,20 @@ def tables(recording: Recording) -> dict[str, pyarrow.Table]:
             rows["agents"].append(_agent_row(message, dt))
             rows["estimates"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in message.targets.tolist()]
         elif isinstance(message, Gossip):
-            rows["detections"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in message.detections.tolist()]
+            places = _places(message, recording.scenario)
+            rows["detections"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in places.tolist()]
     scorer.finish(0.0)
     found = {name: _table(schema, rows[name]) for name, schema in SCHEMAS.items()}
     schema = [(name, WHOLE if name in WHOLE_SCORES else NUMBER) for name in COLUMNS]
     return {"scores": _table(schema, [tuple(getattr(score, name) for name in COLUMNS) for score in scorer.scores]), **found}
+
+
+def _places(gossip: Gossip, scenario: Scenario) -> np.ndarray:
+    """The places of the detections of a gossip (M, 2), m."""
+    if gossip.sender not in scenario.members:
+        return gossip.detections
+    sensor = sensor_of(scenario, scenario.members[gossip.sender])
+    return places_of(measurement_of(sensor), sensor.reach, gossip.pose, gossip.detections)
 
 
 def _agent_row(one: Estimate, dt: float) -> TableRow:

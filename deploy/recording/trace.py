@@ -1,6 +1,6 @@
 """Traces: the time series behind the numbers of a result, one row for each tick, as .npz, .parquet or .csv.
 
-The columns are those of `Score` and what had been sent and played when the tick opened; the result and the settings travel along in
+The columns are those of `Score` and what had been sent and played when the tick opened. The result and the settings travel along in
 .npz (the texts `result` and `scenario`) and .parquet (metadata).
 """
 

@@ -66,7 +66,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     bytes: int
     rounds: int  # played by all agents together
     kills: tuple[Kill, ...]
-    transcript: str  # hash of all poses and estimates
+    transcript: str  # hash of all poses, and of estimates with their labels
     version: str = VERSION
     steady_localisation: float = 0.0  # the parts of GOSPA, m
     steady_missed: float = 0.0
@@ -76,6 +76,11 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     steady_mass: float = 0.0
     steady_coverage: float = 0.0  # share of the arena inside some footprint
     end_in_view: float = 0.0  # share of target-time over the last 5 s
+    id_switches: int = 0  # of identities; these four as in TrackEval, with the similarity 1 - distance / cut-off
+    idf1: float = 0.0
+    hota: float = 0.0
+    mota: float = 0.0
+    track_ospa: float = 0.0  # OSPA(2), m, mean over windows of 10 s
     events: tuple[EventReport, ...] = ()  # the effect of each death, return and cut
     tick_rate: TickRate | None = None  # of a run with processes: ticks a second, rounds that were skipped or late
     exit_code: int = 0  # of the run: 0 done, 1 a process failed, 130 and 143 stopped by a signal
@@ -101,6 +106,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
             ("GOSPA, mean / steady / final", f"{self.mean_gospa:.1f} / {self.steady_gospa:.1f} / {self.final_gospa:.1f} m"),
             ("  localisation + missed + false", f"{self.steady_localisation:.1f} + {self.steady_missed:.1f} + {self.steady_false:.1f} m"),
             ("targets / reported / expected", f"{self.steady_targets:.1f} / {self.steady_estimated:.1f} / {self.steady_mass:.1f}"),
+            ("identity switches, IDF1 / HOTA / MOTA", f"{self.id_switches}, {self.idf1:.2f} / {self.hota:.2f} / {self.mota:.2f}"),
+            ("OSPA of tracks", f"{self.track_ospa:.2f} m"),
             ("arena in view", f"{100.0 * self.steady_coverage:.0f} %"),
             ("targets in view at the end", f"{self.targets_in_view} of {self.targets} ({100.0 * self.share_in_view:.0f} % of the time)"),
             ("ticks / rounds of all agents", f"{self.ticks} / {self.rounds}"),
@@ -114,9 +121,13 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _tick_rate_rows(tick_rate: TickRate) -> list[tuple[str, str]]:
+    spared = [("rounds left out in step", str(tick_rate.spared))] if tick_rate.spared else []
+    stalled = [("agents that were stalled", f"{len(tick_rate.stalled)}: {', '.join(tick_rate.stalled)}")] if tick_rate.stalled else []
     done = "-" if tick_rate.ticks_per_s is None else f"{tick_rate.ticks_per_s:.1f}"
     asked = "as fast as it goes" if tick_rate.asked_per_s is None else f"asked {tick_rate.asked_per_s:g}"
     return [
         ("ticks a second", f"{done} ({asked})"),
         ("rounds skipped / late", f"{tick_rate.skipped} / {tick_rate.late} of {tick_rate.rounds}"),
+        *spared,
+        *stalled,
     ]

@@ -12,21 +12,29 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from deploy.scenario import Scenario, agent_config
+from deploy.scenario import Scenario, agent_config, bodies_of, world_config
 from deploy.scoring.chronicle import Chronicle, ScoredTick
 from deploy.scoring.deaths import Deaths
 from deploy.scoring.result import EventReport, Fault, Result
 from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, mean, share_in_view, steady_part, why
 from deploy.scoring.status import AgentStatus, Status
 from deploy.scoring.tick_rate import TickRateMeter
+from deploy.scoring.tracks import TrackLog
 from protocol.agreement import disagreement
+from protocol.codec import encode
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
 from protocol.messages import Estimate, Gossip, Hello, Truth
-from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe
+from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from world.score import errors
+from world.witness import Witness
 
 LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
+
+
+def witness_of(scenario: Scenario, name: str, incarnation: int) -> Witness | None:
+    """Who computes the Truths for a watcher of this name; None where a world says them."""
+    return Witness(world_config(scenario), name, incarnation, LAG[scenario.run.clock]) if bodies_of(scenario) else None
 
 
 @dataclass
@@ -44,8 +52,13 @@ class Scorer(Node):
 
     role = "monitor"
 
-    def __init__(self, scenario: Scenario, name: str = "monitor", incarnation: int = 1, *, scores: bool = True) -> None:
-        """`scores` false: ticks are counted but not scored, because the assignment of thousands of targets takes longer than a tick."""
+    def __init__(
+        self, scenario: Scenario, name: str = "monitor", incarnation: int = 1, *, scores: bool = True, recorded: bool = False
+    ) -> None:
+        """`scores` false: ticks are counted but not scored, because the assignment of thousands of targets takes longer than a tick.
+
+        `recorded`: it hears a recording, which holds the Truths in any case.
+        """
         self.run, self.name, self.incarnation = scenario.run.name, name, incarnation
         self.last_tick = scenario.run.ticks - 1  # of the whole run
         self.scores: list[Score] = []
@@ -56,19 +69,23 @@ class Scorer(Node):
         self.faults: list[Fault] = []  # ordered faults that no message shows
         self.on_fault: Callable[[Fault], None] = lambda fault: None
         self.on_report: Callable[[EventReport], None] = lambda told: None  # called with the effect of an event, once it is known
+        self.on_scored: Callable[[Truth, np.ndarray], None] = lambda truth, estimates: None  # called with every scored tick
         self.on_finish: Callable[[], None] = lambda: None  # called once all is scored
         self.on_twin: Callable[[str, int, int], None] = lambda name, known, other: None  # called when a second process has a name
         self.on_differing: Callable[[str, tuple[str, ...]], None] = lambda name, fields: None  # called when settings differ
-        self.greeted: set[str] = set()  # names with at least one Hello
+        self.greeted: set[str] = set()  # names of processes with at least one Hello, and of bodies with a token
         self.deaths = Deaths()
         self.tick_rate = TickRateMeter(scenario)
         self._settings = agent_config(scenario).agreed()
         self._differing: dict[str, tuple[str, ...]] = {}  # by name: the fields in which settings differ
         self._scenario = scenario
+        self._bodies = bodies_of(scenario)
+        self._witness = None if recorded else witness_of(scenario, name, incarnation)
         self._area = scenario.arena.width * scenario.arena.height
         self._coverage = Coverage(scenario)
+        self.tracks = TrackLog(scenario)
         self._lag = LAG[scenario.run.clock]
-        self._fresh = max(scenario.timing.silent_rounds, 2 * scenario.timing.estimate_every)  # an older estimate counts no more
+        self._fresh = max(agent_config(scenario).rounds_of_silence, 2 * scenario.timing.estimate_every)  # ticks
         self._names = list(scenario.members)
         self._alive: dict[str, int] = {}
         self._gone_at: dict[str, float] = {}
@@ -89,30 +106,39 @@ class Scorer(Node):
         return None
 
     def handle(self, event: Event, now: float) -> list[Effect]:
-        """Take one event and return what to do."""
+        """Take one event and return what to do. Without a world the Truths come from the witness."""
+        self._take(event, now)
+        if self._witness is not None:
+            for truth in self._witness.take(event):
+                self._take(received(truth, payloads=(encode(truth),)), now)
+        if isinstance(event, Started):
+            kinds = "truth", "estimate", "gossip", "observation", "command", "hello", "halt"
+            return [Subscribe(all_of(self.run, kind)) for kind in kinds]
+        return []
+
+    def _take(self, event: Event, now: float) -> None:
         self.on_event(event, now)
         match event:
-            case Started():
-                return [Subscribe(all_of(self.run, kind)) for kind in ("truth", "estimate", "gossip", "observation", "command", "hello")]
             case Received(batch=batch):
                 self._tally.messages += len(batch)
                 self._tally.bytes += sum(map(len, batch.payloads))
                 for message in batch.messages:
                     self._hear(message, now)
                 if batch.kind not in (Truth, Estimate):
-                    return []  # nothing that could complete a tick
+                    return  # nothing that could complete a tick
             case Alive(role="agent"):
                 if self._alive.get(event.name, event.incarnation) != event.incarnation:
                     self.on_twin(event.name, self._alive[event.name], event.incarnation)
                 self._gain(event.name, event.incarnation)
                 if event.name not in self._names:
                     self._names = sorted([*self._names, event.name], key=order)
+            case Alive(role="body"):
+                self.greeted.add(self._bodies.get(event.name, event.name))
             case Gone(role="agent") if self._alive.get(event.name) == event.incarnation:
                 self._lose(event.name, now)
             case Rejected():
                 self._tally.rejected += 1
         self._score_what_is_complete(now)
-        return []
 
     def _hear(self, message: object, now: float) -> None:
         if isinstance(message, Truth):
@@ -145,7 +171,7 @@ class Scorer(Node):
         if latest is not None and (estimate.incarnation, estimate.tick) <= (latest.incarnation, latest.tick):
             return
         self._latest[estimate.sender] = estimate
-        self.tick_rate.count(estimate.sender, estimate.incarnation, estimate.counters)
+        self.tick_rate.count(estimate)
         if estimate.tick >= self._next:
             self._estimates.setdefault(estimate.tick, {})[estimate.sender] = estimate
 
@@ -205,13 +231,13 @@ class Scorer(Node):
         self._transcript.update(truth.poses_bytes)
         for name in self._names:
             if name in said:
-                self._transcript.update(said[name].targets_bytes)
+                self._transcript.update(said[name].targets_bytes + said[name].labels_bytes)
         counted = [said.get(name) or self._latest[name] for name in self._names if name in self._alive and name in self._latest]
-        counted = [estimate for estimate in counted if estimate.tick >= truth.tick - self._fresh]
+        counted = [estimate for estimate in counted if estimate.tick >= truth.tick - max(self._fresh, 2 * estimate.pace)]
         targets = np.frombuffer(b"".join([estimate.targets_bytes for estimate in counted]), dtype="<f8").reshape(-1, 2)
         one_view = len({estimate.view for estimate in counted}) == 1
         hole, overlap = hole_and_overlap([estimate.cell for estimate in counted], self._area, one_view=one_view)
-        distance, parts = errors(truth.targets, targets)
+        distance, parts = errors(truth.targets, targets, self._scenario.study.cutoff)
         score = Score(
             tick=truth.tick,
             time=truth.time,
@@ -229,6 +255,8 @@ class Scorer(Node):
             coverage=self._coverage.share(truth),
         )
         self.scores.append(score)
+        self.tracks.see(truth, counted, targets)
+        self.on_scored(truth, targets)
         cells = {estimate.sender: estimate.cell for estimate in counted}
         view = ScoredTick(truth.tick, truth.time, cells, truth.ids, truth.targets, targets, hole, overlap)
         self._tell(self._chronicle.see(view))
@@ -311,7 +339,7 @@ class Scorer(Node):
         if estimate is not None:
             status.tick, status.round_ms = estimate.tick, 1000.0 * estimate.round_seconds
             status.rounds, status.skipped = estimate.counters.get("rounds", 0), estimate.counters.get("skipped", 0)
-            status.late = estimate.counters.get("late", 0)
+            status.late, status.pace = estimate.counters.get("late", 0), estimate.pace
         if estimate is not None and status.alive:  # a dead agent owns nothing
             status.mass, status.targets = estimate.mass, len(estimate.targets)
             status.cell = polygon_area(estimate.cell) / self._area
@@ -353,7 +381,7 @@ class Scorer(Node):
             transcript=self._transcript.hexdigest(),
             events=tuple(self._events),
         )
-        return msgspec.structs.replace(result, **why(scores, scenario))
+        return msgspec.structs.replace(result, **why(scores, scenario), **self.tracks.figures())
 
 
 def _pairs(parts: list[np.ndarray]) -> list[tuple[float, float]]:

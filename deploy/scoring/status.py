@@ -11,6 +11,10 @@ class TickRate(msgspec.Struct, kw_only=True):
     rounds: int = 0  # played by all agents together
     skipped: int = 0  # that agents left out because they were busy
     late: int = 0  # closed at the deadline with a gossip missing
+    spared: int = 0  # rounds that agents left out in step, to keep the pace
+    pace: int = 1  # the slowest that some agent keeps now: it plays the ticks that this number divides
+    slowest: list[str] = []  # the agents of that pace, if it is not 1
+    stalled: list[str] = []  # agents that were not served in time in the last seconds; of a whole run: ever
     advice: str = ""  # one line where the machine is too small
 
 
@@ -29,6 +33,7 @@ class AgentStatus(msgspec.Struct, kw_only=True):
     rounds: int = 0
     skipped: int = 0
     late: int = 0
+    pace: int = 1
     paused: bool = False
     round_ms: float = 0.0
     differs: list[str] = []  # settings that are not those of the run: its peers refuse it

@@ -1,10 +1,12 @@
 """The tick rate of a run: ticks a second requested and done, rounds skipped or late, and advice when the machine is too small."""
 
+import math
 import os
 from collections import deque
 
 from deploy.scenario import Scenario
 from deploy.scoring.status import TickRate
+from protocol.messages import Estimate
 
 WINDOW = 5.0  # s of the clock over which the present rate is measured
 LEAST = 3.0  # s of data that a judgement needs
@@ -42,7 +44,9 @@ class TickRateMeter:
         self._asked = asked_per_s(scenario)
         self._ticks: deque[tuple[float, int]] = deque()  # times and ticks of the last `WINDOW` s
         self._first: tuple[float, int] | None = None
-        self._counts: dict[tuple[str, int], tuple[int, int, int]] = {}  # rounds, skipped, late by name and incarnation
+        self._counts: dict[tuple[str, int], tuple[int, int, int, int]] = {}  # rounds, skipped, late, spared by name and incarnation
+        self._paces: dict[str, int] = {}
+        self._stalls: dict[str, tuple[int, float]] = {}  # ms of all stalls of an agent so far, and when the last one showed
 
     def tick(self, now: float, tick: int) -> None:
         """A tick of the world has come."""
@@ -51,9 +55,15 @@ class TickRateMeter:
         while self._ticks[0][0] < now - WINDOW and len(self._ticks) > 2:
             self._ticks.popleft()
 
-    def count(self, name: str, incarnation: int, counters: dict[str, int]) -> None:
-        """Take the counters of an agent."""
-        self._counts[name, incarnation] = (counters.get("rounds", 0), counters.get("skipped", 0), counters.get("late", 0))
+    def count(self, estimate: Estimate) -> None:
+        """Take the counters and the pace of an agent."""
+        name, counters = estimate.sender, estimate.counters
+        rounds, skipped, late, spared = (counters.get(field, 0) for field in ("rounds", "skipped", "late", "spared"))
+        self._counts[name, estimate.incarnation] = rounds, skipped, late, spared
+        self._paces[name] = estimate.pace
+        stalled = counters.get("stalled_ms", 0)
+        if stalled and stalled != self._stalls.get(name, (0, 0.0))[0]:
+            self._stalls[name] = stalled, self._ticks[-1][0] if self._ticks else 0.0
 
     @property
     def rounds(self) -> int:
@@ -62,18 +72,23 @@ class TickRateMeter:
 
     def now(self) -> TickRate:
         """The rate of the last seconds."""
-        return self._status(self._ticks[0] if self._ticks else None)
+        return self._status(self._ticks[0] if self._ticks else None, WINDOW)
 
     def whole(self) -> TickRate:
         """The rate of the whole run."""
-        return self._status(self._first)
+        return self._status(self._first, math.inf)
 
-    def _status(self, start: tuple[float, int] | None) -> TickRate:
+    def _status(self, start: tuple[float, int] | None, window: float) -> TickRate:
+        """The rate since a tick; `window`: s for which a stall is remembered."""
         speed = None
         if start is not None and self._ticks[-1][0] > start[0]:
             speed = (self._ticks[-1][1] - start[1]) / (self._ticks[-1][0] - start[0])
-        rounds, skipped, late = (sum(column) for column in zip(*self._counts.values())) if self._counts else (0, 0, 0)
-        found = TickRate(ticks_per_s=speed, asked_per_s=self._asked, rounds=rounds, skipped=skipped, late=late)
+        rounds, skipped, late, spared = (sum(column) for column in zip(*self._counts.values())) if self._counts else (0, 0, 0, 0)
+        found = TickRate(ticks_per_s=speed, asked_per_s=self._asked, rounds=rounds, skipped=skipped, late=late, spared=spared)
+        found.pace = max(self._paces.values(), default=1)
+        found.slowest = [name for name, pace in self._paces.items() if pace == found.pace > 1]
+        newest = self._ticks[-1][0] if self._ticks else 0.0
+        found.stalled = [name for name, (_, when) in self._stalls.items() if newest - when <= window]
         found.advice = self._advice(found)
         return found
 

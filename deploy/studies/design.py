@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from deploy.scenario import TeamSettings, parse_set, team_counts
-from deploy.studies.trials import Trial, check_method
+from deploy.studies.trials import ABLATIONS, Trial, check_method
 from protocol.settings import BadSetting
 
 
@@ -20,19 +20,44 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
     trials: int = 10
     first_seed: int = 100  # of the seeds 100, 101, ...; the defaults of the scenarios were found with smaller ones
     options: dict[str, Any] = {}  # dotted settings of all trials
+    elsewhere: dict[str, tuple[str, int]] = {}  # teams of another scenario, with its name and number of targets
 
 
+OPEN_TEAMS = {  # the teams of sections IV-B and IV-C that the ablation compares, by composition
+    "5A+20B+15C": "4 ABC",
+    "3A+12B+9C": "2 ABC",
+    "5A+20C+15D": "4 ACD",
+    "3A+12C+9D": "2 ACD",
+    "20E+20F": "20E+20F",
+    "20E+10G": "20E+10G",
+    "20E+4H": "20E+4H",
+}
 STUDIES: dict[str, Design] = {
     "convergence": Design(scenario="convergence", teams=("1",), targets=(8,), methods=("power", "voronoi-cod", "voronoi", "static")),
     "efficacy": Design(scenario="efficacy", teams=("2", "3", "4", "5"), targets=(30, 40, 50), methods=("power", "voronoi", "voronoi-cod")),
     "heterogeneity": Design(
         scenario="heterogeneity", teams=("20E+20F", "20E+10G", "20E+4H"), targets=(30,), methods=("power", "voronoi", "voronoi-cod")
     ),
+    "ablation": Design(
+        scenario="efficacy",
+        teams=(*OPEN_TEAMS, "1"),
+        targets=(30,),
+        methods=("search-and-track", "power", "power-extraction", "voronoi", "pursuit", "static", "random", "oracle", *ABLATIONS),
+        first_seed=400,
+        options={"run.dt": 0.25, "run.seconds": 1000.0},
+        elsewhere={"1": ("convergence", 8)},
+    ),
 }
 QUICK: dict[str, dict[str, Any]] = {  # what --quick lays over a study: under 3 minutes on 2 cores
     "convergence": {"trials": 4, "options": {"run.dt": 0.5}},
     "efficacy": {"trials": 3, "options": {"run.dt": 0.5, "run.seconds": 40.0}},
     "heterogeneity": {"trials": 4, "options": {"run.dt": 0.5, "run.seconds": 80.0}},
+    "ablation": {
+        "trials": 2,
+        "teams": ("20E+4H", "1"),
+        "methods": ("search-and-track", "power", "pursuit", "no-search", "no-distance"),
+        "options": {"run.dt": 0.25, "run.seconds": 60.0},
+    },
 }
 
 
@@ -51,12 +76,18 @@ def plan(found: Design) -> list[Trial]:
         team_counts(TeamSettings(composition=team, triple=found.options.get("team.triple", "ACD")))
     seeds = range(found.first_seed, found.first_seed + found.trials)
     trials = [
-        Trial(scenario=found.scenario, seed=seed, team=team, targets=targets, method=method, options=found.options)
+        _trial(found, seed, targets, team, method)
         for seed, targets, team, method in itertools.product(seeds, found.targets, found.teams, found.methods)
     ]
     for trial in trials[: len(found.targets) * len(found.teams) * len(found.methods)]:
         trial.resolve()
     return trials
+
+
+def _trial(found: Design, seed: int, targets: int, team: str, method: str) -> Trial:
+    """One trial; a team of another scenario plays that scenario with its number of targets."""
+    scenario, count = found.elsewhere.get(team, (found.scenario, targets))
+    return Trial(scenario=scenario, seed=seed, team=team, targets=count, method=method, options=found.options)
 
 
 def design_fields(trials: int | None, seed: int | None, teams: str | None, targets: str | None, methods: str | None) -> dict[str, Any]:

@@ -24,9 +24,12 @@ SCENARIO = "efficacy"
 LEVELS: dict[str, tuple[float, ...]] = {
     "kill": (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),  # share of the agents
     "loss": (0.1, 0.3, 0.5),  # share of the messages between agents, from the fault on
+    "bursts": (0.1, 0.3, 0.5),  # the same, lost in runs of `RUN` messages in the mean (Gilbert-Elliott)
     "delay": (0.1, 0.5, 2.0),  # s, of the messages between agents, from the fault on
+    "throttle": (128.0, 64.0, 32.0),  # kbit/s of each link between agents, from the fault on
     "partition": (3.0, 6.0, 12.0),  # s that two halves do not hear each other
 }
+RUN = 4.0  # messages
 NONE, FRESH = "none", "fresh"  # kinds of bouts without a fault: the whole team, and the survivors of the level of "kill"
 LEAST_AGENTS = 6  # of which nine tenths leave one
 SETTLED = 30.0  # s after the fault from which on the swarm should be as good as it can be
@@ -63,8 +66,10 @@ class Bout(msgspec.Struct, frozen=True, kw_only=True):
                 return (FaultSettings(at=self.at, verb="kill", who=f"{100.0 * self.level:g}%"),)
             case "loss":
                 return (FaultSettings(at=self.at, verb="drop", value=self.level),)
-            case "delay":
-                return (FaultSettings(at=self.at, verb="delay", value=self.level),)
+            case "bursts":
+                return (FaultSettings(at=self.at, verb="drop", value=self.level, options={"burst": RUN}),)
+            case "delay" | "throttle":
+                return (FaultSettings(at=self.at, verb=self.kind, value=self.level),)
             case "partition":
                 return (FaultSettings(at=self.at, verb="partition", who="50%", seconds=self.level),)
         return ()

@@ -15,13 +15,23 @@ from typing import Any
 import msgspec
 
 from deploy.scenario import Scenario, resolve
+from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from protocol.settings import BadSetting
 
 Row = dict[str, Any]
 ROOMS = Path(__file__).resolve().parents[2]  # the folder that holds the rooms
-CORE = ("protocol", "agents", "world", "deploy/simulation.py", "deploy/scenario.py", "deploy/scoring/scorer.py", "deploy/scoring/scores.py")
+CORE = (
+    "protocol",
+    "agents",
+    "world",
+    "deploy/simulation.py",
+    "deploy/scenario.py",
+    "deploy/scoring/scorer.py",
+    "deploy/scoring/scores.py",
+    "deploy/scoring/error_parts.py",
+)
 LEFT_OUT = (
     "wall_s",
     "bytes",
@@ -42,11 +52,33 @@ FLAGS = {  # options of `covey simulate`
     "run.dt": "--dt",
     "run.seconds": "--seconds",
 }
+SEARCH_AND_TRACK: dict[str, Any] = {  # with the extraction that goes with it
+    "partition.kind": "power",
+    "control.mode": "search-and-track",
+    "extraction.bin": 0.7,
+    "extraction.threshold": 0.3,
+    "extraction.beside": 0.7,
+}
+ABLATIONS: dict[str, dict[str, Any]] = {  # search-and-track without one of its ingredients
+    "no-search": {"search.weight": 1.0, "search.inflow": 0.003},
+    "no-sharing": {"search.sharing": 0.0},
+    "no-distance": {"search.falloff": 0.0},
+    "no-load": {"search.capacity": 0.0},
+    "no-confirmation": {"search.confirmation": 0.0},
+    "no-look-ahead": {"search.look_ahead": 0.0},
+    "no-inflow": {"search.inflow": 0.0},
+    "short-horizon": {"search.horizon": 1.0},
+    "paper-extraction": {"extraction.bin": 1.0, "extraction.threshold": 0.5, "extraction.beside": 0.0},
+}
 METHODS: dict[str, dict[str, Any]] = {
     "power": {"partition.kind": "power"},
+    "power-extraction": {**SEARCH_AND_TRACK, "control.mode": "lloyd"},  # what the extraction alone gains
     "voronoi": {"partition.kind": "voronoi"},
     "voronoi-cod": {"partition.kind": "voronoi-cod"},
     "pursuit": {"partition.kind": "power", "control.mode": "pursuit", "extraction.threshold": 0.4},
+    "search-and-track": SEARCH_AND_TRACK,
+    **{name: {**SEARCH_AND_TRACK, **change} for name, change in ABLATIONS.items()},
+    "oracle": {"partition.kind": "power", "control.mode": "oracle"},
     "uniform-density": {"partition.kind": "power", "control.mode": "uniform-density"},
     "random": {"partition.kind": "power", "control.mode": "random"},
     "static": {"partition.kind": "power", "control.mode": "static"},
@@ -111,7 +143,12 @@ def run_trial(trial: Trial, progress: Callable[[float], None] = lambda share: No
     scenario = trial.resolve()
     simulation = Simulation(scenario)
     simulation.on_truth = lambda truth: progress((truth.tick + 1) / scenario.run.ticks)
-    return row_of(trial, scenario, simulation.run())
+    parts = ErrorParts(scenario)
+    simulation.scorer.on_scored = parts.see
+    result = simulation.run()
+    split = {"ospa": parts.mean(), "gospa": parts.mean_gospa()}
+    named = {f"{score}_{name}": part for score, found in split.items() for name, part in found._asdict().items()}
+    return {**row_of(trial, scenario, result), **named}
 
 
 def row_of(trial: Trial, scenario: Scenario, result: Result) -> Row:
@@ -132,7 +169,7 @@ def flat_settings(scenario: Scenario) -> Row:
                 flat[section] = json.dumps(fields)
             continue
         for field, value in fields.items():
-            flat[f"{section}.{field}"] = json.dumps(value) if isinstance(value, dict | list) else value
+            flat[f"{section}.{field}"] = json.dumps(value) if isinstance(value, dict | list | tuple) else value
     return flat
 
 

@@ -1,20 +1,23 @@
 """The central filter: one PHD filter over the whole arena, fed with the detections that all agents report.
 
-It uses the agents' own functions, but knows no cells while it predicts and corrects: every particle and every detection of a tick in
-one filter, the sensors in the order of their names. Only the draw of new particles goes cell by cell, with the claims that the
-agents published and each owner's key. Without loss the union of what the agents own equals it.
+It uses the agents' own functions, but knows no cells while it predicts and corrects. One filter takes every particle and every detection
+of a tick, the sensors in the order of their names. Only the draw of new particles goes cell by cell, with the claims that the agents
+published and each owner's key. Without loss the union of what the agents own equals it.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from agents.backend import PLAIN, Backend
-from agents.gossip.table import announced_sensor, gossip_table
-from agents.tracking import phd
+from agents.config import AgentConfig
+from agents.gossip.table import GossipTable, announced_sensor, gossip_table
+from agents.tracking import gaussian_belief, gaussian_phd, phd
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, Claim
+from agents.tracking.gaussians import Mixture, chain, in_order
 from agents.tracking.particles import NONE, Particles, canonical, join, select
 from agents.tracking.regions import take
 from agents.tracking.step import Step
@@ -40,12 +43,9 @@ class CentralFilter:
         self.stamp += 1
         config, step = self.config, Step(self.config, self.stamp)
         born = background_births(config.filter.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
-        said = [gossips[name] for name in sorted(gossips, key=order)]
-        clutter = config.detection.clutter
-        sensors = [announced_sensor(gossip.sender, sensor_of(config, self._classes[gossip.sender]), clutter) for gossip in said]
         any_sensor = sensor_of(config, next(iter(self._classes.values())))  # its view of the whole is not asked for
         everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
-        [found] = self._backend.update_regions(gossip_table(said, sensors, config), self.particles, born, [everywhere], step)
+        [found] = self._backend.update_regions(_all(gossips, self._classes, config), self.particles, born, [everywhere], step)
         self.updated = found.updated
         self.particles = canonical(join([_drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))
 
@@ -53,6 +53,32 @@ class CentralFilter:
     def mass(self) -> float:
         """Expected number of targets."""
         return float(self.particles.weights.sum())
+
+
+class CentralMixture:
+    """The same with a Gaussian mixture; `mixture` holds after the tick `stamp`."""
+
+    def __init__(self, scenario: Scenario, mixture: Mixture, stamp: int = -1) -> None:
+        self.config, self._classes = agent_config(scenario), scenario.members
+        self.mixture, self.stamp = mixture, stamp
+        self.updated = mixture
+
+    def play(self, gossips: Mapping[str, Gossip], claims: Mapping[str, Claim]) -> None:
+        """One tick on, as `CentralFilter.play`: what is kept of the components in each of the `claims`."""
+        self.stamp += 1
+        step, table = Step(self.config, self.stamp), _all(gossips, self._classes, self.config)
+        predicted = gaussian_phd.predict(in_order(self.mixture), step)
+        self.updated = gaussian_belief.correct(predicted, table, step)
+        kept = [gaussian_belief.draw(gaussian_belief.take(self.updated, claim, step), step) for claim in claims.values()]
+        self.mixture = in_order(chain(kept))
+
+
+def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: AgentConfig) -> GossipTable:
+    """The table of the gossips of a tick."""
+    said = [gossips[name] for name in sorted(gossips, key=order)]
+    clutter = config.detection.clutter
+    sensors = [announced_sensor(gossip.sender, sensor_of(config, classes[gossip.sender]), clutter) for gossip in said]
+    return gossip_table(said, sensors, config)
 
 
 def _drawn(updated: Particles, owner: str, claim: Claim, step: Step) -> Particles:
@@ -70,7 +96,7 @@ class ParticleDifference(NamedTuple):
     """How far two sets of particles are apart."""
 
     strangers: int  # ids that only one of them has
-    moved: int  # common ids with different states
+    moved: int  # common ids with different states or labels
     weight: float  # the largest difference of weights at common ids, expected targets
     mass: float  # difference of the masses, first minus second, expected targets
 
@@ -83,7 +109,7 @@ class ParticleDifference(NamedTuple):
 def particle_difference(one: Particles, other: Particles) -> ParticleDifference:
     """Particle by particle; both in ascending order of id."""
     common, first, second = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
-    moved = np.any(one.states[first] != other.states[second], axis=1)
+    moved = np.any(one.states[first] != other.states[second], axis=1) | (one.labels[first] != other.labels[second])
     apart = np.abs(one.weights[first] - other.weights[second])
     return ParticleDifference(
         strangers=len(one.ids) + len(other.ids) - 2 * len(common),
@@ -91,6 +117,13 @@ def particle_difference(one: Particles, other: Particles) -> ParticleDifference:
         weight=float(apart.max()) if len(common) else 0.0,
         mass=float(one.weights.sum() - other.weights.sum()),
     )
+
+
+def mixture_difference(one: Mixture, other: Mixture) -> float:
+    """The largest difference of a weight, mean or covariance; infinite when an id is in one alone. Both by ascending id."""
+    if not np.array_equal(one.ids, other.ids):
+        return math.inf
+    return max([float(np.abs(first - second).max(initial=0.0)) for first, second in zip(one[:3], other[:3])])
 
 
 def united(shares: Mapping[str, Particles]) -> Particles:

@@ -1,9 +1,9 @@
 """`covey fuzz`: deterministic simulation of small swarms under faults that one seed draws.
 
-A case has three phases: chaos, in which the faults of its profile strike; healing, in which links, clocks and agents are put right;
-and a calm end, in which the swarm must be one again. Safety is checked after every event (`deploy.verify.invariants`), liveness at the end:
-all live agents agree, their cells tile the arena, and from then on they are the central filter particle by particle. A failing seed is
-shrunk to the fewest faults that still fail, and one command replays it.
+A case has three phases. In chaos the faults of its profile strike. In healing links, clocks and agents are put right. In a calm end the
+swarm must be one again. Safety is checked after every event (`deploy.verify.invariants`), liveness at the end: all live agents agree, and
+their cells tile the arena. From then on they are the central filter particle by particle. A failing seed is shrunk to the fewest faults
+that still fail, and one command replays it.
 """
 
 import os
@@ -26,6 +26,7 @@ from protocol.streams import stream
 CALM_START, CHAOS, SETTLE, CALM_END = 2.0, 20.0, 5.0, 2.0  # s
 HEAL_AT = CALM_START + CHAOS
 KINDS = ("crash", "stop", "cut", "loss", "copies", "delay", "reorder", "spoilt", "clock", "slow", "twin", "join")
+LOADS = ("starve", "freeze")  # kinds of overload, drawn from a stream of their own
 BLIND = {"angle": 240.0, "radius": 8.0, "prob_detection": 1e-12}  # sees nothing, so that no mass changes
 
 
@@ -62,8 +63,13 @@ def draw(seed: int) -> Case:
     faults = tuple(
         fault for kind in kinds for _ in range(int(rng.integers(1, 4))) for fault in strike(kind, rng, "L" if is_ledger else "C")
     )
-    scenario = msgspec.structs.replace(_swarm(seed, is_ledger, agents, dt, rng), faults=faults + healing())
-    return Case(seed, scenario, is_ledger, kinds)
+    scenario, loads = _swarm(seed, is_ledger, agents, dt, rng), stream(seed, "fuzz load")
+    if loads.random() < 0.3:
+        load = LOADS[int(loads.integers(len(LOADS)))]
+        if loads.random() < 0.3:
+            kinds, faults = (), ()
+        kinds, faults = (*kinds, load), (*faults, *strike(load, loads, ""))
+    return Case(seed, msgspec.structs.replace(scenario, faults=faults + healing()), is_ledger, kinds)
 
 
 def _swarm(seed: int, is_ledger: bool, agents: int, dt: float, rng: np.random.Generator) -> Scenario:
@@ -114,6 +120,10 @@ def strike(kind: str, rng: np.random.Generator, guest: str) -> Iterator[FaultSet
             yield blow("jump", value=round(600.0 * dice, 1), lasting=None, options={"back": flag})
         case "slow":
             yield blow("slow", value=round(0.05 + 0.6 * dice, 2))
+        case "starve":
+            yield blow("starve", who="100%" if flag else share, value=round(0.15 + 0.6 * dice, 2))
+        case "freeze":
+            yield blow("freeze", who="100%", value=round(0.5 + 6.0 * dice, 2), lasting=None)
         case "twin":
             yield blow("twin", who="1", lasting=None)
         case "join":
@@ -122,7 +132,7 @@ def strike(kind: str, rng: np.random.Generator, guest: str) -> Iterator[FaultSet
 
 def healing() -> tuple[FaultSettings, ...]:
     """What puts everything right."""
-    everyone = [("heal", None), ("slow", 0.0), ("resume", None), ("restart", None)]
+    everyone = [("heal", None), ("slow", 0.0), ("starve", 0.0), ("resume", None), ("restart", None)]
     return tuple(FaultSettings(at=HEAL_AT, verb=verb, who="100%", value=value) for verb, value in everyone)
 
 

@@ -168,7 +168,8 @@ def test_a_newcomer_that_hears_nobody_waits_before_it_believes_to_be_alone() -> 
     agent = Agent(CONFIG, "s1")
     listening = []
     for tick in range(3, 15):
-        said = only(agent.handle(see(tick), float(tick)), Gossip)
+        said = only(agent.handle(see(tick), 0.25 * tick), Gossip)
+        agent.handle(Timer(), 0.25 * tick)
         assert isinstance(said, Gossip)
         listening.append(said.listening)
     assert listening == [True] * 8 + [False] * 4
@@ -232,6 +233,21 @@ def test_who_hears_its_neighbours_only_answers_the_world_at_once_however_large_t
     assert agent.deadline() == pytest.approx(0.01 + SOON)
     agent.handle(Timer(), 0.01 + SOON)
     assert agent.deadline() == pytest.approx(0.01 + SOON + EARLY)
+
+
+def test_the_hello_of_a_restarted_world_is_answered_at_once() -> None:
+    agent = Agent(CONFIG, "s1")
+    agent.handle(Started(), 0.0)
+    world = {"sender": "world", "role": "world"}
+    agent.handle(received(Hello(incarnation=1, **world)), 0.0)  # type: ignore[arg-type]
+    agent.handle(see(0), 0.1)
+    for moment in (0.3, 0.6):
+        agent.handle(Timer(), moment)  # the Hellos that were due anyway
+    agent.handle(received(Hello(incarnation=1, **world)), 1.0)  # type: ignore[arg-type]
+    assert (agent.deadline() or 9.0) > 1.0 + SOON  # the world at hand needs no answer
+    agent.handle(received(Hello(incarnation=2, **world)), 1.0)  # type: ignore[arg-type]
+    assert agent.deadline() == pytest.approx(1.0 + SOON)
+    assert Hello in kinds(agent.handle(Timer(), 1.0 + SOON))
 
 
 def test_rejected_bytes_are_counted_by_reason_and_foreign_kinds_are_ignored() -> None:

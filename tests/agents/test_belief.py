@@ -8,7 +8,7 @@ from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import GossipTable, received_particles
 from agents.tracking.belief import MOST_COPIES, Belief, Copies, ParticlePhd, Round, share_of, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
-from agents.tracking.particles import NONE, Particles, canonical, join
+from agents.tracking.particles import NONE, Particles, canonical, join, unlabelled
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import OwnedState
@@ -28,7 +28,7 @@ def particles(*rows: tuple[int, float, float]) -> Particles:
     """Particles of rows id, x, weight, at y = 50."""
     table = np.array(rows, dtype=float).reshape(-1, 3)
     states = np.column_stack([table[:, 1], np.full(len(table), 50.0), np.full(len(table), 2.0), np.zeros(len(table))])
-    return Particles(states, table[:, 2], table[:, 0].astype(np.uint64))
+    return unlabelled(states, table[:, 2], table[:, 0].astype(np.uint64))
 
 
 def share(owner: str, held: Particles, generators: dict[str, tuple[float, float, float]] = HALVES, view: int = 7) -> OwnedState:
@@ -142,7 +142,7 @@ def test_copies_of_what_was_told_are_moved_on_but_for_those_that_were_corrected(
 
 
 def crowd(number: int, weight: float) -> Particles:
-    return Particles(np.full((number, 4), 50.0), np.full(number, weight), np.arange(number, dtype=np.uint64))
+    return unlabelled(np.full((number, 4), 50.0), np.full(number, weight), np.arange(number, dtype=np.uint64))
 
 
 def test_copies_are_not_given_up_because_there_are_many_targets() -> None:
@@ -153,7 +153,7 @@ def test_copies_are_not_given_up_because_there_are_many_targets() -> None:
 
 def test_of_too_many_copies_the_lightest_are_given_up() -> None:
     light = crowd(4 * MOST_COPIES, 1e-9)
-    heavy = Particles(light.states[:3], np.full(3, 0.5), np.arange(3, dtype=np.uint64) + np.uint64(10**6))
+    heavy = unlabelled(light.states[:3], np.full(3, 0.5), np.arange(3, dtype=np.uint64) + np.uint64(10**6))
     held = worth_keeping(join([light, heavy]), 75)
     assert len(held.ids) == MOST_COPIES and held.ids[-3:].tolist() == heavy.ids.tolist()
 

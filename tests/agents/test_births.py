@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import DIRECTIONS, Scan, background_births, birth_density, measurement_births, prior
-from agents.tracking.particles import NONE, Particles
+from agents.tracking.particles import NONE, unlabelled
 from protocol.sensing import WedgeSensor
 from protocol.settings import ArenaSettings
 
@@ -76,7 +76,9 @@ def test_births_of_different_ticks_have_different_ids() -> None:
 
 
 def test_measurement_births_lie_around_their_detections_and_share_their_mass() -> None:
-    births = measurement_births(scan([(50.0, 30.0), (55.0, 31.0)]), np.array([0.01, 0.02]), 7, 1, 0.25, FILTER, BIRTH)
+    births = measurement_births(
+        scan([(50.0, 30.0), (55.0, 31.0)]), np.array([0.01, 0.02]), np.array([8, 9], np.uint64), 7, 1, 0.25, FILTER, BIRTH
+    )
     assert births.weights.tolist() == [0.01] * 10 + [0.02] * 10
     apart = births.states[:, :2] - np.repeat([(50.0, 30.0), (55.0, 31.0)], 10, axis=0)
     assert np.abs(apart).max() < 0.25 * 2.0 * math.sqrt(3.0)
@@ -85,8 +87,10 @@ def test_measurement_births_lie_around_their_detections_and_share_their_mass() -
 
 def test_a_birth_is_the_same_for_whoever_hears_a_part_of_the_scan() -> None:
     """The number of a detection in the whole scan is its key, not its place among those that matter here."""
-    whole = measurement_births(scan([(45.0, 30.0), (50.0, 30.0), (55.0, 31.0)]), np.full(3, 0.01), 7, 1, 0.25, FILTER, BIRTH)
-    part = measurement_births(scan([(55.0, 31.0)], [2]), np.full(1, 0.01), 7, 1, 0.25, FILTER, BIRTH)
+    whole = measurement_births(
+        scan([(45.0, 30.0), (50.0, 30.0), (55.0, 31.0)]), np.full(3, 0.01), np.arange(3, dtype=np.uint64), 7, 1, 0.25, FILTER, BIRTH
+    )
+    part = measurement_births(scan([(55.0, 31.0)], [2]), np.full(1, 0.01), np.full(1, 2, np.uint64), 7, 1, 0.25, FILTER, BIRTH)
     assert (whole.states[20:] == part.states).all() and (whole.ids[20:] == part.ids).all()
 
 
@@ -96,7 +100,7 @@ def test_the_birth_density_is_the_local_density_within_its_limits(mass: float, c
     rng = np.random.default_rng(count)
     angles, ranges = rng.random(count) * 2 * math.pi, rng.random(count) * 3.99
     places = np.column_stack([50.0 + ranges * np.cos(angles), 30.0 + ranges * np.sin(angles)])
-    particles = Particles(
+    particles = unlabelled(
         np.column_stack([places, np.zeros((count, 2))]), np.full(count, mass / max(count, 1)), np.arange(count, dtype=np.uint64)
     )
     found = birth_density(particles, scan([(50.0, 30.0)]), np.zeros(1), BIRTH)[0]
@@ -106,7 +110,7 @@ def test_the_birth_density_is_the_local_density_within_its_limits(mass: float, c
 
 def test_what_explains_a_detection_is_no_target_without_particles() -> None:
     """A sure target within 4 m of two detections, one of which it explains for .98: what is left is .02, over 16 pi m^2."""
-    sure = Particles(np.array([[50.0, 30.0, 0.0, 0.0]]), np.array([1.0]), np.array([1], dtype=np.uint64))
+    sure = unlabelled(np.array([[50.0, 30.0, 0.0, 0.0]]), np.array([1.0]), np.array([1], dtype=np.uint64))
     places = scan([(50.0, 30.0), (53.0, 30.0), (58.0, 30.0)])
     found = birth_density(sure, places, np.array([0.98, 0.0, 0.0]), BIRTH)
     assert found == pytest.approx([0.02 / (16.0 * math.pi), 0.02 / (16.0 * math.pi), 0.25 * 3e-4])

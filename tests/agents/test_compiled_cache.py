@@ -68,6 +68,7 @@ def test_a_loop_is_compiled_anew_when_one_that_it_calls_in_another_file_changes(
     assert run(tmp_path)[:2] == (8.0, 1)  # as before
 
 
+@pytest.mark.slow
 def test_a_process_that_has_compiled_a_loop_keeps_it_when_no_other_does(tmp_path: Path) -> None:
     package = tmp_path / "agents" / "compiled"
     package.mkdir(parents=True)
@@ -144,3 +145,13 @@ def test_compiled_loops_are_made_of_nothing_but_what_their_folder_is_named_after
 def test_every_loop_with_a_cache_is_kept_there() -> None:
     for path in HERE.glob("*.py"):
         assert "cache=True" not in path.read_text() or path.name == "cache.py"
+
+
+def test_without_the_compiler_the_loops_run_as_plain_python() -> None:
+    """The mutants of `tests/mutants` need it: nothing has to be compiled to see what a planted defect does."""
+    program = "from agents.compiled.cell_kernels import cut_cells; print(type(cut_cells).__name__)"
+    variables = {**environment(), "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=110, check=False
+    )
+    assert done.stdout == "function\n", done.stderr

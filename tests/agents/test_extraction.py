@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from agents.config import ExtractionSettings
 from agents.tracking.extraction import estimate_targets
-from agents.tracking.particles import NONE, Particles
+from agents.tracking.particles import NONE, Particles, unlabelled
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -24,7 +24,7 @@ def particles(*rows: np.ndarray) -> Particles:
     """Particles of rows x, y, weight."""
     table = np.concatenate(rows)
     states = np.column_stack([table[:, :2], np.zeros((len(table), 2))])
-    return Particles(states, table[:, 2], np.arange(len(table), dtype=np.uint64))
+    return unlabelled(states, table[:, 2], np.arange(len(table), dtype=np.uint64))
 
 
 def test_no_particles_no_targets() -> None:
@@ -43,6 +43,15 @@ def test_mass_within_five_metres_is_rounded_to_a_number_of_targets(mass: float, 
 
 def test_a_lower_threshold_finds_fainter_targets() -> None:
     assert len(estimate_targets(particles(blob(20.5, 31.5, 0.45)), ExtractionSettings(threshold=0.4))) == 1
+
+
+def test_what_is_left_beside_an_estimate_needs_the_mass_of_beside() -> None:
+    """1.45 in one place: .45 is left. Twenty metres away .45 is an estimate of its own."""
+    rows = blob(20.5, 31.5, 1.45)
+    found = [len(estimate_targets(particles(rows), ExtractionSettings(threshold=0.4, beside=beside))) for beside in (0.0, 0.4, 0.5)]
+    assert found == [2, 2, 1]
+    apart = particles(rows, blob(40.5, 31.5, 0.45, seed=2))
+    assert len(estimate_targets(apart, ExtractionSettings(threshold=0.4, beside=0.5))) == 2
 
 
 def test_targets_apart_are_found_apart_the_heaviest_first() -> None:

@@ -16,11 +16,11 @@ from agents.gossip.table import GossipTable
 from agents.interest.selection import Ground
 from agents.interest.tiles import Bounds
 from agents.tracking.claims import end_to_end, make_claim, owned
-from agents.tracking.extraction import estimate_targets
+from agents.tracking.extraction import NO_TRACKS, estimate_tracks
 from agents.tracking.particles import NONE, Particles, join, select
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
-from protocol.fields import pack
+from protocol.fields import pack, pack_labels
 from protocol.geometry import EMPTY, distances, rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, Pose
@@ -62,7 +62,8 @@ def cloud(rng: np.random.Generator, count: int, weight: float = 0.1) -> Particle
     )
     weights = rng.random(count) * weight * (rng.random(count) < 0.95)
     ids = np.sort(scramble(np.arange(count, dtype=np.uint64), int(rng.integers(2**60))))
-    return Particles(np.column_stack([places, rng.normal(0, 2, (count, 2))]), weights, ids)
+    labels = rng.integers(0, 6, count).astype(np.uint64)
+    return Particles(np.column_stack([places, rng.normal(0, 2, (count, 2))]), weights, ids, labels)
 
 
 def pose(rng: np.random.Generator) -> Pose:
@@ -106,6 +107,8 @@ def words(rng: np.random.Generator, particles: Particles, width: float = math.in
             weight=float(rng.random()) * 0.1,
             states_bytes=pack(held.states, "<f4"),
             ids_bytes=pack(held.ids, "<u8"),
+            labels_bytes=pack_labels(held.labels)[0],
+            label_numbers_bytes=pack_labels(held.labels)[1],
         )
         said.append(gossip)
         sensors.append(sensor)
@@ -118,12 +121,12 @@ def step(seed: int = 3, tick: int = 7, **filters: Any) -> Step:
 
 def test_every_function_is_compared_here() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
-    others = Backend._fields
+    others = [name for name in Backend._fields if name != "decide"]  # tests/swarm/test_search_and_track.py compares whole runs
     assert [name for name in others if f'assert_same("{name}"' not in text] == []
 
 
-def test_a_backend_has_at_most_eight_functions() -> None:
-    assert len(Backend._fields) <= 8
+def test_a_backend_has_at_most_eight_functions_and_that_of_the_search() -> None:
+    assert len(Backend._fields) <= 9
 
 
 @given(seeds, st.integers(1, 14))
@@ -216,8 +219,14 @@ def test_estimate_targets(seed: int, count: int, weight: float, size: float, thr
     particles = cloud(np.random.default_rng(seed), count, weight)
     if crowded:
         particles.states[:, :2] *= 0.1
-    found = extraction_kernels.estimate_targets(particles.states, particles.weights, size, threshold) if count else np.empty((0, 2))
-    assert bits(estimate_targets(particles, ExtractionSettings(bin=size, threshold=threshold))) == bits(found)
+    for beside in (0.0, 1.5 * threshold):
+        plain = estimate_tracks(particles, ExtractionSettings(bin=size, threshold=threshold, beside=beside))
+        if not count:
+            assert bits(plain) == bits(NO_TRACKS)
+            continue
+        states, weights, _, labels = particles
+        found, names = extraction_kernels.estimate_tracks(states, weights, labels, size, threshold, beside)
+        assert bits(plain) == bits((found[:, :2], found[:, 2:], names))
 
 
 class Case(NamedTuple):
@@ -320,7 +329,7 @@ def test_regions_that_only_wedges_look_at_are_computed_by_the_compiled_loops_in_
 
 def test_an_agent_that_hears_a_part_reads_no_gossip_of_what_is_far() -> None:
     found = [case(seed, 150, 1, True, "neighbours") for seed in range(40)]
-    read = [len(fast.stated_near(one.table, one.regions[0], one.step)[2]) for one in found if one.regions]
+    read = [len(fast.stated_near(one.table, one.regions[0], one.step)[3]) for one in found if one.regions]
     assert 0 < sum(read) < 0.9 * sum(len(one.table.names) for one in found if one.regions)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.config import AgentConfig, PartitionSettings
-from agents.gossip.table import GossipTable
+from agents.gossip.table import COS_HALF, REACH, GossipTable
 from protocol.fields import pack
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
@@ -65,3 +65,9 @@ def test_who_hears_the_same_shares_what_is_computed_but_not_across_diagrams() ->
     first, second = gossip("s2"), gossip("s3", cod=4.0)
     assert words(first, second) is words(first, second)
     assert words(first, second) is not words(first, second, kind="voronoi")
+
+
+def test_the_same_gossips_from_other_sensors_are_another_table() -> None:
+    said = [gossip("s2"), gossip("s3", cod=4.0)]
+    first, second = (table(said, sensors=[SENSOR_CLASSES[each], SENSOR_CLASSES["B"]]) for each in ("A", "B"))
+    assert first.table[0, REACH] == second.table[0, REACH] and first.table[0, COS_HALF] != second.table[0, COS_HALF]

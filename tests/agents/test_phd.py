@@ -10,7 +10,7 @@ from scipy.signal import convolve2d
 
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan
-from agents.tracking.particles import NONE, Particles, select, total
+from agents.tracking.particles import NONE, Particles, select, total, unlabelled
 from agents.tracking.phd import exp_minus, likelihood_noise, predict, resample, sample_size, survival_probability, update
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import ArenaSettings
@@ -31,7 +31,7 @@ def cloud(seed: int, count: int, mass: float = 3.0, side: float = 40.0) -> Parti
     weights = rng.random(count)
     weights *= mass / max(weights.sum(), 1e-300)
     ids = np.sort(scramble(np.arange(count, dtype=np.uint64), seed))
-    return Particles(np.column_stack([rng.random((count, 2)) * side, rng.normal(0.0, 2.0, (count, 2))]), weights, ids)
+    return unlabelled(np.column_stack([rng.random((count, 2)) * side, rng.normal(0.0, 2.0, (count, 2))]), weights, ids)
 
 
 def scan(detections: list[tuple[float, float]], pose: Pose = (20.0, 20.0, 0.0), sensor: WedgeSensor = DISC, salt: int = 7) -> Scan:
@@ -56,7 +56,7 @@ def test_a_gaussian_prior_is_corrected_as_the_closed_form_says() -> None:
     weights *= mass / weights.sum()
     states = np.column_stack([grid + mean, np.zeros_like(grid)])
     one_target = FilterSettings(vicinity=100.0, roughening=0.0)
-    after = correct(Particles(states, weights, np.arange(len(grid), dtype=np.uint64)), [scan([tuple(seen)])], settings=one_target)
+    after = correct(unlabelled(states, weights, np.arange(len(grid), dtype=np.uint64)), [scan([tuple(seen)])], settings=one_target)
     total = spread**2 + NOISE**2
     likelihood = 0.8 * mass * math.exp(-0.5 * float(((seen - mean) ** 2).sum()) / total) / (2.0 * math.pi * total)
     found = likelihood / (0.1 / DISC.area + likelihood)
@@ -95,7 +95,7 @@ def test_particles_agree_with_a_dense_grid_filter() -> None:
     square, offset = np.divmod(np.arange(160000), 100)  # 100 particles in each square of 1 m, each at random in its tenth
     corners = np.column_stack([square % 40 + offset % 10 / 10.0, square // 40 + offset // 10 / 10.0])
     states = np.column_stack([corners + 0.1 * rng.random((160000, 2)), np.zeros((160000, 2))])
-    after = correct(Particles(states, np.full(160000, density / 100.0), np.arange(160000, dtype=np.uint64)), scans)
+    after = correct(unlabelled(states, np.full(160000, density / 100.0), np.arange(160000, dtype=np.uint64)), scans)
     ours = np.histogram2d(*after.states[:, :2].T, bins=10, range=[[0, 40], [0, 40]], weights=after.weights)[0]
     oracle = np.histogram2d(*grid.T, bins=10, range=[[0, 40], [0, 40]], weights=phd * 0.01)[0]
     assert ours.sum() == pytest.approx(oracle.sum(), rel=0.01)
@@ -142,7 +142,7 @@ def test_mass_balance_of_a_scan(seed: int, count: int, places: list[tuple[float,
 def test_an_empty_scan_is_information() -> None:
     """Of a target that is there with probability r a miss leaves r (1 - p_d) / (1 - r p_d), of many far apart each its own."""
     places, masses = [(15.5, 20.5), (20.5, 26.5), (20.5, 14.5), (26.5, 20.5), (31.5, 20.5)], np.array([0.001, 0.3, 0.9, 4.0, 0.7])
-    after = correct(Particles(np.hstack([places, np.zeros((5, 2))]), masses, np.arange(5, dtype=np.uint64)), [scan([])])
+    after = correct(unlabelled(np.hstack([places, np.zeros((5, 2))]), masses, np.arange(5, dtype=np.uint64)), [scan([])])
     sure = np.minimum(masses[:4], POINTS.certainty)
     assert after.weights[:4] == pytest.approx(masses[:4] * 0.2 / (1.0 - 0.8 * sure), rel=1e-12)
     assert after.weights[0] == pytest.approx(0.0002, rel=1e-3)  # as in the PHD filter, where there is little
@@ -195,7 +195,7 @@ def test_whoever_holds_a_copy_moves_it_to_the_same_place(seed: int, border: str)
 
 def test_prediction_is_a_straight_step_where_there_is_no_noise() -> None:
     still = FilterSettings(heading_noise=0.0, position_noise=0.0, lifetime=0.0)
-    particle = Particles(np.array([[10.0, 10.0, 1.2, -1.6]]), np.array([0.5]), np.array([3], dtype=np.uint64))
+    particle = unlabelled(np.array([[10.0, 10.0, 1.2, -1.6]]), np.array([0.5]), np.array([3], dtype=np.uint64))
     moved = predict(particle, 1, 1, 0.5, still, ARENA)
     assert moved.states[0] == pytest.approx([10.6, 9.2, 1.2, -1.6])
     assert moved.weights.tolist() == [0.5]
@@ -205,7 +205,7 @@ def test_prediction_noise_has_the_moments_of_the_settings() -> None:
     """20000 particles that head east for 0.5 s: heading s.d. 0.3 sqrt(0.5) rad, place s.d. 0.1 m north plus 2 x 0.5 x sin(turn)."""
     count = 20000
     states = np.tile([20.0, 20.0, 2.0, 0.0], (count, 1))
-    moved = predict(Particles(states, np.ones(count), np.arange(count, dtype=np.uint64)), 4, 1, 0.5, FILTER, ARENA)
+    moved = predict(unlabelled(states, np.ones(count), np.arange(count, dtype=np.uint64)), 4, 1, 0.5, FILTER, ARENA)
     turns = np.arctan2(moved.states[:, 3], moved.states[:, 2])
     assert turns.mean() == pytest.approx(0.0, abs=4 * 0.21 / math.sqrt(count))
     assert turns.std() == pytest.approx(0.3 * math.sqrt(0.5), rel=0.02)
@@ -216,7 +216,7 @@ def test_prediction_noise_has_the_moments_of_the_settings() -> None:
 
 
 def test_a_particle_that_crosses_the_border_loses_its_mass_or_is_reflected() -> None:
-    particle = Particles(np.array([[0.2, 10.0, -2.0, 0.0]]), np.ones(1), np.ones(1, dtype=np.uint64))
+    particle = unlabelled(np.array([[0.2, 10.0, -2.0, 0.0]]), np.ones(1), np.ones(1, dtype=np.uint64))
     quiet = {"heading_noise": 0.0, "position_noise": 0.0, "lifetime": 0.0}
     crossed = predict(particle, 1, 1, 0.5, FilterSettings(border="cross", **quiet), ARENA)
     mirrored = predict(particle, 1, 1, 0.5, FilterSettings(border="reflect", **quiet), ARENA)

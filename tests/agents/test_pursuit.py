@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agents.config import AgentConfig, ControlSettings
 from agents.coverage.control import STAND, Situation, control_law
 from agents.coverage.pursuit import STALE, Pursuit
-from agents.tracking.particles import NONE, Particles
+from agents.tracking.particles import NONE, Particles, unlabelled
 from protocol.geometry import EMPTY, rectangle
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import LimitSettings
@@ -23,7 +23,7 @@ def particles(*rows: tuple[float, float, float]) -> Particles:
     """Particles of rows x, y, weight, ids 1, 2, ..."""
     table = np.array(rows, dtype=float).reshape(-1, 3)
     states = np.column_stack([table[:, :2], np.zeros((len(table), 2))])
-    return Particles(states, table[:, 2], np.arange(1, len(table) + 1, dtype=np.uint64))
+    return unlabelled(states, table[:, 2], np.arange(1, len(table) + 1, dtype=np.uint64))
 
 
 def situation(held: Particles, tick: int = 0, pose: Pose = (50.0, 50.0, 0.0), fields: tuple[Pose, ...] = ()) -> Situation:

@@ -14,7 +14,9 @@ from agents.config import (
     ControlSettings,
     ExtractionSettings,
     FilterSettings,
+    MixtureSettings,
     PartitionSettings,
+    SearchSettings,
     TimingSettings,
 )
 from deploy.scenario import resolve
@@ -36,6 +38,7 @@ BASE: dict[str, Any] = {
     "capacity.mode": "saturating",
 }
 CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the defaults
+    "filter.kind": "gaussian-mixture",
     "filter.seed": 5,
     "filter.speed": 1.5,
     "filter.heading_noise": 0.6,
@@ -43,6 +46,7 @@ CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the 
     "filter.lifetime": 50.0,
     "filter.border": "reflect",
     "filter.prior_density": 0.002,
+    "filter.prior_particles": 1.0,
     "filter.particles_per_target": 40,
     "filter.least_particles": 300,
     "filter.most_particles": 60,
@@ -53,6 +57,7 @@ CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the 
     "filter.roughening": 2.0,
     "birth.border_share": 0.2,
     "birth.background_particles": 25,
+    "filter.compact": True,
     "birth.background": False,
     "birth.measurement": False,
     "birth.copies": 5,
@@ -67,6 +72,7 @@ CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the 
     "control.heading": "literal",
     "extraction.bin": 0.7,
     "extraction.threshold": 0.2,
+    "extraction.beside": 0.9,
     "detection.noise": 0.5,
     "limits.speed": 1.0,
     "limits.turn_rate": 0.3,
@@ -75,27 +81,49 @@ CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the 
 }
 IN_TROUBLE: dict[str, Any] = {  # settings that act only when words are late or missing
     "timing.deadline": 0.1,
-    "timing.silent_rounds": 1,
+    "timing.silent_rounds": 9,
+    "timing.silence": 3.0,
     "timing.listening_rounds": 0,
     "timing.overlap": 3.0,
+    "timing.look_ahead": 2.5,
 }
 TROUBLE = (fault(0.0, "delay", value=0.02, jitter=0.12), fault(0.5, "partition", "2", seconds=1.5), fault(1.0, "kill", "1", seconds=1.0))
+IN_SEARCH: dict[str, Any] = {  # settings that act only under search-and-track
+    "search.horizon": 3.0,
+    "search.stale": 0.0,
+    "search.weight": 1000.0,
+    "search.inflow": 0.5,
+    "search.confirmation": 0.0,
+    "search.sharing": 0.0,
+    "search.falloff": 0.0,
+    "search.look_ahead": 0.0,
+    "search.step_cost": 0.5,
+    "search.capacity": 0.1,
+}
+IN_MIXTURES: dict[str, Any] = {  # settings that act only on a Gaussian mixture
+    "mixture.spread": 3.0,
+    "mixture.merged": 0.5,
+    "mixture.pruned": 0.05,
+    "mixture.most_components": 2,
+}
 AMONG_NEIGHBOURS: dict[str, Any] = {"timing.tile": 12.0}  # settings that act only where agents hear their neighbours alone
 SECTIONS = {
     "filter": FilterSettings,
+    "mixture": MixtureSettings,
     "birth": BirthSettings,
     "capacity": CapacitySettings,
     "partition": PartitionSettings,
     "control": ControlSettings,
+    "search": SearchSettings,
     "extraction": ExtractionSettings,
     "timing": TimingSettings,
 }
 
 
 @cache
-def said(setting: str = "", value: object = None, plain: bool = False) -> bytes:
+def said(setting: str = "", value: object = None, plain: bool = False, law: str = "lloyd", kind: str = "particles") -> bytes:
     """The hash of all that the swarm says."""
-    options = BASE | ({setting: value} if setting else {})
+    options = BASE | {"control.mode": law, "filter.kind": kind} | ({setting: value} if setting else {})
     simulation, heard = Simulation(resolve("efficacy", options), backend=PLAIN if plain else compiled(), scores=False), []
 
     def hear(event: Event, now: float) -> None:
@@ -111,7 +139,7 @@ def said(setting: str = "", value: object = None, plain: bool = False) -> bytes:
 def test_every_setting_of_an_agent_is_changed_here() -> None:
     assert set(SECTIONS) <= set(AgentConfig.__struct_fields__)
     known = {f"{section}.{field}" for section, kind in SECTIONS.items() for field in kind.__struct_fields__}
-    assert known <= {*CHANGES, *IN_TROUBLE, *AMONG_NEIGHBOURS}
+    assert known <= {*CHANGES, *IN_SEARCH, *IN_MIXTURES, *IN_TROUBLE, *AMONG_NEIGHBOURS}
 
 
 @pytest.mark.parametrize("setting", CHANGES)
@@ -122,6 +150,23 @@ def test_a_setting_changes_what_the_swarm_does(setting: str) -> None:
 @pytest.mark.parametrize("setting", ["", *CHANGES])
 def test_a_setting_means_the_same_to_plain_and_to_compiled_arithmetic(setting: str) -> None:
     assert said(setting, CHANGES.get(setting)) == said(setting, CHANGES.get(setting), plain=True)
+
+
+@pytest.mark.parametrize("setting", IN_SEARCH)
+def test_a_setting_of_the_search_changes_what_the_swarm_does_alike_in_plain_and_compiled_arithmetic(setting: str) -> None:
+    changed = said(setting, IN_SEARCH[setting], law="search-and-track")
+    assert changed != said(law="search-and-track")
+    assert changed == said(setting, IN_SEARCH[setting], plain=True, law="search-and-track")
+
+
+@pytest.mark.parametrize("setting", IN_MIXTURES)
+def test_a_setting_of_mixtures_changes_what_a_swarm_of_mixtures_does_and_nothing_else(setting: str) -> None:
+    assert said(setting, IN_MIXTURES[setting], kind="gaussian-mixture") != said(kind="gaussian-mixture")
+    assert said(setting, IN_MIXTURES[setting]) == said()
+
+
+def test_a_setting_of_the_search_is_nothing_to_another_law() -> None:
+    assert said("search.weight", 1.0) == said()
 
 
 @pytest.mark.parametrize("setting", AMONG_NEIGHBOURS)

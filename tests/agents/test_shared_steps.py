@@ -13,7 +13,7 @@ from agents.interest.position_table import NO_GENERATORS
 from agents.round import _claim
 from agents.tracking.births import Scan, measurement_births
 from agents.tracking.claims import end_to_end, make_claim
-from agents.tracking.particles import NONE, Particles
+from agents.tracking.particles import NONE, Particles, unlabelled
 from agents.tracking.phd import sample_offset
 from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
@@ -43,7 +43,7 @@ def particles(*rows: tuple[float, float, float]) -> Particles:
     """Slow particles at x, y of some weight, with ids 1, 2, ..."""
     table = np.array(rows, dtype=float).reshape(-1, 3)
     states = np.column_stack([table[:, :2], np.full((len(table), 2), 1e-9)])
-    return Particles(states, table[:, 2].copy(), np.arange(1, len(table) + 1, dtype=np.uint64))
+    return unlabelled(states, table[:, 2].copy(), np.arange(1, len(table) + 1, dtype=np.uint64))
 
 
 def said(name: str, pose: tuple[float, float, float], *detections: tuple[float, float], cod: tuple[float, float] | None = None) -> Gossip:
@@ -160,7 +160,7 @@ def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told(backend: Back
     united = backend.merge(told, np.array([True, False, True]), copies, np.array([True, True]))
     assert united.ids.tolist() == [1, 2, 3] and united.weights.tolist() == [0.1, 0.8, 0.3]
     twice = particles((1.0, 1.0, 0.1), (2.0, 2.0, 0.2))
-    twice = Particles(twice.states, twice.weights, np.array([7, 7], dtype=np.uint64))
+    twice = unlabelled(twice.states, twice.weights, np.array([7, 7], dtype=np.uint64))
     assert backend.merge(twice, np.array([True, True]), NONE, np.array([], dtype=bool)).weights.tolist() == [0.1]
 
 
@@ -210,7 +210,7 @@ def test_measurement_births_are_spread_by_the_noise_in_east_and_north() -> None:
     """4000 copies: a standard error of 1.1 % of a standard deviation."""
     places = np.random.default_rng(1).random((400, 2)) * 60.0
     scan = Scan(key("sensor", "s1"), SENSOR, POSE, places, np.arange(400, dtype=np.uint64), 0.01)
-    born = measurement_births(scan, np.full(400, 0.1), 5, 1, 0.5, CONFIG.filter, CONFIG.birth)
+    born = measurement_births(scan, np.full(400, 0.1), np.full(400, 9, np.uint64), 5, 1, 0.5, CONFIG.filter, CONFIG.birth)
     offsets = born.states[:, :2] - np.repeat(places, CONFIG.birth.copies, axis=0)
     assert offsets.std(axis=0) == pytest.approx([0.5, 0.5], rel=0.05)
     assert abs(np.corrcoef(offsets.T)[0, 1]) < 0.08

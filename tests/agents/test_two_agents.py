@@ -51,7 +51,8 @@ def test_a_round_waits_for_a_late_word_as_long_as_the_setting_says(share: float)
         see(agent, 0, 100.0)
         hear(agent, 0, 100.0)
         see(agent, 1, 101.0)
-        agent._announcements.due = None  # what else it would wake up for
+        agent.handle(Timer(), 101.0)  # it asks to be called back at once
+        agent._announcements.due = agent._health.due = None  # what else it would wake up for
         assert agent.deadline() == pytest.approx(101.0 + share * period)
 
 

@@ -20,6 +20,7 @@ from agents.tracking.particles import NONE
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
+from protocol.settings import ArenaSettings
 from tests.agents.gossip_table import table
 from tests.agents.test_belief import merged, particles, share
 
@@ -66,14 +67,16 @@ def test_the_claim_of_a_stranger_never_agrees_with_mine_whatever_view_it_states(
 
 
 def test_each_bound_of_what_a_sensor_can_do_is_kept_by_itself() -> None:
-    """Class A: D = 132.7 m^2, g(D) = 6.499 m, and the COD lies within 8 m."""
+    """Class A: D = 132.7 m^2, g(D) = 6.499 m, the COD lies within 8 m, and the goal in the arena of 100 x 80 m."""
     announced = announced_sensor("s2", SENSOR, 0.1)
     most, radius = announced.facts.capability, math.sqrt(announced.facts.capability / math.pi)
-    usual = {"unused": most, "power_radius": radius, "cod": (8.0, 0.0)}
-    odd = {"unused": 1.001 * most, "power_radius": 1.001 * radius, "cod": (8.01, 0.0)}
+    usual = {"unused": most, "power_radius": radius, "cod": (8.0, 0.0), "goal": (100.0, 80.0)}
+    odd = {"unused": 1.001 * most, "power_radius": 1.001 * radius, "cod": (8.01, 0.0), "goal": (80.0, 80.1)}
+    arena = ArenaSettings(width=100.0, height=80.0)
 
     def is_plausible(**fields: Any) -> bool:
-        return plausible(Gossip(sender="s2", incarnation=1, tick=5, pose=(0.0, 0.0, 0.0), **{**usual, **fields}), announced)
+        return plausible(Gossip(sender="s2", incarnation=1, tick=5, pose=(0.0, 0.0, 0.0), **{**usual, **fields}), announced, arena)
 
     assert is_plausible()
+    assert is_plausible(goal=None)
     assert {field: is_plausible(**{field: value}) for field, value in odd.items()} == dict.fromkeys(odd, False)

@@ -13,12 +13,22 @@ from protocol.settings import BadSetting
 SWARM = {
     "time": 3.0, "ospa": 0.5, "gospa": 1.0, "in_view": 2, "targets": 3, "hole": 0.0, "overlap": 0.0,
     "arena": (25.0, 25.0), "places": [], "estimates": [],
-    "tick_rate": {"ticks_per_s": None, "asked_per_s": None, "skipped": 0, "late": 0, "advice": ""},
+    "tick_rate": {"ticks_per_s": None, "asked_per_s": None, "skipped": 0, "late": 0, "pace": 1, "slowest": [], "stalled": [], "advice": ""},
 }  # fmt: skip
 
 
 def row(name: str, state: str = "running") -> dict[str, Any]:
-    figures = {"tick": 12, "cell": 0.25, "mass": 1.0, "targets": 1, "round_ms": 2.5, "alive": state != "dead", "skipped": 0, "late": 0}
+    figures = {
+        "tick": 12,
+        "cell": 0.25,
+        "mass": 1.0,
+        "targets": 1,
+        "round_ms": 2.5,
+        "alive": state != "dead",
+        "skipped": 0,
+        "late": 0,
+        "pace": 1,
+    }
     end = {"end": "killed by SIGKILL", "ended_at": 0.0} if state == "dead" else {"end": "", "ended_at": None}
     return {"name": name, "class": "A", "state": state, "pid": 4711, "incarnation": 1, **end, **figures}
 
@@ -59,7 +69,23 @@ def test_a_picture_is_never_wider_than_the_terminal_and_name_and_state_stay(widt
 def test_the_narrower_the_terminal_the_fewer_columns_and_what_matters_least_goes_first() -> None:
     data = status(row("world"), row("s1"))
     heads = [next(line.split() for line in drawn(WatchScreen(Supervisor()), data, width) if "state" in line) for width in (100, 60, 30, 20)]
-    assert heads[0] == ["name", "class", "state", "pid", "inc", "tick", "cell", "%", "mass", "targets", "round", "ms", "skipped", "late"]
+    assert heads[0] == [
+        "name",
+        "class",
+        "state",
+        "pid",
+        "inc",
+        "tick",
+        "cell",
+        "%",
+        "mass",
+        "targets",
+        "round",
+        "ms",
+        "pace",
+        "skipped",
+        "late",
+    ]
     assert [len(head) for head in heads] == sorted((len(head) for head in heads), reverse=True)
     assert "inc" not in heads[1] and "mass" in heads[1] and heads[3] == ["name", "state"]
 

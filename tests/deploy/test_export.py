@@ -9,11 +9,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import shapely
 from mcap.reader import make_reader
 from PIL import Image
 from pyarrow import csv, parquet
 
 from deploy.cli import figures, recordings
+from deploy.plots import method_figures
 from deploy.plots.run_figures import Trajectories, pictures, write_animation, write_figure
 from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
 from deploy.recording.moments import messages
@@ -156,10 +158,21 @@ def test_a_figure_is_a_pdf_with_real_fonts_and_a_png(run: Run, tmp_path: Path) -
         assert image.size[0] > 2000
 
 
+def test_the_pictures_of_the_method_are_of_the_tick_before_the_first_death(run: Run, tmp_path: Path) -> None:
+    names = [file.stem for file in method_figures.write_figures(run[1], tmp_path)]
+    assert names == ["footprints", "cod", "power-cells", "unused-capacity", "claim", "copies", "death"]
+    moments = method_figures.moments(run[1])
+    assert [sum(seen.alive for seen in moment.values()) for moment in moments] == [6] * 12 + [5] * 8  # s2 falls silent with tick 12
+    areas = [sum(shapely.Polygon(seen.estimate.cell).area for seen in moment.values() if seen.alive) for moment in moments]
+    assert areas[11] == pytest.approx(625.0) and areas[12] < 624.0 and areas[13] == pytest.approx(625.0)  # the hole is drawn, and its end
+
+
 @pytest.mark.slow
 def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda name: None)  # as where there is no ffmpeg
-    file = write_animation(run[1], tmp_path)
+    told: list[tuple[int, int]] = []
+    file = write_animation(run[1], tmp_path, lambda done, ticks: told.append((done, ticks)))
+    assert told == [(done, 20) for done in range(1, 20, 2)]
     with Image.open(file) as image:
         assert (file.suffix, image.n_frames) == (".gif", 10)  # type: ignore[attr-defined]
 
@@ -169,7 +182,7 @@ def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: 
     [
         ("--out", lambda file, place: recordings.export(file, "csv", place)),
         ("--out", lambda file, place: recordings.export(file, "foxglove", place)),
-        ("--into", lambda file, place: figures.draw_run(file, place, False)),
+        ("--into", lambda file, place: figures.draw_run(file, place, False, False)),
         ("--csv", lambda file, place: recordings.score(file, place, False)),
     ],
 )

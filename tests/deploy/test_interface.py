@@ -47,6 +47,7 @@ class Ring:
 
 PROCESSES_ONLY = {
     "run",
+    "bodies",
     "lockstep",
     "spawn",
     "strict",

@@ -96,8 +96,8 @@ def test_a_name_that_cannot_be_one_is_refused(name: str, tmp_path: Path) -> None
 
 def test_the_command_knows_the_names_of_a_scenario_and_complains_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert keys([], "quick", tmp_path, (), 10, False) == 0
-    assert "8 certificates" in capsys.readouterr().out
-    assert {file.stem for file in tmp_path.glob("*.pem")} == {"ca", "world", "monitor", "s1", "s2", "s3", "s4", "s5", "s6"}
+    assert "9 certificates" in capsys.readouterr().out
+    assert {file.stem for file in tmp_path.glob("*.pem")} == {"ca", "world", "monitor", "operator", "s1", "s2", "s3", "s4", "s5", "s6"}
     for names, scenario, hosts, days, complaint in [
         ([], None, (), 10, "either names"),
         (["s9"], "quick", (), 10, "either names"),

@@ -14,7 +14,22 @@ from deploy.simulation import Simulation
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting, load
 
-MAY_KNOW = {"arena", "birth", "capacity", "control", "detection", "extraction", "filter", "limits", "members", "network", "partition"}
+MAY_KNOW = {
+    "arena",
+    "birth",
+    "capacity",
+    "control",
+    "detection",
+    "extraction",
+    "search",
+    "filter",
+    "limits",
+    "mixture",
+    "members",
+    "network",
+    "partition",
+    "pose",
+}
 MAY_KNOW |= {"run", "sensors", "timing"}
 SECRETS = {"targets", "bodies", "faults", "team", "study"}
 SEED = 987654321

@@ -47,6 +47,9 @@ class Played:
     def score(self) -> Score | None:
         return self.scores()[-2]
 
+    def beside(self) -> None:
+        return None
+
     def about(self, may_act: bool) -> dict[str, Any]:
         return {"source": "live", "verbs": ["kill"] if may_act else []}
 

@@ -3,7 +3,7 @@
 import pytest
 
 from deploy.studies import trials
-from deploy.studies.trials import METHODS, Trial
+from deploy.studies.trials import ABLATIONS, METHODS, Trial
 
 
 def trial(method: str, **options: object) -> Trial:
@@ -16,7 +16,7 @@ def test_a_partition_is_compared_under_its_own_name(kind: str) -> None:
     assert (scenario.partition.kind, scenario.control.mode) == (kind, "lloyd")
 
 
-@pytest.mark.parametrize("mode", ["pursuit", "uniform-density", "random", "static"])
+@pytest.mark.parametrize("mode", ["pursuit", "search-and-track", "oracle", "uniform-density", "random", "static"])
 def test_a_control_law_is_compared_on_power_cells(mode: str) -> None:
     scenario = trial(mode).resolve()
     assert (scenario.partition.kind, scenario.control.mode) == ("power", mode)
@@ -37,4 +37,23 @@ def test_rows_of_another_program_have_another_key(monkeypatch: pytest.MonkeyPatc
 
 
 def test_every_method_is_compared_here() -> None:
-    assert set(METHODS) == {"power", "voronoi", "voronoi-cod", "pursuit", "uniform-density", "random", "static"}
+    assert set(METHODS) - set(ABLATIONS) == {
+        "power",
+        "power-extraction",
+        "voronoi",
+        "voronoi-cod",
+        "pursuit",
+        "search-and-track",
+        "oracle",
+        "uniform-density",
+        "random",
+        "static",
+    }
+
+
+@pytest.mark.parametrize("method", ABLATIONS)
+def test_an_ablation_is_search_and_track_but_for_its_ingredient(method: str) -> None:
+    whole, without = METHODS["search-and-track"], METHODS[method]
+    changed = {name for name in without if without[name] != whole.get(name)}
+    assert changed == set(ABLATIONS[method])
+    assert trial(method).resolve().control.mode == "search-and-track"

@@ -78,6 +78,7 @@ def test_the_summary_takes_medians_and_quartiles_over_the_seeds() -> None:
     assert loss["recovery_s"] == float("inf")  # one of three recovers
 
 
+@pytest.mark.slow
 def test_a_study_that_was_stopped_goes_on_and_writes_tables_and_a_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,11 +117,11 @@ def test_faults_can_be_chosen_and_bring_their_references() -> None:
         "loss",
         "delay",
     )
-    with pytest.raises(BadSetting, match="--faults flood: should be one or more of kill, loss, delay, partition"):
+    with pytest.raises(BadSetting, match="--faults flood: should be one or more of kill, loss, bursts, delay, throttle, partition"):
         robustness_command.kinds_of("flood")
 
 
 def test_the_figure_has_panels_for_the_faults_that_were_played() -> None:
     assert mosaic(["kill"]) == [["deaths"] * 4 + ["kill"] * 2]
     assert mosaic(["loss", "partition"]) == [["loss"] * 3 + ["partition"] * 3]
-    assert [len(places) for places in mosaic(list(LEVELS))] == [6, 6]
+    assert [len(places) for places in mosaic(list(LEVELS))] == [6, 6, 6]

@@ -13,7 +13,7 @@ from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, team
 from protocol.settings import BadSetting, Common, convert
 from world.config import WorldConfig
 
-SHIPPED = ["anisotropic", "convergence", "efficacy", "heterogeneity", "quick"]
+SHIPPED = ["anisotropic", "convergence", "efficacy", "heterogeneity", "mrclam", "quick", "solent", "students03"]
 
 
 def counts(composition: str, triple: str = "ACD") -> dict[str, int]:
@@ -176,9 +176,8 @@ def test_a_wrong_file_is_told_with_its_path_and_without_options(tmp_path: Path) 
 
 
 def test_an_unknown_scenario_lists_the_known_ones() -> None:
-    with pytest.raises(
-        BadSetting, match="scenario 'quik' does not exist; known are anisotropic, convergence, efficacy, heterogeneity, quick, or"
-    ):
+    known = "anisotropic, convergence, efficacy, heterogeneity, mrclam, quick, solent, students03"
+    with pytest.raises(BadSetting, match=f"scenario 'quik' does not exist; known are {known}, or"):
         find("quik")
 
 

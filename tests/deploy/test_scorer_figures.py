@@ -64,3 +64,15 @@ def test_who_has_been_silent_for_longer_than_it_stays_a_generator_is_not_scored(
             scorer.handle(estimate("b", tick, RIGHT, LATE), 0.0)
     estimated = [score.estimated for score in scorer.scores]
     assert estimated[:8] == [2] * 5 + [1] * 3
+
+
+def test_a_tick_is_scored_with_the_estimates_of_that_tick_though_later_ones_are_there(scenario: Scenario) -> None:
+    """The slower agent answers tick 0 after the faster one has answered tick 1."""
+    scorer = started(scenario)
+    scorer.handle(truth(0), 0.0)
+    scorer.handle(estimate("a", 0, LEFT, EARLY), 0.0)
+    scorer.handle(truth(1), 1.0)
+    scorer.handle(estimate("a", 1, LEFT, LATE), 1.0)
+    for tick in (0, 1):
+        scorer.handle(estimate("b", tick, RIGHT), 1.0)
+    assert [score.ospa for score in scorer.scores] == pytest.approx([5.0, 1.0])

@@ -11,7 +11,7 @@ from agents.config import AgentConfig, FilterSettings
 from agents.coverage import cells
 from agents.tracking import phd
 from agents.tracking.claims import make_claim, owned
-from agents.tracking.particles import Particles
+from agents.tracking.particles import Particles, unlabelled
 from protocol.geometry import polygon_area, rectangle
 from protocol.keys import order
 from protocol.settings import ArenaSettings
@@ -43,7 +43,7 @@ def test_its_particles_move_as_ours_do(stranger: ModuleType, border: str) -> Non
     config = AgentConfig(arena=ArenaSettings(width=30.0, height=20.0), filter=FilterSettings(seed=2**62 + 5, border=border))  # type: ignore[arg-type]
     rng = np.random.default_rng(5)
     states = np.column_stack([rng.uniform(0.0, 30.0, 200), rng.uniform(0.0, 20.0, 200), rng.normal(0.0, 2.0, (200, 2))])
-    particles = Particles(states, np.full(200, 0.25), rng.integers(0, 2**64, 200, dtype=np.uint64))
+    particles = unlabelled(states, np.full(200, 0.25), rng.integers(0, 2**64, 200, dtype=np.uint64))
     moved = phd.predict(particles, 17, config.filter.seed, config.run.dt, config.filter, config.arena)
     ours = [row for row in rows_of(moved) if row[4] > 0.0]
     assert stranger.move(rows_of(particles), 17, config.agreed()) == ours

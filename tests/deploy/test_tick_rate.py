@@ -9,16 +9,22 @@ from deploy.cli.display import tick_rate_words
 from deploy.scenario import Scenario, resolve
 from deploy.scoring.status import TickRate
 from deploy.scoring.tick_rate import TickRateMeter, asked_per_s, too_small
+from protocol.messages import Estimate
 
 
 def scenario(**run: Any) -> Scenario:
     return resolve("quick", {"run.dt": 0.25, **{f"run.{field}": value for field, value in run.items()}})
 
 
+def told(name: str, incarnation: int, counters: dict[str, int], pace: int = 1) -> Estimate:
+    fields = {"tick": 0, "pose": (0.0, 0.0, 0.0), "cod": (0.0, 0.0), "power_radius": 0.0, "unused": 0.0}
+    return Estimate(sender=name, incarnation=incarnation, counters=counters, pace=pace, **fields)  # type: ignore[arg-type]
+
+
 def run_at(pace: TickRateMeter, per_second: float, seconds: float, skipped: int = 0, rounds: int = 100) -> None:
     for tick in range(int(per_second * seconds) + 1):
         pace.tick(100.0 + tick / per_second, tick)
-    pace.count("s1", 1, {"rounds": rounds, "skipped": skipped, "late": 3})
+    pace.count(told("s1", 1, {"rounds": rounds, "skipped": skipped, "late": 3}))
 
 
 def test_what_is_asked_is_the_rate_of_real_time_or_the_pace_of_lockstep() -> None:
@@ -39,10 +45,10 @@ def test_the_speed_is_that_of_the_last_seconds_and_that_of_the_whole_run() -> No
 
 def test_rounds_are_counted_over_all_incarnations() -> None:
     pace = TickRateMeter(scenario())
-    pace.count("s1", 1, {"rounds": 10, "skipped": 2, "late": 1})
-    pace.count("s1", 1, {"rounds": 20, "skipped": 4})
-    pace.count("s1", 2, {"rounds": 5, "late": 3})
-    pace.count("s2", 1, {"rounds": 7})
+    pace.count(told("s1", 1, {"rounds": 10, "skipped": 2, "late": 1}))
+    pace.count(told("s1", 1, {"rounds": 20, "skipped": 4}))
+    pace.count(told("s1", 2, {"rounds": 5, "late": 3}))
+    pace.count(told("s2", 1, {"rounds": 7}))
     found = pace.now()
     assert (found.rounds, found.skipped, found.late) == (32, 4, 3)
 
@@ -86,4 +92,14 @@ def test_what_is_nothing_is_not_said() -> None:
 
     assert words() == ""
     assert words(ticks_per_s=7.12) == "7.1 ticks/s"
-    assert words(ticks_per_s=7.12, asked_per_s=8.0, skipped=3, late=1) == "7.1 of 8 ticks/s, 3 rounds skipped, 1 late"
+    assert words(ticks_per_s=7.72, asked_per_s=8.0, skipped=3, late=1) == "7.7 of 8 ticks/s, 3 rounds skipped, 1 late"
+
+
+def test_a_slow_world_says_its_factor_and_who_is_slow_or_stalled_is_named() -> None:
+    meter = TickRateMeter(scenario(clock="lockstep", pace=2.5))
+    run_at(meter, 4.0, 10.0)
+    for name, stalled in (("s1", 0), ("s2", 900), ("s3", 0), ("s4", 0), ("s5", 0)):
+        meter.count(told(name, 1, {"stalled_ms": stalled} if stalled else {}, pace=1 if name == "s2" else 4))
+    found = meter.now()
+    line = tick_rate_words({name: getattr(found, name) for name in found.__struct_fields__})
+    assert line == "4.0 of 10 ticks/s, 0.40 x the speed asked for, pace 4: s1, s3, s4 and 1 more, stalled: s2"

@@ -56,6 +56,7 @@ def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
     assert done.stdout.split() == ["True", "0"], done.stderr
 
 
+@pytest.mark.slow
 def test_who_warms_up_while_another_does_waits_for_it() -> None:
     program = "from deploy.live.warmup import warm; print('begins', flush=True); warm(); print('warm')"
     held = os.open(update.stats.cache_path, os.O_RDONLY)

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from deploy.wheel import ROOMS, rewritten
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = "import sys; from setuptools.build_meta import build_wheel; build_wheel(sys.argv[1])"
+BUILD_SDIST = "import sys; from setuptools.build_meta import build_sdist; build_sdist(sys.argv[1])"
 PARTS = ("pyproject.toml", "README.md", "LICENSE", *ROOMS)
 STRANGER = "class Runner: ...\n"  # what the folder `agents` of site-packages holds when openai-agents is installed
 WARM = "from covey.deploy.live.warmup import warm; warm()"
@@ -92,6 +94,31 @@ def test_a_wheel_holds_one_package_and_all_its_data(wheel: Path) -> None:
     files = [file for file in files if "__pycache__" not in file and not file.endswith(".mcap")]
     wanted = {f"covey/{file.removeprefix('deploy/interface/covey/')}" for file in files}
     assert wanted <= set(names), "pyproject.toml, tool.setuptools: packages and package-data"
+
+
+@pytest.mark.slow
+def test_a_wheel_that_is_built_from_the_sdist_holds_the_same_files_to_the_byte(wheel: Path, tmp_path: Path) -> None:
+    """The sdist is made in the copy that the wheel was built in, and unpacked where nothing else is."""
+    done = subprocess.run(
+        [sys.executable, "-c", BUILD_SDIST, str(tmp_path)], cwd=wheel.parent, capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    [archive] = tmp_path.glob("covey-*.tar.gz")
+    with tarfile.open(archive) as packed:
+        packed.extractall(tmp_path, filter="data")
+    source = tmp_path / archive.name.removesuffix(".tar.gz")
+    done = subprocess.run(
+        [sys.executable, "-c", BUILD, str(tmp_path)], cwd=source, capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    [again] = tmp_path.glob("*.whl")
+    assert contents(again) == contents(wheel)
+
+
+def contents(wheel: Path) -> dict[str, bytes]:
+    """The files of a wheel."""
+    with zipfile.ZipFile(wheel) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
 
 
 @pytest.mark.slow

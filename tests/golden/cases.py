@@ -59,7 +59,7 @@ class Case(NamedTuple):
         """What is played."""
         name, options = SWARMS[self.swarm]
         dt = 0.25
-        more = {"run.seed": self.seed, "run.dt": dt, "run.seconds": TICKS * dt, "timing.interest": self.interest}
+        more = {"run.seed": self.seed, "run.dt": dt, "run.seconds": TICKS * dt, "timing.interest": self.interest, "network.lease": 2.0}
         return msgspec.structs.replace(resolve(name, {**options, **more}), faults=TROUBLES[self.trouble][1])
 
 

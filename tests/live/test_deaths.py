@@ -40,7 +40,7 @@ def test_after_sigkill_the_rest_cover_the_arena_and_no_mass_is_lost(covey: Covey
 
 
 def test_a_dead_agents_token_is_gone_at_once_and_in_real_time_too_the_mass_is_kept(covey: Covey) -> None:
-    """How fast it goes on a quiet machine is printed, and stands in docs/promises.md; on a busy one T_dead must do."""
+    """How fast it goes on a quiet machine is printed, and stands in docs/evidence/promises.md; on a busy one T_dead must do."""
     covey.start("up", "ledger.toml", "--rate", "1", "--seconds", "1000", "--record", *PATIENT)
     covey.running()
     notices = []

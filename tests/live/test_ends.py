@@ -36,6 +36,7 @@ def kill_supervisor(covey: Covey, moment: float | None) -> float:
     return time.monotonic() - begin
 
 
+@pytest.mark.slow
 def test_nobody_survives_a_supervisor_that_is_killed_while_it_starts_or_runs_and_its_socket_is_swept(covey: Covey) -> None:
     for moment in (None, 1.0):
         kill_supervisor(covey, moment)

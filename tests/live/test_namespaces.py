@@ -42,7 +42,7 @@ SIDES = {"a": ("s1", "s2", "s3"), "b": ("s4", "s5", "s6")}
 TEAM = SIDES["a"] + SIDES["b"]
 AREA = 60.0 * 60.0  # m^2
 CUT = 6.0  # s
-RECONNECTED = 3.0  # s, the promise of docs/promises.md
+RECONNECTED = 3.0  # s, the promise of docs/evidence/promises.md
 CONFIG = f"""
 [run]
 name = "apart"

@@ -1,9 +1,7 @@
 """The page in a real Chromium: it comes alive, a click kills, a replay is scrubbed; the browser has nothing to complain of."""
 
 import json
-import shutil
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +10,15 @@ import pytest
 from deploy.recording.recording import Recording, event_of
 from protocol.messages import Estimate, Truth
 from protocol.node import messages_of
+from tests.live.browser import MARKS, address, alive, bottom, happened, page, until
 from tests.live.harness import ROOT, Covey, rows
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs the Python package playwright")
-CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
-
-pytestmark = [
-    pytest.mark.live,
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.timeout(400),
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine: apt-get install chromium"),
-]
+__all__ = ["page"]  # a fixture
+pytestmark = MARKS
 LONG = ("up", "quick", "--seconds", "1000", "--rate", "2", "--page", "0", "--set", "network.link_faults=true")
-PATIENCE = 120_000.0  # ms; reached only when something hangs
 KILL_SECONDS = 2.0  # from the click until the body is grey, its cell taken over, and the time line says so
 ALIVE_SECONDS = 5.0  # from the address of the demo until the page is alive
-BUSY = 5.0  # times the limits that the page promises: other tests run beside this one; docs/watching.md has what a quiet machine takes
+BUSY = 5.0  # times the limits that the page promises: other tests run beside this one; docs/how-to/watch.md has what a quiet machine takes
 
 
 SLOW = """
@@ -36,47 +26,6 @@ import sys, time
 if "deploy.live.zygote" in sys.orig_argv:
     time.sleep(20.0)
 """
-
-
-@pytest.fixture
-def page() -> Iterator[Any]:
-    """A window; at the end nothing may stand on its console, and no page may have raised an error."""
-    complaints: list[str] = []
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"], timeout=2.0 * PATIENCE)
-        window = browser.new_page(viewport={"width": 1400, "height": 900})
-        window.set_default_timeout(PATIENCE)
-        window.on("console", lambda message: complaints.append(message.text) if message.type in ("error", "warning") else None)
-        window.on("pageerror", lambda error: complaints.append(str(error)))
-        yield window
-        browser.close()
-    assert complaints == []
-
-
-def address(process: Any) -> str:
-    """The page's address, which is the first thing that a command says."""
-    line = process.stdout.readline()
-    assert line.startswith("page: http://127.0.0.1:"), line
-    return str(line.split()[1])
-
-
-def until(page: Any, expression: str) -> None:
-    """Wait until an expression holds in the page; by asking again and again, for the page forbids itself to evaluate texts."""
-    end = time.monotonic() + PATIENCE / 1000.0
-    while not page.evaluate(f"Boolean({expression})"):
-        assert time.monotonic() < end, f"never: {expression}"
-        page.wait_for_timeout(50)
-
-
-def happened(kind: str, who: str) -> str:
-    """Whether something stands on the time line, as an expression."""
-    return f"[...covey.happenings.values()].some(([, , kind, who]) => kind === '{kind}' && who === '{who}')"
-
-
-def alive(page: Any, url: str) -> None:
-    """Open the page and wait until it shows a tick."""
-    page.goto(url)
-    until(page, "covey.frame && covey.frame.tick >= 2")
 
 
 def test_bodies_move_and_a_click_kills(covey: Covey, page: Any) -> None:
@@ -129,6 +78,11 @@ def test_the_page_of_the_demo_is_the_first_thing_said_and_is_alive_soon(covey: C
     print(f"from the address to the page that is alive: {taken:.2f} s")
     assert taken < ALIVE_SECONDS * BUSY
     until(page, "covey.frame && covey.frame.tick > 4 && covey.frame.agents.every((agent) => agent.state === 'alive')")
+    page.set_viewport_size({"width": 1440, "height": 900})
+    until(page, f"{bottom('#row-s16')} <= {bottom('#team')}")  # the last row is seen whole
+    page.set_viewport_size({"width": 420, "height": 900})
+    until(page, "document.querySelector('#title').scrollWidth <= document.querySelector('#title').clientWidth")
+    until(page, "document.documentElement.scrollWidth <= 420")
 
 
 def test_everything_can_be_reached_by_keyboard(covey: Covey, page: Any) -> None:
@@ -148,7 +102,7 @@ def test_everything_can_be_reached_by_keyboard(covey: Covey, page: Any) -> None:
     page.keyboard.press("?")
     assert page.is_visible("#help")
     page.keyboard.press("Escape")
-    for _ in range(40):  # Tab leads to the roster, Enter chooses
+    for _ in range(100):  # Tab leads to the roster, Enter chooses
         page.keyboard.press("Tab")
         if page.evaluate("document.activeElement.closest('tbody') !== null"):
             break

@@ -206,6 +206,7 @@ def test_a_class_of_the_users_that_raises_in_the_middle_of_a_run_ends_it_with_on
     assert "mine:Bad.command" in complaints and "no way" in complaints and "Traceback" not in complaints
 
 
+@pytest.mark.slow
 def test_an_agent_that_crashes_says_its_last_line_and_the_run_goes_on_and_ends_with_1(covey: Covey) -> None:
     (covey.folder / "mine.py").write_text(LAW + "            os.write(2, b'a last line\\n')\n            os._exit(1)\n" + GOOD)
     code, output, _ = covey.run(*BAD)

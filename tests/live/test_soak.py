@@ -63,6 +63,6 @@ def test_in_two_minutes_memory_hardly_grows_and_descriptors_do_not(covey: Covey)
 @pytest.mark.nightly
 @pytest.mark.timeout(5400)
 def test_in_an_hour_24_agents_grow_by_less_than_a_mebibyte(covey: Covey) -> None:
-    """At a quarter of real time, so that it fits beside other work. With deaths and returns it grows by more, see docs/promises.md."""
+    """At a quarter of real time, so that it fits beside other work. With deaths it grows by more (docs/evidence/promises.md)."""
     median, _, descriptors = soak(covey, "A6,B18", "0.25", 300.0, 3600.0)
     assert median < 1.0 and descriptors <= 2

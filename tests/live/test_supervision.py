@@ -42,6 +42,7 @@ def test_a_reader_who_stops_reading_holds_up_neither_the_run_nor_an_order(covey:
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
 def test_a_detached_run_is_acted_on_from_elsewhere_and_a_second_one_of_its_name_is_refused(covey: Covey) -> None:
     code, output, complaints = covey.run("up", *LONG, "--detach", "--run", "mine")
     assert (code, complaints) == (0, "")
@@ -78,6 +79,7 @@ def test_a_detached_run_is_acted_on_from_elsewhere_and_a_second_one_of_its_name_
     assert (covey.folder / "runs" / "mine" / "result.json").is_file()
 
 
+@pytest.mark.slow
 def test_a_killed_world_stops_the_clock_and_a_restarted_one_goes_on_where_it_stopped(covey: Covey) -> None:
     covey.start("up", *LONG)
     covey.running()
@@ -132,10 +134,20 @@ def test_a_port_in_use_is_one_line_and_nobody_stays_behind(covey: Covey) -> None
 
 
 def test_a_process_that_refuses_its_settings_ends_the_run_with_its_own_words(covey: Covey) -> None:
-    (covey.folder / "lost.toml").write_text('[members]\ns1 = "A"\n[bodies]\nstart = "given"\n')
-    code, _, complaints = covey.run("up", "lost.toml")
+    """A motion that only the process of the world cannot make: the command has found nothing wrong with it."""
+    lines = [
+        "import sys",
+        "class Motion:",
+        "    def __init__(self, settings, dt, seed):",
+        "        if sys.modules['__main__'].__spec__.name.startswith('world'):",
+        "            raise ValueError('no map of this town')",
+        "    def move(self, positions, headings, ids, tick):",
+        "        return positions, headings",
+    ]
+    (covey.folder / "towns.py").write_text("\n".join(lines) + "\n")
+    code, _, complaints = covey.run("up", "quick", "--set", "targets.motion=towns:Motion")
     assert code == 2
-    assert complaints.startswith("covey: world: bodies.poses")
+    assert complaints.startswith("covey: world: targets.motion = 'towns:Motion': no map of this town")
     assert complaints.count("\n") == 1
 
 

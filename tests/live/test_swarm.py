@@ -27,6 +27,21 @@ def test_sixteen_processes_in_lockstep_follow_the_simulation_to_the_last_bit(cov
     assert result["kills"] == []
 
 
+def test_a_live_swarm_that_searches_and_tracks_follows_the_simulation_to_the_last_bit(covey: Covey) -> None:
+    words = ("--team", "A2,B2", "--seconds", "10", "--seed", "3", "--control", "search-and-track", *PATIENT)
+    result = covey.result("up", "quick", "--lockstep", *words)
+    options = {"team.composition": "A2,B2", "run.seconds": 10.0, "run.seed": 3, "control.mode": "search-and-track"}
+    assert result["transcript"] == simulate(resolve("quick", options)).transcript
+
+
+@pytest.mark.slow
+def test_a_live_swarm_of_gaussian_mixtures_follows_the_simulation_to_the_last_bit(covey: Covey) -> None:
+    words = ("--team", "A2,B2", "--seconds", "10", "--seed", "3", "--set", "filter.kind=gaussian-mixture", *PATIENT)
+    result = covey.result("up", "quick", "--lockstep", *words)
+    options = {"team.composition": "A2,B2", "run.seconds": 10.0, "run.seed": 3, "filter.kind": "gaussian-mixture"}
+    assert result["transcript"] == simulate(resolve("quick", options)).transcript
+
+
 @pytest.mark.slow
 def test_the_cells_of_the_rest_cover_the_arena_again_after_one_and_after_five_deaths(covey: Covey) -> None:
     words = ("--seconds", "30", "--kill", "1@4", "--kill", "5@8", *PATIENT)
@@ -41,6 +56,7 @@ def test_the_cells_of_the_rest_cover_the_arena_again_after_one_and_after_five_de
     assert not any('"level": "error"' in log.read_text() for log in logs)
 
 
+@pytest.mark.slow
 def test_in_real_time_a_dead_body_stands_still_and_a_restarted_agent_finds_it_there(covey: Covey) -> None:
     covey.start("up", "quick", "--seconds", "100000", "--rate", "4")
     covey.running()
@@ -59,6 +75,7 @@ def test_in_real_time_a_dead_body_stands_still_and_a_restarted_agent_finds_it_th
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
 def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> None:
     supervisor = covey.start("up", "quick", "--run", "covey", "--lockstep", "--json", "--seconds", "30", *PATIENT)
 

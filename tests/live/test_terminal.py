@@ -52,6 +52,7 @@ class Watch:
         return self.process.returncode
 
 
+@pytest.mark.slow
 def test_keys_act_on_the_chosen_process_and_however_watch_ends_the_terminal_is_as_it_was(covey: Covey) -> None:
     covey.start(*FEW)
     covey.running()

@@ -97,9 +97,10 @@ def copy_tree(target: Path) -> None:
         if (ROOT / name).is_file():
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, target / name)  # with the time of its change, by which numba knows it
-    for old in folder().glob("agents_*"):
-        if old.name == _numba_name(HERE):
-            shutil.copytree(old, target / ".loops" / "covey" / folder().name / _numba_name(target / "agents"))
+    compiled = folder() / _numba_name(HERE)
+    if compiled.is_dir():
+        there = target / ".loops" / "covey" / folder().name / _numba_name(target / HERE.relative_to(ROOT))
+        shutil.copytree(compiled, there)
 
 
 def _numba_name(path: Path) -> str:
@@ -206,7 +207,7 @@ def main(words: Sequence[str]) -> int:
         print(f"no mutant is called {' or '.join(words)}; see {TABLE.relative_to(ROOT)}")
         return 2
     began = time.monotonic()
-    verdicts = run(mutants, min(os.cpu_count() or 1, len(mutants)))
+    verdicts = run(mutants, min(len(os.sched_getaffinity(0)), len(mutants)))
     alive = sorted(verdict for verdict in verdicts if verdict.what != "killed")
     for verdict in alive:
         print(f"{verdict.what} {verdict.mutant.number} {verdict.mutant.name}: {verdict.text}")

@@ -1,11 +1,13 @@
 """The table of mutants is in order, its runner tells the killed from the rest, and (nightly) every mutant is killed."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from agents.compiled.cache import loops_on_disk
 from tests.mutants import run
 from tests.mutants.run import ROOT, Edit, Mutant, chosen, judge, planted, read_table
 
@@ -27,6 +29,20 @@ def test_every_mutant_can_be_planted_and_names_tests_that_exist() -> None:
 def test_mutants_have_names_of_their_own_and_are_many() -> None:
     names = [mutant.name for mutant in TABLE]
     assert len(set(names)) == len(names) >= LEAST
+
+
+def test_a_copy_has_the_compiled_loops_of_the_tree(tmp_path: Path) -> None:
+    """Else each copy compiles them within the time of its first mutant."""
+    copy = tmp_path.resolve() / "copy"
+    run.copy_tree(copy)
+    program = "from agents.compiled.cache import folder, loops_on_disk; from agents.compiled.cell_kernels import cut_cells\n"
+    program += "import numpy as np; a = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])\n"
+    program += "cut_cells(np.array([0]), a, np.ones(4), a, 1e-6); print(loops_on_disk(), sum(cut_cells.stats.cache_hits.values()))"
+    variables = {**os.environ, "PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / ".loops")}
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=copy, env=variables, capture_output=True, text=True, timeout=110, check=False
+    )
+    assert done.stdout.split() == [str(loops_on_disk()), "1"], done.stderr
 
 
 def test_a_text_that_has_gone_is_an_error_that_says_so(tmp_path: Path) -> None:

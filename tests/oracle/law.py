@@ -9,7 +9,7 @@ import numpy as np
 def command(goal: np.ndarray, driven: np.ndarray, pose: np.ndarray, settings: dict[str, Any]) -> tuple[float, float, float]:
     """vx, vy in m/s and the turn rate in rad/s: `driven`, the COD, goes to the goal in one step of dt if the limits allow it.
 
-    "literal" looks at the goal from the driven point, as printed; "centroid" looks at it from the sensor (docs/paper.md).
+    "literal" looks at the goal from the driven point, as printed; "centroid" looks at it from the sensor (docs/evidence/paper.md).
     """
     limits, dt = settings["limits"], settings["run"]["dt"]
     wanted = (goal - driven) / dt

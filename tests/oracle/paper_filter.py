@@ -1,7 +1,7 @@
 """The particle PHD filter of sections II-C and IV with dice of its own: motion, births, misses, clutter, iterated corrector, redraw.
 
 It is central: one PHD of the whole arena, corrected with the scans of all sensors. Settings are those that a run has recorded, as a
-plain dictionary. What the paper leaves open is read as docs/paper.md says, and so is the one rule that is not the paper's, that of a miss.
+plain dictionary. What the paper leaves open is read as docs/evidence/paper.md says; so is the one rule of our own, that of a miss.
 """
 
 import math
@@ -43,7 +43,7 @@ class Scan(NamedTuple):
 
 
 def public_order(scans: list[Scan]) -> list[Scan]:
-    """The order in which the corrector takes the scans of a tick (docs/paper.md): by ascending p_d, then shorter names, then bytes."""
+    """The order of the scans of a tick in the corrector (docs/evidence/paper.md): by ascending p_d, then shorter names, then bytes."""
     return sorted(scans, key=lambda scan: (scan.wedge.prob, len(scan.name), scan.name.encode()))
 
 

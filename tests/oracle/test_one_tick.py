@@ -69,7 +69,7 @@ def test_the_cells_that_are_said_are_the_intersections_of_half_planes(scene: str
 
 @every_scene
 def test_the_masses_and_loads_that_are_said_are_those_of_the_corrector(scene: str) -> None:
-    """Beyond the halo of its cell an agent does not correct: what it sees there counts as predicted (docs/paper.md)."""
+    """Beyond the halo of its cell an agent does not correct: what it sees there counts as predicted (docs/evidence/paper.md)."""
     for tick, oracle in judged(scene)[1]:
         for name, estimate in tick.estimates.items():
             assert abs(oracle[name].mass - estimate.mass) <= EXACT

@@ -80,6 +80,7 @@ def standard_errors(differences: list[np.ndarray]) -> np.ndarray:
     return np.abs(np.mean(differences, axis=0)) / (np.std(differences, axis=0, ddof=1) / math.sqrt(len(differences)))
 
 
+@pytest.mark.slow
 def test_mass_and_phd_are_within_three_standard_errors_of_the_oracle_over_thirty_seeds() -> None:
     apart = standard_errors([swarm(seed) - oracle(seed) for seed in range(SEEDS)])
     assert (apart <= 3.0).all(), dict(zip(REGIONS, apart.round(1).tolist()))

@@ -82,7 +82,7 @@ def _cod_at_rest(wedge: Wedge) -> tuple[float, float]:
 
 
 def unused(wedge: Wedge, load: float, settings: dict[str, Any]) -> float:
-    """U, m^2 (11), in the reading that the run has chosen; `load` is the integral of v over the footprint (docs/paper.md, Ambiguous)."""
+    """U, m^2 (11), in the reading that the run has chosen; `load` is the integral of v over the footprint (docs/evidence/paper.md)."""
     d, detected = capability(wedge), wedge.prob * load
     readings = {
         "literal": d - (detected / load if load > 0.0 else 0.0),

@@ -1,5 +1,6 @@
 """One well-formed message of every kind, as bytes; and why bytes are refused."""
 
+import struct
 from typing import Any
 
 import msgpack
@@ -8,7 +9,7 @@ import numpy as np
 from protocol import codec
 from protocol.fields import Malformed, pack
 from protocol.keys import message_key
-from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation, Truth
+from protocol.messages import Beacon, Command, Estimate, Gossip, Halt, Hello, Message, Observation, Truth
 from protocol.sensing import SENSOR_CLASSES
 
 REASONS = frozenset({"key", "size", "format", "version", "shape", "range", "sender"})
@@ -60,6 +61,9 @@ def _samples() -> list[Message]:
             weight=0.02,
             states_bytes=pack(places, "<f4"),
             ids_bytes=pack(np.sort(rng.integers(0, 2**64, 60, dtype=np.uint64)), "<u8"),
+            components_bytes=b"".join([struct.pack("<5f10eQ", 0.5, *places[number], *range(10), 7 * number) for number in (0, 1)]),
+            labels_bytes=pack(np.array([0, 7, 2**40]), "<u8"),
+            label_numbers_bytes=bytes(range(3)) * 20,
         ),
         Observation(
             sender="world",
@@ -83,6 +87,8 @@ def _samples() -> list[Message]:
             mass=2.5,
             cell_bytes=pack(places[:5, :2], "<f8"),
             targets_bytes=pack(places[:2, :2], "<f8"),
+            details_bytes=pack(np.ones((2, 6)), "<f4"),
+            labels_bytes=pack(np.array([7, 2**40]), "<u8"),
             neighbours=("s2",),
             counters={"rounds": 4, "rejected.format": 1},
             round_seconds=0.001,
@@ -99,6 +105,7 @@ def _samples() -> list[Message]:
             in_view=1,
             alive=("s1",),
         ),
+        Halt(sender="operator-7", incarnation=9, held=True),
     ]
 
 

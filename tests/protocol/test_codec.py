@@ -22,14 +22,14 @@ def test_encoding_is_the_same_every_time() -> None:
     assert codec.encode(codec.decode(GOSSIP_KEY, GOSSIP_BYTES)) == GOSSIP_BYTES
 
 
-def test_a_usual_gossip_is_small() -> None:
-    assert len(GOSSIP_BYTES) < 2000
+def test_a_gossip_of_sixty_particles_with_labels_and_two_components_is_small() -> None:
+    assert len(GOSSIP_BYTES) < 2100
 
 
 def test_the_documented_reasons_are_those_of_the_docstring_and_of_the_page() -> None:
     listed = re.search(r"`reason` is one of ([a-z, ]+)\.", codec.decode.__doc__ or "")
     assert listed is not None and set(listed[1].split(", ")) == REASONS
-    page = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "protocol.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `([a-z]+)` \| refused", page, re.MULTILINE)) == REASONS
 
 
@@ -57,7 +57,7 @@ def test_a_message_under_the_key_of_another_kind_is_refused() -> None:
 
 
 def test_another_sender_than_the_key_says_is_refused() -> None:
-    for key, payload, _ in SAMPLES[:-1]:
+    for key, payload, _ in SAMPLES[:-2]:
         assert reason_of(key.replace("/s1", "/s2"), payload) == "sender"
     assert reason_of(GOSSIP_KEY, altered(GOSSIP_KEY, GOSSIP_BYTES, sender="s2")) == "sender"
 

@@ -122,10 +122,19 @@ def gossips(count: int) -> list[tuple[str, bytes]]:
         name = f"s{number + 1}"
         gossip = msgspec.structs.replace(GOSSIP, sender=name, claim_names=(name, *GOSSIP.claim_names[1:]))
         if number % 3 == 1:
-            gossip = msgspec.structs.replace(gossip, states_bytes=b"", ids_bytes=b"")
+            gossip = msgspec.structs.replace(gossip, states_bytes=b"", ids_bytes=b"", labels_bytes=b"", label_numbers_bytes=b"")
         if number % 3 == 2:
             gossip = msgspec.structs.replace(
-                gossip, states_bytes=b"", ids_bytes=b"", claim_names=(), claim_bytes=b"", claim_tick=0, detections_bytes=b""
+                gossip,
+                states_bytes=b"",
+                ids_bytes=b"",
+                labels_bytes=b"",
+                label_numbers_bytes=b"",
+                components_bytes=b"",
+                claim_names=(),
+                claim_bytes=b"",
+                claim_tick=0,
+                detections_bytes=b"",
             )
         found.append((message_key(RUN, gossip), codec.encode(gossip)))
     return found

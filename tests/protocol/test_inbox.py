@@ -75,20 +75,20 @@ def test_the_quarantine_remembers_a_bounded_number_of_sources() -> None:
 
 
 def test_of_keys_of_which_only_the_newest_counts_nothing_older_is_handed_out() -> None:
-    inbox = Inbox(newest="/observation/")
+    inbox = Inbox()
     for key, payload in [("c/r/observation/s1", b"1"), ("c/r/gossip/s2", b"a"), ("c/r/observation/s1", b"2"), ("c/r/gossip/s2", b"b")]:
         inbox.add(Arrival(key, payload))
-    assert payloads(inbox.take(2)) == [b"a"]  # the observation of the first half is void, for there is one in the second
-    assert payloads(inbox.take(9)) == [b"2", b"b"]
+    assert payloads(inbox.take(2, "/observation/")) == [b"a"]  # the observation of the first half is void, for there is one in the second
+    assert payloads(inbox.take(9, "/observation/")) == [b"2", b"b"]
     assert inbox.dropped == 1
 
 
 def test_what_another_session_says_under_a_key_makes_nothing_void() -> None:
-    inbox = Inbox(most_entries=4, newest="/observation/")
+    inbox = Inbox(most_entries=4)
     inbox.add(Arrival("c/r/observation/s1", b"1", "world"))
     for number in range(8):
         inbox.add(Arrival("c/r/observation/s1", bytes([number]), "vandal"))
-    assert payloads(inbox.take(9)) == [b"1", b"\x07"]
+    assert payloads(inbox.take(9, "/observation/")) == [b"1", b"\x07"]
 
 
 def test_a_flood_under_one_key_is_held_to_its_rate_and_nobody_else_is() -> None:

@@ -21,7 +21,7 @@ from protocol.keys import (
     token_key,
     tokens_of,
 )
-from protocol.messages import KINDS, Beacon, Command, Hello, Observation, Truth
+from protocol.messages import KINDS, Beacon, Command, Halt, Hello, Observation, Truth
 
 names = st.from_regex(r"\A[A-Za-z0-9_.-]{1,64}\Z")
 incarnations = st.integers(0, 2**63 - 1)
@@ -34,10 +34,12 @@ def test_every_kind_has_the_key_of_the_table() -> None:
     assert message_key("demo", command) == "covey/demo/command/s3"
     assert message_key("demo", observation) == "covey/demo/observation/s3"
     assert message_key("demo", Truth(sender="world", incarnation=1, tick=0, time=0.0)) == "covey/demo/truth"
+    assert message_key("demo", Halt(sender="operator-7", incarnation=1, held=True)) == all_of("demo", "halt") == "covey/demo/halt"
+    assert parse_message_key("covey/demo/halt") == Key("demo", "halt", "")
     assert token_key("demo", "agent", "s3", 17) == "covey/demo/alive/agent/s3/17"
 
 
-@given(names, st.sampled_from(sorted(set(KINDS) - {"truth", "beacon"})), names)
+@given(names, st.sampled_from(sorted(set(KINDS) - {"truth", "halt", "beacon"})), names)
 def test_a_message_key_parses_back_and_lies_in_its_expressions(run: str, kind: str, name: str) -> None:
     text = one_of(run, kind, name)
     assert parse_message_key(text) == Key(run, kind, name)

@@ -10,12 +10,12 @@ from protocol.links import CLEAR, Channel, Condition, Ears, LinkConditions, Live
 
 def arrivals(condition: Condition, number: int = 20000, seed: int = 1) -> list[list[tuple[float, bytes]]]:
     channel = Channel(seed, "a", "b")
-    return [channel.copies(b"payload", condition) for _ in range(number)]
+    return [channel.copies(b"payload", condition, 0.0) for _ in range(number)]
 
 
 def test_a_clear_link_hands_over_the_very_object_at_once() -> None:
     payload = b"x" * 10
-    [(delay, arrived)] = Channel(1, "a", "b").copies(payload, CLEAR)
+    [(delay, arrived)] = Channel(1, "a", "b").copies(payload, CLEAR, 0.0)
     assert delay == 0.0 and arrived is payload
 
 
@@ -41,6 +41,24 @@ def test_delay_and_jitter_bound_every_arrival() -> None:
     assert delays.min() >= 0.5 and delays.max() < 0.7 and np.ptp(delays) > 0.19
 
 
+def test_a_throttled_link_carries_so_much_and_no_more_in_order_and_loses_what_waits_too_long() -> None:
+    channel, condition = Channel(1, "a", "b"), Condition(throttle=8.0, queue=0.5)  # a kilobyte a second
+    sent = [(0.05 * number, channel.copies(bytes(100), condition, 0.05 * number)) for number in range(200)]  # two kilobytes a second
+    arrived = [now + copies[0][0] for now, copies in sent if copies]
+    assert np.diff(arrived) == pytest.approx(0.1)  # s for 100 bytes
+    assert max(copies[0][0] for _, copies in sent if copies) <= 0.5 + 0.1 + 1e-9
+    assert len(arrived) == pytest.approx(100, abs=6)
+    assert channel.copies(bytes(100), condition, 20.0) == [(pytest.approx(0.1), bytes(100))]  # the queue is empty again
+
+
+def test_a_throttled_link_throws_the_dice_of_a_clear_one() -> None:
+    lost = [
+        [not channel.copies(b"x", Condition(drop=0.5, throttle=rate), 10.0 * number) for number in range(100)]
+        for rate, channel in ((0.0, Channel(1, "a", "b")), (64.0, Channel(1, "a", "b")))
+    ]
+    assert lost[0] == lost[1]
+
+
 def test_a_share_of_the_messages_comes_twice_and_a_share_is_overtaken() -> None:
     copies = arrivals(Condition(duplicate=0.25, reorder=0.5, spread=0.1))
     twice = np.mean([len(found) == 2 for found in copies])
@@ -51,7 +69,7 @@ def test_a_share_of_the_messages_comes_twice_and_a_share_is_overtaken() -> None:
 
 def test_a_spoilt_message_differs_in_one_bit_or_holds_eight_bytes_of_ones() -> None:
     payload = bytes(range(100, 120))
-    arrived = {copies[0][1] for copies in (Channel(seed, "a", "b").copies(payload, Condition(flip=1.0)) for seed in range(4000))}
+    arrived = {copies[0][1] for copies in (Channel(seed, "a", "b").copies(payload, Condition(flip=1.0), 0.0) for seed in range(4000))}
     one_bit = {found for found in arrived if sum((one ^ two).bit_count() for one, two in zip(found, payload)) == 1}
     blank = {found for found in arrived if b"\xff" * 8 in found}
     assert len(one_bit) == 8 * 20  # every bit is hit
@@ -66,7 +84,7 @@ def test_the_place_of_a_fault_is_bounded_by_the_payload() -> None:
 def test_each_direction_has_dice_of_its_own_and_the_same_seed_repeats_them() -> None:
     def lost(seed: int, sender: str, receiver: str) -> list[bool]:
         channel = Channel(seed, sender, receiver)
-        return [not channel.copies(b"x", Condition(drop=0.5)) for _ in range(100)]
+        return [not channel.copies(b"x", Condition(drop=0.5), 0.0) for _ in range(100)]
 
     assert lost(1, "a", "b") == lost(1, "a", "b")
     assert len({tuple(lost(*case)) for case in [(1, "a", "b"), (1, "b", "a"), (2, "a", "b"), (1, "a", "c")]}) == 4
@@ -75,23 +93,23 @@ def test_each_direction_has_dice_of_its_own_and_the_same_seed_repeats_them() -> 
 def test_ears_are_deaf_to_those_who_are_cut_off_and_clear_to_all_others() -> None:
     ears = Ears(1, "b")
     ears.set(LinkConditions(cut=("a",), conditions={"c": Condition(delay=1.0)}))
-    assert ears.hear("a", b"x") == []
-    assert ears.hear("c", b"x") == [(1.0, b"x")]
-    assert ears.hear("d", b"x") == [(0.0, b"x")]
+    assert ears.hear("a", b"x", 0.0) == []
+    assert ears.hear("c", b"x", 0.0) == [(1.0, b"x")]
+    assert ears.hear("d", b"x", 0.0) == [(0.0, b"x")]
 
 
 def test_a_process_hears_by_the_line_it_was_sent_and_goes_on_as_before_after_a_wrong_one() -> None:
     complaints: list[str] = []
     link = LiveLink(1, "s2", complaints.append)
     link.on_line(as_line(LinkConditions(cut=("s1",))))
-    assert link.incoming("covey/r/gossip/s1", b"x") == []
+    assert link.incoming("covey/r/gossip/s1", b"x", 0.0) == []
     for wrong in ("", "no json", json.dumps({"links": {"cut": 3}}), json.dumps({"links": {"kut": []}}), json.dumps([1])):
         link.on_line(wrong)
     assert len(complaints) == 4
-    assert link.incoming("covey/r/gossip/s1", b"x") == [] and link.incoming("covey/r/gossip/s3", b"x") == [(0.0, b"x")]
+    assert link.incoming("covey/r/gossip/s1", b"x", 0.0) == [] and link.incoming("covey/r/gossip/s3", b"x", 0.0) == [(0.0, b"x")]
     assert link.outgoing("covey/r/gossip/s2", b"x") == [(0.0, b"x")]
     link.on_line(as_line(LinkConditions()))
-    assert link.incoming("covey/r/gossip/s1", b"x") == [(0.0, b"x")]
+    assert link.incoming("covey/r/gossip/s1", b"x", 0.0) == [(0.0, b"x")]
 
 
 @pytest.mark.parametrize(
@@ -114,7 +132,7 @@ def test_a_link_that_only_loses_loses_what_one_loses_of_which_more_is_asked(drop
     for condition in (Condition(drop=drop), Condition(drop=drop, spread=0.1)):  # nothing is held back, so how long it would be says nothing
         ears = Ears(3, "b")
         ears.set(LinkConditions(conditions={"a": condition}))
-        heard.append([ears.hear("a", b"payload") for _ in range(200)])
+        heard.append([ears.hear("a", b"payload", 0.0) for _ in range(200)])
     assert heard[0] == heard[1]
     lost = sum(not copies for copies in heard[0])
     assert lost == 200 * drop if drop in (0.0, 1.0) else 5 < lost < 50

@@ -242,6 +242,7 @@ def test_who_is_not_there_any_more_after_the_session_was_opened_anew_is_reported
     asyncio.run(scene())
 
 
+@pytest.mark.slow
 def test_three_agents_of_whom_two_cannot_find_each_other_are_brought_together_by_their_watchdogs(monkeypatch: pytest.MonkeyPatch) -> None:
     """A split that is made by settings: the first sessions of s1 and s2 dial s3 alone and do not listen to its gossip of peers."""
 
@@ -276,7 +277,7 @@ def test_link_faults_drop_copy_and_delay_on_both_ways() -> None:
         def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
             return [(0.0, payload), (0.01, payload)]
 
-        def incoming(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
+        def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
             return [(0.0, payload[:3]), (0.02, payload)]
 
     async def scene() -> None:

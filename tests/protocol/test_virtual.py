@@ -31,6 +31,10 @@ class Scribe(Node):
         answers, self.answers = self.answers, []
         return answers
 
+    @property
+    def newest_only(self) -> str:
+        return "/observation/"
+
     def deadline(self) -> float | None:
         return self.due
 

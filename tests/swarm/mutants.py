@@ -94,7 +94,7 @@ def latest_heard_view(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def nan_let_through(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     for check in ("check_rows", "check_vector", "check_number"):
         patch.setattr(f"protocol.messages.{check}", lambda *values, **limits: None)
-    patch.setattr("agents.membership.peer.plausible", lambda gossip, announced: True)
+    patch.setattr("agents.membership.peer.plausible", lambda gossip, announced, arena: True)
     return fuzz.play(case)
 
 
@@ -118,9 +118,11 @@ def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = outbox.gossip
 
-    def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool) -> Gossip:
+    def gossip(
+        me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool, pace: int = 1
+    ) -> Gossip:
         outcome.belief.stamp = observation.tick - 1
-        return right(me, incarnation, outcome, observation, listening=listening)
+        return right(me, incarnation, outcome, observation, listening=listening, pace=pace)
 
     patch.setattr(outbox, "gossip", gossip)
     return fuzz.play(case)

@@ -84,10 +84,10 @@ def test_a_bad_eye_takes_nothing_from_a_good_one_whichever_has_the_later_name() 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_eight_eyes_that_miss_three_in_ten_have_little_more_than_half_the_error_of_one() -> None:
-    """Half was asked for; .51 is what they have (docs/paper.md)."""
-    seeds = tuple(range(1, 9))
-    assert ospa("M8", seeds) <= 0.55 * ospa("M1", seeds)
+def test_eight_eyes_that_miss_three_in_ten_have_half_the_error_of_one() -> None:
+    """The ratio is 0.494 with sixteen seeds; its 95 % interval is 0.464 to 0.524 (docs/evidence/paper.md)."""
+    seeds = tuple(range(1, 17))
+    assert ospa("M8", seeds) <= 0.5 * ospa("M1", seeds)
 
 
 @pytest.mark.slow

@@ -119,7 +119,7 @@ def test_who_hears_neighbours_only_covers_the_arena_on_each_side_and_meets_again
 ) -> None:
     """A side that was deaf, and has not been missed, waits for the next beacons of the others: up to 4 s, and 1 s for the choice.
 
-    Mass behind a bridge: what moves into the bridge's old cell comes back only from those who hear the other side; docs/promises.md.
+    Mass behind a bridge: what moves into the bridge's old cell comes back only from those who hear the other side (promises.md).
     """
     cut = fault(5.0, "partition", "50%", seconds=seconds, kind=kind)
     end = 5.0 + seconds + healed

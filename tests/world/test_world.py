@@ -18,7 +18,11 @@ from world.world import EXIT_INCOMPLETE, HELLO_PERIOD, World
 def test_the_world_listens_to_hellos_and_commands_and_says_hello() -> None:
     world = World(config(), incarnation=3)
     effects = feed(world, Started())
-    assert [effect.expression for effect in of_kind(Subscribe, effects)] == ["covey/covey/hello/*", "covey/covey/command/*"]
+    assert [effect.expression for effect in of_kind(Subscribe, effects)] == [
+        "covey/covey/hello/*",
+        "covey/covey/command/*",
+        "covey/covey/halt",
+    ]
     settings = agreed(common_sections(config()))
     assert of_kind(Hello, effects) == [Hello(sender="world", incarnation=3, role="world", settings=settings)]
     assert world.deadline() == HELLO_PERIOD
@@ -114,7 +118,7 @@ def test_truth_tells_watchers_what_the_agents_must_not_know() -> None:
     world, effects = started(config())
     (truth,) = of_kind(Truth, effects)
     truth.check()
-    assert truth.targets.tobytes() == world.targets.positions.tobytes()
+    assert truth.targets.tobytes() == world.scene.targets.positions.tobytes()
     assert truth.ids.tolist() == list(range(1, 61))
     assert truth.bodies == truth.alive == ("s1", "s2")
     np.testing.assert_array_equal(truth.poses, [POSES["s1"], POSES["s2"]])
@@ -184,7 +188,7 @@ def test_a_guest_without_a_sensor_gets_no_body() -> None:
 def test_other_roles_are_no_agents() -> None:
     world = World(config(start_timeout=0.1), incarnation=1)
     watcher = received(Hello(sender="monitor", incarnation=1, role="monitor", sensor=SENSOR_CLASSES["A"]))
-    assert feed(world, Started(), Alive("monitor", "monitor", 1), watcher, now=9.0)[3:] == []
+    assert feed(world, Started(), Alive("monitor", "monitor", 1), watcher, now=9.0)[4:] == []
     assert feed(world, Gone("monitor", "monitor", 1), Alive("world", "world", 1), now=9.0) == []
     assert list(world.bodies.poses) == ["s1", "s2"]
 

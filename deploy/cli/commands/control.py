@@ -1,8 +1,10 @@
 """Commands that act on a running swarm: names, options and help."""
 
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Literal
 
 from deploy.cli.app import ACT, AgentChoice, RandomCount, RunName, app
+from deploy.cli.options import WHOLE
 
 
 @app.command(group=ACT, help_epilogue="Example: covey down --run hunt")
@@ -11,6 +13,25 @@ def down(*, run: RunName = None) -> int:
     from deploy.cli.control import down
 
     return down(run)
+
+
+@app.command(group=ACT, help_epilogue="Example: covey halt")
+def halt(*, run: RunName = None) -> int:
+    """Make all bodies stand where they are until they are released.
+
+    The swarm goes on tracking. Under TLS this takes the certificate of the operator. Exit code 1: some body still moves after 5 s.
+    """
+    from deploy.cli.halt import say
+
+    return say(run, held=True)
+
+
+@app.command(group=ACT, help_epilogue="Example: covey release")
+def release(*, run: RunName = None) -> int:
+    """Let bodies that were halted move again."""
+    from deploy.cli.halt import say
+
+    return say(run, held=False)
 
 
 @app.command(group=ACT, help_epilogue="Example: covey kill s1 s2 s3\n         covey kill 30%")
@@ -68,6 +89,27 @@ def delay(seconds: float, /, *who: AgentChoice, jitter: float = 0.0, run: RunNam
     Of all agents unless said. The scenario has to say network.link_faults = true.
     """
     return _send("delay", who, None, run, "", value=seconds, options={"jitter": jitter})
+
+
+@app.command(group=ACT, help_epilogue="Example: covey bridge --agent s3 --router tcp/127.0.0.1:7447")
+def bridge(
+    *,
+    agent: str,
+    run: RunName = None,
+    router: str = "tcp/127.0.0.1:7447",
+    domain: Annotated[int | None, WHOLE] = None,
+    offset: float = 0.0,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    keep: Path | None = None,
+) -> int:
+    """Let a robot that speaks ROS 2 be the body of an agent.
+
+    /s3/odom and /s3/detections in, /s3/cmd_vel out, by way of rmw_zenoh. --offset: m from the axle of a differential drive to its
+    sensor. --origin: of the odometry's frame in the arena, x m, y m, heading rad. A body of this name that runs gives way.
+    """
+    from deploy.cli.bridge import bridge
+
+    return bridge(agent, run, router, domain, offset, origin, keep)
 
 
 def _send(

@@ -68,26 +68,38 @@ def score(recording: RecordingName, /, *, csv: Path | None = None, json: Annotat
     return recordings.score(recording, csv, json)
 
 
-@app.command(group=KEEP, help_epilogue="Example: covey export hunt --to foxglove")
-def export(recording: RecordingName, /, *, to: Literal["csv", "parquet", "foxglove", "rerun"] = "csv", out: Path | None = None) -> int:
-    """A recording as tables, or as a file for Foxglove or Rerun.
+@app.command(group=KEEP, help_epilogue="Example: covey export hunt --to geojson --origin 50.7 -1.2")
+def export(
+    recording: RecordingName,
+    /,
+    *,
+    to: Literal["csv", "parquet", "foxglove", "rerun", "mot", "geojson", "cot"] = "csv",
+    out: Path | None = None,
+    origin: tuple[float, float] | None = None,
+    began: str | None = None,
+) -> int:
+    """A recording as tables, or as files of other tools.
 
-    foxglove: an MCAP file that it draws; rerun needs the package rerun-sdk.
+    foxglove: an MCAP file that it draws; rerun needs the package rerun-sdk; mot: a folder as of the MOT challenge.
+    geojson and cot (Cursor-on-Target, an event a line) lie on Earth: --origin LATITUDE LONGITUDE says where (0, 0) of the arena is, unless
+    the world is one of ships; --began 2016-01-12T13:02:11Z when the run began, else the clock of the recorder.
     """
     from deploy.cli import recordings
 
-    return recordings.export(recording, to, out)
+    return recordings.export(recording, to, out, origin, began)
 
 
 @app.command(group=KEEP, help_epilogue="Example: covey figures hunt --animate\n         covey figures runs/study-efficacy")
-def figures(what: RecordingName, /, *, into: Path | None = None, animate: Annotated[bool, FLAG] = False) -> int:
+def figures(
+    what: RecordingName, /, *, into: Path | None = None, animate: Annotated[bool, FLAG] = False, explain: Annotated[bool, FLAG] = False
+) -> int:
     """Figures for a paper, of a recorded run or of a study: PDF and PNG.
 
-    Of a run: start, end, trajectories; a moving picture with --animate.
+    Of a run: start, end, trajectories; a moving picture with --animate; the method in pictures with --explain.
     """
     from deploy.installation import need_study_packages
 
     need_study_packages("figures")
     from deploy.cli import figures
 
-    return figures.draw(what, into, animate)
+    return figures.draw(what, into, animate, explain)

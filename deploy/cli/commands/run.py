@@ -6,11 +6,13 @@ from typing import Annotated, Literal
 from deploy.cli.app import RUN, OpenPage, Options, PageAddress, RecordFile, ScenarioName, TraceFile, app
 from deploy.cli.options import FLAG, DisplayOptions, RunOptions
 
-DEMO_PACE = 2.5  # world seconds per second: the 200 s of the demo take 80 s
+DEMO_SECONDS = 80.0  # that the world time of a demo takes
 
 
-@app.command(group=RUN, help_epilogue="Example: covey demo --seed 3")
+@app.command(group=RUN, help_epilogue="Example: covey demo --seed 3\n         covey demo students03")
 def demo(
+    scenario: ScenarioName = "convergence",
+    /,
     *,
     page: PageAddress = True,
     open: OpenPage = False,
@@ -18,19 +20,40 @@ def demo(
     record: RecordFile = False,
     options: Options = RunOptions(),
 ) -> int:
-    """Watch a swarm work: 16 agents, 8 targets, 3 deaths at mid-run, a table.
+    """Watch a swarm work: 16 agents, 8 targets, 3 deaths at mid-run, a table; or another scenario.
 
     At a pace that the eye can follow (80 s), or --fast. In a terminal the page stays until Enter or Ctrl-C.
     """
     from deploy.cli import start
 
     paced = not fast and not options.lockstep and options.rate is None
-    settings = [f"run.pace={DEMO_PACE}", *options.settings] if paced else options.settings
-    chosen = replace(options, lockstep=options.lockstep or options.rate is None, settings=settings)
-    resolved = chosen.scenario("convergence")
+    chosen = replace(options, lockstep=options.lockstep or options.rate is None)
+    resolved = chosen.scenario(scenario)
+    if paced and not resolved.run.pace:
+        resolved = start.with_pace(resolved, resolved.run.seconds / DEMO_SECONDS)
     start.demo(
         resolved, chosen.requested_name(resolved), DisplayOptions(options.json, record, page or open, open, stays=True), options.spawn
     )
+
+
+@app.command(group=RUN, help_epilogue="Example: covey compare convergence --seed 3 --open")
+def compare(
+    scenario: ScenarioName = "convergence",
+    /,
+    *,
+    against: Literal["power", "voronoi", "voronoi-cod"] = "voronoi",
+    page: PageAddress = True,
+    open: OpenPage = False,
+    speed: float = 2.0,
+    options: Options = RunOptions(),
+) -> int:
+    """Simulate a scenario under two diagrams, side by side on the page.
+
+    Same seed, in step: what differs is the diagram. --speed: world seconds per second.
+    """
+    from deploy.cli import compare
+
+    return compare.compare(options.scenario(scenario), against, page, speed, open)
 
 
 @app.command(group=RUN, help_epilogue="Example: covey up efficacy --team 3 --rate 2 --page")

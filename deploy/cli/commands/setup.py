@@ -22,20 +22,47 @@ def init(file: Path = Path("scenario.toml"), /) -> int:
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey check mine.toml --team 3")
-def check(scenario: ScenarioName = "convergence", /, *, options: Options = RunOptions()) -> int:
-    """Is the scenario right, and can this machine run it?"""
+def check(
+    scenario: ScenarioName = "convergence",
+    /,
+    *,
+    network: Annotated[bool, FLAG] = False,
+    own: Annotated[str, Parameter(name="--as")] = "monitor",
+    options: Options = RunOptions(),
+) -> int:
+    """Is the scenario right, and can this machine run it?
+
+    --network: dial network.seeds and say who is found, or why nobody is; with the certificate --as s3.
+    """
     from deploy.cli import scenario_file
 
     wrong = options.mistakes(scenario)
-    return scenario_file.complain(wrong) if wrong else scenario_file.check(options.scenario(scenario))
+    if wrong:
+        return scenario_file.complain(wrong)
+    found = options.scenario(scenario)
+    return scenario_file.check_network_and_print(found, own) if network else scenario_file.check(found)
+
+
+@app.command(group=SET_UP, help_epilogue="Example: covey platform lab.toml s1")
+def platform(scenario: ScenarioName, agent: str, /, *, options: Options = RunOptions()) -> int:
+    """Does the platform of an agent's body keep its contract? It is driven a short way: give a robot room.
+
+    The scenario names the platform as bodies.platform = "module:Class".
+    """
+    from deploy.cli import scenario_file
+
+    return scenario_file.try_platform(options.scenario(scenario), agent)
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey config efficacy --team 3 --set filter.gate=4")
-def config(scenario: ScenarioName = "convergence", /, *, options: Options = RunOptions()) -> int:
-    """All settings of a scenario with its options, as TOML."""
+def config(scenario: ScenarioName = "convergence", /, *, agents: Annotated[bool, FLAG] = False, options: Options = RunOptions()) -> int:
+    """All settings of a scenario with its options, as TOML.
+
+    They are a run.toml, for worlds, bodies and watchers. --agents: an agents.toml, with what an agent may know.
+    """
     from deploy.cli import scenario_file
 
-    return scenario_file.config(options.scenario(scenario))
+    return scenario_file.config(options.scenario(scenario), agents)
 
 
 @app.command(group=SET_UP, help_epilogue="Example: covey keys --scenario efficacy --into ~/keys")

@@ -34,9 +34,11 @@ def study(
 ) -> int:
     """Run a study of the paper, or the robustness study.
 
-    Name: convergence (IV-A), efficacy (IV-B, figure 4), heterogeneity (IV-C, figure 5), or robustness.
+    Name: convergence (IV-A), efficacy (IV-B, figure 4), heterogeneity (IV-C, figure 5), ablation, or robustness.
     Every method gets the same seeds. What is finished is kept: after Ctrl-C the same command goes on.
-    robustness: OSPA around a fault (10 to 90 % killed; loss; delay; partitions), against no fault and a fresh team of the survivors.
+    ablation: search-and-track without each of its ingredients, and beside other methods; OSPA and GOSPA with their parts.
+    robustness: OSPA around a fault (10 to 90 % killed; loss; bursts; delay; little bandwidth; partitions), against no fault and a
+    fresh team of the survivors.
 
     Parameters
     ----------
@@ -51,9 +53,9 @@ def study(
     targets
         Numbers of targets at the start, with commas.
     methods
-        With commas: power, voronoi, voronoi-cod, pursuit, uniform-density, random, static.
+        With commas: power, voronoi, voronoi-cod, pursuit, search-and-track, uniform-density, random, static, and those of the ablation.
     faults
-        Of robustness, with commas: kill, loss, delay, partition; default: all.
+        Of robustness, with commas: kill, loss, bursts, delay, throttle, partition; default: all.
     triple
         The three sensor classes of teams 2 to 5.
     capacity
@@ -89,6 +91,10 @@ def study(
     if faults is not None:
         raise BadSetting(f"--faults {faults}: an option of the robustness study alone")
     design = design_with(name, quick, design_fields(trials, seed, teams, targets, methods), options)
+    if name == "ablation":
+        from deploy.cli.ablation import run_ablation_study
+
+        return run_ablation_study(design, folder, workers, scheduler, json)
     return run_study(design, folder, workers, scheduler, json)
 
 
@@ -102,7 +108,7 @@ def bench(
 ) -> int:
     """Measure this machine.
 
-    What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, or all of them.
+    What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, overload, or all of them.
     --seconds: how long realtime runs each of its swarms; a minute if it is not given.
     """
     import subprocess

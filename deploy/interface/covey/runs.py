@@ -35,6 +35,7 @@ def scenario(
     team: str | None = None,
     triple: str | None = None,
     targets: int | None = None,
+    data: str | Path | None = None,
     partition: Partition | None = None,
     capacity: Capacity | None = None,
     control: object | None = None,
@@ -61,10 +62,12 @@ def scenario(
         The three sensor classes of teams 2 to 5, such as "ACD".
     targets
         Number of targets at the start.
+    data
+        The files of a recorded world: a file, or the folder of mrclam.
     partition, capacity
         How the arena is divided, and how a sensor's capacity is reckoned.
     control
-        lloyd, static, random, uniform-density, pursuit; or your own: a class, an object, or "module:Class".
+        lloyd, static, random, uniform-density, pursuit, search-and-track; or your own: a class, an object, or "module:Class".
     sensors
         Your own sensor classes by name: a class without arguments, an object, or "module:Class". `team` names them.
     kill
@@ -82,6 +85,7 @@ def scenario(
         team=team,
         triple=triple,
         targets=targets,
+        data=None if data is None else Path(data),
         partition=partition,
         capacity=capacity,
         control=None if control is None else name_of(control),
@@ -205,6 +209,7 @@ def simulate(
     team: str | None = None,
     triple: str | None = None,
     targets: int | None = None,
+    data: str | Path | None = None,
     partition: Partition | None = None,
     capacity: Capacity | None = None,
     control: object | None = None,
@@ -231,6 +236,7 @@ def simulate(
         team=team,
         triple=triple,
         targets=targets,
+        data=data,
         partition=partition,
         capacity=capacity,
         control=control,
@@ -260,7 +266,7 @@ def load(name: str | Path) -> Run:
     from deploy.scoring.scorer import Scorer
 
     recording = Recording(find_recording(str(name)))
-    scorer = Scorer(recording.scenario)
+    scorer = Scorer(recording.scenario, recorded=True)
     truths: dict[int, Truth] = {}
     scorer.on_truth = lambda truth: truths.update({truth.tick: truth})
     for _ in rescore_slowly(recording, scorer):

@@ -1,15 +1,23 @@
 // The arena from above: density, cells, footprints, bodies, detections, targets, estimates, trails, and one agent's belief.
 import { alpha, css, isLight, marks, owner } from "./palette.js";
+import { FADE } from "./scene.js";
+import { arrow, bars, cross, diamond, disc } from "./shapes.js";
 
 const TRAIL = 12; // s
 
 export class Arena {
-  constructor(canvas, state) {
+  constructor(canvas, state, scene, view) {
     this.canvas = canvas;
     this.state = state;
+    this.scene = scene;
+    this.view = view;
     this.density = document.createElement("canvas");
     this.scale = 1;
+    this.title = ""; // of one of two arenas: its diagram
   }
+
+  // The colour of an agent's cell, by its place in the team.
+  owner(index) { return owner(this.scene.colours[index] ?? index); }
 
   // Pixels of a place in metres.
   x(east) { return this.left + east * this.scale; }
@@ -21,14 +29,14 @@ export class Arena {
     if (this.canvas.width !== width || this.canvas.height !== height) { this.canvas.width = width; this.canvas.height = height; }
     const [east, north] = this.state.hello.arena, margin = 14 * ratio;
     this.ratio = ratio;
-    this.scale = Math.min((width - 2 * margin) / east, (height - 2 * margin) / north);
-    this.left = (width - east * this.scale) / 2;
-    this.top = (height + north * this.scale) / 2;
+    this.scale = this.view.zoom * Math.min((width - 2 * margin) / east, (height - 2 * margin) / north);
+    this.left = width / 2 - this.view.east * east * this.scale;
+    this.top = height / 2 + this.view.north * north * this.scale;
     this.unit = ratio * Math.max(1, Math.min(1.6, Math.min(width, height) / ratio / 700));
   }
 
   draw() {
-    const { hello, frame, on, chosen } = this.state;
+    const { hello, on, chosen } = this.state, frame = (this.frame = this.scene.frame);
     if (!hello) return;
     this.fit();
     const c = (this.pen = this.canvas.getContext("2d"));
@@ -44,16 +52,22 @@ export class Arena {
     c.save();
     c.clip();
     if (on.cells) frame.agents.forEach((agent, index) => this.cell(agent, index));
+    if (on.cells) this.scene.fading.forEach((one) => this.fade(one));
+    if (on.staleness) frame.agents.forEach((agent) => this.stale(agent));
     if (on.density) this.heat();
     if (on.footprints) frame.agents.forEach((agent, index) => this.footprint(agent, index));
     c.restore();
+    if (on.gossip) this.gossip();
+    if (this.state.pointed) this.neighbours(this.state.pointed);
     if (on.trails) this.trails();
     if (on.detections) frame.agents.forEach((agent) => this.detections(agent));
-    if (chosen && this.state.belief) this.belief();
+    if (on.belief && chosen && this.state.belief && this.scene === this.state.scene) this.belief(this.state.belief);
     if (on.cods) frame.agents.forEach((agent, index) => this.cod(agent, index));
     if (on.truth) this.targets();
     if (on.estimates) frame.agents.forEach((agent) => this.estimates(agent.targets));
     frame.agents.forEach((agent, index) => this.body(agent, index));
+    if (on.names) this.names();
+    if (this.title) this.headline();
     c.restore();
   }
 
@@ -88,17 +102,17 @@ export class Arena {
 
   cell(agent, index) {
     if (!agent.cell || !agent.cell.length) return;
-    const c = this.pen, { chosen } = this.state, mine = chosen === agent.name;
+    const c = this.pen, { chosen } = this.state, mine = chosen === agent.name || this.state.pointed === agent.name;
     this.path(agent.cell);
-    c.fillStyle = alpha(owner(index), (mine ? 0.38 : chosen ? 0.1 : 0.2) * (isLight() ? 1.15 : 1));
+    c.fillStyle = alpha(this.owner(index), (mine ? 0.38 : chosen ? 0.1 : 0.2) * (isLight() ? 1.15 : 1));
     c.fill();
-    c.strokeStyle = alpha(owner(index), mine ? 1 : 0.75);
+    c.strokeStyle = alpha(this.owner(index), mine ? 1 : 0.75);
     c.lineWidth = (mine ? 2.6 : 1.1) * this.ratio;
     c.stroke();
   }
 
   heat() {
-    const { grid, bytes } = this.state.frame;
+    const { grid, bytes } = this.frame;
     if (!bytes || !grid) return;
     const [columns, rows, square] = grid, [red, green, blue] = this.mark.density;
     if (this.density.width !== columns || this.density.height !== rows) { this.density.width = columns; this.density.height = rows; }
@@ -128,26 +142,27 @@ export class Arena {
     }
     c.closePath();
     const mine = this.state.chosen === agent.name, quiet = agent.state !== "alive" && agent.state !== "listening";
-    c.fillStyle = alpha(quiet ? this.mark.gone : owner(index), mine ? 0.2 : 0.07);
+    c.fillStyle = alpha(quiet ? this.mark.gone : this.owner(index), mine ? 0.2 : 0.07);
     c.fill();
     c.setLineDash(quiet ? [4 * this.ratio, 4 * this.ratio] : []);
-    c.strokeStyle = alpha(quiet ? this.mark.gone : owner(index), this.state.chosen && !mine ? 0.3 : 0.6);
+    c.strokeStyle = alpha(quiet ? this.mark.gone : this.owner(index), this.state.chosen && !mine ? 0.3 : 0.6);
     c.lineWidth = (mine ? 2 : 0.9) * this.ratio;
     c.stroke();
     c.setLineDash([]);
   }
 
   trails() {
-    const { trails, frame } = this.state;
+    const { trails } = this.scene, { frame } = this;
     frame.agents.forEach((agent, index) => {
       const way = trails.bodies.get(agent.name);
-      if (way) this.way(way, agent.state === "dead" ? this.mark.gone : owner(index), 1.3, 0.55);
+      if (way) this.way(way, agent.state === "dead" ? this.mark.gone : this.owner(index), 1.3, 0.55);
     });
     if (this.state.on.truth) for (const way of trails.targets.values()) this.way(way, this.mark.truth, 1, 0.3);
+    if (this.state.on.estimates) for (const way of trails.labels.values()) this.way(way, this.mark.estimate, 1.4, 0.7);
   }
 
   way(points, colour, width, share) {
-    const c = this.pen, now = this.state.frame.time;
+    const c = this.pen, now = this.frame.time;
     c.strokeStyle = alpha(colour, share);
     c.lineWidth = width * this.ratio;
     c.beginPath();
@@ -171,20 +186,17 @@ export class Arena {
   cod(agent, index) {
     if (!agent.cod || !agent.pose || agent.state === "dead") return;
     const c = this.pen, px = this.x(agent.cod[0]), py = this.y(agent.cod[1]), size = 3.2 * this.unit;
-    c.strokeStyle = alpha(owner(index), 0.85);
+    c.strokeStyle = alpha(this.owner(index), 0.85);
     c.lineWidth = 1.1 * this.ratio;
     c.beginPath();
     c.moveTo(this.x(agent.pose[0]), this.y(agent.pose[1]));
     c.lineTo(px, py);
     c.stroke();
-    c.fillStyle = owner(index);
-    c.beginPath();
-    c.moveTo(px, py - size); c.lineTo(px + size, py); c.lineTo(px, py + size); c.lineTo(px - size, py);
-    c.fill();
+    diamond(c, px, py, size, this.owner(index));
   }
 
   targets() {
-    const c = this.pen, { targets } = this.state.frame, size = 6 * this.unit;
+    const c = this.pen, { targets } = this.frame, size = 6 * this.unit;
     for (const [colour, width] of [[css("field"), 4], [this.mark.truth, 1.8]]) {
       c.strokeStyle = colour;
       c.lineWidth = width * this.ratio;
@@ -196,53 +208,23 @@ export class Arena {
     }
   }
 
-  estimates(flat) {
+  // A dot: in the ring of a true target when that was found.
+  estimates(flat, colour = this.mark.estimate) {
     if (!flat) return;
-    const c = this.pen, size = 3.9 * this.unit;
-    for (const [colour, width] of [[css("field"), 4.2], [this.mark.estimate, 2.1]]) {
-      c.strokeStyle = colour;
-      c.lineWidth = width * this.ratio;
-      c.beginPath();
-      for (let i = 0; i < flat.length; i += 2) {
-        const px = this.x(flat[i]), py = this.y(flat[i + 1]);
-        c.moveTo(px - size, py - size); c.lineTo(px + size, py + size);
-        c.moveTo(px - size, py + size); c.lineTo(px + size, py - size);
-      }
-      c.stroke();
-    }
+    for (let i = 0; i < flat.length; i += 2) disc(this.pen, this.x(flat[i]), this.y(flat[i + 1]), 3.4 * this.unit, colour, css("field"), 1.2 * this.ratio);
   }
 
   body(agent, index) {
     if (!agent.pose || agent.state === "waiting") return;
     const c = this.pen, [east, north, heading] = agent.pose, px = this.x(east), py = this.y(north), size = 6.5 * this.unit;
     const dead = agent.state === "dead", still = dead || agent.state === "paused" || agent.state === "silent";
-    c.save();
-    c.translate(px, py);
-    c.rotate(-heading);
-    c.beginPath();
-    c.moveTo(1.25 * size, 0); c.lineTo(-0.8 * size, 0.75 * size); c.lineTo(-0.4 * size, 0); c.lineTo(-0.8 * size, -0.75 * size);
-    c.closePath();
-    c.fillStyle = still ? this.mark.gone : owner(index);
-    c.strokeStyle = css("field");
-    c.lineWidth = 1.5 * this.ratio;
-    c.fill();
-    c.stroke();
-    c.restore();
+    arrow(c, px, py, heading, size, still ? this.mark.gone : this.owner(index), css("field"), 1.5 * this.ratio);
     if (dead || agent.state === "paused") this.badge(px, py, size, dead);
     if (this.state.chosen === agent.name) this.ring(px, py, 1.9 * size, css("accent"));
-    if (this.state.on.names) this.name(agent.name, px, py - 1.25 * size, dead);
   }
 
   // A cross on the dead, two bars on the paused.
-  badge(px, py, size, dead) {
-    const c = this.pen, s = 0.95 * size;
-    c.strokeStyle = css("warn");
-    c.lineWidth = 2.2 * this.ratio;
-    c.beginPath();
-    if (dead) { c.moveTo(px - s, py - s); c.lineTo(px + s, py + s); c.moveTo(px - s, py + s); c.lineTo(px + s, py - s); }
-    else { c.moveTo(px - 0.4 * s, py - s); c.lineTo(px - 0.4 * s, py + s); c.moveTo(px + 0.4 * s, py - s); c.lineTo(px + 0.4 * s, py + s); }
-    c.stroke();
-  }
+  badge(px, py, size, dead) { (dead ? cross : bars)(this.pen, px, py, 0.95 * size, dead ? this.ink : css("warn"), 2.2 * this.ratio); }
 
   ring(px, py, radius, colour) {
     const c = this.pen;
@@ -253,11 +235,40 @@ export class Arena {
     c.stroke();
   }
 
+  // Which diagram this is, and how large its error is.
+  headline() {
+    const c = this.pen, { score } = this.frame;
+    c.font = `600 ${13 * this.unit}px system-ui, sans-serif`;
+    c.textAlign = "left";
+    c.textBaseline = "bottom";
+    c.fillStyle = this.ink;
+    c.fillText(`${this.title}${score ? `, OSPA ${score[1].toFixed(2)} m` : ""}`, this.x(0), Math.max(18 * this.unit, this.y(this.state.hello.arena[1]) - 4 * this.ratio));
+  }
+
+  // Names above their bodies, or where no other name stands: below, right or left of them.
+  names() {
+    const c = this.pen, size = 6.5 * this.unit, high = 10.5 * this.unit, taken = [];
+    c.font = `600 ${high}px system-ui, sans-serif`;
+    c.textAlign = "center";
+    c.textBaseline = "middle";
+    for (const { name, pose, state } of this.frame.agents) {
+      if (!pose || state === "waiting") continue;
+      const px = this.x(pose[0]), py = this.y(pose[1]), wide = c.measureText(name).width + 4 * this.ratio, away = size + 0.65 * high, beside = 1.4 * size + wide / 2;
+      const boxes = [[0, -away], [0, away], [beside, 0], [-beside, 0]].map(([right, down]) => [px + right - wide / 2, py + down - high / 2, wide, high]);
+      const box = boxes.find((one) => this.isFree(one, taken)) || boxes[0];
+      taken.push(box);
+      this.name(name, box[0] + wide / 2, box[1] + high / 2, state === "dead");
+    }
+  }
+
+  // Whether a box (left, top, width, height) lies on the canvas and touches no other.
+  isFree([left, top, wide, high], taken) {
+    if (left < 0 || top < 0 || left + wide > this.canvas.width || top + high > this.canvas.height) return false;
+    return taken.every(([x, y, w, h]) => left + wide < x || x + w < left || top + high < y || y + h < top);
+  }
+
   name(text, px, py, dead) {
     const c = this.pen;
-    c.font = `600 ${10.5 * this.unit}px system-ui, sans-serif`;
-    c.textAlign = "center";
-    c.textBaseline = "alphabetic";
     c.strokeStyle = alpha(css("field"), 0.85);
     c.lineWidth = 3 * this.ratio;
     c.lineJoin = "round";
@@ -266,50 +277,114 @@ export class Arena {
     c.fillText(text, px, py);
   }
 
-  // What the chosen agent believes: its particles, and the generators that bound its cell, where it places them.
-  belief() {
-    const c = this.pen, { belief } = this.state;
-    if (belief.state === "dead" || !belief.claim) return;
-    const size = 1.1 * this.unit;
-    c.fillStyle = alpha(this.ink, 0.75);
-    const dots = belief.particles || [];
-    for (let i = 0; i < dots.length; i += 2) c.fillRect(this.x(dots[i]) - size, this.y(dots[i + 1]) - size, 2 * size, 2 * size);
-    if (!belief.claim.length) return;
-    const [mine, ...others] = belief.claim;
-    c.setLineDash([5 * this.ratio, 4 * this.ratio]);
-    for (const other of others) {
-      c.strokeStyle = alpha(this.ink, 0.75);
-      c.lineWidth = 1.2 * this.ratio;
-      c.beginPath();
-      c.moveTo(this.x(mine.at[0]), this.y(mine.at[1]));
-      c.lineTo(this.x(other.at[0]), this.y(other.at[1]));
-      c.stroke();
-    }
+  // The cell of one that has died, fading into those of its heirs.
+  fade({ index, cell, time }) {
+    const c = this.pen, share = Math.max(0, 1 - (this.frame.time - time) / FADE);
+    this.path(cell);
+    c.fillStyle = alpha(this.owner(index), 0.45 * share);
+    c.fill();
+    c.setLineDash([6 * this.ratio, 4 * this.ratio]);
+    c.strokeStyle = alpha(css("warn"), share);
+    c.lineWidth = 1.8 * this.ratio;
+    c.stroke();
     c.setLineDash([]);
-    for (const one of belief.claim) {
-      const colour = owner(this.state.order.get(one.name) ?? 0);
-      this.ring(this.x(one.at[0]), this.y(one.at[1]), Math.max(2, one.radius * this.scale), alpha(colour, 0.9));
-    }
   }
 
-  // The agent nearest to a click, by body within reach, else by cell.
-  at(event) {
-    const { frame } = this.state;
-    if (!frame) return null;
+  // A cell turns red as the last message of its agent grows old.
+  stale(agent) {
+    const share = Math.min(1, (agent.age || 0) / this.state.hello.silent);
+    if (share < 0.15 || !agent.cell || !agent.cell.length) return;
+    this.path(agent.cell);
+    this.pen.fillStyle = alpha(css("warn"), 0.45 * share);
+    this.pen.fill();
+  }
+
+  // Links between neighbours: dashes that move on with each thing said.
+  gossip() {
+    const c = this.pen, step = 9 * this.ratio, poses = new Map(this.frame.agents.map((agent) => [agent.name, agent.pose]));
+    c.lineWidth = 1.4 * this.ratio;
+    c.setLineDash([0.45 * step, 0.55 * step]);
+    this.frame.agents.forEach((agent, index) => {
+      const said = this.scene.said.get(agent.name);
+      if (!agent.pose || !agent.neighbours || agent.state === "dead" || !said) return;
+      c.lineDashOffset = -0.3 * step * said.count;
+      c.strokeStyle = alpha(said.fresh ? this.owner(index) : this.mark.gone, said.fresh ? 0.85 : 0.5);
+      c.beginPath();
+      for (const name of agent.neighbours) if (poses.get(name)) this.line(agent.pose, poses.get(name));
+      c.stroke();
+    });
+    c.setLineDash([]);
+    c.lineDashOffset = 0;
+  }
+
+  line(from, to) { this.pen.moveTo(this.x(from[0]), this.y(from[1])); this.pen.lineTo(this.x(to[0]), this.y(to[1])); }
+
+  // The cells of those that bound the cell under the pointer.
+  neighbours(name) {
+    const c = this.pen, agent = this.scene.agent(name);
+    if (!agent || !agent.neighbours) return;
+    this.frame.agents.forEach((other, index) => {
+      if (!agent.neighbours.includes(other.name) || !other.cell || !other.cell.length) return;
+      this.path(other.cell);
+      c.strokeStyle = this.owner(index);
+      c.lineWidth = 2.6 * this.ratio;
+      c.setLineDash([7 * this.ratio, 3 * this.ratio]);
+      c.stroke();
+    });
+    c.setLineDash([]);
+  }
+
+  // What the chosen agent believes, from its own messages: its particles, its cell, its estimates, and the generators of its claim.
+  belief(belief) {
+    const c = this.pen, size = 1.1 * this.unit, dots = belief.particles || [];
+    if (belief.state === "dead") return;
+    c.fillStyle = alpha(this.ink, 0.75);
+    for (let i = 0; i < dots.length; i += 2) c.fillRect(this.x(dots[i]) - size, this.y(dots[i + 1]) - size, 2 * size, 2 * size);
+    c.setLineDash([5 * this.ratio, 4 * this.ratio]);
+    c.strokeStyle = this.ink;
+    if (belief.cell && belief.cell.length) { this.path(belief.cell); c.lineWidth = 2 * this.ratio; c.stroke(); }
+    const [mine, ...others] = belief.claim || [];
+    c.lineWidth = 1.2 * this.ratio;
+    c.beginPath();
+    for (const other of others) this.line(mine.at, other.at);
+    c.stroke();
+    c.setLineDash([]);
+    for (const one of belief.claim || []) this.ring(this.x(one.at[0]), this.y(one.at[1]), Math.max(2, one.radius * this.scale), alpha(this.owner(this.state.order.get(one.name) ?? 0), 0.9));
+    const found = belief.targets || [];
+    for (let i = 0; i < found.length; i += 2) this.ring(this.x(found[i]), this.y(found[i + 1]), 8.5 * this.unit, this.mark.estimate);
+  }
+
+  // The place under a pointer, m.
+  place(event) {
     const box = this.canvas.getBoundingClientRect();
-    const px = (event.clientX - box.left) * this.ratio, py = (event.clientY - box.top) * this.ratio;
-    let best = null, least = 18 * this.unit;
-    for (const agent of frame.agents) {
-      if (!agent.pose) continue;
-      const far = Math.hypot(this.x(agent.pose[0]) - px, this.y(agent.pose[1]) - py);
-      if (far < least) { least = far; best = agent.name; }
-    }
-    if (best) return best;
-    for (const agent of frame.agents) {
-      if (!agent.cell || !agent.cell.length) continue;
-      this.path(agent.cell);
-      if (this.pen.isPointInPath(px, py)) return agent.name;
-    }
+    return [((event.clientX - box.left) * this.ratio - this.left) / this.scale, (this.top - (event.clientY - box.top) * this.ratio) / this.scale];
+  }
+
+  // Width and height of the arena on the screen, px.
+  span() { const [east, north] = this.state.hello.arena; return [(east * this.scale) / this.ratio, (north * this.scale) / this.ratio]; }
+
+  // What is under a pointer: {kind: agent, target, estimate, cell; name or index}, or null. Bodies come before marks, marks before cells.
+  under(event) {
+    const frame = this.scene.frame;
+    if (!frame || !this.pen) return null;
+    const [east, north] = this.place(event), reach = (event.pointerType === "touch" ? 22 : 13) * this.unit / this.scale;
+    let found = null, least = reach;
+    const look = (x, y, what) => { const far = Math.hypot(x - east, y - north); if (far < least) { least = far; found = what; } };
+    for (const agent of frame.agents) if (agent.pose && agent.state !== "waiting") look(agent.pose[0], agent.pose[1], { kind: "agent", name: agent.name });
+    if (found) return found;
+    if (this.state.on.truth) for (let i = 0; i < frame.targets.length; i += 2) look(frame.targets[i], frame.targets[i + 1], { kind: "target", index: i / 2 });
+    if (this.state.on.estimates) for (const { name, targets } of frame.agents) for (let i = 0; targets && i < targets.length; i += 2) look(targets[i], targets[i + 1], { kind: found && found.kind === "target" ? "target" : "estimate", name, index: found && found.kind === "target" ? found.index : i / 2 });
+    if (found) return found;
+    for (const agent of frame.agents) if (agent.cell && inside(agent.cell, east, north)) return { kind: "cell", name: agent.name };
     return null;
   }
+}
+
+// Whether a place lies in a polygon.
+function inside(cell, x, y) {
+  let within = false;
+  for (let i = 0, j = cell.length - 2; i < cell.length; j = i, i += 2) {
+    if (cell[i + 1] > y !== cell[j + 1] > y && x < ((cell[j] - cell[i]) * (y - cell[i + 1])) / (cell[j + 1] - cell[i + 1]) + cell[i]) within = !within;
+  }
+  return within;
 }

@@ -2,32 +2,33 @@
 import { alpha, css, GLYPHS, isLight } from "./palette.js";
 
 const MOST = 2400; // points kept of a curve; beyond that every other one goes
-export const NAMES = ["time", "ospa", "gospa", "targets", "estimated", "mass", "hole", "overlap", "rate"];
+export const NAMES = ["time", "ospa", "gospa", "targets", "estimated", "mass", "hole", "overlap", "rate", "beside"];
 
 // Line colours of the charts (Okabe and Ito), by theme, and a dash for each so that they differ without colour as well.
 const LINES = { dark: ["#56b4e9", "#e69f00", "#cccccc"], light: ["#0072b2", "#c05a00", "#555555"] };
 const DASHES = [[], [5, 3], [1.5, 2.5]];
 
 export const CHARTS = [
-  { title: "OSPA", unit: "m", lines: [["ospa", ""]], digits: 2 },
-  { title: "GOSPA", unit: "m", lines: [["gospa", ""]], digits: 1 },
-  { title: "targets", unit: "", lines: [["targets", "true"], ["estimated", "estimated"], ["mass", "mass"]], digits: 1 },
-  { title: "hole, overlap", unit: "%", lines: [["hole", "hole"], ["overlap", "overlap"]], digits: 2, times: 100, least: 0.5 },
-  { title: "messages", unit: "/s", lines: [["rate", ""]], digits: 0 },
+  { hint: "OSPA", title: "OSPA", unit: "m", lines: [["ospa", ""]], digits: 2 },
+  { hint: "GOSPA", title: "GOSPA", unit: "m", lines: [["gospa", ""]], digits: 1 },
+  { hint: "targets", title: "targets", unit: "", lines: [["targets", "true"], ["estimated", "estimated"], ["mass", "mass"]], digits: 1 },
+  { hint: "hole", title: "hole, overlap", unit: "%", lines: [["hole", "hole"], ["overlap", "overlap"]], digits: 2, times: 100, least: 0.5 },
+  { hint: "messages", title: "messages", unit: "/s", lines: [["rate", ""]], digits: 0 },
 ];
 
 export function fresh(curves) {
   const history = {};
   for (const name of NAMES) history[name] = (curves && curves[name] ? curves[name] : []).slice();
-  while (history.rate.length < history.time.length) history.rate.push(null);
+  for (const name of ["rate", "beside"]) while (history[name].length < history.time.length) history[name].push(null);
   return history;
 }
 
-export function append(history, score, rate) {
+export function append(history, score, rate, beside = null) {
   const last = history.time.length - 1;
   if (!score || (last >= 0 && score[0] <= history.time[last])) return;
   score.forEach((value, index) => history[NAMES[index]].push(value));
   history.rate.push(rate);
+  history.beside.push(beside);
   if (history.time.length > MOST) for (const name of NAMES) history[name] = history[name].filter((_, index) => index % 2 === 0);
 }
 
@@ -39,17 +40,33 @@ function prepare(canvas) {
   return [pen, width, height, ratio];
 }
 
+const GUTTER = 3; // root font sizes: the room for the scale, left of the curves
+
+const fontSize = () => parseFloat(getComputedStyle(document.documentElement).fontSize); // px
+
+// The world's time at a place on a chart, s; 0 left of the curves.
+export function timeAt(canvas, offset, hello) {
+  const left = GUTTER * fontSize();
+  return Math.max(0, ((offset - left) / (canvas.clientWidth - left)) * hello.ticks * hello.dt);
+}
+
 // A round number at or above a value, for the top of a scale.
 function top(value) {
   const size = 10 ** Math.floor(Math.log10(value));
   return [1, 1.5, 2, 3, 4, 5, 7.5, 10].map((step) => step * size).find((step) => step >= value * 0.9999);
 }
 
+// Where in the curves a time stands: the last point that is no younger; -1 before the first.
+export function indexAt(times, time) {
+  let low = 0, high = times.length;
+  while (low < high) { const middle = (low + high) >> 1; times[middle] <= time ? (low = middle + 1) : (high = middle); }
+  return low - 1;
+}
+
 export function drawChart(canvas, chart, state) {
   const [pen, width, height, ratio] = prepare(canvas), { history, hello, frame } = state;
-  const em = parseFloat(getComputedStyle(document.documentElement).fontSize) * ratio;
-  const head = 1.25 * em, foot = 2 * ratio, times = chart.times || 1;
-  const seconds = hello.ticks * hello.dt, x = (time) => (time / seconds) * width;
+  const em = fontSize() * ratio, head = 1.45 * em, foot = 3 * ratio, left = GUTTER * em, times = chart.times || 1;
+  const seconds = hello.ticks * hello.dt, x = (time) => left + (time / seconds) * (width - left);
   let most = chart.least || 0;
   for (const [name] of chart.lines) for (const value of history[name]) if (value !== null && times * value > most) most = times * value;
   most = most > 0 ? top(most) : 1;
@@ -57,13 +74,15 @@ export function drawChart(canvas, chart, state) {
   pen.strokeStyle = css("line");
   pen.lineWidth = ratio;
   pen.beginPath();
-  for (const share of [0, 0.5, 1]) { const at = Math.round(y(share * most / times)) + 0.5; pen.moveTo(0, at); pen.lineTo(width, at); }
+  for (const share of [0, 0.5, 1]) { const at = Math.round(y(share * most / times)) + 0.5; pen.moveTo(left, at); pen.lineTo(width, at); }
   pen.stroke();
   marks(pen, state, x, head, height);
   const colours = isLight() ? LINES.light : LINES.dark;
   chart.lines.forEach(([name], index) => line(pen, history.time, history[name], x, y, colours[index], DASHES[index].map((part) => part * ratio), ratio));
-  if (frame && frame.play) { pen.fillStyle = css("accent"); pen.fillRect(x(frame.time), head * 0.9, 1.5 * ratio, height); }
-  label(pen, chart, state, colours, width, em, most);
+  if (frame && frame.play) { pen.fillStyle = css("accent"); pen.fillRect(x(frame.time), head, 1.5 * ratio, height); }
+  if (state.readout !== null) { pen.fillStyle = css("ink"); pen.fillRect(x(state.readout), head, ratio, height); }
+  scale(pen, chart, most, y(most / times), y(0), left, em);
+  label(pen, chart, state, colours, width, em);
 }
 
 function marks(pen, state, x, head, height) {
@@ -87,17 +106,25 @@ function line(pen, times, values, x, y, colour, dash, ratio) {
   pen.setLineDash([]);
 }
 
-function label(pen, chart, state, colours, width, em, most) {
-  const { frame, history } = state, times = chart.times || 1, last = history.time.length - 1;
+// The ends of the scale, in the gutter beside their lines.
+function scale(pen, chart, most, high, low, left, em) {
+  pen.fillStyle = css("soft");
+  pen.font = `${0.82 * em}px system-ui, "DejaVu Sans", sans-serif`;
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  pen.fillText(`${most}${chart.unit === "%" ? " %" : ""}`, left - 0.4 * em, high + 0.1 * em);
+  pen.textBaseline = "alphabetic";
+  pen.fillText("0", left - 0.4 * em, low);
+}
+
+function label(pen, chart, state, colours, width, em) {
+  const { frame, history } = state, times = chart.times || 1, reads = state.readout !== null, last = reads ? indexAt(history.time, state.readout) : history.time.length - 1;
   pen.font = `${0.86 * em}px system-ui, "DejaVu Sans", sans-serif`;
   pen.textBaseline = "alphabetic";
-  pen.textAlign = "left";
-  pen.fillStyle = css("soft");
-  pen.fillText(chart.title + (chart.unit && !chart.lines[0][1] ? `, ${chart.unit}` : ""), 0, 0.92 * em);
   let at = width;
   pen.textAlign = "right";
   chart.lines.map(([name, words], index) => [name, words, index]).reverse().forEach(([name, words, index]) => {
-    const now = frame && frame.score && name !== "rate" ? frame.score[NAMES.indexOf(name)] : history[name][last];
+    const now = !reads && frame && frame.score && NAMES.indexOf(name) < frame.score.length ? frame.score[NAMES.indexOf(name)] : history[name][last];
     const text = `${words ? `${words} ` : ""}${now === undefined || now === null ? "–" : (times * now).toFixed(chart.digits)}`;
     pen.fillStyle = colours[index];
     pen.fillText(text, at, 0.92 * em);
@@ -113,16 +140,17 @@ function label(pen, chart, state, colours, width, em, most) {
       at -= 2 * em;
     }
   });
-  pen.fillStyle = alpha(css("soft"), 0.8);
-  pen.font = `${0.82 * em}px system-ui, "DejaVu Sans", sans-serif`;
+  const title = chart.title + (chart.unit && !chart.lines[0][1] ? `, ${chart.unit}` : ""), moment = reads ? `${state.readout.toFixed(1)} s` : "";
   pen.textAlign = "left";
-  pen.fillText(`${most}${chart.unit === "%" ? " %" : ""}`, 1, 2.0 * em);
+  pen.fillStyle = css("soft");
+  const words = [[title, moment].filter(Boolean).join(" at "), moment || title].find((one) => pen.measureText(one).width < at);
+  if (words) pen.fillText(words, 0, 0.92 * em);
 }
 
 // The whole run as a strip: what happened, as marks with shapes, and where we are.
 export function drawStrip(canvas, state) {
   const [pen, width, height, ratio] = prepare(canvas), { hello, frame, happenings } = state;
-  const seconds = hello.ticks * hello.dt, em = parseFloat(getComputedStyle(document.documentElement).fontSize) * ratio;
+  const seconds = hello.ticks * hello.dt, em = fontSize() * ratio;
   const x = (time) => 0.5 * em + (time / seconds) * (width - em), middle = 0.36 * height;
   pen.fillStyle = css("line");
   pen.fillRect(x(0), middle - 2 * ratio, x(seconds) - x(0), 4 * ratio);
@@ -130,7 +158,7 @@ export function drawStrip(canvas, state) {
   pen.font = `${0.82 * em}px system-ui, "DejaVu Sans", sans-serif`;
   pen.fillStyle = css("soft");
   pen.textBaseline = "alphabetic";
-  const step = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((size) => seconds / size <= 12) || seconds / 10;
+  const step = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((size) => seconds / size <= Math.min(12, width / (4 * em))) || seconds / 10;
   for (let time = 0; time <= seconds + 1e-9; time += step) {
     pen.textAlign = time === 0 ? "left" : time + step > seconds ? "right" : "center";
     pen.fillText(`${Math.round(time)} s`, x(time), height - 2 * ratio);

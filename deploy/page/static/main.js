@@ -1,32 +1,51 @@
 // The page: one socket, one state, one drawing per frame.
 import { Arena } from "./arena.js";
-import { append, CHARTS, drawChart, drawStrip, fresh } from "./curves.js";
-import { buildBelief, buildFigures, buildRoster, element, fillBelief, fillFigures, fillHelp, fillLegend, fillLog, fillRoster } from "./panels.js";
+import { append, CHARTS, drawChart, drawStrip, fresh, timeAt } from "./curves.js";
+import { element } from "./element.js";
+import { Hint } from "./hint.js";
+import { address, asked, Film, picture as savePicture } from "./keep.js";
+import { keys } from "./keyboard.js";
+import { fillLegend } from "./legend.js";
+import { fillLog } from "./log.js";
+import { buildBelief, buildFigures, buildRoster, fillBelief, fillFigures, fillHelp, fillRoster } from "./panels.js";
+import { Player } from "./player.js";
+import { pointAt } from "./pointer.js";
+import { Scene } from "./scene.js";
+import { Tour } from "./tour.js";
+import { attach, View } from "./view.js";
 
 const $ = (id) => document.getElementById(id);
 const SWITCHES = [["c", "cells", "cells"], ["p", "density", "density"], ["f", "footprints", "footprints"], ["o", "cods", "centroids of detection"], ["d", "detections", "detections"],
-  ["t", "truth", "true targets"], ["e", "estimates", "estimates"], ["r", "trails", "trails"], ["n", "names", "names"]];
+  ["t", "truth", "true targets"], ["e", "estimates", "estimates"], ["r", "trails", "trails"], ["n", "names", "names"], ["b", "belief", "the belief of the chosen agent"],
+  ["s", "staleness", "staleness"], ["g", "gossip", "gossip on links"]];
 const RATE_WINDOW = 1500, BELIEF_PERIOD = 400, TABLE_PERIOD = 300; // ms
 
 const state = {
-  hello: null, frame: null, history: fresh(), happenings: new Map(), outlines: {}, order: new Map(), trails: { bodies: new Map(), targets: new Map() },
-  on: Object.fromEntries(SWITCHES.map(([, name]) => [name, true])), chosen: null, belief: null, rate: null, counted: [], frames: 0, send,
+  hello: null, frame: null, scene: new Scene(), history: fresh(), happenings: new Map(), outlines: {}, order: new Map(),
+  on: Object.fromEntries(SWITCHES.map(([, name]) => [name, name !== "gossip"])), chosen: null, pointed: null, belief: null, rate: null, counted: [], frames: 0,
+  readout: null, held: false, film: new Film(), send,
 };
 window.covey = state; // for the curious, for tests and benchmarks
-const arena = new Arena($("arena"), state);
+let waiting = false, tableAt = 0, tableTimer = 0; // of the next drawing, and of the tables
+const besides = new Scene(), view = (state.view = new View(moved));
+const arenas = [new Arena($("arena"), state, state.scene, view), new Arena($("beside"), state, besides, view)];
+const hint = new Hint($("hint")), tour = new Tour($("tour")), player = new Player($, state), { film } = state;
 const charts = CHARTS.map((chart) => {
-  const canvas = element("canvas", { role: "img", "aria-label": `curve of ${chart.title}` });
+  const canvas = element("canvas", { role: "img", tabindex: "0", "aria-label": `curve of ${chart.title}`, "data-hint": chart.hint });
   $("charts").append(element("figure", {}, canvas));
-  canvas.addEventListener("click", (event) => seek((event.offsetX / canvas.clientWidth) * state.hello.ticks * state.hello.dt));
+  canvas.addEventListener("click", (event) => player.seek(timeAt(canvas, event.offsetX, state.hello)));
+  canvas.addEventListener("pointermove", (event) => { if (state.hello) readAt(timeAt(canvas, event.offsetX, state.hello)); });
+  canvas.addEventListener("pointerleave", () => readAt(null));
+  canvas.addEventListener("blur", () => readAt(null));
   return [canvas, chart];
 });
-let socket = null, over = false, tableAt = 0, scrubbing = false;
+let socket = null, over = false;
 
 // ---------------------------------------------------------------- what arrives
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
   socket.binaryType = "arraybuffer";
-  socket.onmessage = ({ data }) => (typeof data === "string" ? text(JSON.parse(data)) : picture(data));
+  socket.onmessage = ({ data }) => (typeof data === "string" ? text(JSON.parse(data)) : arrived(data));
   socket.onclose = () => {
     link(over ? "the run is over" : "no connection; trying again", true);
     setTimeout(connect, over ? 3000 : 700);
@@ -43,32 +62,42 @@ function hello(message) {
   const another = !state.hello || state.hello.run !== message.run || state.hello.agents.length !== message.agents.length;
   state.hello = message;
   over = false;
-  state.history = fresh(message.curves);
+  state.history = fresh({ ...message.curves, beside: message.beside && message.beside.ospa });
   state.happenings = new Map(message.happenings.map((one) => [one[0], one]));
   state.outlines = Object.fromEntries(message.agents.map((agent) => [agent.name, agent.outline]));
   state.order = new Map(message.agents.map((agent, index) => [agent.name, index]));
-  state.trails.bodies = new Map(Object.entries(message.trails.bodies));
-  state.trails.targets = new Map(Object.entries(message.trails.targets));
-  $("title").textContent = `${message.run}: ${message.scenario.split("/").pop()}, ${message.agents.length} agents, ${message.partition} diagram, seed ${message.seed}`;
+  state.scene.begin(message, message.trails);
+  besides.begin(message, { bodies: {}, targets: {} });
+  const diagrams = message.beside ? `${message.partition} (left) and ${message.beside.partition} diagram` : `${message.partition} diagram`;
+  $("title").textContent = `${message.run}: ${message.scenario.split("/").pop()}, ${message.agents.length} agents, ${diagrams}, seed ${message.seed}`;
+  $("title").title = $("title").textContent;
   document.title = `${message.run} – Covey`;
-  $("player").hidden = message.source !== "replay";
-  charts[charts.length - 1][0].parentElement.hidden = message.source === "replay"; // how fast messages came is a matter of the live run
-  $("scrub").max = message.ticks * message.dt;
-  if (another) { buildRoster($("roster").tBodies[0], state, choose); fillHelp($("help"), SWITCHES, message.source === "replay"); }
-  link(message.source === "replay" ? "replay" : "live", false);
+  $("beside").hidden = !message.beside;
+  arenas.forEach((arena, index) => { arena.title = message.beside ? [message.partition, message.beside.partition][index] : ""; });
+  document.body.classList.toggle("compares", Boolean(message.beside));
+  if (message.beside) CHARTS[0].lines = [["ospa", message.partition], ["beside", message.beside.partition]];
+  player.begin(message);
+  charts[charts.length - 1][0].parentElement.hidden = message.source !== "live"; // how fast messages came is a matter of the live run
+  if (another) { buildRoster($("roster").tBodies[0], state, choose); fillHelp($("help"), SWITCHES, player.plays); }
+  link(message.source, false);
+  if (another && message.tour) tour.offer();
+  if (another && state.order.has(asked().agent) && !state.chosen) choose(asked().agent);
 }
 
-function picture(data) {
+function arrived(data) {
   const length = new DataView(data).getUint32(0, true), frame = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
-  frame.bytes = new Uint8Array(data, 4 + length);
+  const squares = frame.grid[0] * frame.grid[1];
+  frame.bytes = new Uint8Array(data, 4 + length, squares);
   state.frames += 1;
   count(frame.messages);
   for (const one of frame.happenings) state.happenings.set(one[0], one);
-  if (!state.frame || frame.time !== state.frame.time) remember(frame);
+  append(state.history, frame.score, state.rate, frame.beside && frame.beside.score ? frame.beside.score[1] : null);
+  if (state.held) return;
+  state.scene.take(frame);
+  if (frame.beside) { frame.beside.bytes = new Uint8Array(data, 4 + length + squares); besides.take(frame.beside); }
   state.frame = frame;
   if (frame.over && !over) { over = true; link("the run is over", true); }
   else if (!frame.over && !frame.play) link(frame.advice ? `live; ${frame.advice}` : "live", Boolean(frame.advice));
-  append(state.history, frame.score, state.rate);
   schedule();
 }
 
@@ -82,23 +111,13 @@ function count(messages) {
   state.rate = now - then > 300 ? (1000 * (messages - before)) / (now - then) : null;
 }
 
-function remember(frame) {
-  const add = (ways, key, x, y) => {
-    let way = ways.get(key);
-    if (!way) ways.set(key, (way = []));
-    if (way.length && way[way.length - 3] >= frame.time) return;
-    way.push(frame.time, x, y);
-    if (way.length > 1200) way.splice(0, 600);
-  };
-  for (const agent of frame.agents) if (agent.pose) add(state.trails.bodies, agent.name, agent.pose[0], agent.pose[1]);
-  frame.ids.forEach((id, index) => add(state.trails.targets, String(id), frame.targets[2 * index], frame.targets[2 * index + 1]));
-  if (state.trails.targets.size > 3 * frame.ids.length + 50) {
-    for (const [id, way] of state.trails.targets) if (way[way.length - 3] < frame.time - 20) state.trails.targets.delete(id);
-  }
+// ---------------------------------------------------------------- drawing
+// A finger scrolls the page while the whole arena is seen, and moves the arena otherwise.
+function moved() {
+  for (const id of ["arena", "beside"]) $(id).style.touchAction = state.view && state.view.moved ? "none" : "pan-y";
+  schedule();
 }
 
-// ---------------------------------------------------------------- drawing
-let waiting = false;
 function schedule(all = false) {
   if (all) tableAt = 0;
   if (waiting) return;
@@ -108,22 +127,35 @@ function schedule(all = false) {
 
 function draw() {
   if (!state.hello) return;
-  arena.draw();
+  for (const arena of shown()) arena.draw();
+  film.draw();
   if (!state.frame) return;
   const { frame, hello } = state, now = performance.now();
   $("waiting").textContent = frame.waiting ?? "";
   $("waiting").hidden = !frame.waiting;
   $("clock").textContent = frame.tick < 0 ? "starting" : `${frame.time.toFixed(1)} of ${(hello.ticks * hello.dt).toFixed(0)} s · tick ${frame.tick}`;
-  if (frame.play) play(frame.play, frame.time);
-  if (now - tableAt > TABLE_PERIOD) {
-    tableAt = now;
-    fillFigures($("figures"), state);
-    fillRoster($("roster").tBodies[0], state);
-    fillLog($("log"), state);
-    if (state.chosen) fillBelief($("belief"), state);
-    for (const [canvas, chart] of charts) drawChart(canvas, chart, state);
-    drawStrip($("strip"), state);
-  }
+  if (frame.play) player.show(frame.play, frame.time);
+  clearTimeout(tableTimer);
+  if (now - tableAt > TABLE_PERIOD) { tableAt = now; fill(); }
+  else tableTimer = setTimeout(() => schedule(true), TABLE_PERIOD); // the last frame before a pause is told whole
+}
+
+function fill() {
+  fillFigures($("figures"), state);
+  fillRoster($("roster").tBodies[0], state);
+  fillLog($("log"), state);
+  fillLegend($("legend"), state);
+  if (state.chosen) fillBelief($("belief"), state);
+  for (const [canvas, chart] of charts) if (!canvas.parentElement.hidden) drawChart(canvas, chart, state);
+  drawStrip($("strip"), state);
+}
+
+const shown = () => (state.hello && state.hello.beside ? arenas : arenas.slice(0, 1));
+
+function readAt(time) {
+  if (time === state.readout) return;
+  state.readout = time === null ? null : Math.min(time, state.frame ? Math.max(state.frame.time, state.history.time.at(-1) ?? 0) : time);
+  schedule(true);
 }
 
 function link(words, off) { $("link").textContent = words; $("link").classList.toggle("off", off); }
@@ -139,7 +171,7 @@ function answer(words, ok) {
 
 // ---------------------------------------------------------------- choosing an agent
 async function look() {
-  if (!state.chosen) return;
+  if (!state.chosen || state.held) return;
   const name = state.chosen;
   try {
     const found = await (await fetch(`/api/agent/${encodeURIComponent(name)}`)).json();
@@ -154,8 +186,14 @@ function choose(name) {
   if (state.chosen) { buildBelief($("belief"), state, act, () => choose(state.chosen)); look(); }
   else $("belief").hidden = true;
   const row = state.chosen && $(`row-${state.chosen}`);
-  if (row) row.scrollIntoView({ block: "nearest" });
+  if (row) show(row, $("team"));
   schedule(true);
+}
+
+// Scroll a row into sight within its list, and leave the page where it is.
+function show(row, list) {
+  const { top, bottom } = row.getBoundingClientRect(), box = list.getBoundingClientRect(), head = row.offsetHeight;
+  list.scrollTop += Math.min(0, top - head - box.top) + Math.max(0, bottom - box.bottom);
 }
 
 function step(by) {
@@ -167,67 +205,84 @@ function step(by) {
 function send(request) { if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(request)); }
 function act(verb, who) { send({ verb, who }); }
 
-// ---------------------------------------------------------------- replay
-function play(now, time) {
-  $("play").textContent = now.playing ? "pause" : "play";
-  $("play").setAttribute("aria-pressed", String(now.playing));
-  if (!scrubbing) $("scrub").value = time;
-  if (document.activeElement !== $("speed")) $("speed").value = String(now.speed);
+// Where the page may move targets (a comparison), one under the pointer follows it.
+function dragged(arena, event) {
+  const found = state.hello.drags ? arena.under(event) : null;
+  if (!found || found.kind !== "target") return null;
+  const number = arena.scene.frame.ids[found.index], most = state.hello.arena;
+  let at = 0;
+  return (place, last) => {
+    if (!last && performance.now() - at < 80) return;
+    at = performance.now();
+    send({ drag: number, to: place.map((value, axis) => Math.max(0, Math.min(most[axis], value))) });
+  };
 }
-function seek(to) { if (state.hello && state.hello.source === "replay") send({ seek: to }); }
-let wanted = null;
-$("scrub").addEventListener("input", () => {
-  scrubbing = true;
-  if (wanted === null) setTimeout(() => { seek(wanted); wanted = null; }, 80);
-  wanted = Number($("scrub").value);
-});
-$("scrub").addEventListener("change", () => { scrubbing = false; });
-$("play").addEventListener("click", () => send({ play: !(state.frame && state.frame.play && state.frame.play.playing) }));
-$("speed").addEventListener("change", () => send({ speed: Number($("speed").value) }));
 
-// ---------------------------------------------------------------- switches, theme, keys
+// ---------------------------------------------------------------- switches, tools, keys
 for (const [key, name, words] of SWITCHES) {
-  const button = element("button", { type: "button", id: `switch-${name}`, "aria-pressed": "true", title: `${words} (${key})` }, name, element("kbd", {}, key));
+  const button = element("button", { type: "button", id: `switch-${name}`, "aria-pressed": String(state.on[name]), "data-hint": name === "cods" ? "centroids" : name, "aria-label": `${words} (${key})` },
+    name === "cods" ? "CODs" : name, element("kbd", {}, key));
   button.addEventListener("click", () => flip(name));
   $("switches").append(button);
 }
 function flip(name) {
   state.on[name] = !state.on[name];
   $(`switch-${name}`).setAttribute("aria-pressed", String(state.on[name]));
-  schedule();
+  schedule(true);
 }
 function theme() {
   const root = document.documentElement;
   root.dataset.theme = root.dataset.theme === "light" ? "dark" : "light";
   try { localStorage.setItem("covey-theme", root.dataset.theme); } catch { /* not kept */ }
-  fillLegend($("legend"));
-  if (state.hello) { buildRoster($("roster").tBodies[0], state, choose); fillHelp($("help"), SWITCHES, state.hello.source === "replay"); }
+  if (state.hello) { buildRoster($("roster").tBodies[0], state, choose); fillHelp($("help"), SWITCHES, player.plays); }
   if (state.chosen) buildBelief($("belief"), state, act, () => choose(state.chosen));
   schedule(true);
 }
 function help() { $("help").hidden = !$("help").hidden; $("helper").setAttribute("aria-expanded", String(!$("help").hidden)); }
+
+// Close what is open, the newest first; then choose nobody; then show the whole arena.
+function escape() {
+  if (tour.running) tour.end();
+  else if (!$("help").hidden) help();
+  else if (hint.visible) { hint.hide(); readAt(null); }
+  else if (state.chosen) choose(state.chosen);
+  else view.reset();
+}
+
+// A live swarm goes on; the picture waits.
+function hold() {
+  state.held = !state.held;
+  link(state.held ? "held; Space goes on" : state.hello.source, state.held);
+}
+
+async function share() {
+  const here = address(state);
+  let copied = "stands in the address bar";
+  try { await navigator.clipboard.writeText(here); copied = "is copied"; } catch { /* no clipboard here */ }
+  answer(state.hello.source === "replay" ? `The address of this second ${copied}.` : `The address of this second ${copied}. It opens there while covey replay ${state.hello.run} serves it.`, true);
+}
+
+function filming() {
+  if (film.running && !film.begun) { answer("The film is still empty; a moment.", false); return; }
+  if (film.running) film.end(state);
+  else try { film.begin(shown().map((arena) => arena.canvas)); } catch { answer("This browser records no films.", false); }
+  $("film").setAttribute("aria-pressed", String(film.running));
+  $("film").textContent = film.running ? "stop" : "film";
+}
+
+$("address").addEventListener("click", share);
+$("png").addEventListener("click", () => { arenas[0].draw(); savePicture(shown().map((arena) => arena.canvas), state); });
+$("film").addEventListener("click", filming);
+$("guide").addEventListener("click", (event) => { event.stopPropagation(); hint.hide(); tour.go(0); });
 $("theme").addEventListener("click", theme);
 $("helper").addEventListener("click", help);
-$("arena").addEventListener("click", (event) => { const name = arena.at(event); if (name) choose(name); else if (state.chosen) choose(state.chosen); });
+for (const arena of arenas) {
+  attach(arena, view, (event) => dragged(arena, event));
+  pointAt(arena, state, hint, schedule, choose);
+}
 new ResizeObserver(() => schedule(true)).observe($("frame"));
-
-addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || ["INPUT", "SELECT"].includes(event.target.tagName)) return;
-  const found = SWITCHES.find(([key]) => key === event.key), speeds = [...$("speed").options].map((one) => Number(one.value)), replay = state.hello && state.hello.source === "replay";
-  const faster = (by) => send({ speed: speeds[Math.max(0, Math.min(speeds.length - 1, speeds.indexOf(state.frame.play.speed) + by))] });
-  if (found) flip(found[1]);
-  else if (event.key === "x") theme();
-  else if (event.key === "?") help();
-  else if (event.key === "Escape") { if (!$("help").hidden) help(); else if (state.chosen) choose(state.chosen); }
-  else if (event.key === "ArrowRight" || event.key === "ArrowLeft") { step(event.key === "ArrowRight" ? 1 : -1); event.preventDefault(); }
-  else if (replay && event.key === " " && event.target.tagName !== "BUTTON") { $("play").click(); event.preventDefault(); }
-  else if (replay && event.key === ",") seek(state.frame.time - 1);
-  else if (replay && event.key === ".") seek(state.frame.time + 1);
-  else if (replay && event.key === "<") faster(-1);
-  else if (replay && event.key === ">") faster(1);
-});
+keys({ state, view, player, switches: SWITCHES, flip, theme, help, escape, hold, step, readAt, charts: charts.map(([canvas]) => canvas) });
 
 buildFigures($("figures"));
-fillLegend($("legend"));
 fillHelp($("help"), SWITCHES, false);
 connect();

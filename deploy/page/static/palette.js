@@ -3,6 +3,8 @@
 export const MUTED = ["#332288", "#44aa99", "#cc6677", "#117733", "#88ccee", "#882255", "#999933", "#aa4499", "#ddaa33"];
 export const LIGHT = ["#77aadd", "#ee8866", "#44bb99", "#eedd88", "#ffaabb", "#99ddff", "#bbcc33", "#c9a4e0", "#aaaa00"];
 
+export const OWNERS = 9; // colours of a scheme
+
 const theme = () => document.documentElement.dataset.theme;
 export const isLight = () => theme() === "light";
 export const schemeName = () => (isLight() ? "Paul Tol's “muted”" : "Paul Tol's “light”");
@@ -23,7 +25,7 @@ export function css(name) {
 // Colours of marks, by theme: true targets, estimates, detections, density (red, green, blue).
 export function marks() {
   return isLight()
-    ? { truth: "#111a22", estimate: "#c1121f", seen: "#00558c", density: [20, 50, 110], gone: "#98a3ae" }
+    ? { truth: "#111a22", estimate: "#d4380d", seen: "#00558c", density: [20, 50, 110], gone: "#98a3ae" }
     : { truth: "#ffffff", estimate: "#ffb000", seen: "#9bd7ff", density: [255, 214, 120], gone: "#6b7886" };
 }
 

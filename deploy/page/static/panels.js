@@ -1,21 +1,15 @@
 // Tables and texts beside the arena. Cells are written only when their text has changed.
-import { css, GLYPHS, marks, owner, schemeName } from "./palette.js";
+import { element } from "./element.js";
+import { owner, schemeName } from "./palette.js";
 
 const set = (node, text) => { if (node.textContent !== text) node.textContent = text; };
 const figure = (value, digits) => (value === undefined || value === null ? "" : value.toFixed(digits));
-
-export function element(tag, attributes = {}, ...children) {
-  const node = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) name === "class" ? (node.className = value) : node.setAttribute(name, value);
-  node.append(...children);
-  return node;
-}
 
 // ---------------------------------------------------------------- figures
 const FIGURES = ["OSPA", "GOSPA", "targets", "in cells", "alive", "hole", "overlap", "messages", "ticks", "skipped"];
 
 export function buildFigures(box) {
-  box.replaceChildren(...FIGURES.map((name) => element("div", { id: `figure-${name.replace(" ", "-")}` }, element("b"), element("span", {}, name))));
+  box.replaceChildren(...FIGURES.map((name) => element("button", { type: "button", id: `figure-${name.replace(" ", "-")}`, "data-hint": name }, element("b"), element("span", {}, name))));
 }
 
 export function fillFigures(box, state) {
@@ -36,7 +30,7 @@ export function fillFigures(box, state) {
   box.children[4].classList.toggle("bad", alive < frame.agents.length);
   box.children[5].classList.toggle("bad", Boolean(score) && score[6] > 0.001);
   box.children[6].classList.toggle("bad", Boolean(score) && score[7] > 0.001);
-  for (const at of [8, 9]) box.children[at].hidden = !frame.tick_rate; // a replay has no pace of its own
+  for (const at of [7, 8, 9]) box.children[at].hidden = !frame.tick_rate; // a replay has no pace of its own
   box.children[9].classList.toggle("bad", skipped > 0);
 }
 
@@ -44,7 +38,7 @@ export function fillFigures(box, state) {
 export function buildRoster(body, state, choose) {
   body.replaceChildren(...state.hello.agents.map((agent, index) => {
     const colour = element("i"), button = element("button", { type: "button" }, colour, agent.name, element("small", {}, agent.class));
-    colour.style.background = owner(index);
+    colour.style.background = owner(state.scene.colours[index] ?? index);
     const row = element("tr", { id: `row-${agent.name}` }, element("th", { scope: "row" }, button), ...Array.from({ length: 9 }, () => element("td")));
     row.addEventListener("click", () => choose(agent.name));
     return row;
@@ -57,6 +51,8 @@ export function fillRoster(body, state) {
     if (!row) return;
     const name = agent.state + (state.chosen === agent.name ? " chosen" : "");
     if (row.className !== name) row.className = name;
+    const dot = row.querySelector("i"), colour = owner(state.scene.colours[index] ?? index);
+    if (dot.dataset.colour !== colour) { dot.dataset.colour = colour; dot.style.background = colour; }
     const cells = row.children, gone = agent.state === "dead";
     set(cells[1], agent.state + (agent.incarnation > 1 && agent.incarnation < 1000 ? ` ·${agent.incarnation}` : ""));
     const values = gone ? Array(5).fill("") : [figure(agent.unused, 1), figure(agent.radius, 2), figure(agent.load, 2), figure(agent.mass, 2), figure(agent.ms, 1)];
@@ -72,7 +68,7 @@ const TELLS = { kill: "Kill", pause: "Pause", resume: "Resume", restart: "Restar
 
 export function buildBelief(box, state, act, close) {
   const index = state.order.get(state.chosen) ?? 0, dot = element("i"), shut = element("button", { type: "button", title: "Close (Esc)" }, "close");
-  dot.style.background = owner(index);
+  dot.style.background = owner(state.scene.colours[index] ?? index);
   shut.addEventListener("click", close);
   const acts = element("div", { class: "acts" });
   for (const verb of state.hello.verbs || []) {
@@ -80,13 +76,14 @@ export function buildBelief(box, state, act, close) {
     button.addEventListener("click", () => act(verb, verb === "heal" ? "" : state.chosen));
     acts.append(button);
   }
-  box.replaceChildren(element("h2", {}, dot, state.chosen, element("span", { id: "belief-state" }), shut), element("p", { id: "belief-cell" }), element("p", { id: "belief-neighbours" }), element("p", { id: "belief-counters" }), acts);
+  box.replaceChildren(element("h2", {}, dot, state.chosen, element("span", { id: "belief-state" }), shut), element("p", { id: "belief-cell" }), element("p", { id: "belief-neighbours", "data-hint": "neighbours" }), element("p", { id: "belief-counters", "data-hint": "counters" }), acts);
   box.hidden = false;
 }
 
 export function fillBelief(box, state) {
   const { belief } = state, agent = state.frame && state.frame.agents.find((one) => one.name === state.chosen);
   if (!belief || !agent) return;
+  box.querySelector("h2 i").style.background = owner(state.scene.colours[state.order.get(state.chosen)] ?? 0);
   set(box.querySelector("#belief-state"), `class ${belief.class || "?"}, ${agent.state}${belief.listening ? ", listening" : ""}`);
   const particles = belief.particles ? belief.particles.length / 2 : 0, targets = belief.targets ? belief.targets.length / 2 : 0;
   set(box.querySelector("#belief-cell"), belief.mass === undefined ? "It has not spoken yet." :
@@ -100,37 +97,14 @@ export function fillBelief(box, state) {
   }
 }
 
-// ---------------------------------------------------------------- what happened
-export function fillLog(list, state) {
-  const past = [...state.happenings.values()].filter(([, time]) => !state.frame.play || time <= state.frame.time); // a replay knows the future
-  const newest = past.slice(-24).reverse(), stamp = newest.length ? newest[0][0] : 0;
-  if (list.dataset.stamp === String(stamp)) return;
-  list.dataset.stamp = String(stamp);
-  list.replaceChildren(...newest.map(([, time, kind, , text]) => element("li", { class: kind }, element("time", {}, `${time.toFixed(1)} s`), `${GLYPHS[kind] || "•"} ${text}`)));
-}
-
-// ---------------------------------------------------------------- legend and help
-export function fillLegend(list) {
-  const mark = marks(), items = [
-    ["true target", (c) => { c.strokeStyle = mark.truth; c.lineWidth = 3; c.arc(16, 16, 9, 0, 7); c.stroke(); }],
-    ["estimate", (c) => { c.strokeStyle = mark.estimate; c.lineWidth = 4; c.moveTo(8, 8); c.lineTo(24, 24); c.moveTo(8, 24); c.lineTo(24, 8); c.stroke(); }],
-    ["detection", (c) => { c.fillStyle = mark.seen; c.fillRect(12, 12, 8, 8); }],
-    ["density of the PHD", (c) => { const g = c.createRadialGradient(16, 16, 1, 16, 16, 15); const rgb = mark.density.join(","); g.addColorStop(0, `rgba(${rgb},1)`); g.addColorStop(1, `rgba(${rgb},0)`); c.fillStyle = g; c.fillRect(0, 0, 32, 32); }],
-    ["agent, and its footprint", (c) => { c.fillStyle = owner(2); c.moveTo(28, 16); c.lineTo(6, 25); c.lineTo(11, 16); c.lineTo(6, 7); c.fill(); }],
-    ["centroid of detection", (c) => { c.fillStyle = owner(2); c.moveTo(16, 6); c.lineTo(26, 16); c.lineTo(16, 26); c.lineTo(6, 16); c.fill(); }],
-    ["dead", (c) => { c.strokeStyle = css("warn"); c.lineWidth = 4; c.moveTo(8, 8); c.lineTo(24, 24); c.moveTo(8, 24); c.lineTo(24, 8); c.stroke(); }],
-  ];
-  list.replaceChildren(...items.map(([text, draw]) => {
-    const canvas = element("canvas", { width: "32", height: "32", "aria-hidden": "true" });
-    draw(canvas.getContext("2d"));
-    return element("li", {}, canvas, text);
-  }), element("li", {}, `cells in the colours of their owners: ${schemeName()}`));
-}
-
+// ---------------------------------------------------------------- help
 export function fillHelp(box, switches, replay) {
-  const keys = [["click, ← →", "choose an agent: what it believes is drawn over the arena"], ["Esc", "choose nobody"],
+  const keys = [["click, ↑ ↓", "choose an agent: what it believes is drawn over the arena"], ["Esc", "close what is open; choose nobody; see the whole arena"],
+    ["space", replay ? "play or pause" : "hold the picture, or go on; the swarm goes on all the time"],
+    ["← →", replay ? "one second back or on (Shift: ten)" : "choose an agent"],
+    ["wheel, + −", "zoom; two fingers do the same"], ["drag, Shift + arrows", "move the arena"], ["double click, 0", "the whole arena"],
     ...switches.map(([key, , text]) => [key, `${text} on or off`]), ["x", "dark or light"], ["?", "this page"]];
-  if (replay) keys.push(["space", "play or pause"], [", .", "one second back or on"], ["< >", "slower or faster"]);
+  if (replay) keys.push(["< >", "slower or faster"]);
   const list = element("dl");
   for (const [key, text] of keys) list.append(element("dt", {}, key), element("dd", {}, text));
   box.replaceChildren(element("h2", {}, "Keys"), list, element("h2", {}, "Colours"),

@@ -1,0 +1,103 @@
+"""Compiled likelihoods and births of other measurements than positions: the bit-for-bit twin of agents/tracking/measuring.py.
+
+Data types: `noise` is the tuple of `measuring.Noise`; a ray is a row as there.
+
+Rules as in agents/compiled/particle_kernels.py.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from agents.compiled.birth_kernels import uniform
+from agents.compiled.cache import cached
+from agents.compiled.particle_kernels import normal, scramble
+
+_POSITION, _BEARING = 0.0, 2.0  # of agents/tracking/measuring.py
+_TINY = 1e-12
+
+
+@njit
+def noise_of(sensor: np.ndarray, position_noise: float, kernel: float, place2: float, turn2: float) -> tuple[float, float, float, float]:
+    """Twin of `measuring.noise_of`; `sensor` is a row of the gossip table, `place2` and `turn2` the variances of the pose."""
+    place = kernel + place2
+    turn = sensor[18] * sensor[18] + turn2
+    if sensor[16] == _POSITION:
+        variance = position_noise * position_noise + place
+        return sensor[16], variance, variance, turn
+    return sensor[16], sensor[17] * sensor[17] + place, place, turn
+
+
+@njit
+def _density(x: float, y: float, sensor: np.ndarray, point: np.ndarray, ray: np.ndarray, noise: tuple) -> tuple[float, float]:
+    """Twin of `measuring.densities` for one particle and one detection: the squared deviation, and the peak per m^2."""
+    model, along_variance, across_variance, bearing_variance = noise
+    east, north, far = ray[0], ray[1], ray[2]
+    if model == _POSITION:
+        ex, ey = x - point[0], y - point[1]
+        along, across = ex * east + ey * north, east * ey - north * ex
+        wide = across_variance + bearing_variance * (far * far)
+        return along * along / along_variance + across * across / wide, 1.0 / (2.0 * math.pi * math.sqrt(along_variance * wide))
+    dx, dy = x - sensor[0], y - sensor[1]
+    range2 = dx * dx + dy * dy
+    distance = math.sqrt(range2)
+    along, across = dx * east + dy * north, east * dy - north * dx
+    angle = 2.0 * across / max(distance + along, _TINY)
+    wide = bearing_variance + across_variance / max(range2, _TINY)
+    squared = angle * angle / wide
+    if model == _BEARING:
+        return squared, 1.0 / (math.sqrt(2.0 * math.pi * wide) * (0.5 * sensor[4] * sensor[4]))
+    apart = distance - far
+    peak = 1.0 / (2.0 * math.pi * math.sqrt(along_variance * wide) * max(far, _TINY))
+    return squared + apart * apart / along_variance, peak
+
+
+@cached
+def pairs(
+    x: np.ndarray,
+    y: np.ndarray,
+    seen: np.ndarray,
+    sensor: np.ndarray,
+    points: np.ndarray,
+    rays: np.ndarray,
+    noise: tuple,
+    gate: float,
+    found: tuple,
+) -> int:
+    """The number of pairs of a particle in view and a detection within its gate, or -1 if `found` may be too small.
+
+    Each pair is written into `found`: row of the particle, number of the detection, squared deviation, and the peak of the density.
+    """
+    rows, columns, squares, peaks = found
+    number, count = len(x), 0
+    for m in range(len(points)):
+        if count + number > len(rows):
+            return -1
+        for n in range(number):
+            if seen[n]:
+                squared, peak = _density(x[n], y[n], sensor, points[m], rays[m], noise)
+                if squared <= gate * gate:
+                    rows[count], columns[count], squares[count], peaks[count] = n, m, squared, peak
+                    count += 1
+    return count
+
+
+@njit
+def birth_place(new_id: np.uint64, sensor: np.ndarray, point: np.ndarray, ray: np.ndarray, noise: tuple) -> tuple[float, float]:
+    """Twin of `measuring.birth_places` for one birth."""
+    model, along_variance, across_variance, bearing_variance = noise
+    east, north, far = ray[0], ray[1], ray[2]
+    first, second = normal(scramble(new_id, np.uint64(1))), normal(scramble(new_id, np.uint64(2)))
+    if model == _POSITION:
+        along = first * math.sqrt(along_variance)
+        across = second * math.sqrt(across_variance + bearing_variance * (far * far))
+        return point[0] + (along * east - across * north), point[1] + (along * north + across * east)
+    if model == _BEARING:
+        distance = sensor[4] * math.sqrt(uniform(scramble(new_id, np.uint64(4))))
+    else:
+        distance = far + first * math.sqrt(along_variance)
+    half = 0.5 * (second * math.sqrt(bearing_variance + across_variance / max(distance * distance, _TINY)))
+    half = min(max(half, -1.0), 1.0)
+    cos, sin = (1.0 - half * half) / (1.0 + half * half), 2.0 * half / (1.0 + half * half)
+    return sensor[0] + distance * (cos * east - sin * north), sensor[1] + distance * (sin * east + cos * north)

@@ -1,0 +1,377 @@
+"""Compiled search-and-track: the bit-for-bit twins of the functions of agents/coverage/search_plan.py.
+
+Data types: bins are squares of side BIN m, rows from south and columns from west. A sensor is a row of `GossipTable.table`. Partners
+are rows (x, y, load, reach, 1 where the name comes first). The settings are in the columns of `SEARCH`.
+
+Rules as in agents/compiled/particle_kernels.py.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from agents.compiled.cache import cached
+from agents.compiled.correction_kernels import exp_minus
+from agents.compiled.particle_kernels import sort_by_id
+from agents.coverage.search_plan import (
+    BESIDE,
+    BIN,
+    DECAY,
+    EDGE,
+    FIRST_TURN,
+    FORGOTTEN,
+    HOLDS,
+    LEAST,
+    MARGIN,
+    NEVER,
+    OUTSIDE,
+    SECTORS,
+    UNKNOWN,
+    UNSURE,
+    WINDOW,
+    WITHIN,
+)
+from agents.gossip.table import KIND, WEDGE
+
+# Columns of the settings (`config.SearchSettings`) and of the numbers of a round (`search_plan.PlanInput`)
+HORIZON, STALE, SEARCH, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(10)
+NOW, DT, X, Y, COS, SIN, REACH, ANGLE, OFFSET, WIDTH, HEIGHT, SPEED, TURN_RATE, OPEN, GOAL_X, GOAL_Y = range(16)
+GOAL, LOAD, PARTNER_REACH, FIRST = 0, 2, 3, 4  # columns of a partner
+
+
+@njit
+def _mark_view(seen: np.ndarray, table: np.ndarray, now: float) -> None:
+    """Twin of `search_plan.mark_view`, in place."""
+    rows, columns = seen.shape
+    for k in range(len(table)):
+        if table[k, KIND] != WEDGE:
+            continue
+        x, y, cos, sin, reach, cos_half = table[k, 0], table[k, 1], table[k, 2], table[k, 3], table[k, 4], table[k, 5]
+        west, east = max(int(np.floor((x - reach) / BIN)), 0), min(int(np.floor((x + reach) / BIN)), columns - 1)
+        south, north = max(int(np.floor((y - reach) / BIN)), 0), min(int(np.floor((y + reach) / BIN)), rows - 1)
+        for row in range(south, north + 1):
+            dy = (row + 0.5) * BIN - y
+            for column in range(west, east + 1):
+                dx = (column + 0.5) * BIN - x
+                range2 = dx * dx + dy * dy
+                if (range2 <= reach * reach) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2)):
+                    seen[row, column] = now
+
+
+@njit
+def _seen_at(seen: np.ndarray, x: float, y: float) -> float:
+    """Twin of `search_plan._seen_at` for one point."""
+    row, column = int(np.floor(y / BIN)), int(np.floor(x / BIN))
+    if row < 0 or column < 0 or row >= seen.shape[0] or column >= seen.shape[1]:
+        return NEVER
+    return seen[row, column]
+
+
+@njit
+def _bin_values(
+    states: np.ndarray, weights: np.ndarray, seen: np.ndarray, situation: np.ndarray, search: np.ndarray, box: tuple[int, int, int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `search_plan.bin_values` for the bins of a box: first and last row, first and last column."""
+    south, north, west, east = box
+    tracks, search_values = np.zeros((north - south + 1, east - west + 1)), np.zeros((north - south + 1, east - west + 1))
+    horizon, stale, now, width, height = search[HORIZON] + situation[DT], search[STALE], situation[NOW], situation[WIDTH], situation[HEIGHT]
+    for n in range(len(weights)):
+        x, y, vx, vy = states[n, 0], states[n, 1], states[n, 2], states[n, 3]
+        px, py = x + vx * horizon, y + vy * horizon
+        if situation[OPEN] == 0.0:
+            px = -px if px < 0.0 else 2.0 * width - px if px > width else px
+            py = -py if py < 0.0 else 2.0 * height - py if py > height else py
+        row, column = int(np.floor(py / BIN)), int(np.floor(px / BIN))
+        if row < south or row > north or column < west or column > east or px > width or py > height:
+            continue
+        last = _seen_at(seen, x, y)
+        half = 0.5 * stale
+        if now - last > stale:
+            last = max(last, _seen_at(seen, x - vx * half, y - vy * half))
+        if now - last > stale:
+            last = max(last, _seen_at(seen, x - vx * stale, y - vy * stale))
+        if now - last <= stale:
+            tracks[row - south, column - west] += weights[n]
+        else:
+            search_values[row - south, column - west] += search[SEARCH] * weights[n]
+    if situation[OPEN] != 0.0:
+        rows, columns = seen.shape
+        for row in range(south, north + 1):
+            for column in range(west, east + 1):
+                if row == 0 or column == 0 or row == rows - 1 or column == columns - 1:
+                    search_values[row - south, column - west] += search[INFLOW]
+    return tracks, search_values
+
+
+@njit
+def _cost(apart: float, radius: float) -> float:
+    """Twin of `search_plan._costs`."""
+    return apart / radius - 1.0 if apart <= radius else apart - radius
+
+
+@njit
+def _partners_near(partners: np.ndarray, x: float, y: float, width: float) -> np.ndarray:
+    """The rows of partners that may serve a place within `width` m of a point."""
+    near, number = np.empty(len(partners), np.int64), 0
+    for k in range(len(partners)):
+        dx, dy = partners[k, 0] - x, partners[k, 1] - y
+        near[number] = k
+        number += math.sqrt(dx * dx + dy * dy) <= width + max(partners[k, PARTNER_REACH] - MARGIN, 1.0) + BESIDE + 1e-6
+    return near[:number]
+
+
+@njit
+def _left_over(x: float, y: float, situation: np.ndarray, partners: np.ndarray, near: np.ndarray, sharing: float) -> tuple[float, float]:
+    """Twin of `search_plan.left_over` for one place; `near` are the rows of partners that may serve it."""
+    dx, dy, radius = x - situation[GOAL_X], y - situation[GOAL_Y], max(situation[REACH] - MARGIN, 1.0)
+    own, tracks, values = _cost(math.sqrt(dx * dx + dy * dy), radius), 1.0, 1.0
+    for i in range(len(near)):
+        k = near[i]
+        other = max(partners[k, PARTNER_REACH] - MARGIN, 1.0)
+        dx, dy = x - partners[k, 0], y - partners[k, 1]
+        apart = math.sqrt(dx * dx + dy * dy)
+        if apart > other + BESIDE:
+            continue
+        cost = _cost(apart, other)
+        if cost < own or (cost == own and partners[k, FIRST] != 0.0):
+            fade = 1.0 if apart <= other else exp_minus((apart - other) * (1.0 / DECAY))
+            held = min(1.0, 1.0 / max(partners[k, LOAD], 1e-9))
+            tracks *= 1.0 - sharing * held * (fade if apart <= other else OUTSIDE * fade)
+            values *= 1.0 - sharing * fade
+    return tracks, values
+
+
+@njit
+def _worth_at(
+    x: float,
+    y: float,
+    xs: np.ndarray,
+    ys: np.ndarray,
+    tracks: np.ndarray,
+    values: np.ndarray,
+    radius: float,
+    best: float,
+    falloff: float,
+    terms: np.ndarray,
+) -> None:
+    """The terms of `search_plan.worth_at`, without branches."""
+    beyond, within, decay, radius2 = 1.0 / (radius - best), 1.0 / best, 1.0 / DECAY, radius * radius
+    for n in range(len(xs)):
+        dx, dy = xs[n] - x, ys[n] - y
+        apart2 = dx * dx + dy * dy
+        apart = math.sqrt(apart2)
+        away = (apart - best) * (beyond if apart > best else within)
+        inside = tracks[n] * (1.0 - falloff * away * away) + values[n]
+        outside = (OUTSIDE * tracks[n] + values[n]) * exp_minus(max(apart - radius, 0.0) * decay)
+        terms[n] = inside if apart2 <= radius2 else outside
+
+
+@njit
+def _best_goal(
+    situation: np.ndarray,
+    search: np.ndarray,
+    states: np.ndarray,
+    weights: np.ndarray,
+    seen: np.ndarray,
+    partners: np.ndarray,
+    directions: np.ndarray,
+) -> tuple[float, float, float]:
+    """Twin of `search_plan.best_goal`: x, y in m, and the load."""
+    rows, columns = seen.shape
+    gx, gy = situation[GOAL_X], situation[GOAL_Y]
+    radius = max(situation[REACH] - MARGIN, 1.0)
+    wide = radius + WITHIN
+    box = (
+        max(int(np.floor((gy - wide) / BIN)), 0),
+        min(int(np.floor((gy + wide) / BIN)), rows - 1),
+        max(int(np.floor((gx - wide) / BIN)), 0),
+        min(int(np.floor((gx + wide) / BIN)), columns - 1),
+    )
+    tracks, values = _bin_values(states, weights, seen, situation, search, box)
+    near = _partners_near(partners, gx, gy, wide)
+    size = tracks.size
+    xs, ys, ts, ds, count, load = np.empty(size), np.empty(size), np.empty(size), np.empty(size), 0, 0.0
+    for row in range(tracks.shape[0]):
+        y = (box[0] + row + 0.5) * BIN
+        for column in range(tracks.shape[1]):
+            if tracks[row, column] + values[row, column] <= 0.0:
+                continue
+            x = (box[2] + column + 0.5) * BIN
+            apart2 = (x - gx) * (x - gx) + (y - gy) * (y - gy)
+            if apart2 > wide * wide:
+                continue
+            left_track, left_value = _left_over(x, y, situation, partners, near, search[SHARING])
+            track, value = tracks[row, column] * left_track, values[row, column] * left_value
+            if apart2 <= radius * radius:
+                load += track
+            xs[count], ys[count], ts[count], ds[count] = x, y, track, value
+            count += 1
+    x, y = situation[X], situation[Y]
+    step = search[HORIZON] * situation[SPEED] * 0.5
+    best_at = min(max(situation[OFFSET], 0.1), 0.9 * radius)
+    best, best_x, best_y, terms = -np.inf, x, y, np.empty(count)
+    for candidate in range(2 * len(directions) + 1):
+        far = 0.0 if candidate == 0 else 2.0 * step if candidate % 2 else step
+        d = (candidate - 1) // 2
+        qx = min(max(x + far * directions[d, 0], 0.0), situation[WIDTH])
+        qy = min(max(y + far * directions[d, 1], 0.0), situation[HEIGHT])
+        _worth_at(qx, qy, xs[:count], ys[:count], ts[:count], ds[:count], radius, best_at, search[FALLOFF], terms)
+        total = 0.0
+        for n in range(count):
+            total += terms[n]
+        total -= search[STEP_COST] * math.sqrt((qx - gx) * (qx - gx) + (qy - gy) * (qy - gy)) / (2.0 * step)
+        if total > best:
+            best, best_x, best_y = total, qx, qy
+    held = search[CAPACITY] * situation[ANGLE] / HOLDS
+    return best_x, best_y, load / held if held > 0.0 else 0.0
+
+
+@njit
+def _last_sight(
+    states: np.ndarray, ids: np.ndarray, old_ids: np.ndarray, old_seen: np.ndarray, table: np.ndarray, grid: np.ndarray, now: float
+) -> np.ndarray:
+    """Twin of `search_plan.last_sight`."""
+    seen, old = np.empty(len(ids)), 0
+    for n in range(len(ids)):
+        while old < len(old_ids) and old_ids[old] < ids[n]:
+            old += 1
+        if old < len(old_ids) and old_ids[old] == ids[n]:
+            seen[n] = old_seen[old]
+        else:
+            seen[n] = max(_seen_at(grid, states[n, 0], states[n, 1]), now - UNKNOWN)
+    west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
+    for n in range(len(ids)):
+        west, east = min(west, states[n, 0]), max(east, states[n, 0])
+        south, north = min(south, states[n, 1]), max(north, states[n, 1])
+    for k in range(len(table)):
+        x, y, reach = table[k, 0], table[k, 1], table[k, 4]
+        if table[k, KIND] != WEDGE or x + reach < west or x - reach > east or y + reach < south or y - reach > north:
+            continue
+        cos, sin, cos_half = table[k, 2], table[k, 3], table[k, 5]
+        for n in range(len(ids)):
+            dx, dy = states[n, 0] - x, states[n, 1] - y
+            range2 = dx * dx + dy * dy
+            if (range2 <= reach * reach) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2)):
+                seen[n] = now
+    return seen
+
+
+@njit
+def _sector(ahead: float, left: float, edges: np.ndarray) -> int:
+    """Twin of `search_plan.sector_of` for one direction; `edges` are unit vectors at the start of each sector."""
+    low, high = 0, SECTORS // 2
+    if edges[0, 0] * left - edges[0, 1] * ahead < 0.0:
+        low, high = SECTORS // 2, SECTORS
+    while high - low > 1:
+        middle = (low + high) // 2
+        if edges[middle, 0] * left - edges[middle, 1] * ahead >= 0.0:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@njit
+def _best_turn(
+    situation: np.ndarray,
+    search: np.ndarray,
+    x: float,
+    y: float,
+    states: np.ndarray,
+    weights: np.ndarray,
+    seen: np.ndarray,
+    shares: np.ndarray,
+    edges: np.ndarray,
+) -> float:
+    """Twin of `search_plan.best_turn` for a wedge at x, y."""
+    now, reach = situation[NOW], situation[REACH] - EDGE
+    held, some = np.zeros(SECTORS), False
+    west, south = int(np.floor((x - reach) / BIN)), int(np.floor((y - reach) / BIN))
+    side = int(2.0 * reach / BIN) + 2
+    masses = np.zeros((side, side))
+    for n in range(len(weights)):
+        row, column = int(np.floor(states[n, 1] / BIN)) - south, int(np.floor(states[n, 0] / BIN)) - west
+        if row >= 0 and column >= 0 and row < side and column < side:
+            masses[row, column] += weights[n]
+    for n in range(len(weights)):
+        dx, dy = states[n, 0] - x, states[n, 1] - y
+        if dx * dx + dy * dy > reach * reach:
+            continue
+        age = (now - seen[n] + situation[DT]) / FORGOTTEN
+        value = LEAST + 1.0 - exp_minus(min(age * age, 18.0))
+        mass = masses[int(np.floor(states[n, 1] / BIN)) - south, int(np.floor(states[n, 0] / BIN)) - west]
+        if UNSURE[0] < mass and mass < UNSURE[1]:
+            value += search[CONFIRMATION] * (1.0 - mass)
+        worth = weights[n] * value * shares[n]
+        held[_sector(dx * situation[COS] + dy * situation[SIN], dy * situation[COS] - dx * situation[SIN], edges)] += worth
+        some = some or worth > 0.0
+    most = min(situation[TURN_RATE] * situation[DT], math.pi)
+    width = 2.0 * math.pi / SECTORS
+    if not some:
+        return min(most, FIRST_TURN * situation[ANGLE])
+    half = min(int(np.floor(0.5 * WINDOW * situation[ANGLE] / width)), SECTORS // 2 - 1)
+    full = situation[ANGLE] > 2.0 * math.pi - width
+    if full:
+        return 0.0
+    reachable = min(int(np.floor(most / width)), SECTORS // 2 - 1)
+    sums = np.zeros(3 * SECTORS + 1)
+    for k in range(3 * SECTORS):
+        sums[k + 1] = sums[k] + held[k % SECTORS]
+    best, choice = -np.inf, 0
+    for order in range(2 * reachable + 1):
+        k = (order + 1) // 2 if order % 2 else -(order // 2)
+        low, high = SECTORS + k - half, SECTORS + k + half + 1
+        here, then = sums[high] - sums[low], 0.0
+        for shift in range(1, reachable + 1):
+            new = min(shift, 2 * half + 1, SECTORS - 2 * half - 1)
+            then = max(then, sums[high + shift] - sums[high + shift - new], sums[low - shift + new] - sums[low - shift])
+        value = here + search[LOOK_AHEAD] * then
+        if value > best:
+            best, choice = value, k
+    return choice * width
+
+
+@njit
+def _shares(situation: np.ndarray, states: np.ndarray, partners: np.ndarray) -> np.ndarray:
+    """Twin of `search_plan.shares` for the particles within reach; each bin is computed once."""
+    x, y, reach = situation[X], situation[Y], situation[REACH]
+    near = _partners_near(partners, x, y, reach + 2.0 * BIN)
+    west, south, side = int(np.floor((x - reach) / BIN)) - 1, int(np.floor((y - reach) / BIN)) - 1, int(2.0 * reach / BIN) + 4
+    left, found = np.full((side, side), -1.0), np.zeros(len(states))
+    for n in range(len(states)):
+        row, column = int(np.floor(states[n, 1] / BIN)) - south, int(np.floor(states[n, 0] / BIN)) - west
+        if row < 0 or column < 0 or row >= side or column >= side:
+            continue
+        if left[row, column] < 0.0:
+            left[row, column] = _left_over((column + west + 0.5) * BIN, (row + south + 0.5) * BIN, situation, partners, near, 1.0)[0]
+        found[n] = left[row, column]
+    return found
+
+
+@cached
+def decide(
+    situation: np.ndarray,
+    search: np.ndarray,
+    states: np.ndarray,
+    weights: np.ndarray,
+    around: tuple,
+    table: np.ndarray,
+    partners: np.ndarray,
+    memory: tuple,
+    directions: np.ndarray,
+    edges: np.ndarray,
+) -> tuple:
+    """Twin of `search_plan.decide` for wedges: vx, vy, turn rate, goal x, y, load, and the memory."""
+    now, dt, horizon = situation[NOW], situation[DT], search[HORIZON]
+    seen, ids, last = memory
+    seen = seen.copy()
+    _mark_view(seen, table, now)
+    goal_x, goal_y, load = _best_goal(situation, search, states, weights, seen, partners, directions)
+    vx, vy = (goal_x - situation[X]) / horizon, (goal_y - situation[Y]) / horizon
+    order = sort_by_id(around[2], np.arange(len(around[2])))
+    near_states, near_weights, near_ids = around[0][order], around[1][order], around[2][order]
+    near_last = _last_sight(near_states, near_ids, ids, last, table, seen, now)
+    x, y = situation[X] + vx * dt, situation[Y] + vy * dt
+    turn = _best_turn(situation, search, x, y, near_states, near_weights, near_last, _shares(situation, near_states, partners), edges)
+    return vx, vy, turn / dt, goal_x, goal_y, load, (seen, near_ids, near_last)

@@ -1,0 +1,42 @@
+"""Search and track: a control law beyond the paper that divides what is worth seeing among the sensors around.
+
+Data types: a `SearchAndTrack` remembers when the bins of the arena and the particles around its cell were last in view.
+
+Rules. An agent announces where it goes and how much it has to watch there. Of what partners with a shorter way look after it leaves the
+most to them. `search_plan` holds the arithmetic. An agent that announces nothing counts as one that stays where it is.
+"""
+
+import math
+
+from agents.backend import PLAIN, Backend
+from agents.config import SearchSettings
+from agents.coverage.capacity import sensor_facts
+from agents.coverage.control import STAND, ControlInput, Intent, Situation
+from agents.coverage.search_plan import Memory, PlanInput, Task, no_memory
+
+
+class SearchAndTrack:
+    """The search-and-track law; after a command `intent` is what the next gossip announces."""
+
+    def __init__(self, settings: SearchSettings = SearchSettings(), backend: Backend = PLAIN) -> None:
+        self.intent: Intent | None = None
+        self._settings, self._backend = settings, backend
+        self._memory: Memory | None = None
+        self._shape: tuple[float, float] | None = None  # angle of view, rad, and distance from the sensor to its COD, m
+
+    def command(self, situation: Situation) -> ControlInput:
+        """Velocity and turn rate until the next tick; stands without the surroundings that only a round knows."""
+        known, sensor, limits = situation.known, situation.sensor, situation.limits
+        if known is None:
+            return STAND
+        if self._shape is None:
+            offset = math.hypot(*sensor_facts(sensor).cod_offset)
+            self._shape = min(2.0 * math.pi, 2.0 * sensor.area / (sensor.reach * sensor.reach)), offset
+        (x, y, heading), (width, height) = situation.pose, situation.arena
+        now, cos, sin = situation.tick * situation.dt, math.cos(heading), math.sin(heading)
+        shape, bounds = (sensor.reach, *self._shape), (width, height, limits.speed, limits.turn_rate)
+        body = PlanInput(now, situation.dt, x, y, cos, sin, *shape, *bounds, float(known.is_open), *known.goal)
+        task = Task(body, self._settings, sensor, heading, known.density, known.around, known.table, known.partners)
+        velocity, turn_rate, goal, load, self._memory = self._backend.decide(task, self._memory or no_memory(width, height))
+        self.intent = Intent(goal, load)
+        return velocity, turn_rate

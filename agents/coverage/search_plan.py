@@ -1,0 +1,321 @@
+"""What is worth seeing, who sees it, and where a sensor looks: the arithmetic of `search_and_track.SearchAndTrack`.
+
+Data types: a `Task` is what one agent knows in a round; a `Memory` holds when it was all last seen; a `Decision` is the answer. Bins
+are squares of side `BIN` m, rows from south and columns from west. Mass in a bin that was in view lately is a *track*. Older mass is
+to be *found*, and counts more.
+
+Rules. All sums run one after the other, in the order of particles, bins and partners, and only exactly rounded operations occur:
+agents/compiled/search_kernels.py computes the same bits. A sensor is taken for a circle, because it turns fast.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.config import SearchSettings
+from agents.gossip.table import GossipTable
+from agents.tracking.particles import Particles, select, total
+from agents.tracking.phd import exp_minus
+from protocol.sensing import Pose, SensorModel, WedgeSensor
+
+BIN = 2.0  # m
+MARGIN = 1.5  # m of the reach that a goal leaves for the motion of the targets
+DECAY = 6.0  # m: the value of what lies outside of the circle falls with exp(-distance / DECAY)
+WITHIN = 15.0  # m beyond the own circle that a plan looks at
+BESIDE = 8.0  # m beyond the circle of a partner that it serves
+OUTSIDE = 0.4  # the value of a track just outside of the circle
+NEVER = -1.0e9  # s: the time of the last sight of what was never seen
+UNKNOWN = 2.5  # s: the greatest time out of sight of a particle that is new around the cell
+SECTORS = 72  # of the scan
+EDGE = 0.4  # m of the reach that the scan leaves for the motion of the targets
+WINDOW = 0.95  # of the viewing angle counts in the scan
+LEAST = 0.05  # value of mass in view in this tick
+FORGOTTEN = 0.5  # s: mass out of sight for this time has regained most of its value
+UNSURE = (0.05, 0.9)  # masses of a bin that may or may not be a target
+FIRST_TURN = 0.9  # of the viewing angle, the turn of a sensor that has nothing to look at
+HOLDS = math.pi / 4.0  # rad: `search.capacity` is the number of targets that a sensor of this angle can hold
+DIRECTIONS = np.array([(math.cos(math.pi * k / 8.0), math.sin(math.pi * k / 8.0)) for k in range(16)])
+EDGES = np.array([(math.cos(2.0 * math.pi * (k - 0.5) / SECTORS), math.sin(2.0 * math.pi * (k - 0.5) / SECTORS)) for k in range(SECTORS)])
+
+
+class PlanInput(NamedTuple):
+    """The numbers of a round, in the order of the columns of the kernels."""
+
+    now: float  # s
+    dt: float  # s
+    x: float
+    y: float
+    cos: float  # of the heading
+    sin: float
+    reach: float  # m
+    angle: float  # of view, rad; of another sensor than a wedge that of a wedge of its area
+    offset: float  # m from the sensor to its COD
+    width: float  # of the arena, m
+    height: float
+    speed: float  # m/s
+    turn_rate: float  # rad/s
+    is_open: float  # 1: targets cross the border, 0: they turn round there
+    goal_x: float  # the own one, as the last gossip announced it
+    goal_y: float
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle that the sensor serves, m."""
+        return max(self.reach - MARGIN, 1.0)
+
+
+class Memory(NamedTuple):
+    """When all was last in view, s of world time."""
+
+    seen: np.ndarray  # of each bin of the arena (rows, columns)
+    ids: np.ndarray  # of the particles around the cell, ascending
+    last: np.ndarray  # of each of these
+
+
+class Task(NamedTuple):
+    """What one agent knows in a round."""
+
+    body: PlanInput
+    settings: SearchSettings
+    sensor: SensorModel
+    heading: float  # rad
+    density: Particles  # the particles everywhere, one tick before
+    around: Particles  # those around the own cell, after the scans of this tick
+    table: GossipTable  # of the agents that scanned
+    partners: np.ndarray  # (K, 5): goal x, y in m, load, reach in m, 1 if the name comes before the own one
+
+
+class Decision(NamedTuple):
+    """Where the body goes, and what the next gossip announces."""
+
+    velocity: tuple[float, float]  # m/s
+    turn_rate: float  # rad/s
+    goal: tuple[float, float]  # m
+    load: float  # a multiple of what the sensor can hold
+    memory: Memory
+
+
+def no_memory(width: float, height: float) -> Memory:
+    """The memory before the first round, of an arena of that size in m."""
+    seen = np.full((math.ceil(height / BIN), math.ceil(width / BIN)), NEVER)
+    return Memory(seen, np.empty(0, dtype=np.uint64), np.empty(0))
+
+
+def decide(task: Task, memory: Memory) -> Decision:
+    """The decision of a round: choose a goal, move towards it, and turn to what is worth seeing from there."""
+    body, horizon = task.body, task.settings.horizon
+    seen = mark_view(memory.seen, task.table, body.now)
+    goal, load = best_goal(task, seen)
+    vx, vy = (goal[0] - body.x) / horizon, (goal[1] - body.y) / horizon
+    around = select(task.around, np.argsort(task.around.ids, kind="stable"))
+    last = last_sight(around, task, memory, seen)
+    place = body.x + vx * body.dt, body.y + vy * body.dt
+    turn = best_turn(task, place, around, last, shares(task, around))
+    return Decision((vx, vy), turn / body.dt, goal, load, Memory(seen, around.ids, last))
+
+
+def mark_view(seen: np.ndarray, table: GossipTable, now: float) -> np.ndarray:
+    """The times of the last sight of all bins, after the scans of a tick: those with their centre in a field of view are seen `now`."""
+    rows, columns = np.indices(seen.shape)
+    centres, found = np.column_stack([(columns.ravel() + 0.5) * BIN, (rows.ravel() + 0.5) * BIN]), seen.copy()
+    for sensor, pose in _views(table):
+        found.ravel()[sensor.probability(centres, pose) > 0.0] = now
+    return found
+
+
+def _views(table: GossipTable) -> list[tuple[SensorModel, Pose]]:
+    """Sensors and poses of the agents that scanned."""
+    return [(each.sensor, gossip.pose) for each, gossip in zip(table.sensors, table.gossips) if gossip.scanned]
+
+
+def _seen_at(seen: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """When the bins at some points were last in view, s (N,); `NEVER` outside of the arena."""
+    rows, columns = np.floor(y / BIN).astype(np.int64), np.floor(x / BIN).astype(np.int64)
+    inside = (rows >= 0) & (columns >= 0) & (rows < seen.shape[0]) & (columns < seen.shape[1])
+    found = np.full(len(x), NEVER)
+    found[inside] = seen[rows[inside], columns[inside]]
+    return found
+
+
+def bin_values(task: Task, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What each bin of the arena is worth (rows, columns) a horizon ahead: the mass of tracks, and the value of what is to be found.
+
+    A particle is of a track if its bin was in view within `stale` s, or the place where it came from was. Targets enter at open borders.
+    """
+    body, settings = task.body, task.settings
+    x, y, vx, vy = task.density.states.T
+    ahead, now, stale = settings.horizon + body.dt, body.now, settings.stale
+    px, py = x + vx * ahead, y + vy * ahead
+    if not body.is_open:
+        px = np.where(px < 0.0, -px, np.where(px > body.width, 2.0 * body.width - px, px))
+        py = np.where(py < 0.0, -py, np.where(py > body.height, 2.0 * body.height - py, py))
+    last = _seen_at(seen, x, y)
+    for before in (0.5 * stale, stale):
+        last = np.where(now - last > stale, np.maximum(last, _seen_at(seen, x - vx * before, y - vy * before)), last)
+    inside = (px >= 0.0) & (py >= 0.0) & (px <= body.width) & (py <= body.height)
+    rows, columns = np.floor(py / BIN).astype(np.int64), np.floor(px / BIN).astype(np.int64)
+    inside &= (rows < seen.shape[0]) & (columns < seen.shape[1])
+    track = now - last <= stale
+    flat = rows * seen.shape[1] + columns
+    tracks, values = (
+        np.bincount(flat[some], weights[some], seen.size).astype(float).reshape(seen.shape)
+        for some, weights in ((inside & track, task.density.weights), (inside & ~track, settings.weight * task.density.weights))
+    )
+    if body.is_open:
+        border = np.ones(seen.shape, dtype=bool)
+        border[1:-1, 1:-1] = False
+        values[border] += settings.inflow
+    return tracks, values
+
+
+def _costs(apart: np.ndarray, radius: float) -> np.ndarray:
+    """How far a sensor is from serving places at some distances: below 0 inside of its circle."""
+    return np.where(apart <= radius, apart / radius - 1.0, apart - radius)
+
+
+def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple[np.ndarray, np.ndarray]:
+    """The shares of tracks and of what is to be found at some places (N,) that partners with smaller cost leave."""
+    body = task.body
+    own = _costs(np.sqrt((x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)), body.radius)
+    tracks, values = np.ones(len(x)), np.ones(len(x))
+    for goal_x, goal_y, load, reach, first in task.partners.tolist():
+        radius = max(reach - MARGIN, 1.0)
+        dx, dy = x - goal_x, y - goal_y
+        apart = np.sqrt(dx * dx + dy * dy)
+        cost = _costs(apart, radius)
+        serves = (apart <= radius + BESIDE) & ((cost < own) | ((cost == own) & (first != 0.0)))
+        inside, held = apart <= radius, min(1.0, 1.0 / max(load, 1e-9))
+        fade = np.where(inside, 1.0, exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / DECAY)))
+        tracks = np.where(serves, tracks * (1.0 - sharing * held * np.where(inside, fade, OUTSIDE * fade)), tracks)
+        values = np.where(serves, values * (1.0 - sharing * fade), values)
+    return tracks, values
+
+
+def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]:
+    """The goal in m, and the load around the old one: stay, or go one or half a horizon in one of 16 directions."""
+    body, settings = task.body, task.settings
+    tracks, values = bin_values(task, seen)
+    rows, columns = np.indices(seen.shape)
+    x, y = (columns.ravel() + 0.5) * BIN, (rows.ravel() + 0.5) * BIN
+    apart2 = (x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)
+    wide = body.radius + WITHIN
+    near = (tracks.ravel() + values.ravel() > 0.0) & (apart2 <= wide * wide)
+    x, y, apart2 = x[near], y[near], apart2[near]
+    left_tracks, left_values = left_over(task, x, y, settings.sharing)
+    track, value = tracks.ravel()[near] * left_tracks, values.ravel()[near] * left_values
+    load = total(np.where(apart2 <= body.radius * body.radius, track, 0.0))
+    step, best, goal = 0.5 * settings.horizon * body.speed, -math.inf, (body.x, body.y)
+    for far, (east, north) in [(0.0, (1.0, 0.0)), *((far, way) for way in DIRECTIONS.tolist() for far in (2.0 * step, step))]:
+        place = min(max(body.x + far * east, 0.0), body.width), min(max(body.y + far * north, 0.0), body.height)
+        dx, dy = place[0] - body.goal_x, place[1] - body.goal_y
+        worth = worth_at(task, place, x, y, track, value) - settings.step_cost * math.sqrt(dx * dx + dy * dy) / (2.0 * step)
+        if worth > best:
+            best, goal = worth, place
+    held = settings.capacity * body.angle / HOLDS
+    return goal, load / held if held > 0.0 else 0.0
+
+
+def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarray, track: np.ndarray, value: np.ndarray) -> float:
+    """What bins at x, y with a mass of tracks and a value of search (N,) are worth to the sensor at `place`.
+
+    A track is worth most at the distance of the COD. A sensor on top of a target sees it come and go.
+    """
+    body, settings, radius = task.body, task.settings, task.body.radius
+    dx, dy = x - place[0], y - place[1]
+    apart2 = dx * dx + dy * dy
+    apart, best = np.sqrt(apart2), min(max(body.offset, 0.1), 0.9 * radius)
+    away = (apart - best) * np.where(apart > best, 1.0 / (radius - best), 1.0 / best)
+    inside = track * (1.0 - settings.falloff * away * away) + value
+    outside = (OUTSIDE * track + value) * exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / DECAY))
+    return total(np.where(apart2 <= radius * radius, inside, outside))
+
+
+def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) -> np.ndarray:
+    """When each of the particles around the cell was last in view, s (N,). A new one counts as seen when its bin was."""
+    now, (x, y) = task.body.now, around.states[:, :2].T
+    last = np.maximum(_seen_at(seen, x, y), now - UNKNOWN)
+    if len(memory.ids):
+        places = np.minimum(np.searchsorted(memory.ids, around.ids), len(memory.ids) - 1)
+        last = np.where(memory.ids[places] == around.ids, memory.last[places], last)
+    for sensor, pose in _views(task.table):
+        last[sensor.probability(around.states[:, :2], pose) > 0.0] = now
+    return last
+
+
+def shares(task: Task, around: Particles) -> np.ndarray:
+    """The share of each particle that the sensor looks after (N,): what partners leave of its bin."""
+    x, y = np.floor(around.states[:, 0] / BIN), np.floor(around.states[:, 1] / BIN)
+    return left_over(task, (x + 0.5) * BIN, (y + 0.5) * BIN, 1.0)[0]
+
+
+def best_turn(task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, share: np.ndarray) -> float:
+    """The turn in rad until the next tick: to the heading whose window holds most, the best one of the tick after counted in part."""
+    body, width = task.body, 2.0 * math.pi / SECTORS
+    most = min(body.turn_rate * body.dt, math.pi)
+    points, worth = worth_around(task, place, around, last, share)
+    if not (worth > 0.0).any():
+        return min(most, FIRST_TURN * body.angle)
+    reachable = min(math.floor(most / width), SECTORS // 2 - 1)
+    order = sorted(range(-reachable, reachable + 1), key=lambda k: (abs(k), -k))
+    if not isinstance(task.sensor, WedgeSensor):
+        held = [float(task.sensor.probability(points, (*place, task.heading + k * width)) @ worth) for k in order]
+        return order[held.index(max(held))] * width
+    if body.angle > 2.0 * math.pi - width:
+        return 0.0
+    dx, dy = points[:, 0] - place[0], points[:, 1] - place[1]
+    sectors = sector_of(dx * body.cos + dy * body.sin, dy * body.cos - dx * body.sin)
+    half = min(math.floor(0.5 * WINDOW * body.angle / width), SECTORS // 2 - 1)
+    values = window_values(np.bincount(sectors, worth, SECTORS), half, order, task.settings.look_ahead)
+    return order[values.index(max(values))] * width
+
+
+def worth_around(
+    task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The particles within reach of `place` (N, 2) and what it is worth to see each of them now (N,).
+
+    Mass out of view gains value with time. A bin that may hold no target is worth another look.
+    """
+    body, x, y = task.body, around.states[:, 0], around.states[:, 1]
+    dx, dy, reach = x - place[0], y - place[1], body.reach - EDGE
+    near = dx * dx + dy * dy <= reach * reach
+    rows, columns = np.floor(y / BIN), np.floor(x / BIN)
+    south, west, side = math.floor((place[1] - reach) / BIN), math.floor((place[0] - reach) / BIN), int(2.0 * reach / BIN) + 2
+    boxed = (rows >= south) & (columns >= west) & (rows < south + side) & (columns < west + side)
+    flat = ((rows - south) * side + columns - west)[boxed].astype(np.int64)
+    masses = np.zeros(len(x))
+    masses[boxed] = np.bincount(flat, around.weights[boxed], side * side).astype(float)[flat]
+    age = (body.now - last + body.dt) / FORGOTTEN
+    value = LEAST + 1.0 - exp_minus(np.minimum(age * age, 18.0))
+    unsure = (masses > UNSURE[0]) & (masses < UNSURE[1])
+    value = np.where(unsure, value + task.settings.confirmation * (1.0 - masses), value)
+    return around.states[near, :2], (around.weights * value * share)[near]
+
+
+def sector_of(ahead: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """The sectors (N,) of directions in the frame of the sensor; sector 0 lies ahead, the others follow counter-clockwise."""
+    behind = EDGES[0, 0] * left - EDGES[0, 1] * ahead < 0.0
+    low = np.where(behind, SECTORS // 2, 0)
+    high = low + SECTORS // 2
+    while (high - low > 1).any():
+        middle = (low + high) // 2
+        beyond = EDGES[middle, 0] * left - EDGES[middle, 1] * ahead >= 0.0
+        open_ = high - low > 1
+        low, high = np.where(open_ & beyond, middle, low), np.where(open_ & ~beyond, middle, high)
+    return low
+
+
+def window_values(held: np.ndarray, half: int, order: Sequence[int], look_ahead: float) -> list[float]:
+    """What the window of 2 half + 1 sectors holds around each heading of `order`, with the best that the next turn can add in part."""
+    sums, most, found = [0.0], max(order), []
+    for k in range(3 * SECTORS):
+        sums.append(sums[-1] + float(held[k % SECTORS]))
+    for k in order:
+        low, high, then = SECTORS + k - half, SECTORS + k + half + 1, 0.0
+        for shift in range(1, most + 1):
+            new = min(shift, 2 * half + 1, SECTORS - 2 * half - 1)
+            then = max(then, sums[high + shift] - sums[high + shift - new], sums[low - shift + new] - sums[low - shift])
+        found.append(sums[high] - sums[low] + look_ahead * then)
+    return found

@@ -1,0 +1,92 @@
+"""The lag of an agent: how many ticks after its own tick a round is played, because gossips come late.
+
+Data type: a `Lag`. A gossip of tick k is late when it comes after the end of tick k, which is the time that a round waits for gossips. It
+is late by L ticks when it comes before the end of tick k + L. The agent measures that by its own observations alone: no two processes
+compare clocks.
+
+Every gossip states the lag that its sender *needs*: with it most gossips of the last ticks came in time. An agent *keeps* the
+largest lag that it or one of its peers needs. Nothing that is kept is stated, so a lag falls as soon as the need has gone. It falls at
+common ticks, so that most agents play the same rounds. In lockstep the world waits, and the lag is 0.
+
+When hardly any gossip has come at the end of a tick, the agent holds the round until the next tick. So a lag rises in the very tick in
+which the network gets slow, and no round is played with a part of the gossips.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import chain
+
+MOST = 12  # ticks that a round is played late at most: the inbox and the claims of gossips go back so far
+REMEMBERED = 2.0  # s for which a late gossip is remembered
+IN_TIME = 0.95  # share of the gossips that a lag lets come in time
+HELD = 0.9  # share of the gossips that are still to come for which a round is held
+LEAST = 3  # gossips that must be missing: the silence of one peer says something about that peer
+COMMON = 1.0  # s between two ticks at which a lag may fall, at most
+
+
+class Lag:
+    """The lag of one agent, in ticks. Times are `now` of its node, s."""
+
+    def __init__(self, period: float, timeout: float, longest: float, *, measured: bool) -> None:
+        """`period`: s between two ticks; `timeout`: s for which a round waits; `longest`: s that a gossip may be late.
+
+        `measured` false: the lag stays 0.
+        """
+        self.need = 0  # stated in the gossip
+        self.kept = 0  # rounds are played so many ticks late
+        self.most = min(MOST, math.ceil(max(0.0, longest - timeout) / period)) if measured else 0
+        self._period, self._timeout = period, timeout
+        self._common = 1
+        while 2 * self._common * period <= COMMON:
+            self._common *= 2
+        self._newest = -1  # tick of the newest observation
+        self._opened: dict[int, float] = {}  # when the own observation of a tick came
+        self._late: dict[int, list[int]] = {}  # ticks by which the gossips of a tick were late
+
+    def observe(self, tick: int, now: float) -> None:
+        """Note that the observation of a tick has come."""
+        self._opened[tick], self._newest = now, tick
+        oldest = tick - self.most - math.ceil(REMEMBERED / self._period)
+        self._opened = {old: begin for old, begin in self._opened.items() if old >= oldest}
+        self._late = {old: late for old, late in self._late.items() if old >= oldest}
+
+    def hear(self, tick: int, now: float) -> None:
+        """Note that a gossip of a tick has come for the first time."""
+        opened = self._opened.get(tick, now if tick > self._newest else None)
+        if opened is None:
+            return
+        late = max(0, math.ceil((now - opened - self._timeout) / self._period - 1e-9))
+        if late <= self.most:
+            self._late.setdefault(tick, []).append(late)
+
+    def forget(self) -> None:
+        """Forget what was measured: the agent was stalled, or its clock has jumped, which says nothing about the network."""
+        self._opened.clear()
+        self._late.clear()
+
+    def holds(self, expected: int, hopeful: int, late: int) -> bool:
+        """Whether a round that is `late` ticks late waits for another tick.
+
+        `expected`: gossips that it needs; `hopeful`: those that have not come, of peers that have not said anything later.
+        """
+        return late < self.most and hopeful >= max(LEAST, HELD * expected)
+
+    def close(self, tick: int, needs: Iterable[int], now: float) -> None:
+        """A tick ends. `needs`: those that fresh gossips of peers state."""
+        if not self.most:
+            return
+        opened = [(self._opened.get(old, now), late) for old, late in self._late.items()]
+        recent = [late for begin, late in opened if now - begin <= REMEMBERED + max(late) * self._period]
+        self.need = _covering(sorted(chain.from_iterable(recent)))
+        wanted = min(self.most, max([self.need, *needs]))
+        if wanted > self.kept or tick % self._common == 0:
+            self.kept = wanted
+
+    def settle(self) -> None:
+        """Keep no lag: the agent plays at a slower pace, which leaves the time for late gossips."""
+        self.need = self.kept = 0
+
+
+def _covering(late: Sequence[int]) -> int:
+    """The smallest number of ticks within which the share `IN_TIME` of the gossips came; `late`: those of each, in order."""
+    return late[math.ceil(IN_TIME * len(late)) - 1] if late else 0

@@ -1,0 +1,84 @@
+"""The rounds of an agent that are still to be played, and when each is due: at its own tick, or later when gossips come late.
+
+Data type: `LateRounds`, made of the `Lag` that says how late, and of the `RecentTicks` from which late rounds are played.
+"""
+
+from collections import deque
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
+
+from agents.lag import Lag
+from agents.look_ahead import OpenRound, RecentTicks, received
+from agents.membership.peer import Peer
+from agents.round import AgentContext, Replay
+from agents.tracking.tracker import TrackerState
+from protocol.messages import Gossip
+
+
+class LateRounds:
+    """The open rounds of one agent, the oldest first. Times are `now` of its node, s."""
+
+    def __init__(self, context: AgentContext) -> None:
+        config = context.config
+        period, timeout, measured = config.run.dt / config.run.rate, config.gossip_timeout(missed=False), config.run.clock == "realtime"
+        self.lag = Lag(period, timeout, config.timing.look_ahead, measured=measured)
+        self.recent = RecentTicks(context, self.lag.most)
+        self.due: int | None = None  # tick of the oldest round, if it is due
+        self._context = context
+        self._rounds: deque[OpenRound] = deque()
+
+    def __bool__(self) -> bool:
+        return bool(self._rounds)
+
+    def behind(self, tick: int, stamp: int) -> int:
+        """The number of ticks before `tick` whose rounds are still to be played, if that of `stamp` was played before them."""
+        follows = bool(self._rounds) and stamp == self._rounds[0].gossip.tick - 1
+        return tick - 1 - stamp if follows and tick - 1 - stamp <= self.lag.most else 0
+
+    def open(self, gossip: Gossip, belief: TrackerState, now: float) -> None:
+        """Open the round of the own `gossip`."""
+        self._rounds.append(OpenRound(gossip, belief))
+        if self.lag.most:
+            self.lag.observe(gossip.tick, now)
+            self.recent.put_own(gossip)
+
+    def find_due(self, tick: int) -> int | None:
+        """The oldest round, if it is due in the newest `tick`; else None."""
+        is_due = bool(self._rounds) and self._rounds[0].gossip.tick <= tick - self.lag.kept
+        self.due = self._rounds[0].gossip.tick if is_due else None
+        return self.due
+
+    def pop(self) -> OpenRound:
+        """The oldest round, to be played."""
+        return self._rounds.popleft()
+
+    def hear(self, gossips: Sequence[Gossip], peers: Mapping[str, Peer], now: float) -> None:
+        """Keep accepted gossips, and note how late they are."""
+        for gossip in gossips if self.lag.most else ():
+            announced = peers[gossip.sender].announced
+            if announced is not None and self.recent.put(gossip, announced):
+                self.lag.hear(gossip.tick, now)
+
+    def holds(self, tick: int, awaited: Collection[str], come: int) -> bool:
+        """Whether the round that is due waits for the tick after `tick`: hardly any gossip has come (`Lag.holds`).
+
+        `awaited`: the peers whose gossips are missing; `come`: the number of gossips that have come. A peer that has said something later
+        is not waited for.
+        """
+        if self.due is None:
+            return False
+        hopeful = [name for name in awaited if not self.recent.has_later(name, self.due)]
+        return self.lag.holds(len(awaited) + come, len(hopeful), tick - self.due)
+
+    def replay(self, opened: OpenRound, fresh: Mapping[str, Gossip]) -> Replay | None:
+        """The function that computes the density before a round, if gossips state older ones; None: they state that of the tick before."""
+        if not opened.gossip.behind and not any(gossip.behind for gossip in fresh.values()):
+            return None
+        return partial(received, self.recent, self._context, opened, self.lag.most)
+
+    def close(self, tick: int, needs: Sequence[int], pace: int, now: float) -> None:
+        """A tick ends. `needs`: those that gossips state. An agent of a slower `pace` keeps no lag."""
+        if pace > 1:
+            self.lag.settle()
+        else:
+            self.lag.close(tick, needs, now)

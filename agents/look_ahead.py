@@ -1,0 +1,169 @@
+"""Rounds that are played late, with all that has come for them, and the copy of the belief that is moved on to now.
+
+Data types: `RecentTicks` hold the gossips and the beliefs of the last ticks. An `OpenRound` is a round that is still to be played.
+
+Rules. Gossips that come L ticks late are heard by a round that is played L ticks late. The gossip of tick k then states the claim and the
+particles of tick k - 1 - L, because no later round has been played. So the round of tick k begins with particles that are L ticks older
+than usual. Its agent moves them over these ticks itself, with the scans of all agents: it *replays* them around its cell. All agents replay
+the same particles with the same scans, so their cells still tile one density. A scan that came too late for its own round is part of the
+replay of the next ones.
+
+Estimates and commands are those of now. A copy of the belief is moved on to the newest tick, with the own scans and those that have come
+early. It is thrown away: the next round begins with what gossips state.
+"""
+
+from bisect import bisect_left
+from collections import deque
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from agents.config import AgentConfig
+from agents.gossip.table import AnnouncedSensor, GossipTable, announced_sensor, gossip_table
+from agents.membership.peer_table import PeerTable
+from agents.round import AgentContext, Frame, RoundResult, result_of
+from agents.tracking.claims import NO_CLAIM
+from agents.tracking.step import Step
+from agents.tracking.tracker import Diagram, RegionInput, TrackerState
+from protocol.keys import order
+from protocol.messages import Gossip
+
+BLUR = 0.2  # per s: what the peak of a target that is out of view loses to its surroundings
+NOBODY = ""  # owns no cell: a replay corrects a density and draws no particles from it
+
+
+class OpenRound(NamedTuple):
+    """A round that is still to be played."""
+
+    gossip: Gossip  # the own one
+    belief: TrackerState  # when that was published
+
+
+class RecentTicks:
+    """The gossips that an agent has accepted, its own ones and its beliefs, of the last ticks."""
+
+    def __init__(self, context: AgentContext, most: int) -> None:
+        """`most`: ticks that a round is played late at most."""
+        self._context, self._most = context, most
+        self._said: dict[int, dict[str, tuple[Gossip, AnnouncedSensor]]] = {}
+        self._blurred: dict[int, AgentConfig] = {}  # by ticks
+        self._beliefs: deque[TrackerState] = deque(maxlen=most + 2)
+
+    def put(self, gossip: Gossip, announced: AnnouncedSensor) -> bool:
+        """Keep a gossip; whether it is the first one of its sender and tick."""
+        heard = self._said.setdefault(gossip.tick, {})
+        is_new = gossip.sender not in heard
+        heard[gossip.sender] = gossip, announced
+        return is_new
+
+    def keep(self, belief: TrackerState) -> None:
+        """Keep the belief after a round, and drop what no round will need any more."""
+        self._beliefs.append(belief)
+        oldest = belief.stamp - 2 * self._most - 2
+        for tick in [tick for tick in self._said if tick < oldest]:
+            del self._said[tick]
+
+    def has_later(self, name: str, tick: int) -> bool:
+        """Whether a gossip of a peer has come that is later than `tick`."""
+        return any(name in heard for other, heard in self._said.items() if other > tick)
+
+    def table(self, own: Gossip) -> GossipTable:
+        """The gossips of a tick that have come so far, the own one included."""
+        heard = self._said.get(own.tick, {})
+        said = [heard[name] for name in sorted(heard.keys() - {own.sender}, key=order)]
+        place = bisect_left([gossip.sender for gossip, _ in said], order(own.sender), key=order)
+        said.insert(place, (own, self._own_sensor()))
+        return gossip_table([gossip for gossip, _ in said], [sensor for _, sensor in said], self._context.config)
+
+    def own(self, tick: int, nearest: Gossip) -> Gossip:
+        """The own gossip of a tick; without one the `nearest` without its scan, for the agent was skipped by that tick."""
+        found = self._said.get(tick, {}).get(self._context.name)
+        return found[0] if found else msgspec.structs.replace(nearest, tick=tick, scanned=False, detections_bytes=b"")
+
+    def put_own(self, gossip: Gossip) -> None:
+        """Keep an own gossip."""
+        self._said.setdefault(gossip.tick, {})[gossip.sender] = gossip, self._own_sensor()
+
+    def since(self, stamp: int, newest: TrackerState) -> TrackerState:
+        """The newest belief that is not later than `stamp`, or `newest`, or the oldest one."""
+        if newest.stamp <= stamp:
+            return newest
+        earlier = [belief for belief in self._beliefs if belief.stamp <= stamp]
+        return earlier[-1] if earlier else self._beliefs[0] if self._beliefs else newest
+
+    def blurred(self, ticks: int) -> AgentConfig:
+        """The settings to read targets off a density that was moved on by some ticks: a target is spread wider, and its peak is lower."""
+        if ticks not in self._blurred:
+            config = self._context.config
+            share = 1.0 / (1.0 + BLUR * ticks * config.run.dt)
+            extraction = msgspec.structs.replace(config.extraction, threshold=share * config.extraction.threshold)
+            self._blurred[ticks] = msgspec.structs.replace(config, extraction=extraction)
+        return self._blurred[ticks]
+
+    def _own_sensor(self) -> AnnouncedSensor:
+        context = self._context
+        return announced_sensor(context.name, context.sensor, context.config.detection.clutter)
+
+
+def received(recent: RecentTicks, context: AgentContext, opened: OpenRound, most: int, table: GossipTable, polygon: np.ndarray) -> Any:
+    """The density that counts one tick before a round, around its cell `polygon`; `table`: the gossips of the round.
+
+    It begins with the oldest claims that the gossips state, and is moved on with the scans of the ticks since.
+    """
+    tick, config, tracker = table.gossips[0].tick, context.config, context.tracker
+    oldest = tick - 1 - most
+    stamps = [gossip.claim_tick for gossip in table.gossips if gossip.behind and gossip.claim_names and gossip.claim_tick >= oldest]
+    belief = recent.since(min(stamps, default=opened.belief.stamp), opened.belief)
+    if belief.stamp < oldest:
+        belief = tracker.predict(belief, Step(config, oldest + 1))
+    density = tracker.merge(belief, table, Step(config, belief.stamp + 1))
+    for stamp in range(belief.stamp + 1, tick):
+        own = recent.own(stamp, opened.gossip)
+        margin = _influence(Step(config, tick)) * (tick - stamp)
+        belief = advance(context, density, recent.table(own), around(polygon, opened.gossip, context.sensor.reach, margin))
+        density = tracker.merge(belief, table, Step(config, stamp + 1))
+    return density
+
+
+def advance(context: AgentContext, density: Any, table: GossipTable, polygon: np.ndarray) -> TrackerState:
+    """The belief of nobody at the tick of `table`, from the density one tick before: corrected around a polygon, elsewhere only moved."""
+    step = Step(context.config, table.gossips[0].tick)
+    row = table.names.index(context.name)
+    region = RegionInput(NOBODY, row, context.sensor, table.gossips[row].pose, polygon, NO_CLAIM)
+    near = context.tracker.update(density, table, [region], step)[0]
+    state: TrackerState = context.tracker.share(density, region, near, Diagram(0, frozenset(), None, np.inf), step)
+    return state
+
+
+def _influence(step: Step) -> float:
+    """How far away a particle may be in m that matters for a place one tick later."""
+    return step.config.filter.halo + step.reach
+
+
+def around(polygon: np.ndarray, own: Gossip, reach: float, margin: float) -> np.ndarray:
+    """The rectangle (4, 2) around a cell and the footprint of a sensor, `margin` m wider, counter-clockwise."""
+    (x, y, _), far = own.pose, reach + margin
+    low, high = np.array([x - far, y - far]), np.array([x + far, y + far])
+    if len(polygon):
+        low, high = np.minimum(low, polygon.min(axis=0) - margin), np.maximum(high, polygon.max(axis=0) + margin)
+    (west, south), (east, north) = low.tolist(), high.tolist()
+    return np.array([[west, south], [east, south], [east, north], [west, north]])
+
+
+def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, own: Gossip, neighbours: PeerTable) -> RoundResult:
+    """The result of a round as it stands at the tick of `own`, some ticks later: the belief is that of the round, all else is of now."""
+    frame, belief, tracker, config = last.frame, last.belief, context.tracker, context.config
+    if frame is None:  # no round has been played yet
+        return last
+    region = frame.region
+    for tick in range(belief.stamp + 1, own.tick):
+        table = recent.table(recent.own(tick, own))
+        density = tracker.merge(belief, table, Step(config, tick))
+        margin = _influence(Step(config, tick)) * (own.tick - tick)
+        belief = advance(context, density, table, around(region.polygon, own, context.sensor.reach, margin))
+    table, step = recent.table(own), Step(recent.blurred(own.tick - last.belief.stamp), own.tick)
+    density = tracker.merge(belief, table, step)
+    now = region._replace(row=table.names.index(context.name), pose=own.pose)
+    near = tracker.update(density, table, [now], step)[0]
+    return result_of(context, own, Frame(now, frame.generators), near, table, density, last.belief, neighbours.pace)

@@ -1,0 +1,32 @@
+"""Peers without a body: an agent whose body has gone is blind and stands still, so it owns no cell, though its token is up."""
+
+from agents.membership.peer_table import PeerTable
+
+
+class BodyTokens:
+    """The bodies of peers, where every body is a process of its own. Without such bodies no event comes here."""
+
+    def __init__(self, peers: PeerTable) -> None:
+        self._peers = peers
+        self._newest: dict[str, int] = {}  # name -> youngest incarnation of its body
+        self._bodiless: dict[str, int] = {}  # name -> incarnation of the agent that counts as gone
+
+    def appear(self, name: str, incarnation: int) -> None:
+        """A body has come: its agent counts as alive again."""
+        self._newest[name] = max(incarnation, self._newest.get(name, 0))
+        agent = self._bodiless.pop(name, None)
+        if agent is not None:
+            self._peers.alive(name, agent)
+
+    def leave(self, name: str, incarnation: int, tick: int) -> bool:
+        """A body has gone: its agent counts as gone from the round `tick` on; whether that is news."""
+        peer = self._peers.peers.get(name)
+        if incarnation < self._newest.get(name, 0) or peer is None or not peer.token:
+            return False
+        self._bodiless[name] = peer.incarnation
+        self._peers.gone(name, peer.incarnation, tick)
+        return True
+
+    def agent_left(self, name: str) -> None:
+        """The agent itself has gone, or another incarnation has come: its own token counts."""
+        self._bodiless.pop(name, None)

@@ -1,0 +1,229 @@
+"""The replicated Gaussian-mixture PHD: the belief of one agent, and its merge with the components that other agents own.
+
+The rules are those of the particles (`agents.tracking.belief`). A component belongs to the cell in which its mean lies. Copies move
+without random numbers, so they need no keys. A round corrects all components that the agent has heard of, because wide ones reach far:
+there are few, and so agents that hear everybody compute the same bits.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.backend import Backend
+from agents.config import FilterSettings
+from agents.gossip.table import GossipTable
+from agents.tracking import claims, gaussian_phd
+from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
+from agents.tracking.extraction import Tracks, select_tracks
+from agents.tracking.gaussian_reduction import estimates, kept, merged
+from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, pick, points, unpacked
+from agents.tracking.particles import Particles, total
+from agents.tracking.step import Step
+from agents.tracking.tracker import Diagram, RegionInput, Said
+from protocol import geometry
+from protocol.keys import order
+from protocol.messages import Gossip
+
+NEAR = 3.0  # m around an estimate, in which components are taken for its target
+SHARPNESS = 2.0  # bins around a component that are one peak
+MOST_COPIES = 1000
+
+
+class OwnedMixture(NamedTuple):
+    """The state that one agent owns after a round."""
+
+    owner: str
+    claim: Claim
+    mixture: Mixture
+    view: int
+
+
+@dataclass
+class MixtureBelief:
+    """The belief of an agent after the round of tick `stamp`: its owned state, and copies of all other components."""
+
+    stamp: int
+    mine: OwnedMixture
+    copies: Mixture
+    everyone: frozenset[str] = frozenset()
+    acquainted: frozenset[str] | None = None
+    held_since: int | None = None
+
+    @property
+    def cut(self) -> int:
+        """The tick of the round in which the claim was cut."""
+        return self.stamp if self.held_since is None else self.held_since
+
+
+class MixtureUpdate(NamedTuple):
+    """The result of a round for one owner."""
+
+    around: Mixture  # all components after all scans
+    inside: Mixture  # those in the cell
+    kept: Mixture  # what is left of `inside` for the next gossip
+    mass: float
+    east: float
+    north: float
+    load: float
+    detected: float
+    tracks: Tracks
+
+    @property
+    def updated(self) -> Particles:
+        """The density around the cell as weighted points."""
+        return points(self.around)
+
+    @property
+    def own(self) -> Particles:
+        """The density in the cell as weighted points."""
+        return points(self.inside)
+
+
+def share_of(gossip: Gossip) -> OwnedMixture:
+    """The state that the sender of a gossip owns."""
+    names = gossip.claim_names
+    claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
+    return OwnedMixture(gossip.sender, claim, unpacked(gossip.components), gossip.view)
+
+
+def received_mixture(received: GossipTable | Mixture) -> Mixture:
+    """The components of a table, or the components themselves."""
+    return unpacked(received.components) if isinstance(received, GossipTable) else received
+
+
+def draw(inside: Mixture, step: Step) -> Mixture:
+    """What an owner states of the components in its cell: the heaviest, as exactly as on the wire."""
+    return unpacked(packed(kept(inside, step.config.mixture)))
+
+
+def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
+    """The components in the claimed cell, in canonical order."""
+    return in_order(pick(mixture, claims.owned(mixture.means, claim, step.config.arena)))
+
+
+def correct(predicted: Mixture, table: GossipTable, step: Step) -> Mixture:
+    """The PHD after all scans of a table, background births included."""
+    born = chain([predicted, gaussian_phd.newcomers(step)])
+    return merged(gaussian_phd.correct(born, table.scans(), step), step.config.mixture)
+
+
+def _moved(mixture: Mixture, step: Step) -> Mixture:
+    """The components one step later, merged where they have come close, the heaviest of them."""
+    moved = merged(in_order(gaussian_phd.predict(mixture, step)), step.config.mixture)
+    if len(moved.ids) <= MOST_COPIES:
+        return moved
+    return pick(moved, np.lexsort((moved.ids, -moved.weights))[:MOST_COPIES])
+
+
+def _released(belief: MixtureBelief) -> MixtureBelief:
+    """The belief without a claim: all components are copies."""
+    everything = in_order(chain([belief.mine.mixture, belief.copies]))
+    return MixtureBelief(belief.stamp, OwnedMixture(belief.mine.owner, NO_CLAIM, EMPTY, 0), everything)
+
+
+class MixturePhd(NamedTuple):
+    """The Gaussian-mixture PHD as a `Tracker`."""
+
+    backend: Backend
+
+    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> MixtureBelief:
+        """See `Tracker.start`."""
+        known = gaussian_phd.prior(step.config)
+        if box is not None:
+            x, y = known.means[:, 0], known.means[:, 1]
+            known = pick(known, (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3]))
+        return MixtureBelief(-1, OwnedMixture(name, NO_CLAIM, EMPTY, 0), known)
+
+    def say(self, mine: OwnedMixture, settings: FilterSettings) -> Said:
+        """See `Tracker.say`."""
+        return Said(components=packed(mine.mixture).tobytes())
+
+    def weighted_points(self, received: GossipTable | Mixture) -> Particles:
+        """See `Tracker.weighted_points`."""
+        return points(received_mixture(received))
+
+    def predict(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
+        """See `Tracker.predict`: all components become copies, and move by the missed ticks."""
+        if belief.stamp >= step.tick - 1:
+            return belief
+        released = _released(belief)
+        copies = released.copies
+        for missed in range(belief.stamp + 1, step.tick):
+            copies = _moved(copies, step._replace(tick=missed))
+        return replace(released, stamp=step.tick - 1, copies=copies)
+
+    def hold(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
+        """See `Tracker.hold`: all components move by the missed ticks; the owned ones are rounded as on the wire."""
+        mixture, copies = belief.mine.mixture, belief.copies
+        for tick in range(belief.stamp + 1, step.tick):
+            missed = step._replace(tick=tick)
+            mixture, copies = _moved(mixture, missed), _moved(copies, missed)
+        mine = belief.mine._replace(mixture=draw(in_order(mixture), step))
+        return MixtureBelief(step.tick - 1, mine, copies, belief.everyone, belief.acquainted, held_since=belief.cut)
+
+    def foresee(self, belief: MixtureBelief, targets: np.ndarray, seconds: float) -> np.ndarray:
+        """See `Tracker.foresee`: the owned components show how the targets move."""
+        moved, mixture = targets.copy(), belief.mine.mixture
+        for row, target in enumerate(targets):
+            apart = mixture.means[:, :2] - target
+            near = apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] <= NEAR * NEAR
+            if near.any():
+                weights = mixture.weights[near]
+                moved[row] += (weights[:, None] * mixture.means[near, 2:]).sum(axis=0) / weights.sum() * seconds
+        return moved
+
+    def merge(self, belief: MixtureBelief, table: GossipTable, step: Step) -> GossipTable | Mixture:
+        """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""
+        unknown = set() if belief.acquainted is None else table.everyone - belief.acquainted - {belief.mine.owner}
+        last, config = step.tick - 1, step.config
+        agreed = belief.mine.view != 0 and table.claimed == (belief.cut, belief.mine.view) and not unknown
+        if agreed and belief.everyone and belief.everyone <= table.everyone:
+            return table
+        if belief.cut < last:
+            belief = _released(belief)
+        shares = [share_of(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
+        shares.insert(0, belief.mine)
+        stated = end_to_end([share.claim for share in shares])
+        views = [~share.view if share.owner in unknown else share.view for share in shares]
+        received, sizes = chain([share.mixture for share in shares]), [len(share.mixture.ids) for share in shares]
+        counts = self.backend.resolve_conflicts(received.means, sizes, stated, views, config.timing.overlap)
+        free = self.backend.orphaned(belief.copies.means, stated, config.arena)
+        return in_order(chain([pick(received, counts), pick(belief.copies, free)]))
+
+    def update(
+        self, received: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step
+    ) -> list[MixtureUpdate]:
+        """See `Tracker.update`."""
+        corrected = correct(gaussian_phd.predict(in_order(received_mixture(received)), step), table, step)
+        peaks = estimates(corrected, step.config.extraction.threshold, SHARPNESS * step.config.extraction.bin)
+        return [_region_of(corrected, peaks, region, step) for region in regions]
+
+    def share(
+        self, received: GossipTable | Mixture, region: RegionInput, update: MixtureUpdate, diagram: Diagram, step: Step
+    ) -> MixtureBelief:
+        """See `Tracker.share`: copies are the corrected components in the arena, outside the cell and within the horizon of it."""
+        means, arena = update.around.means, step.config.arena
+        others = ~claims.owned(means, region.claim, arena) & claims.in_arena(means, arena)
+        if diagram.horizon < math.inf:
+            others &= geometry.distances(region.polygon, means) <= diagram.horizon
+        copies = in_order(pick(update.around, others))
+        mine = OwnedMixture(region.owner, region.claim, update.kept, diagram.view)
+        return MixtureBelief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)
+
+
+def _region_of(corrected: Mixture, peaks: Tracks, region: RegionInput, step: Step) -> MixtureUpdate:
+    """The part of the corrected mixture, and of the estimates, that falls to an owner."""
+    inside = take(corrected, region.claim, step)
+    load, detected = _in_view(corrected, region)
+    tracks = select_tracks(peaks, claims.owned(peaks.positions, region.claim, step.config.arena))
+    mass, east, north = (total(inside.weights * column) for column in (1.0, inside.means[:, 0], inside.means[:, 1]))
+    return MixtureUpdate(corrected, inside, draw(inside, step), mass, east, north, load, detected, tracks)
+
+
+def _in_view(mixture: Mixture, region: RegionInput) -> tuple[float, float]:
+    """The integrals of v and of p_d v over the footprint (10), expected targets."""
+    seen = region.sensor.probability(nodes(mixture).reshape(-1, 2), region.pose).reshape(-1, 9)
+    return total(mixture.weights * mean_of((seen > 0.0).astype(float))), total(mixture.weights * mean_of(seen))

@@ -1,0 +1,121 @@
+"""Fewer components for nearly the same density: components that stand for one target are merged, light ones are dropped.
+
+Rules. Merging keeps mass, mean and covariance. It goes from the heaviest component on, ties by id, and looks at near components only.
+"""
+
+import math
+
+import numpy as np
+
+from agents.config import MixtureSettings
+from agents.tracking.extraction import DETAILS, Tracks
+from agents.tracking.gaussians import EMPTY, Mixture, chain, pick, variances
+from agents.tracking.particles import total
+
+ALIKE = 9.0  # a component merges with one of at most this many times its variance
+
+
+def merged(mixture: Mixture, settings: MixtureSettings) -> Mixture:
+    """The mixture in which components close to a heavier one are merged with it; a merged component has the id of the heaviest.
+
+    Close means: each mean lies within `settings.merged` squared standard deviations of the other component, and the variances of the
+    places differ by a factor of at most `ALIKE`. A merged place is no wider than `settings.spread`.
+    """
+    order = np.lexsort((mixture.ids, -mixture.weights))
+    partners = _close_pairs(mixture, settings.merged)
+    taken, found = np.zeros(len(order), dtype=bool), list[Mixture]()
+    alone = []
+    for heaviest in order.tolist():
+        if taken[heaviest]:
+            continue
+        group = [other for other in partners.get(heaviest, ()) if not taken[other]]
+        whole = _as_one(mixture, [heaviest, *group]) if group else None
+        if whole is None or variances(whole)[0] > settings.spread**2:
+            alone.append(heaviest)
+            taken[heaviest] = True
+            continue
+        taken[[heaviest, *group]] = True
+        found.append(whole)
+    return chain([pick(mixture, np.array(alone, dtype=np.int64)), *found])
+
+
+def _close_pairs(mixture: Mixture, most: float) -> dict[int, list[int]]:
+    """The components close to each component, by its number; those with none are left out."""
+    means, sizes = mixture.means, mixture.covariances[:, 0, 0] + mixture.covariances[:, 1, 1]
+    dx, dy = means[:, 0, None] - means[None, :, 0], means[:, 1, None] - means[None, :, 1]
+    least = np.minimum(sizes[:, None], sizes[None, :])
+    near = (dx * dx + dy * dy <= most * least) & (sizes[:, None] <= ALIKE * least) & (sizes[None, :] <= ALIKE * least)
+    rows, columns = np.nonzero(np.triu(near, 1))
+    if not len(rows):
+        return {}
+    inverses, apart = np.linalg.inv(mixture.covariances), means[rows] - means[columns]
+    close = (_squared(apart, inverses[rows]) <= most) & (_squared(apart, inverses[columns]) <= most)
+    found: dict[int, list[int]] = {}
+    for one, other in zip(rows[close].tolist(), columns[close].tolist()):
+        found.setdefault(one, []).append(other)
+        found.setdefault(other, []).append(one)
+    return found
+
+
+def _squared(vectors: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """The quadratic forms (P,) of vectors (P, 4) in matrices (P, 4, 4)."""
+    found = np.zeros(len(vectors))
+    for row in range(4):
+        for column in range(4):
+            found = found + vectors[:, row] * matrices[:, row, column] * vectors[:, column]
+    return found
+
+
+def _as_one(mixture: Mixture, rows: list[int]) -> Mixture:
+    """The one component with mass, mean and covariance of several; its id is that of the first."""
+    group = pick(mixture, np.array(rows))
+    mass = total(group.weights)
+    mean, covariance = _moments(group, mass)
+    return Mixture(np.array([mass]), mean[None], covariance[None], group.ids[:1])
+
+
+def _moments(group: Mixture, mass: float) -> tuple[np.ndarray, np.ndarray]:
+    """The mean (4,) and the covariance (4, 4) of components with `mass` expected targets together."""
+    shares = group.weights / mass
+    mean, covariance = np.zeros(4), np.zeros((4, 4))
+    for share, one in zip(shares.tolist(), group.means):
+        mean = mean + share * one
+    for share, one, spread in zip(shares.tolist(), group.means, group.covariances):
+        covariance = covariance + share * (spread + (one - mean)[:, None] * (one - mean)[None, :])
+    return mean, covariance
+
+
+def kept(mixture: Mixture, settings: MixtureSettings) -> Mixture:
+    """The heaviest components, `most_components` at most and none lighter than `pruned`, scaled to the mass of all; the order stays."""
+    mass = total(mixture.weights)
+    if not mass > 0.0:
+        return EMPTY
+    heaviest = np.lexsort((mixture.ids, -mixture.weights))[: settings.most_components]
+    heavy = heaviest[mixture.weights[heaviest] >= settings.pruned]
+    found = pick(mixture, np.sort(heavy if len(heavy) else heaviest[:1]))
+    return found._replace(weights=found.weights * (mass / total(found.weights)))
+
+
+def estimates(mixture: Mixture, threshold: float, radius: float) -> Tracks:
+    """Estimated targets, heaviest first, without labels.
+
+    The heaviest component and those within `radius` m of it are a peak while they hold at least `threshold` expected targets; a peak
+    of more is that number of targets, rounded. Components wider than `radius` show no place.
+    """
+    narrow = pick(mixture, variances(mixture) <= radius * radius)
+    left, found = narrow.weights.copy(), list[tuple[float, ...]]()
+    for heaviest in np.lexsort((narrow.ids, -narrow.weights)).tolist():
+        if left[heaviest] <= 0.0:
+            continue
+        apart = narrow.means[:, :2] - narrow.means[heaviest, :2]
+        near = (apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] <= radius * radius) & (left > 0.0)
+        mass = total(left[near])
+        if mass < threshold:
+            continue
+        peak = pick(narrow, near)._replace(weights=left[near])
+        mean, covariance = _moments(peak, mass)
+        number = max(1, math.floor(mass + 1.0 - threshold))
+        found += [(*mean.tolist(), covariance[0, 0], covariance[0, 1], covariance[1, 1], min(1.0, mass / number))] * number
+        left[near] = 0.0
+    rows = np.array(found).reshape(-1, 2 + DETAILS)
+    return Tracks(rows[:, :2], rows[:, 2:], np.zeros(len(rows), dtype=np.uint64))

@@ -1,0 +1,118 @@
+"""Gaussian mixtures, and the operations that keep their order.
+
+Data types: a `Mixture` holds weighted Gaussians of place and velocity side by side.
+
+Rules. The canonical order is by ascending id. Each number is computed from its own component, by operations that treat all rows alike,
+so that a component has the same bits in every set.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.tracking.particles import Particles, canonical, unlabelled
+from protocol.components import COMPONENT
+from protocol.streams import scramble
+
+LEAST_VARIANCE = 1.0e-8  # of each axis given the ones before, m^2 or m^2/s^2
+KERNEL = 0.2  # share of the covariance that lies around each node; the nodes hold the rest
+OFFSETS = math.sqrt(3.0 * (1.0 - KERNEL)) * np.array([(i, j) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0)])  # standard deviations
+SHARES = np.array([(1.0, 4.0, 1.0)[i] * (1.0, 4.0, 1.0)[j] / 36.0 for i in range(3) for j in range(3)])
+LOWER = [(row, column) for row in range(4) for column in range(row + 1)]  # the entries of a factor on the wire, in order
+
+
+class Mixture(NamedTuple):
+    """Weights (N,): expected targets; means (N, 4): x, y in m and vx, vy in m/s; covariances (N, 4, 4); ids (N,) uint64."""
+
+    weights: np.ndarray
+    means: np.ndarray
+    covariances: np.ndarray
+    ids: np.ndarray
+
+
+EMPTY = Mixture(np.empty(0), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0, dtype=np.uint64))
+
+
+def chain(parts: list[Mixture]) -> Mixture:
+    """All components of several mixtures, in order."""
+    return Mixture(*(np.concatenate(columns) for columns in zip(*parts))) if parts else EMPTY
+
+
+def pick(mixture: Mixture, chosen: np.ndarray) -> Mixture:
+    """The components chosen by a mask (N,) bool or by an array of indices."""
+    return Mixture(*(column[chosen] for column in mixture))
+
+
+def in_order(mixture: Mixture) -> Mixture:
+    """The same components in ascending order of id, the first of equal ids only."""
+    _, first = np.unique(mixture.ids, return_index=True)
+    return pick(mixture, first)
+
+
+def factors(covariances: np.ndarray) -> np.ndarray:
+    """The lower Cholesky factors (N, 4, 4); a variance that rounding has made too small becomes `LEAST_VARIANCE`."""
+    found = np.zeros_like(covariances)
+    for row, column in LOWER:
+        rest = covariances[:, row, column].copy()
+        for before in range(column):
+            rest = rest - found[:, row, before] * found[:, column, before]
+        found[:, row, column] = np.sqrt(np.maximum(rest, LEAST_VARIANCE)) if row == column else rest / found[:, column, column]
+    return found
+
+
+def packed(mixture: Mixture) -> np.ndarray:
+    """The rows (N,) of `COMPONENT` that state a mixture on the wire."""
+    rows, factor = np.empty(len(mixture.ids), COMPONENT), factors(mixture.covariances)
+    rows["weight"], rows["mean"], rows["id"] = mixture.weights, mixture.means, mixture.ids
+    for number, (row, column) in enumerate(LOWER):
+        rows["factor"][:, number] = factor[:, row, column]
+    return rows
+
+
+def unpacked(rows: np.ndarray) -> Mixture:
+    """The mixture that rows (N,) of `COMPONENT` state."""
+    factor = np.zeros((len(rows), 4, 4))
+    for number, (row, column) in enumerate(LOWER):
+        factor[:, row, column] = rows["factor"][:, number]
+    covariances = np.zeros_like(factor)
+    for row, column in LOWER:
+        for before in range(column + 1):
+            covariances[:, row, column] += factor[:, row, before] * factor[:, column, before]
+        covariances[:, column, row] = covariances[:, row, column]
+    return Mixture(rows["weight"].astype(float), rows["mean"].astype(float), covariances, rows["id"].astype(np.uint64))
+
+
+def nodes(mixture: Mixture) -> np.ndarray:
+    """Places (N, 9, 2) in m whose weights `SHARES` give mean and covariance of a component, but for `KERNEL`: Gauss-Hermite nodes."""
+    xx, xy, yy = mixture.covariances[:, 0, 0], mixture.covariances[:, 0, 1], mixture.covariances[:, 1, 1]
+    east = np.sqrt(np.maximum(xx, LEAST_VARIANCE))
+    north = xy / east
+    rest = np.sqrt(np.maximum(yy - north * north, LEAST_VARIANCE))
+    x = mixture.means[:, 0, None] + east[:, None] * OFFSETS[None, :, 0]
+    y = mixture.means[:, 1, None] + (north[:, None] * OFFSETS[None, :, 0] + rest[:, None] * OFFSETS[None, :, 1])
+    return np.stack([x, y], axis=2)
+
+
+def mean_of(values: np.ndarray) -> np.ndarray:
+    """The means (N,) of values at the nodes (N, 9)."""
+    found = values[:, 0] * SHARES[0]
+    for number in range(1, len(SHARES)):
+        found = found + values[:, number] * SHARES[number]
+    return found
+
+
+def points(mixture: Mixture) -> Particles:
+    """The density as weighted points at the nodes of each component, by ascending id."""
+    count, size = len(mixture.ids), len(SHARES)
+    states = np.repeat(mixture.means, size, axis=0)
+    states[:, :2] = nodes(mixture).reshape(-1, 2)
+    ids = scramble(np.repeat(mixture.ids, size), np.tile(np.arange(size, dtype=np.uint64), count)) if count else mixture.ids
+    return canonical(unlabelled(states, (mixture.weights[:, None] * SHARES[None, :]).reshape(-1), ids))
+
+
+def variances(mixture: Mixture) -> np.ndarray:
+    """The larger principal variance (N,) of each place, m^2."""
+    xx, xy, yy = mixture.covariances[:, 0, 0], mixture.covariances[:, 0, 1], mixture.covariances[:, 1, 1]
+    half = 0.5 * (xx - yy)
+    return 0.5 * (xx + yy) + np.sqrt(half * half + xy * xy)

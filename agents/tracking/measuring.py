@@ -1,0 +1,115 @@
+"""Likelihoods and births of sensors that measure range and bearing, or bearing alone, and of poses that are not exact.
+
+Data types: `Noise` holds the variances of a scan. A *ray* is a row (unit vector x, y from the sensor to the detection, range m, how far
+births may lie from the detection's place, m).
+
+Rules. Only operations that round exactly: a difference of angles e enters as 2 tan(e / 2), which is e within 1 % up to 18 degrees. A
+density of measurements is stated per m^2 of the plane, so that clutter and births have one unit for all sensors: that of a range and
+a bearing is divided by the range, that of a bearing alone by half the squared radius. agents/compiled/measuring_kernels.py computes
+the same bits.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.config import FilterSettings, PoseSettings
+from protocol.measuring import Measurement
+from protocol.streams import normal, scramble, uniform
+
+POSITION, RANGE_BEARING, BEARING = 0.0, 1.0, 2.0  # models of a scan, a column of the gossip table
+FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
+TINY = 1e-12
+
+
+class Noise(NamedTuple):
+    """The model of a scan and its variances."""
+
+    model: float
+    along: float  # of the distance from the sensor, m^2
+    across: float  # of the place across the ray, m^2
+    bearing: float  # of the bearing, rad^2
+
+
+def model_of(measurement: Measurement | None) -> tuple[float, float, float]:
+    """Model, standard deviation of a range in m and of a bearing in rad; 0 for a sensor of positions."""
+    if measurement is None:
+        return POSITION, 0.0, 0.0
+    return RANGE_BEARING if measurement.kind == "range-bearing" else BEARING, measurement.range_noise, measurement.bearing_noise
+
+
+def kernel_variance(settings: FilterSettings) -> float:
+    """The variance of a particle's kernel on each axis, m^2 (`phd.likelihood_noise`)."""
+    width = settings.roughening * settings.position_noise * settings.particles_per_target ** (-1.0 / 6.0)
+    return width * width
+
+
+def is_exact(pose: PoseSettings) -> bool:
+    """Whether the agents take their poses for exact."""
+    return pose.position_noise == 0.0 and pose.heading_noise == 0.0
+
+
+def noise_of(model: tuple[float, float, float], position_noise: float, kernel: float, pose: PoseSettings) -> Noise:
+    """The variances of a scan: those of the sensor, of a particle's kernel and of the own pose together."""
+    kind, range_noise, bearing_noise = model
+    place = kernel + pose.position_noise * pose.position_noise
+    turn = bearing_noise * bearing_noise + pose.heading_noise * pose.heading_noise
+    if kind == POSITION:
+        variance = position_noise * position_noise + place
+        return Noise(kind, variance, variance, turn)
+    return Noise(kind, range_noise * range_noise + place, place, turn)
+
+
+def densities(
+    states: np.ndarray, pose: tuple[float, ...], points: np.ndarray, rays: np.ndarray, radius: float, noise: Noise
+) -> tuple[np.ndarray, np.ndarray]:
+    """Squared deviations (N, M) of detections at `points` (M, 2) from particles, and the peak (N, M) of each density, per m^2."""
+    dx, dy = states[:, 0, None] - pose[0], states[:, 1, None] - pose[1]
+    east, north, ranges = rays[None, :, 0], rays[None, :, 1], rays[None, :, 2]
+    if noise.model == POSITION:
+        ex, ey = states[:, 0, None] - points[None, :, 0], states[:, 1, None] - points[None, :, 1]
+        along, across = ex * east + ey * north, east * ey - north * ex
+        wide = noise.across + noise.bearing * (ranges * ranges)
+        squared = along * along / noise.along + across * across / wide
+        return squared, 1.0 / (2.0 * math.pi * np.sqrt(noise.along * wide)) + np.zeros(squared.shape)
+    range2 = dx * dx + dy * dy
+    distance = np.sqrt(range2)
+    along, across = dx * east + dy * north, east * dy - north * dx
+    angle = 2.0 * across / np.maximum(distance + along, TINY)
+    wide = noise.bearing + noise.across / np.maximum(range2, TINY)
+    squared = angle * angle / wide
+    if noise.model == BEARING:
+        return squared, 1.0 / (np.sqrt(2.0 * math.pi * wide) * (0.5 * radius * radius)) + np.zeros(squared.shape)
+    apart = distance - ranges
+    return squared + apart * apart / noise.along, 1.0 / (2.0 * math.pi * np.sqrt(noise.along * wide) * np.maximum(ranges, TINY))
+
+
+def birth_places(ids: np.ndarray, pose: tuple[float, ...], points: np.ndarray, rays: np.ndarray, radius: float, noise: Noise) -> np.ndarray:
+    """The places (N, 2) of births with these ids, each at a detection at `points` (N, 2) with its ray (N, 4).
+
+    A bearing alone bears particles along its ray, uniform in the area of the beam.
+    """
+    first, second = normal(scramble(ids, 1)), normal(scramble(ids, 2))
+    east, north, ranges = rays[:, 0], rays[:, 1], rays[:, 2]
+    if noise.model == POSITION:
+        along = first * math.sqrt(noise.along)
+        across = second * np.sqrt(noise.across + noise.bearing * (ranges * ranges))
+        return np.column_stack([points[:, 0] + (along * east - across * north), points[:, 1] + (along * north + across * east)])
+    if noise.model == BEARING:
+        distance = radius * np.sqrt(uniform(scramble(ids, 4)))
+    else:
+        distance = ranges + first * math.sqrt(noise.along)
+    half = 0.5 * (second * np.sqrt(noise.bearing + noise.across / np.maximum(distance * distance, TINY)))
+    half = np.minimum(np.maximum(half, -1.0), 1.0)
+    cos, sin = (1.0 - half * half) / (1.0 + half * half), 2.0 * half / (1.0 + half * half)
+    return np.column_stack([pose[0] + distance * (cos * east - sin * north), pose[1] + distance * (sin * east + cos * north)])
+
+
+def spread_of(model: float, ranges: float, radius: float, noise: Noise) -> float:
+    """How far births may lie from the place of a detection at most, m."""
+    if model == BEARING:
+        return 2.0 * radius
+    if model == RANGE_BEARING:
+        return FARTHEST * math.sqrt(noise.along) + 2.0 * (ranges + FARTHEST * math.sqrt(noise.along))
+    return 2.0 * FARTHEST * math.sqrt(noise.along + noise.across + noise.bearing * ranges * ranges)

@@ -1,0 +1,165 @@
+"""`covey bench overload`: a live swarm whose machine has too little time for it, beside the same run in lockstep.
+
+A swarm of 32 agents runs at rate 2, twice as fast as real time. After it has settled, something happens for some seconds: nothing,
+busy loops beside a swarm of low priority, a stop of all processes at once, or a death under load. The status is read several times a
+second. The lockstep figures are those of a simulation of the same scenario and seed, over the same ticks.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from deploy.bench.processes import Swarm, swarm
+from deploy.bench.timing import BenchRow
+from deploy.scenario import resolve
+from deploy.scoring.scores import Score
+from deploy.simulation import Simulation
+
+SETTLE, CALM, AFTER = 12.0, 4.0, 8.0  # wall s: until the swarm tracks, before and after what happens
+POLL = 0.2  # wall s between two looks at the status
+BACK = 2.0  # wall s after the end of a load until all must be well again
+NICE = ("nice", "-n", "15")
+
+
+class LoadProfile(NamedTuple):
+    """What a swarm goes through."""
+
+    agents: int = 32
+    rate: str = "2"
+    loops: int = 0  # busy processes beside a swarm of low priority
+    frozen: float = 0.0  # s for which all processes are stopped
+    killed: int = 0  # agents
+    lasts: float = 25.0  # wall s
+
+
+PROFILES = {
+    "quiet": LoadProfile(),
+    "three loops": LoadProfile(loops=3),
+    "eight loops": LoadProfile(loops=8),
+    "frozen 3 s": LoadProfile(frozen=3.0, lasts=6.0),
+    "death, three loops": LoadProfile(loops=3, killed=1, lasts=15.0),
+    "48 agents, rate 1": LoadProfile(agents=48, rate="1"),
+    "auto, three loops": LoadProfile(rate="auto", loops=3),
+    "auto, eight loops": LoadProfile(rate="auto", loops=8),
+}
+
+
+class StatusSample(NamedTuple):
+    """One look at the status."""
+
+    at: float  # wall s
+    tick: int
+    ospa: float
+    hole: float
+    overlap: float
+    rounds: int
+    skipped: int
+
+
+def measure(names: Sequence[str] = tuple(PROFILES), seeds: Sequence[int] = (1,)) -> Iterator[BenchRow]:
+    """One row for each profile and seed."""
+    for seed in seeds:
+        for name in names:
+            yield {"load": name, "seed": seed, **play(PROFILES[name], seed)}
+
+
+def play(profile: LoadProfile, seed: int) -> BenchRow:
+    """One live run through a profile, and the lockstep run of the same seed beside it."""
+    samples: list[StatusSample] = []
+    words = ["--seed", str(seed), "--rate", profile.rate]
+    if profile.rate == "auto":
+        words += ["--set", "run.pace=2"]
+    with swarm(profile.agents, "zygote", words, prefix=NICE if profile.loops else ()) as running:
+        watch(running, SETTLE + CALM, samples)
+        begin = time.monotonic()
+        with busy(profile.loops):
+            if profile.frozen:
+                freeze(running, profile.frozen)
+            for name in [f"s{number}" for number in range(3, 3 + profile.killed)]:
+                watch(running, 0.5 * profile.lasts, samples)
+                running.ask("kill", name)
+            watch(running, profile.lasts - (time.monotonic() - begin) if not profile.frozen else profile.lasts, samples)
+        end = time.monotonic()
+        watch(running, AFTER, samples)
+        result = running.end()
+    return figures(profile, seed, samples, begin, end, result)
+
+
+def watch(running: Swarm, seconds: float, samples: list[StatusSample]) -> None:
+    """Look at the status for some seconds."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        status = running.status()["swarm"]
+        rate = status["tick_rate"]
+        samples.append(
+            StatusSample(
+                time.monotonic(), status["tick"], status["ospa"], status["hole"], status["overlap"], rate["rounds"], rate["skipped"]
+            )
+        )
+        time.sleep(POLL)
+
+
+@contextmanager
+def busy(loops: int) -> Iterator[None]:
+    """Processes of normal priority that take all the time that they get."""
+    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(loops)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def freeze(running: Swarm, seconds: float) -> None:
+    """Stop all processes of a swarm at once, its supervisor included, and let them go on."""
+    pids = [running.pid, *(row["pid"] for row in running.status()["processes"] if row["pid"])]
+    for number in (signal.SIGSTOP, signal.SIGCONT):
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, number)
+        if number is signal.SIGSTOP:
+            time.sleep(seconds)
+
+
+def figures(profile: LoadProfile, seed: int, samples: list[StatusSample], begin: float, end: float, result: dict[str, Any]) -> BenchRow:
+    """The row of a run: while it lasted, and from `BACK` s after its end on (of a freeze: from 1 s on)."""
+    if profile.frozen:
+        begin += profile.frozen + 1.0
+    during = [sample for sample in samples if begin <= sample.at <= end]
+    after = [sample for sample in samples if sample.at > end + BACK]
+    lockstep = reference(profile, seed, samples[-1].tick)
+    rounds, skipped = (during[-1][column] - during[0][column] for column in (5, 6))
+    row: BenchRow = {"ticks per s": (during[-1].tick - during[0].tick) / (during[-1].at - during[0].at)}
+    row |= {"skipped, %": 100.0 * skipped / max(1, rounds + skipped)}
+    for label, part in (("", during), (" after", after)):
+        first, last = part[0].tick, part[-1].tick
+        exact = mean([score.ospa for score in lockstep if first <= score.tick <= last])
+        row |= {f"OSPA{label}, m": mean([sample.ospa for sample in part]), f"lockstep{label}, m": exact}
+        row |= {f"hole{label}, %": 100.0 * mean([sample.hole for sample in part])}
+        row |= {f"most overlap{label}, %": 100.0 * max(sample.overlap for sample in part)}
+    row["ratio"] = row["OSPA, m"] / max(row["lockstep, m"], 1e-9)
+    row["false deaths"] = len(result["kills"]) - profile.killed
+    if profile.killed:
+        row["hole closed, s"] = max((kill["closed_seconds"] or 99.0) for kill in result["kills"])
+    return row
+
+
+def reference(profile: LoadProfile, seed: int, ticks: int) -> list[Score]:
+    """The scores of the lockstep run of the same scenario and seed."""
+    team = {32: "3", 48: "5"}[profile.agents]
+    seconds = (ticks + 1) * 0.25
+    simulation = Simulation(resolve("efficacy", {"team.composition": team, "run.seed": seed, "run.seconds": seconds}))
+    simulation.run()
+    return simulation.scorer.scores
+
+
+def mean(values: Sequence[float]) -> float:
+    """The mean; 0 of nothing."""
+    return sum(values) / len(values) if values else 0.0

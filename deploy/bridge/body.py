@@ -1,0 +1,140 @@
+"""The body of one agent, as docs/reference/protocol.md asks (*A body of your own*): ticks, what the agent is told, and when it stands.
+
+It holds no socket and reads no clock: `now` is given, s. Whoever drives it hands in what was heard and asks what is due.
+"""
+
+import math
+import struct
+from collections.abc import Callable
+from typing import NamedTuple
+
+from deploy.bridge.client import Fields, Heard
+from deploy.bridge.frames import Placement, Planar, clipped, fenced
+
+AHEAD = 0.5  # s that a clock may be ahead of the others
+RECENT = 2.0  # s for which the word of a neighbour counts, or four periods
+GATHERED = 1.0  # s for which nobody new came, until a run of which nobody speaks begins
+STALE = 0.5  # s after which odometry or a scan is too old, or two periods
+STANDING = (0.0, 0.0), 0.0
+
+
+class Rules(NamedTuple):
+    """What a body must know of its run."""
+
+    agent: str
+    expected: tuple[str, ...]
+    dt: float  # s of world time between two ticks
+    period: float  # s of real time
+    anchor: float | None  # when tick 0 began, s; None: as soon as all are there
+    hold: float  # s without a command after which it stands
+    speed: float  # m/s
+    turn_rate: float  # rad/s
+    box: tuple[float, float, float, float] | None = None  # that it never leaves, m
+
+
+class RobotBody:
+    """One body. `say` publishes a message, `appear` declares its token or takes it back."""
+
+    def __init__(self, rules: Rules, incarnation: int, say: Callable[[str, Fields], None], appear: Callable[[bool], None]) -> None:
+        self.tick, self.held, self.replaced = -1, False, False
+        self._rules, self._incarnation, self._say, self._appear = rules, incarnation, say, appear
+        self._anchor = rules.anchor
+        self._words: dict[str, tuple[float, float]] = {}  # of a neighbour: when its tick 0 was by its newest gossip, and when that came
+        self._alive: dict[tuple[str, str], set[int]] = {}  # role and name -> incarnations
+        self._changed = 0.0
+        self._pose: tuple[Placement, float] | None = None
+        self._scan: tuple[list[Planar], float] | None = None
+        self._halt = -1  # incarnation of the newest order
+        self._command: tuple[int, Planar, float, float] | None = None  # tick, velocity, turn rate, when it came
+
+    @property
+    def pose(self) -> Placement | None:
+        """Where the body was when it said so last."""
+        return self._pose[0] if self._pose else None
+
+    def at(self, pose: Placement, now: float) -> None:
+        """Take an odometry, in the arena's frame."""
+        if all(map(math.isfinite, pose)):
+            self._pose = pose, now
+
+    def sees(self, detections: list[Planar], now: float) -> None:
+        """Take a scan, in the arena's frame; places that are no numbers are left out."""
+        self._scan = [(x, y) for x, y in detections if math.isfinite(x) and math.isfinite(y)], now
+
+    def hear(self, heard: Heard, now: float) -> None:
+        """Take a message or a token."""
+        if heard.kind in ("agent", "body"):
+            self._on_token(heard, now)
+        elif heard.kind == "gossip" and heard.name != self._rules.agent:
+            self._words[heard.name] = now - heard.fields["tick"] * self._rules.period, now
+        elif heard.kind == "command":
+            self._obey(heard, now)
+        elif heard.kind == "halt" and heard.incarnation > self._halt:
+            self._halt, self.held = heard.incarnation, heard.fields["held"]
+
+    def _on_token(self, heard: Heard, now: float) -> None:
+        up = self._alive.setdefault((heard.kind, heard.name), set())
+        (up.add if heard.up else up.discard)(heard.incarnation)
+        self._changed = now
+        if heard.name == self._rules.agent:
+            self.replaced = self.replaced or (heard.kind == "body" and heard.up and heard.incarnation > self._incarnation)
+            if heard.kind == "agent":
+                self._command = None
+
+    def _obey(self, heard: Heard, now: float) -> None:
+        """A command counts if it is the newest, of the newest live incarnation, and not of a tick to come."""
+        newest = max(self._alive.get(("agent", self._rules.agent), {-1}), default=-1)
+        tick, (x, y), turn = heard.fields["tick"], heard.fields["velocity"], heard.fields["turn_rate"]
+        known = self._command[0] if self._command else -1
+        if heard.incarnation == newest and known <= tick <= self.tick and all(map(math.isfinite, (x, y, turn))):
+            self._command = tick, (x, y), turn, now
+
+    def motion(self, now: float) -> tuple[Planar, float]:
+        """The velocity m/s in the arena's frame and the turn rate rad/s for now; a body that is not sure stands."""
+        rules = self._rules
+        hold = max(rules.hold, 2.0 * rules.period)
+        if self.held or self._command is None or not self._is_sound(now) or now - self._command[3] > hold:
+            return STANDING
+        velocity, turn = clipped(self._command[1], rules.speed), max(-rules.turn_rate, min(rules.turn_rate, self._command[2]))
+        assert self._pose is not None
+        return (fenced(velocity, self._pose[0], rules.box, hold) if rules.box else velocity), turn
+
+    def _is_sound(self, now: float) -> bool:
+        """Whether odometry and scans are fresh; a body that does not know where it is, or sees nothing, is as good as dead."""
+        oldest = now - max(STALE, 2.0 * self._rules.period)
+        return self._pose is not None and self._scan is not None and min(self._pose[1], self._scan[1]) >= oldest
+
+    def step(self, now: float) -> None:
+        """Go on to the tick that it is, if it is a new one: tell the agent where it is and what it sees."""
+        sound = self._is_sound(now)
+        self._appear(sound)
+        if not sound or not self._follow(now) or self._anchor is None:
+            return
+        tick = math.floor((now - self._anchor) / self._rules.period)
+        if tick <= self.tick:
+            return
+        if tick > self.tick + 1:
+            self._command = None
+        self.tick = tick
+        assert self._pose is not None and self._scan is not None
+        seen = b"".join(struct.pack("<2f", *place) for place in self._scan[0])
+        place = {"recipient": self._rules.agent, "tick": tick, "time": tick * self._rules.dt, "pose": self._pose[0]}
+        self._say("observation", {**place, "detections": seen})
+
+    def _follow(self, now: float) -> bool:
+        """Correct the clock to the majority of those who speak; whether the run has begun."""
+        since, period = now - max(RECENT, 4.0 * self._rules.period), self._rules.period
+        words = sorted(anchor for anchor, at in self._words.values() if at >= since)
+        if self._anchor is None and (words or self._all_there(now)):
+            self._anchor = words[(len(words) - 1) // 2] if words else now
+        elif self._anchor is not None and words:
+            theirs = sorted([*words, self._anchor])[len(words) // 2]
+            if not -max(period, AHEAD) <= self._anchor - theirs <= 0.5 * period:
+                self._anchor = theirs
+        return self._anchor is not None and now >= self._anchor
+
+    def _all_there(self, now: float) -> bool:
+        """Whether all expected agents and the bodies of all others are alive, and nobody new has come for a moment."""
+        mine = self._rules.agent
+        wanted = [(role, name) for name in self._rules.expected for role in ("agent", "body") if (role, name) != ("body", mine)]
+        return all(self._alive.get(key) for key in wanted) and now - self._changed >= GATHERED

@@ -1,0 +1,172 @@
+"""The bridge of one agent: what its robot says in ROS 2 becomes its body in the swarm, and what the agent commands becomes cmd_vel.
+
+/s3/odom        nav_msgs/Odometry            in   where the robot is
+/s3/detections  geometry_msgs/PoseArray      in   what its sensor found, in the odometry's frame or in the robot's own
+/s3/cmd_vel     geometry_msgs/Twist          out  20 times a second, in the robot's own frame
+/s3/targets     geometry_msgs/PoseArray      out  the targets that the agent believes in, in the arena's frame, `map`
+/s3/cell        geometry_msgs/PolygonStamped out  its cell
+"""
+
+import contextlib
+import queue
+import signal
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+from deploy.bridge.body import RobotBody
+from deploy.bridge.client import Heard, Participant
+from deploy.bridge.frames import Placement, Planar, heading_of, moved, placed, wheels
+from deploy.bridge.ros import RosNode, message
+from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
+
+ARENA_FRAME = "map"
+DRIVE_PERIOD = 0.05  # s between two cmd_vel: drivers stop after some tenths of a second without
+WAKE = 0.02  # s at most between two looks at the clock
+ODOMETRY, POSES, TWIST, POLYGON = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseArray",
+    "geometry_msgs/msg/Twist",
+    "geometry_msgs/msg/PolygonStamped",
+)
+
+
+class Bridge:
+    """A body and its robot."""
+
+    def __init__(self, options: BridgeOptions) -> None:
+        self._options = options
+        run, network, rules = read_run(options)
+        self._client = Participant(network, run, options.agent)
+        self._limit = rules.turn_rate
+        self.body = RobotBody(rules, self._client.incarnation, self._client.say, self._client.appear)
+        self._axle: Placement = (0.0, 0.0, 0.0)  # of the robot, in the arena's frame
+        self._robot_frame = ""
+        self._moves = threading.Lock()  # odometry comes in a thread of Zenoh
+        for heard in kept(options.keep):
+            self.body.hear(heard, 0.0)
+        ros, name = RosNode("covey", f"/{options.agent}", router=options.router, domain=options.domain), options.agent
+        self._ros = ros
+        self._drive, self._targets, self._cell = (
+            ros.publisher(f"/{name}/{topic}", kind) for topic, kind in (("cmd_vel", TWIST), ("targets", POSES), ("cell", POLYGON))
+        )
+        ros.subscribe(f"/{name}/odom", ODOMETRY, self._on_odometry)
+        ros.subscribe(f"/{name}/detections", POSES, self._on_detections)
+        self._client.listen("gossip/*", f"command/{name}", f"estimate/{name}", "halt")
+
+    def serve(self, over: threading.Event) -> int:
+        """Take part until `over`; the exit code, which is 3 when a younger body has taken the name."""
+        drive_at = 0.0
+        while not over.is_set() and not self.body.replaced:
+            with contextlib.suppress(queue.Empty):
+                self._on_heard(self._client.events.get(timeout=WAKE))
+                while True:
+                    self._on_heard(self._client.events.get_nowait())
+            with self._moves:
+                self.body.step(time.monotonic())
+            if time.monotonic() >= drive_at:
+                drive_at = time.monotonic() + DRIVE_PERIOD
+                self._command(*self.body.motion(time.monotonic()))
+        return 3 if self.body.replaced else 0
+
+    def close(self) -> None:
+        """Stop the robot and leave both networks."""
+        for _ in range(3):
+            self._command((0.0, 0.0), 0.0)
+            time.sleep(WAKE)
+        self._client.appear(False)
+        self._client.close()
+        self._ros.close()
+
+    def _on_odometry(self, said: Any) -> None:
+        """Note where the robot is; the sensor of a differential drive sits ahead of the axle."""
+        pose, offset = said.pose.pose, self._options.offset
+        with self._moves:
+            self._robot_frame = said.child_frame_id
+            self._axle = placed(self._options.origin, (pose.position.x, pose.position.y, heading_of(pose.orientation)))
+            self.body.at(placed(self._axle, (offset, 0.0, 0.0)), time.monotonic())
+
+    def _on_detections(self, said: Any) -> None:
+        """Note a scan; it is in the robot's own frame if its header says so."""
+        with self._moves:
+            frame = self._axle if self._robot_frame and said.header.frame_id == self._robot_frame else self._options.origin
+            self.body.sees([moved(frame, (pose.position.x, pose.position.y)) for pose in said.poses], time.monotonic())
+
+    def _on_heard(self, heard: Heard) -> None:
+        """Take what the swarm says; the agent's estimate is for people who watch in ROS."""
+        if heard.kind == "estimate":
+            self._show(heard.fields)
+            return
+        with self._moves, contextlib.suppress(KeyError, TypeError, ValueError):  # a message of another form is passed over
+            self.body.hear(heard, time.monotonic())
+        if heard.kind == "halt" and self._options.keep is not None:
+            self._options.keep.write_bytes(msgpack.packb([heard.incarnation, heard.fields["held"]]))
+
+    def _command(self, velocity: Planar, turn_rate: float) -> None:
+        """Say the motion in the robot's own frame."""
+        ahead, left, turn = wheels(velocity, turn_rate, self._axle[2], self._options.offset, self._limit)
+        self._drive.publish(message(TWIST, vector(ahead, left, 0.0), vector(0.0, 0.0, turn)))
+
+    def _show(self, fields: dict[str, Any]) -> None:
+        """Say the targets and the cell of an estimate."""
+        poses = [message("geometry_msgs/msg/Pose", point(x, y), upright()) for x, y in rows(fields.get("targets", b""))]
+        self._targets.publish(message(POSES, header(), poses))
+        corners = [message("geometry_msgs/msg/Point32", x, y, 0.0) for x, y in rows(fields.get("cell", b""))]
+        self._cell.publish(message(POLYGON, header(), message("geometry_msgs/msg/Polygon", corners)))
+
+
+def rows(array: bytes) -> Iterator[Planar]:
+    """The rows of an array of 2 float64."""
+    return struct.iter_unpack("<2d", array)  # type: ignore[return-value]
+
+
+def header() -> Any:
+    """A header of now, in the arena's frame."""
+    seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
+    stamp = message("builtin_interfaces/msg/Time", seconds, nanoseconds)
+    return message("std_msgs/msg/Header", stamp, ARENA_FRAME)
+
+
+def point(x: float, y: float) -> Any:
+    """A place in the plane."""
+    return message("geometry_msgs/msg/Point", x, y, 0.0)
+
+
+def vector(x: float, y: float, z: float) -> Any:
+    """Three numbers."""
+    return message("geometry_msgs/msg/Vector3", x, y, z)
+
+
+def upright() -> Any:
+    """No turn."""
+    return message("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+
+
+def kept(file: Path | None) -> Iterator[Heard]:
+    """The halt that was kept in a file; raises Wrong for a file of another kind."""
+    if file is None or not file.exists():
+        return
+    try:
+        incarnation, held = msgpack.unpackb(file.read_bytes())
+        yield Heard("halt", "operator", {"held": bool(held)}, int(incarnation))
+    except (OSError, ValueError, TypeError, msgpack.UnpackException):
+        raise Wrong(f"--keep {file}: no kept halt; remove it only when the robot may move") from None
+
+
+def run(options: BridgeOptions) -> int:
+    """Be the bridge until a signal; the exit code."""
+    check(options)
+    over = threading.Event()
+    bridge = Bridge(options)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: over.set())
+    print(f"bridge: /{options.agent}/odom and /{options.agent}/detections in, /{options.agent}/cmd_vel out; Ctrl-C stops it", flush=True)
+    try:
+        return bridge.serve(over)
+    finally:
+        bridge.close()

@@ -1,0 +1,152 @@
+"""A small client of a run: a session, a token, what is said and what is heard. Python with zenoh and msgpack, and nothing else.
+
+It is the part that a participant in another language needs first (docs/reference/protocol.md, *Transport*, *Keys*, *Encoding*). With
+certificates it keeps the access control of a body itself, as every peer does: who says what is judged by the certificate.
+"""
+
+import json
+import queue
+import time
+from typing import Any, NamedTuple
+
+import msgpack
+import zenoh
+
+WIRE = 2
+MAX_BYTES = 524288
+TLS = {"verify_name_on_connect": False, "close_link_on_expiration": True}
+DROP = zenoh.CongestionControl.DROP
+Fields = dict[str, Any]
+
+
+class Heard(NamedTuple):
+    """A message with its fields, or a token that came or went, without."""
+
+    kind: str
+    name: str
+    fields: Fields
+    incarnation: int = 0
+    up: bool = True
+
+
+class Network(NamedTuple):
+    """How a run is reached; the files are those of mutual TLS, empty without."""
+
+    seeds: tuple[str, ...]
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:0",)
+    ca: str = ""
+    certificate: str = ""
+    key: str = ""
+    admitted: tuple[str, ...] = ()
+
+
+class Participant:
+    """A participant of a run, with the role of a body."""
+
+    def __init__(self, network: Network, run: str, name: str) -> None:
+        self.incarnation = time.time_ns() // 1_000_000
+        self.events: queue.SimpleQueue[Heard] = queue.SimpleQueue()
+        self._run, self._name = run, name
+        self._session = zenoh.open(config_of(network, run, name))
+        self._publishers: dict[str, tuple[Any, zenoh.SourceInfo]] = {}
+        self._token: Any = None
+        tokens = self._session.liveliness().declare_subscriber(f"covey/{run}/alive/**", self._on_token, history=True)
+        self._held: list[Any] = [tokens]
+
+    def listen(self, *keys: str) -> None:
+        """Subscribe to keys within the run, such as gossip/*."""
+        remote = zenoh.Locality.REMOTE
+        subscribe = self._session.declare_subscriber
+        self._held += [subscribe(f"covey/{self._run}/{key}", self._on_sample, allowed_origin=remote) for key in keys]
+
+    def appear(self, up: bool) -> None:
+        """Declare the token, or take it back; of no effect where that is so already."""
+        if up and self._token is None:
+            expression = f"covey/{self._run}/alive/body/{self._name}/{self.incarnation}"
+            self._token = self._session.liveliness().declare_token(expression)
+        elif not up and self._token is not None:
+            self._token.undeclare()
+            self._token = None
+
+    def say(self, kind: str, fields: Fields) -> None:
+        """Publish a message of this kind under the own name."""
+        said = {"type": kind, "sender": self._name, "incarnation": self.incarnation, "wire": WIRE, **fields}
+        key = f"covey/{self._run}/{kind}/{self._name}"
+        if key not in self._publishers:
+            publisher = self._session.declare_publisher(key, congestion_control=DROP)
+            self._publishers[key] = publisher, zenoh.SourceInfo(publisher.id, 0)
+        publisher, source = self._publishers[key]
+        publisher.put(msgpack.packb(said), source_info=source)
+
+    def close(self) -> None:
+        """Leave the run."""
+        self._session.close()
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        _, _, _, role, name, number = str(sample.key_expr).split("/")
+        self.events.put(Heard(role, name, {}, int(number), sample.kind == zenoh.SampleKind.PUT))
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        """Hand on a message that is whole and of this version; whatever else comes is passed over."""
+        payload, parts = sample.payload.to_bytes(), str(sample.key_expr).split("/")
+        try:
+            fields: Fields = msgpack.unpackb(payload) if len(payload) <= MAX_BYTES else {}
+            if fields["wire"] == WIRE and (len(parts) == 3 or fields["sender"] == parts[3]):
+                self.events.put(Heard(parts[2], fields["sender"], fields, fields["incarnation"]))
+        except (ValueError, TypeError, KeyError, msgpack.UnpackException):
+            return
+
+
+def config_of(network: Network, run: str, name: str) -> zenoh.Config:
+    """The session of a peer, as the table under *Transport* says."""
+    values: Fields = {
+        "mode": "peer",
+        "listen/endpoints": network.listen,
+        "connect/endpoints": network.seeds,
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "scouting/gossip/autoconnect_strategy": {"peer": {"to_peer": "greater-zid", "to_router": "always"}},
+        "transport/link/tx/lease": 5000,
+        "transport/link/tx/keep_alive": 4,
+        "transport/link/rx/max_message_size": MAX_BYTES,
+        "transport/shared_memory/enabled": False,
+    }
+    if network.ca:
+        sides = {f"{side}_certificate": network.certificate for side in ("listen", "connect")}
+        sides |= {f"{side}_private_key": network.key for side in ("listen", "connect")}
+        tls = {"root_ca_certificate": network.ca, **sides, "enable_mtls": True, **TLS}
+        values |= {"transport/link/protocols": ["tls", "quic"], "transport/link/tls": tls}
+        values["access_control"] = access_control(run, name, network.admitted)
+    config = zenoh.Config()
+    for key, value in values.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def access_control(run: str, name: str, agents: tuple[str, ...]) -> Fields:
+    """What a body lets in and out, by the common name of the certificate at the other end of the link; all else is denied."""
+    root = f"covey/{run}"
+    mine = [f"{root}/{kind}/{name}" for kind in ("observation", "command", "estimate")]
+    rules, policies = list[Fields](), list[Fields]()
+
+    def allow(who: str, flow: str, messages: list[str], keys: list[str]) -> None:
+        label = f"{who} {flow} {messages[0]}"
+        rules.append({"id": label, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": keys})
+        policies.append({"rules": [label], "subjects": [who] if who != "all" else everybody})
+
+    everybody = ["monitor", "operator", *agents]
+    for agent in agents:
+        says = [f"{root}/gossip/{agent}", *(mine[1:] if agent == name else [])]
+        allow(agent, "ingress", ["put"], says)
+        allow(agent, "ingress", ["liveliness_token", "reply"], [f"{root}/alive/{role}/{agent}/*" for role in ("agent", "body")])
+    allow("operator", "ingress", ["put"], [f"{root}/halt"])
+    for who in ("monitor", "operator", name):
+        allow(who, "ingress", ["declare_subscriber"], [f"{root}/**"] if who == "monitor" else mine[:1])
+        allow(who, "egress", ["put"], mine[:1])
+    allow("all", "ingress", ["declare_liveliness_subscriber", "liveliness_query"], [f"{root}/alive/**"])
+    out = ["declare_subscriber", "liveliness_token", "reply", "declare_liveliness_subscriber", "liveliness_query"]
+    allow("all", "egress", out, [f"{root}/**"])
+    subjects = [{"id": who, "cert_common_names": [who]} for who in everybody]
+    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}

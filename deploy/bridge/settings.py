@@ -1,0 +1,76 @@
+"""What the bridge reads of a run.toml, and its options."""
+
+import math
+import time
+import tomllib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from deploy.bridge.body import Rules
+from deploy.bridge.client import Network
+from deploy.bridge.frames import Placement
+from deploy.bridge.ros import ROUTER
+
+
+class Wrong(Exception):
+    """An input that cannot be used, in one line."""
+
+
+class BridgeOptions(NamedTuple):
+    """Of one bridge."""
+
+    config: Path
+    agent: str
+    router: str = ROUTER
+    domain: int = 0
+    offset: float = 0.0  # m from the axle of a differential drive to its sensor; 0: it moves in any direction
+    origin: Placement = (0.0, 0.0, 0.0)  # of the odometry's frame in the arena's: x m, y m, heading rad
+    keep: Path | None = None  # file of the newest halt
+
+
+def read_run(options: BridgeOptions) -> tuple[str, Network, Rules]:
+    """The name of the run, how it is reached and the rules of the body; raises Wrong."""
+    file, agent = options.config, options.agent
+    try:
+        data = tomllib.loads(file.read_text(encoding="utf-8"))
+        return _run(data, agent)
+    except OSError as error:
+        raise Wrong(f"--config {file}: {error.strerror}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        why = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
+        raise Wrong(f"--config {file}: {why}; should be a run.toml with all settings, as `covey config` prints it") from None
+
+
+def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
+    run, bodies, arena, limits, network, members = (data[key] for key in ("run", "bodies", "arena", "limits", "network", "members"))
+    if agent not in members:
+        raise Wrong(f"--agent {agent}: the run has no such agent; it has {', '.join(members)}")
+    if run["clock"] != "realtime":
+        raise Wrong(f"run.clock = {run['clock']!r}: a robot cannot wait; should be 'realtime'")
+    fence, epoch = bodies.get("fence"), bodies["epoch"]
+    rules = Rules(
+        agent=agent,
+        expected=tuple(members),
+        dt=run["dt"],
+        period=run["dt"] / run["rate"],
+        anchor=epoch - time.time() + time.monotonic() if epoch else None,
+        hold=bodies["hold"],
+        speed=limits["speed"],
+        turn_rate=limits["turn_rate"],
+        box=None if fence is None else (-fence, -fence, arena["width"] + fence, arena["height"] + fence),
+    )
+    files = {field: network[field].replace("{name}", agent) for field in ("ca", "certificate", "key")}
+    listen = tuple(network["listen"])
+    if files["ca"]:
+        listen = tuple(endpoint.replace("tcp/", "tls/") for endpoint in listen)
+    return run["name"], Network(tuple(network["seeds"]), listen, **files, admitted=tuple(network["admit"]) or tuple(members)), rules
+
+
+def check(options: BridgeOptions) -> None:
+    """Raise Wrong for an option that cannot be."""
+    if not 0.0 <= options.offset <= 10.0:
+        raise Wrong(f"--offset {options.offset}: should be from 0 to 10 m")
+    if not all(map(math.isfinite, options.origin)):
+        raise Wrong(f"--origin {options.origin}: should be three finite numbers x m, y m, heading rad")
+    if not 0 <= options.domain <= 232:
+        raise Wrong(f"--domain {options.domain}: should be a ROS_DOMAIN_ID from 0 to 232")

@@ -1,0 +1,92 @@
+"""`halt` and `release`: an operator's order to all bodies, said until it is obeyed."""
+
+import math
+import os
+import time
+
+from deploy.cli.listener import swarm_to_watch
+from protocol import live
+from protocol.access import OPERATOR
+from protocol.keys import all_of, order
+from protocol.messages import Halt, Observation
+from protocol.node import Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, messages_of
+from protocol.sensing import Pose
+
+REPEAT = 0.1  # s between two copies of the order
+SETTLE = 1.0  # s at least, so that every body is found
+MOST = 5.0  # s after which those that still move are reported
+STILL = 0.05  # m/s and rad/s; a pose that is measured is never quite still
+
+
+class Operator(Node):
+    """Says the order, and watches the poses of all bodies until they stand."""
+
+    role = OPERATOR
+
+    def __init__(self, run: str, incarnation: int, *, held: bool) -> None:
+        self.run, self.name, self.incarnation = run, f"{OPERATOR}-{os.getpid()}", incarnation
+        self.bodies: set[str] = set()  # with a token of their own, or observed by a world
+        self.standing: set[str] = set()
+        self.seconds = 0.0  # until all stood
+        self._halt = Halt(sender=self.name, incarnation=incarnation, held=held)
+        self._poses: dict[str, tuple[float, Pose]] = {}  # name -> world time and pose
+        self._begun = self._due = 0.0
+        self._stood_at: float | None = None
+
+    def deadline(self) -> float | None:
+        """When the order is said again."""
+        return self._due
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Take one event and return what to do."""
+        match event:
+            case Started():
+                self._begun = self._due = now
+                return [Subscribe(all_of(self.run, "observation"))]
+            case Alive(role="body"):
+                self.bodies.add(event.name)
+            case Gone(role="body"):
+                self.bodies.discard(event.name)
+            case Timer() if now >= self._due:
+                self._due = now + REPEAT
+                return [self._halt, *self._conclude(now)]
+        for message in messages_of(event):
+            if isinstance(message, Observation):
+                self._look(message)
+        return []
+
+    def _look(self, seen: Observation) -> None:
+        """Note whether a body has moved since its observation before."""
+        before = self._poses.get(seen.recipient)
+        self._poses[seen.recipient] = seen.time, seen.pose
+        self.bodies.add(seen.recipient)
+        if before is None or seen.time <= before[0]:
+            return
+        (x, y, heading), (x0, y0, heading0) = seen.pose, before[1]
+        turned = abs(math.remainder(heading - heading0, 2.0 * math.pi))
+        still = max(math.hypot(x - x0, y - y0), turned) <= STILL * (seen.time - before[0])
+        (self.standing.add if still else self.standing.discard)(seen.recipient)
+
+    def _conclude(self, now: float) -> list[Effect]:
+        """End when all bodies that are known obey; a release is only said."""
+        done = not self._halt.held or (self.bodies and self.bodies <= self.standing)
+        self._stood_at = (self._stood_at or now) if done else None
+        self.seconds = (self._stood_at or now) - self._begun
+        if now - self._begun < (SETTLE if done else MOST):
+            return []
+        return [Stop(0 if done else 1, "the order has been said")]
+
+
+def say(run: str | None, *, held: bool) -> int:
+    """Halt or release all bodies of a run and tell what came of it."""
+    _, scenario = swarm_to_watch(run)
+    node = Operator(scenario.run.name, time.time_ns() // 1_000_000, held=held)
+    code = live.run(node, scenario.network)
+    moving = sorted(node.bodies - node.standing, key=order)
+    if not held:
+        print(f"released {len(node.bodies)} bodies")
+    elif code == 0:
+        print(f"{len(node.bodies)} bodies stand; `covey release` lets them go on")
+    else:
+        print(f"{len(node.standing)} bodies stand, not {', '.join(moving) or 'any that is known'}")
+    return code

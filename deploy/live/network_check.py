@@ -1,0 +1,202 @@
+"""Why nobody is found: the network of a scenario is tried from this machine, one cause after the other.
+
+The seeds are dialled as plain sockets first, and with certificates as TLS. Then a Zenoh session listens for a moment, with the
+certificate of one process, and without a token: nobody takes it for that process. It hears who is there and what their Hellos say.
+"""
+
+import contextlib
+import datetime
+import re
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+import msgspec
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+
+from deploy.scenario import Scenario, agent_config
+from protocol import codec, live
+from protocol.access import WATCHER, common_name
+from protocol.agreement import disagreement
+from protocol.endpoints import check_endpoints, check_files
+from protocol.fields import Malformed
+from protocol.keys import ROOT, Token, order, parse_token
+from protocol.messages import WIRE_VERSION, Agreed, Hello
+from protocol.settings import BadSetting, NetworkSettings
+
+REACH_SECONDS = 3.0  # for a connection to one seed
+ALERT_SECONDS = 0.5  # in which a peer that refuses a certificate says so
+CLOSE_SECONDS = 1.0
+LISTEN_SECONDS = 5.0  # Hellos come every 2 s, and every 4 s in a large swarm
+
+
+class Finding(NamedTuple):
+    """One line of the result: whether it is as it should be."""
+
+    right: bool
+    text: str
+
+
+class Overheard:
+    """What a session hears of all runs: tokens, and the newest Hello of each name."""
+
+    def __init__(self) -> None:
+        self.tokens: set[Token] = set()
+        self.hellos: dict[tuple[str, str], dict[str, Any]] = {}  # run, sender -> fields as they came
+
+    def token(self, sample: Any) -> None:
+        """Note a liveliness token."""
+        if token := parse_token(str(sample.key_expr)):
+            self.tokens.add(token)
+
+    def hello(self, sample: Any) -> None:
+        """Note a Hello, also one of another wire version."""
+        with contextlib.suppress(ValueError, msgpack.UnpackException):
+            fields = msgpack.unpackb(sample.payload.to_bytes())
+            if isinstance(fields, dict):
+                _, run, _, name = str(sample.key_expr).split("/")
+                self.hellos[run, name] = fields
+
+
+def check_network(scenario: Scenario, name: str, seconds: float = LISTEN_SECONDS) -> Iterator[Finding]:
+    """What is found on the network of a scenario, with the certificate of `name`; raises BadSetting where it cannot be tried."""
+    network = msgspec.structs.replace(scenario.network, admit=scenario.network.admit or tuple(scenario.members))
+    own = Token(scenario.run.name, "agent" if name in scenario.members else WATCHER, name, 0)
+    check_endpoints(network)
+    check_files(network, common_name(own))
+    if not network.seeds:
+        raise BadSetting("network.seeds is empty: nobody is dialled; should hold endpoints of the swarm, such as 'tls/10.0.0.1:7447'")
+    if network.encrypted:
+        yield from _own_certificate(network, common_name(own))
+    reached = False
+    for seed in network.seeds:
+        finding = _seed(seed, network, common_name(own))
+        reached = reached or finding.right
+        yield finding
+    if reached:
+        heard, links = _listen(network, own, seconds)
+        yield from _who_is_there(scenario, heard, links, network.encrypted, name)
+
+
+def _own_certificate(network: NetworkSettings, name: str) -> Iterator[Finding]:
+    """Whether the certificate is in force, of this name and of the authority that is trusted here."""
+    files = network.files(name)
+    try:
+        certificate, authority = (x509.load_pem_x509_certificate(Path(files[field]).read_bytes()) for field in ("certificate", "ca"))
+    except ValueError as error:
+        raise BadSetting(f"network.certificate = {files['certificate']!r}, network.ca = {files['ca']!r}: no certificate: {error}") from None
+    file = files["certificate"]
+    common = ", ".join(str(part.value) for part in certificate.subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME))
+    ends, now = certificate.not_valid_after_utc, datetime.datetime.now(datetime.UTC)
+    if common != name:
+        yield Finding(False, f"{file}: is the certificate of {common}, not of {name}")
+    if not certificate.not_valid_before_utc <= now <= ends:
+        yield Finding(False, f"{file}: ran out on {ends:%Y-%m-%d}, or this machine's clock is wrong: {now:%Y-%m-%d %H:%M} UTC")
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature) as error:
+        yield Finding(False, f"{file}: is not of the authority {files['ca']} ({type(error).__name__})")
+
+
+def _seed(seed: str, network: NetworkSettings, name: str) -> Finding:
+    """Whether somebody listens at an endpoint, and with certificates whether both sides accept each other."""
+    found = re.fullmatch(r"(tcp|tls)/\[?([^\]]+?)\]?:(\d+)", seed)
+    if not found:
+        return Finding(True, f"{seed}: not tried by itself, only tcp/ and tls/ are")
+    try:
+        with socket.create_connection((found[2], int(found[3])), timeout=REACH_SECONDS) as connection:
+            return _handshake(seed, connection, network, name) if found[1] == "tls" else Finding(True, f"{seed}: somebody listens")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        return Finding(False, f"{seed}: cannot be reached: {reason}; is the process up, the address right, the port open in the firewall?")
+
+
+def _handshake(seed: str, connection: socket.socket, network: NetworkSettings, name: str) -> Finding:
+    """Mutual TLS with whoever listens."""
+    files = network.files(name)
+    context = ssl.create_default_context(cafile=files["ca"])
+    context.check_hostname = False
+    try:
+        context.load_cert_chain(files["certificate"], files["key"])
+    except ssl.SSLError as error:
+        raise BadSetting(f"network.key = {files['key']!r}: does not belong to {files['certificate']}: {error.reason}") from None
+    try:
+        with context.wrap_socket(connection) as secured:
+            secured.settimeout(ALERT_SECONDS)
+            with contextlib.suppress(TimeoutError):
+                secured.recv(1)  # with TLS 1.3 a refusal of the own certificate comes after the handshake
+            subject = dict(pair[0] for pair in secured.getpeercert()["subject"])  # type: ignore[index, misc]
+            return Finding(True, f"{seed}: {subject['commonName']} listens, and both certificates are accepted")
+    except ssl.SSLCertVerificationError as error:
+        return Finding(False, f"{seed}: its certificate is not accepted here: {error.verify_message}; is network.ca its authority?")
+    except (ssl.SSLError, ConnectionResetError) as error:
+        reason = getattr(error, "reason", None) or "the connection was reset"
+        return Finding(False, f"{seed}: the certificate of {name} is not accepted there, or no TLS is spoken: {reason}")
+
+
+def _listen(network: NetworkSettings, own: Token, seconds: float) -> tuple[Overheard, int]:
+    """What a session hears for some seconds, and its links at the end."""
+    heard, session = Overheard(), live.open_session(network, own)
+    runs = [own.run] if network.encrypted else ["*"]  # access control lets a certificate ask for its own run alone
+    held = [session.declare_subscriber(f"{ROOT}/{run}/hello/*", heard.hello) for run in runs]
+    held += [session.liveliness().declare_subscriber(f"{ROOT}/{run}/alive/**", heard.token, history=True) for run in runs]
+    try:
+        time.sleep(seconds)
+        return heard, len([*session.info.peers_zid(), *session.info.routers_zid()])
+    finally:
+        held.clear()
+        closing = threading.Thread(target=_close, args=(session,), daemon=True)  # it takes long where a link was never answered
+        closing.start()
+        closing.join(CLOSE_SECONDS)
+
+
+def _close(session: Any) -> None:
+    with contextlib.suppress(Exception):  # Zenoh's time-out
+        session.close()
+
+
+def _who_is_there(scenario: Scenario, heard: Overheard, links: int, encrypted: bool, name: str) -> Iterator[Finding]:
+    """Who was heard in this run, or why nobody was."""
+    run = scenario.run.name
+    here = sorted({(token.role, token.name) for token in heard.tokens if token.run == run}, key=lambda each: (each[0], order(each[1])))
+    others = sorted({token.run for token in heard.tokens if token.run != run})
+    if here:
+        yield Finding(True, f"run {run}: found " + ", ".join(f"{role} {who}" for role, who in here))
+    elif others:
+        yield Finding(False, f"run.name = {run!r}: nobody is in this run; there is {', '.join(map(repr, others))}")
+    elif links and encrypted:
+        yield Finding(False, f"{links} linked, and nobody says anything in run {run!r}: they have another run.name, or do not admit {name}")
+    elif links:
+        yield Finding(False, f"{links} linked, and nobody is in any run: is that a Zenoh router, or a process of another kind?")
+    else:
+        yield Finding(False, "no Zenoh session was linked: whoever listens there speaks no Zenoh, or another version of it")
+    mine = agent_config(scenario).agreed()
+    for (where, sender), fields in sorted(heard.hellos.items(), key=lambda item: (item[0][0], order(item[0][1]))):
+        if where == run:
+            yield from _compatible(sender, fields, mine)
+
+
+def _compatible(sender: str, fields: dict[str, Any], mine: Agreed) -> Iterator[Finding]:
+    """Whether a Hello is of this wire version, and what its settings say otherwise."""
+    if fields.get("wire") != WIRE_VERSION:
+        software = f" ({fields['software']})" if fields.get("software") else ""
+        yield Finding(
+            False, f"{sender}: speaks wire version {fields.get('wire')}{software}, this is {WIRE_VERSION}: install the same release"
+        )
+        return
+    try:
+        hello = codec.decode(f"{ROOT}/x/hello/{sender}", msgpack.packb(fields))
+    except Malformed as error:
+        yield Finding(False, f"{sender}: its Hello is refused: {error}")
+        return
+    assert isinstance(hello, Hello)
+    for dotted in disagreement(mine, hello.settings):
+        section, _, field = dotted.rpartition(".")
+        theirs, ours = hello.settings[section][field], mine[section][field]
+        yield Finding(False, f"{sender}: {dotted} is {theirs!r} there and {ours!r} here; should be the same everywhere")

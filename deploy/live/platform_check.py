@@ -1,0 +1,91 @@
+"""The contract of a platform, tried on a user's own: it is driven for a moment, so a robot needs a metre of room on every side."""
+
+import math
+import time
+from collections.abc import Iterator
+
+from protocol.messages import Vector
+from protocol.sensing import Pose
+from protocol.settings import BadSetting
+from world.config import WorldConfig
+from world.platform import Platform, build_platform
+
+SLOW = 0.02  # s that a call may take: others wait for it
+SPEED, DRIVEN = 0.2, 1.0  # m/s, s
+STILL = 0.02  # m that a standing robot may seem to move
+
+
+def check_platform(name: str, config: WorldConfig) -> Iterator[tuple[str, bool]]:
+    """Every rule of the contract in words, and whether the platform of this body keeps it; raises BadSetting where it cannot go on."""
+    platform = build_platform(name, config)
+    trial = _Trial(platform, config.run.dt)
+    try:
+        yield "it can be built, and has read, drive and stop", True
+        platform.stop()
+        platform.stop()
+        yield "stop may be called before anything else, and twice", True
+        start = trial.read()
+        yield "read returns a pose of finite numbers, and detections (M, 2) or None", True
+        trial.wait(0.5)
+        yield f"it stands until it is driven (within {STILL} m)", math.dist(trial.read()[:2], start[:2]) <= STILL
+        way = trial.drive((SPEED, 0.0))
+        yield (
+            f"driven east at {SPEED} m/s for {DRIVEN:g} s it moves east: {way[0]:.2f} m, {way[1]:+.2f} m north",
+            (0.25 <= way[0] / (SPEED * DRIVEN) <= 1.5 and abs(way[1]) <= 0.5 * SPEED * DRIVEN),
+        )
+        platform.stop()
+        trial.wait(0.5)
+        there = trial.read()
+        trial.wait(0.5)
+        yield f"0.5 s after stop it stands (within {STILL} m)", math.dist(trial.read()[:2], there[:2]) <= STILL
+        trial.tick += 8
+        trial.read()
+        yield "ticks may be left out", True
+        yield f"no call takes longer than {1000 * SLOW:.0f} ms: the longest took {1000 * trial.longest:.1f} ms", trial.longest <= SLOW
+    finally:
+        platform.stop()
+
+
+class _Trial:
+    """A platform that is read once a tick, and the time that its calls take."""
+
+    def __init__(self, platform: Platform, dt: float) -> None:
+        self.tick, self.longest = 0, 0.0
+        self._platform, self._dt = platform, dt
+
+    def read(self) -> Pose:
+        begun = time.monotonic()
+        pose, _ = self._platform.read(self.tick)
+        self.longest = max(self.longest, time.monotonic() - begun)
+        return pose
+
+    def wait(self, seconds: float) -> None:
+        """Read once a tick for some seconds."""
+        for _ in range(max(1, round(seconds / self._dt))):
+            time.sleep(self._dt)
+            self.tick += 1
+            self.read()
+
+    def drive(self, velocity: Vector) -> Vector:
+        """The way of a drive in m, with a command in every tick as an agent gives it."""
+        (x, y, _), begun = self.read(), time.monotonic()
+        for _ in range(max(1, round(DRIVEN / self._dt))):
+            begun = time.monotonic()
+            self._platform.drive(velocity, 0.0)
+            self.longest = max(self.longest, time.monotonic() - begun)
+            self.wait(self._dt)
+        pose = self.read()
+        return pose[0] - x, pose[1] - y
+
+
+def check_and_print(name: str, config: WorldConfig) -> int:
+    """Print every rule; 1 when one is broken."""
+    broken = 0
+    try:
+        for rule, kept in check_platform(name, config):
+            print(f"{'ok    ' if kept else 'BROKEN'} {rule}", flush=True)
+            broken += not kept
+    except BadSetting as error:
+        print(f"BROKEN {error}")
+        return 1
+    return 1 if broken else 0

@@ -1,0 +1,233 @@
+"""The method in pictures, of a recorded run: footprints, centroid of detection, power cells, unused capacity, claim, copies, a death.
+
+The pictures are of one tick: the last one before the first death, or the middle of a run without deaths. The agent that is drawn large
+is the one that dies, or the first one.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+import numpy as np
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agents.config import CapacitySettings
+from agents.coverage.capacity import detecting_capability, unused_capacity
+from agents.coverage.cells import power_cell
+from deploy.plots.run_figures import ESTIMATE, GONE, MUTED, STYLE, pictures
+from deploy.recording.recording import Recording
+from deploy.scenario import Scenario
+from protocol.messages import Estimate, Gossip
+from protocol.sensing import SENSOR_CLASSES, SensorModel
+from protocol.settings import BadSetting
+
+LATER = 8  # ticks after the death, in its last panel
+MODES = ("literal", "expected", "saturating", "static")
+
+
+class SeenAgent(NamedTuple):
+    """What has been heard of one agent at a tick."""
+
+    name: str
+    alive: bool
+    pose: tuple[float, float, float]
+    sensor: SensorModel
+    gossip: Gossip
+    estimate: Estimate
+    colour: str
+
+
+SeenAgents = dict[str, SeenAgent]  # by name
+
+
+def moments(recording: Recording) -> list[SeenAgents]:
+    """All agents at every tick from which all of them were heard; raises BadSetting without such a tick."""
+    found: list[SeenAgents] = []
+    for picture in pictures(recording):
+        moment: SeenAgents = {}
+        for index, known in enumerate(picture.agents.values()):
+            gossip, estimate = picture.said(known)
+            pose = picture.pose(known.name)
+            if gossip is not None and estimate is not None and pose is not None and known.sensor is not None:
+                colour = MUTED[index % len(MUTED)]
+                spoke = picture.shown is not None and estimate.tick == picture.shown.tick  # the token may go while this tick is still drawn
+                moment[known.name] = SeenAgent(known.name, known.alive or spoke, pose, known.sensor, gossip, estimate, colour)
+        if moment and len(moment) == len(picture.agents):
+            found.append(moment)
+    if not found:
+        raise BadSetting(f"{recording.path}: nothing was recorded that could be drawn")
+    return found
+
+
+def write_figures(recording: Recording, folder: Path) -> list[Path]:
+    """Write the pictures as PNG into a folder; the files. The picture of a death needs a run in which an agent dies."""
+    folder.mkdir(parents=True, exist_ok=True)
+    scenario, all_moments = recording.scenario, moments(recording)
+    deaths = [(index, name) for index, moment in enumerate(all_moments) for name, seen in moment.items() if not seen.alive]
+    at, name = (max(0, deaths[0][0] - 1), deaths[0][1]) if deaths else (len(all_moments) // 2, next(iter(all_moments[0])))
+    moment = all_moments[at]
+    with matplotlib.rc_context(STYLE):
+        figures = {
+            "footprints": footprints_figure(),
+            "cod": cod_figure(moment[name]),
+            "power-cells": diagram_figure(moment, scenario),
+            "unused-capacity": capacity_figure(moment[name].sensor),
+            "claim": claim_figure(moment, name, scenario),
+            "copies": copies_figure(moment, name, scenario),
+        }
+        if deaths:
+            after = [all_moments[min(deaths[0][0] + later, len(all_moments) - 1)] for later in (0, 1, LATER)]
+            figures["death"] = death_figure([moment, *after], name, scenario)
+        files = [folder / f"{title}.png" for title in figures]
+        for file, figure in zip(files, figures.values()):
+            figure.savefig(file, dpi=150)
+    return files
+
+
+def footprints_figure() -> Figure:
+    """The footprints of the paper's sensor classes (Figure 2 and Table I), on one scale."""
+    figure = Figure(figsize=(7.6, 4.6), layout="constrained")
+    reach = max(sensor.reach for sensor in SENSOR_CLASSES.values())
+    for axes, colour, (name, sensor) in zip(figure.subplots(2, 4, sharex=True, sharey=True).flat, MUTED, SENSOR_CLASSES.items()):
+        axes.fill(*sensor.footprint((0.0, 0.0, 0.5 * math.pi)).T, facecolor=colour, alpha=0.4, edgecolor=colour)
+        axes.plot(0.0, 0.0, "s", color="#111111", markersize=4.0)
+        axes.set_title(f"{name}: {math.degrees(sensor.angle):.0f}°, {sensor.radius:g} m, p_d {sensor.prob_detection:g}")
+        _square(axes, np.full(2, -reach), np.full(2, reach))
+    return figure
+
+
+def cod_figure(seen: SeenAgent) -> Figure:
+    """One sensor: its body, its footprint, its centroid of detection, and the circle of its power radius."""
+    figure = Figure(figsize=(4.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    footprint, cod = seen.sensor.footprint(seen.pose), seen.estimate.cod
+    axes.fill(*footprint.T, facecolor=seen.colour, alpha=0.4, edgecolor=seen.colour, label="footprint")
+    axes.plot(*seen.pose[:2], "o", color=seen.colour, markersize=7.0, label="body")
+    axes.plot(*cod, "D", color="#111111", markersize=6.0, label="centroid of detection, the generator")
+    circle = _circle(cod, seen.estimate.power_radius)
+    axes.plot(*circle.T, "--", color="#111111", linewidth=0.9, label=f"power radius, {seen.estimate.power_radius:.1f} m")
+    points = np.vstack([footprint, circle])
+    _square(axes, points.min(axis=0) - 1.0, points.max(axis=0) + 1.0)
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), frameon=False)
+    return figure
+
+
+def diagram_figure(moment: SeenAgents, scenario: Scenario) -> Figure:
+    """The same generators twice: without weights, and with their power radii."""
+    figure = Figure(figsize=(7.6, 4.0), layout="constrained")
+    living = [seen for seen in moment.values() if seen.alive]
+    points = np.array([seen.estimate.cod for seen in living])
+    radii = np.array([seen.estimate.power_radius for seen in living])
+    for axes, used, title in zip(figure.subplots(1, 2), (np.zeros(len(radii)), radii), ("Voronoi: all weights are 0", "power diagram")):
+        for index, seen in enumerate(living):
+            _cell(axes, power_cell(index, points, used, _arena(scenario)), seen.colour)
+            axes.plot(*points[index], "D", color=seen.colour, markersize=4.0)
+            if used[index]:
+                axes.plot(*_circle(points[index], used[index]).T, "--", color=seen.colour, linewidth=0.7)
+        _whole(axes, scenario)
+        axes.set_title(title)
+    return figure
+
+
+def capacity_figure(sensor: SensorModel) -> Figure:
+    """U against the load, for each way of reading (11)."""
+    figure = Figure(figsize=(4.4, 3.0), layout="constrained")
+    axes = figure.subplots()
+    capability = detecting_capability(sensor)
+    loads = np.linspace(0.01, 10.0, 200)
+    share = capability / sensor.area  # the mean p_d
+    for mode, style in zip(MODES, ("-", "--", "-.", ":")):
+        settings = CapacitySettings(mode=mode)  # type: ignore[arg-type]
+        axes.plot(loads, [unused_capacity(capability, share * load, load, settings) for load in loads], style, label=mode, color="#111111")
+    axes.set_xlabel("load: expected targets in the footprint")
+    axes.set_ylabel("unused capacity U (m²)")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(frameon=False)
+    return figure
+
+
+def claim_figure(moment: SeenAgents, name: str, scenario: Scenario) -> Figure:
+    """A cell, and the generators that bound it: both together are the claim."""
+    figure = Figure(figsize=(4.4, 4.4), layout="constrained")
+    axes = figure.subplots()
+    own = moment[name].estimate
+    for seen in moment.values():
+        bounds = seen.name in own.neighbours
+        _cell(axes, seen.estimate.cell, seen.colour if seen.name == name else GONE, 0.4 if seen.name == name else 0.0)
+        axes.plot(*seen.estimate.cod, "D", color="#111111" if bounds or seen.name == name else GONE, markersize=5.0 if bounds else 3.5)
+        if bounds:
+            axes.plot(*np.array([own.cod, seen.estimate.cod]).T, color="#111111", linewidth=0.7)
+            axes.annotate(seen.name, seen.estimate.cod, textcoords="offset points", xytext=(5.0, 3.0))
+    axes.annotate(name, own.cod, textcoords="offset points", xytext=(5.0, 3.0), weight="bold")
+    _whole(axes, scenario)
+    return figure
+
+
+def copies_figure(moment: SeenAgents, name: str, scenario: Scenario) -> Figure:
+    """The particles that an agent owns, and those of others, in the colours of their owners, within the halo of its cell."""
+    figure = Figure(figsize=(4.4, 4.4), layout="constrained")
+    axes = figure.subplots()
+    for seen in moment.values():
+        _cell(axes, seen.estimate.cell, seen.colour, 0.15 if seen.name == name else 0.05)
+        states = seen.gossip.states
+        axes.plot(*states[:, :2].T, ".", color=seen.colour, markersize=2.5 if seen.name == name else 1.5)
+    cell = moment[name].estimate.cell
+    if len(cell):
+        halo = shapely.Polygon(cell).buffer(scenario.filter.halo).exterior
+        axes.plot(*np.array(halo.coords).T, "--", color="#111111", linewidth=0.8)
+    _whole(axes, scenario)
+    return figure
+
+
+def death_figure(stages: Sequence[SeenAgents], name: str, scenario: Scenario) -> Figure:
+    """The cells before a death, in the tick of the death, in the next, and a while later."""
+    figure = Figure(figsize=(10.0, 3.0), layout="constrained")
+    titles = ("the tick before", f"{name} dies", "one tick later", f"{LATER * scenario.run.dt:g} s later")
+    for axes, moment, title in zip(figure.subplots(1, 4), stages, titles):
+        for seen in moment.values():
+            if seen.alive:
+                _cell(axes, seen.estimate.cell, seen.colour, 0.35 if seen.name == name else 0.12)
+                axes.plot(*seen.gossip.states[:, :2].T, ".", color=seen.colour, markersize=1.2)
+                axes.plot(*seen.estimate.targets.T, "x", color=ESTIMATE, markersize=4.0)
+            axes.plot(*seen.pose[:2], "o" if seen.alive else "X", color=seen.colour if seen.alive else GONE, markersize=4.0)
+        former = stages[0][name].estimate.cell
+        if len(former):
+            axes.plot(*np.vstack([former, former[:1]]).T, "--", color="#111111", linewidth=1.0)
+        _whole(axes, scenario)
+        axes.set_title(title)
+    return figure
+
+
+def _cell(axes: Axes, cell: np.ndarray, colour: str, fill: float = 0.12) -> None:
+    """A cell with its border; nothing where it is empty."""
+    if len(cell):
+        axes.fill(*cell.T, facecolor=colour, alpha=fill, edgecolor="none")
+        axes.fill(*cell.T, facecolor="none", edgecolor=colour, linewidth=0.8)
+
+
+def _circle(centre: Sequence[float] | np.ndarray, radius: float) -> np.ndarray:
+    """Points of a circle (N, 2), m."""
+    turns = np.linspace(0.0, 2.0 * np.pi, 90)
+    return np.array(centre) + radius * np.column_stack([np.cos(turns), np.sin(turns)])
+
+
+def _arena(scenario: Scenario) -> np.ndarray:
+    """The corners of the arena (4, 2), m, counter-clockwise."""
+    width, height = scenario.arena.width, scenario.arena.height
+    return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+
+
+def _whole(axes: Axes, scenario: Scenario) -> None:
+    _square(axes, np.zeros(2), np.array([scenario.arena.width, scenario.arena.height]))
+
+
+def _square(axes: Axes, least: np.ndarray, most: np.ndarray) -> None:
+    """Axes in metres of one scale."""
+    axes.set_xlim(least[0], most[0])
+    axes.set_ylim(least[1], most[1])
+    axes.set_aspect("equal")
+    axes.tick_params(direction="in", top=True, right=True, length=2.0)

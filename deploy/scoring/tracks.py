@@ -1,0 +1,56 @@
+"""The tracks of a run: what the agents reported under each label, tick by tick, and the scores of it.
+
+Rules. A label counts once in a tick. Of several estimates with one label, which only agents far apart can report, the one of the largest
+existence keeps it, the first of equals. The others, and estimates without a label, count as tracks of their own.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agents.tracking.labels import NO_LABEL, derived_label
+from deploy.scenario import Scenario
+from protocol.messages import Estimate, Truth
+from world.track_score import TrackTick, track_ospa, track_score
+
+WINDOW = 10.0  # s: OSPA(2) is the mean over windows of this length
+
+
+class TrackLog:
+    """The targets and estimates of all scored ticks."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.ticks: list[TrackTick] = []
+        self._cutoff = scenario.study.cutoff
+        self._window = max(1, round(WINDOW / (scenario.run.dt * scenario.timing.estimate_every)))
+
+    def see(self, truth: Truth, estimates: Sequence[Estimate], positions: np.ndarray) -> None:
+        """Take a scored tick; `positions` (M, 2) are those of all estimates, m."""
+        labels = [label for estimate in estimates for label in estimate.labels.tolist()]
+        existence = [value for estimate in estimates for value in estimate.details[:, 5].tolist()]
+        self.ticks.append(TrackTick(truth.ids, truth.targets, unique_labels(labels, existence), positions))
+
+    def figures(self) -> dict[str, float]:
+        """The scores, by the names of the fields of `Result`."""
+        found = track_score(self.ticks, self._cutoff)
+        windows = [self.ticks[start : start + self._window] for start in range(0, len(self.ticks), self._window)]
+        ospa = sum(track_ospa(window, self._cutoff) * len(window) for window in windows) / max(1, len(self.ticks))
+        return {**found._asdict(), "track_ospa": ospa}
+
+
+def unique_labels(labels: Sequence[int], existence: Sequence[float]) -> np.ndarray:
+    """The labels (M,) uint64 of the estimates of a tick, none twice, by the rule of this file."""
+    given, taken = [NO_LABEL] * len(labels), {NO_LABEL, *labels}
+    kept: dict[int, int] = {}
+    for number, label in enumerate(labels):
+        if label not in kept or existence[number] > existence[kept[label]]:
+            kept[label] = number
+    for number, label in enumerate(labels):
+        given[number] = label
+        if label == NO_LABEL or kept[label] != number:
+            count = 1
+            while derived_label(label, count) in taken:
+                count += 1
+            given[number] = derived_label(label, count)
+            taken.add(given[number])
+    return np.array(given, dtype=np.uint64)

@@ -1,0 +1,33 @@
+"""The components of a Gaussian mixture on the wire: rows of 48 bytes, without padding.
+
+A row holds the weight, the mean, the lower Cholesky factor of the covariance row by row, and the id. A factor of any finite numbers
+gives a covariance, so that rounding it to 16 bits breaks none. Lengths in m, times in s.
+"""
+
+import numpy as np
+
+from protocol.fields import FARTHEST, Malformed
+
+MAX_COMPONENTS = 4096
+COMPONENT = np.dtype([("weight", "<f4"), ("mean", "<f4", 4), ("factor", "<f2", 10), ("id", "<u8")])
+
+
+def read_components(data: bytes) -> np.ndarray:
+    """The rows (N,) of `COMPONENT`, read-only; raises Malformed for a part of a row or too many rows."""
+    rows, rest = divmod(len(data), COMPONENT.itemsize)
+    if rest:
+        raise Malformed("shape", f"components: {len(data)} bytes are no whole number of rows of {COMPONENT.itemsize} bytes")
+    if rows > MAX_COMPONENTS:
+        raise Malformed("size", f"components: {rows} rows, at most {MAX_COMPONENTS} are allowed")
+    return np.frombuffer(data, COMPONENT)
+
+
+def check_components(data: bytes) -> None:
+    """Refuse numbers that are not finite or beyond `FARTHEST`, negative weights, and ids that do not ascend."""
+    rows = read_components(data)
+    if not bool(np.all(np.abs(rows["mean"]) <= FARTHEST) and np.all(np.isfinite(rows["factor"]))):
+        raise Malformed("range", f"components: every number should be finite, and a mean within +-{FARTHEST:g}")
+    if not bool(np.all((rows["weight"] >= 0.0) & (rows["weight"] <= FARTHEST))):
+        raise Malformed("range", f"components: every weight should be from 0 to {FARTHEST:g}")
+    if bool(np.any(rows["id"][1:] <= rows["id"][:-1])):
+        raise Malformed("range", "components: ids should be strictly ascending")

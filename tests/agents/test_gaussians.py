@@ -1,0 +1,206 @@
+"""The Gaussian-mixture PHD against numbers by hand and closed forms: motion, correction, splitting, merging, dropping, extraction."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSettings
+from agents.tracking import gaussian_phd
+from agents.tracking.births import Scan
+from agents.tracking.gaussian_reduction import estimates, kept, merged
+from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked
+from agents.tracking.step import Step
+from protocol.sensing import Pose, WedgeSensor
+from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
+
+ARENA = ArenaSettings(width=40.0, height=40.0)
+STRAIGHT = FilterSettings(kind="gaussian-mixture", speed=2.0, heading_noise=0.0, position_noise=0.0, lifetime=0.0)
+NO_BIRTH = BirthSettings(measurement=False, background=False)
+DISC = WedgeSensor(2.0 * math.pi, 10.0, 0.8)
+
+
+def config(filters: FilterSettings = STRAIGHT, birth: BirthSettings = NO_BIRTH) -> AgentConfig:
+    return AgentConfig(run=RunSettings(dt=0.5), arena=ARENA, filter=filters, birth=birth, detection=DetectionSettings(noise=1.0))
+
+
+def component(x: float, y: float, place: float, weight: float = 1.0, velocity: tuple[float, float] = (2.0, 0.0), id: int = 1) -> Mixture:
+    """One component with the variance `place` m^2 on each axis and a sure velocity."""
+    covariance = np.diag([place, place, 1e-6, 1e-6])[None]
+    return Mixture(np.array([weight]), np.array([[x, y, *velocity]]), covariance, np.array([id], dtype=np.uint64))
+
+
+def scan(detections: list[tuple[float, float]], pose: Pose = (20.0, 20.0, 0.0), clutter: float = 0.0, sensor: WedgeSensor = DISC) -> Scan:
+    places = np.array(detections, dtype=float).reshape(-1, 2)
+    return Scan(7, sensor, pose, places, np.arange(len(places), dtype=np.uint64), clutter)
+
+
+# ---------------------------------------------------------------------- motion
+
+
+def test_a_component_moves_by_its_velocity_and_its_place_spreads_by_the_spread_of_the_velocity() -> None:
+    one = component(10.0, 20.0, 1.0)
+    one.covariances[0, 2:, 2:] = np.diag([0.5, 0.5])
+    moved = gaussian_phd.predict(one, Step(config(), 3))
+    scale = 2.0 / math.sqrt(2.0**2 + 0.5 + 0.5)  # of the velocity, to the speed that all targets have
+    assert moved.means[0] == pytest.approx([10.0 + 0.5 * 2.0 * scale, 20.0, 2.0 * scale, 0.0])
+    assert moved.covariances[0, :2, :2] == pytest.approx(np.diag([1.0 + 0.25 * 0.5 * scale**2] * 2))
+    assert moved.covariances[0, :2, 2:] == pytest.approx(np.diag([0.5 * 0.5 * scale**2] * 2))
+
+
+def test_a_heading_that_walks_has_the_moments_of_a_normal_turn() -> None:
+    filters = FilterSettings(speed=2.0, heading_noise=0.4, position_noise=0.1, lifetime=100.0)
+    moved = gaussian_phd.predict(component(10.0, 20.0, 1.0), Step(config(filters), 3))
+    variance = 0.4**2 * 0.5
+    draws = np.random.default_rng(5).normal(0.0, math.sqrt(variance), 400_000)
+    velocities = 2.0 * np.column_stack([np.cos(draws), np.sin(draws)])
+    assert moved.means[0, 2:] == pytest.approx(velocities.mean(axis=0), abs=5e-3)
+    assert moved.covariances[0, 2:, 2:] == pytest.approx(np.cov(velocities.T), abs=5e-3)
+    assert moved.means[0, 2] == pytest.approx(2.0 * math.exp(-variance / 2.0))
+    assert moved.covariances[0, 0, 0] == pytest.approx(1.0 + 0.25 * moved.covariances[0, 2, 2] + 0.01, rel=1e-5)
+    assert moved.weights[0] == pytest.approx(math.exp(-0.5 / 100.0))
+
+
+@pytest.mark.parametrize(("border", "left"), [("cross", []), ("reflect", [(0.5, 2.0)])])
+def test_a_component_that_crosses_the_border_is_gone_or_turns_round(border: str, left: list[tuple[float, float]]) -> None:
+    filters = FilterSettings(speed=2.0, heading_noise=0.0, position_noise=0.0, lifetime=0.0, border=border)  # type: ignore[arg-type]
+    moved = gaussian_phd.predict(component(0.5, 20.0, 1.0, velocity=(-2.0, 0.0)), Step(config(filters), 3))
+    assert [(x, vx) for x, _, vx, _ in moved.means.round(5).tolist()] == left
+
+
+def test_a_wide_component_splits_along_its_long_axis_and_keeps_mass_mean_and_covariance() -> None:
+    wide = component(20.0, 20.0, 1.0, weight=0.4, velocity=(0.0, 0.0))
+    wide.covariances[0] = np.array([[40.0, 10.0, 3.0, 0.0], [10.0, 20.0, 0.0, 1.0], [3.0, 0.0, 2.0, 0.0], [0.0, 1.0, 0.0, 2.0]])
+    halves = gaussian_phd._split(wide, Step(config(), 3))
+    assert len(halves.ids) == 2 and halves.weights.tolist() == [0.2, 0.2] and halves.ids[0] == 1
+    whole = sum(0.5 * (c + np.outer(m - wide.means[0], m - wide.means[0])) for m, c in zip(halves.means, halves.covariances))
+    assert whole == pytest.approx(wide.covariances[0])
+    assert halves.means.mean(axis=0) == pytest.approx(wide.means[0])
+    axis = np.linalg.eigh(wide.covariances[0, :2, :2])[1][:, 1]
+    apart = halves.means[0, :2] - halves.means[1, :2]
+    assert abs(apart @ axis) == pytest.approx(np.hypot(*apart))
+    assert np.hypot(*apart) == pytest.approx(2.0 * 0.7 * math.sqrt(np.linalg.eigvalsh(wide.covariances[0, :2, :2])[1]))
+    assert np.all(np.linalg.eigvalsh(halves.covariances) > 0.0)
+
+
+# ---------------------------------------------------------------------- correction
+
+
+def test_one_detection_corrects_one_component_as_a_kalman_filter_does() -> None:
+    found = gaussian_phd.correct(component(20.0, 20.0, 3.0), [scan([(22.0, 20.0)])], Step(config(), 3))
+    heaviest = int(found.weights.argmax())
+    assert found.means[heaviest, :2] == pytest.approx([20.0 + 3.0 / 4.0 * 2.0, 20.0])  # gain 3 / (3 + 1)
+    assert found.covariances[heaviest, :2, :2] == pytest.approx(np.diag([0.75, 0.75]))
+    assert found.weights[heaviest] == pytest.approx(1.0)  # no clutter and no births: the detection is this target
+    assert len(found.ids) == 1  # and nothing is left of the missed one
+
+
+def test_a_detection_shares_its_weight_among_two_components_and_the_clutter() -> None:
+    kappa = 0.01
+    two = chain([component(19.0, 20.0, 3.0, weight=0.6), component(22.0, 20.0, 1.0, weight=0.5, id=2)])
+    found = gaussian_phd.correct(two, [scan([(20.0, 20.0)], clutter=kappa)], Step(config(), 3))
+    first = 0.6 * 0.8 * math.exp(-0.5 / 4.0) / (2.0 * math.pi * 4.0)
+    second = 0.5 * 0.8 * math.exp(-0.5 * 4.0 / 2.0) / (2.0 * math.pi * 2.0)
+    gained = found.weights[[not any(np.array_equal(mean, old) for old in two.means) for mean in found.means]]
+    assert gained == pytest.approx([first / (kappa + first + second), second / (kappa + first + second)])
+
+
+def test_a_sure_target_that_is_missed_loses_little_and_an_unsure_one_what_bayes_says() -> None:
+    for weight in (0.999, 0.3):
+        found = gaussian_phd.correct(component(20.0, 20.0, 0.01, weight=weight), [scan([])], Step(config(), 3))
+        assert found.weights[0] == pytest.approx(weight * (1.0 - 0.8) / (1.0 - 0.8 * weight))
+
+
+def test_a_component_out_of_view_stays_as_it_is() -> None:
+    far = component(35.0, 20.0, 0.5)
+    found = gaussian_phd.correct(far, [scan([(20.0, 20.0)])], Step(config(), 3))
+    assert all(np.array_equal(one, other) for one, other in zip(found, far))
+
+
+def test_a_component_across_the_edge_of_the_footprint_moves_to_the_part_that_was_not_seen() -> None:
+    sure = WedgeSensor(2.0 * math.pi, 10.0, 1.0)
+    across = component(30.0, 20.0, 4.0, weight=0.1)  # the disc ends at x = 30
+    across.covariances[0, 0, 2] = across.covariances[0, 2, 0] = 1e-3
+    found = gaussian_phd.correct(across, [scan([], sensor=sure)], Step(config(), 3))
+    assert len(found.ids) == 1 and 0.02 < found.weights[0] < 0.09
+    assert found.means[0, 0] > 30.5 and found.means[0, 1] == pytest.approx(20.0)
+    assert found.covariances[0, 0, 0] < 4.0 and found.means[0, 2] > 2.0
+
+
+def test_a_birth_has_the_noise_of_the_sensor_and_the_share_of_the_least_density() -> None:
+    kappa, birth = 0.001, BirthSettings(background=False)
+    found = gaussian_phd.correct(EMPTY, [scan([(20.0, 20.0)], clutter=kappa)], Step(config(birth=birth), 3))
+    density = 0.25 * kappa
+    assert found.weights == pytest.approx([0.8 * density / (kappa + 0.8 * density)])
+    assert found.means[0].tolist() == [20.0, 20.0, 0.0, 0.0]
+    assert found.covariances[0] == pytest.approx(np.diag([1.0, 1.0, 2.0, 2.0]))
+
+
+# ---------------------------------------------------------------------- fewer components
+
+
+def test_two_close_components_become_one_of_the_same_mass_mean_and_covariance() -> None:
+    two = chain([component(10.0, 10.0, 1.0, weight=0.3), component(11.0, 10.0, 1.0, weight=0.1, id=2)])
+    one = merged(two, MixtureSettings())
+    assert one.weights == pytest.approx([0.4]) and one.ids.tolist() == [1]
+    assert one.means[0] == pytest.approx([10.25, 10.0, 2.0, 0.0])
+    assert one.covariances[0, 0, 0] == pytest.approx(1.0 + 0.75 * 0.25**2 + 0.25 * 0.75**2)
+    assert one.covariances[0, 1, 1] == pytest.approx(1.0)
+
+
+def test_components_far_apart_in_place_in_velocity_or_in_size_stay_two() -> None:
+    first = component(10.0, 10.0, 1.0, weight=0.3)
+    for other in (
+        component(12.0, 10.0, 1.0, id=2),
+        component(10.0, 10.0, 1.0, velocity=(-2.0, 0.0), id=2),
+        component(10.0, 10.0, 10.0, id=2),
+    ):
+        assert len(merged(chain([first, other]), MixtureSettings()).ids) == 2
+
+
+def test_light_components_are_dropped_and_the_mass_is_kept() -> None:
+    mixture = chain([component(float(x), 1.0, 1.0, weight=weight, id=x) for x, weight in ((1, 0.5), (2, 1e-6), (3, 0.3), (4, 0.2))])
+    left = kept(mixture, MixtureSettings(pruned=1e-4, most_components=2))
+    assert left.ids.tolist() == [1, 3]
+    assert left.weights.sum() == pytest.approx(mixture.weights.sum()) and left.weights[0] / left.weights[1] == pytest.approx(5.0 / 3.0)
+
+
+def test_an_estimate_is_a_peak_of_at_least_the_threshold_and_two_targets_are_two() -> None:
+    parts = [(10.0, 0.3, 1), (10.5, 0.3, 2), (20.0, 0.4, 3), (30.0, 1.8, 4)]
+    mixture = chain([component(x, 5.0, 0.1, weight=weight, id=number) for x, weight, number in parts])
+    assert estimates(mixture, 0.5, 2.0).positions == pytest.approx(np.array([[30.0, 5.0], [30.0, 5.0], [10.25, 5.0]]))
+
+
+# ---------------------------------------------------------------------- rows and points
+
+
+def test_what_is_said_is_48_bytes_a_component_and_what_is_read_is_said_again_bit_for_bit() -> None:
+    rng = np.random.default_rng(3)
+    factor = np.tril(rng.normal(size=(20, 4, 4)))
+    mixture = Mixture(rng.random(20), rng.normal(size=(20, 4)) * 50.0, factor @ factor.transpose(0, 2, 1), np.arange(20, dtype=np.uint64))
+    assert len(packed(mixture).tobytes()) == 20 * 48
+    read = unpacked(packed(mixture))
+    assert read.covariances == pytest.approx(mixture.covariances, rel=5e-3, abs=5e-3)
+    assert read.means == pytest.approx(mixture.means, rel=1e-6)
+    assert np.all(np.linalg.eigvalsh(read.covariances) >= -1e-12)
+
+
+def test_the_nodes_have_the_mean_and_but_for_the_kernel_the_covariance_of_their_component() -> None:
+    one = component(10.0, 10.0, 1.0)
+    one.covariances[0, :2, :2] = [[4.0, 1.0], [1.0, 2.0]]
+    places = nodes(one)[0]
+    apart = places - [10.0, 10.0]
+    assert mean_of(places.T).tolist() == pytest.approx([10.0, 10.0])
+    assert mean_of(np.array([apart[:, 0] ** 2, apart[:, 0] * apart[:, 1], apart[:, 1] ** 2])) == pytest.approx([3.2, 0.8, 1.6])
+    assert points(one).weights.sum() == pytest.approx(1.0)
+
+
+def test_order_is_by_id_and_equal_ids_count_once() -> None:
+    mixture = chain([component(1.0, 1.0, 1.0, id=5), component(2.0, 1.0, 1.0, id=3), component(3.0, 1.0, 1.0, id=5)])
+    assert in_order(mixture).means[:, 0].tolist() == [2.0, 1.0]
+
+
+def test_the_prior_has_its_mass_everywhere() -> None:
+    mixture = gaussian_phd.prior(config(FilterSettings(kind="gaussian-mixture", prior_density=0.01)))
+    assert mixture.weights.sum() == pytest.approx(16.0)
+    assert mixture.means[:, :2].mean(axis=0) == pytest.approx([20.0, 20.0])

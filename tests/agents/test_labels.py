@@ -1,0 +1,195 @@
+"""Labels: what founds them, who inherits them, and which estimate bears which."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from agents.compiled import label_kernels
+from agents.config import BirthSettings, FilterSettings
+from agents.tracking import labels as rules
+from agents.tracking.births import Scan, founded_labels
+from agents.tracking.extraction import estimate_tracks
+from agents.tracking.labels import assign_labels, birth_labels, derived_label, heaviest
+from agents.tracking.particles import NONE, Particles
+from agents.tracking.phd import resample, update
+from deploy.scoring.tracks import unique_labels
+from protocol.codec import decode, encode
+from protocol.fields import Malformed, pack, pack_labels, read_labels
+from protocol.messages import Estimate, Gossip
+from protocol.sensing import SENSOR_CLASSES
+
+FILTER = FilterSettings(vicinity=6.0)
+BIRTH = BirthSettings()
+EYE = SENSOR_CLASSES["A"]
+
+
+def cloud(x: float, y: float, mass: float, label: int, count: int = 50, first: int = 1) -> Particles:
+    """Particles of one label on a small cross, standing still."""
+    angles = np.arange(count) * 2.4
+    states = np.column_stack([x + 0.2 * np.cos(angles), y + 0.2 * np.sin(angles), np.zeros((count, 2))])
+    ids = np.arange(first, first + count, dtype=np.uint64)
+    return Particles(states, np.full(count, mass / count), ids, np.full(count, label, np.uint64))
+
+
+def seen(particles: Particles, *detections: tuple[float, float], tick: int = 5) -> Particles:
+    """The particles after a scan by a sensor 3 m to the west of (10, 10), with little clutter."""
+    found = np.array(detections).reshape(-1, 2)
+    scan = Scan(77, EYE, (7.0, 10.0, 0.0), found, np.arange(len(found), dtype=np.uint64), 1e-3)
+    return update(particles, [scan], tick, 1, 0.3, FILTER, BIRTH)
+
+
+def test_a_detection_of_nothing_known_founds_a_label_and_its_births_bear_it() -> None:
+    born = seen(NONE, (10.0, 10.0), (10.0, 10.5))
+    labels = np.unique(born.labels)
+    assert len(labels) == 2 and 0 not in labels and labels.max() < 2**53
+    scan = Scan(77, EYE, (7.0, 10.0, 0.0), np.zeros((2, 2)), np.arange(2, dtype=np.uint64), 1e-3)
+    assert set(labels.tolist()) == set(founded_labels(scan, 5, 1, BIRTH).tolist())
+
+
+def test_labels_of_later_ticks_are_larger_and_those_of_another_sensor_seed_or_detection_differ() -> None:
+    def founded(salt: int, tick: int, seed: int, number: int) -> int:
+        scan = Scan(salt, EYE, (0.0, 0.0, 0.0), np.zeros((1, 2)), np.array([number], dtype=np.uint64), 1e-3)
+        return int(founded_labels(scan, tick, seed, BIRTH)[0])
+
+    assert founded(77, 5, 1, 0) == founded(77, 5, 1, 0) < founded(78, 6, 2, 1)
+    assert len({founded(77, 5, 1, 0), founded(78, 5, 1, 0), founded(77, 5, 2, 0), founded(77, 5, 1, 1)}) == 4
+
+
+def test_births_beside_a_living_track_bear_its_label() -> None:
+    born = seen(cloud(10.0, 10.0, 1.0, 9), (10.0, 10.0))
+    assert len(born.ids) == 50 + BIRTH.copies and set(born.labels.tolist()) == {9}
+
+
+def test_births_at_a_detection_that_the_track_hardly_explains_found_a_label_of_their_own() -> None:
+    born = seen(cloud(10.0, 10.0, 1.0, 9), (11.6, 10.0))
+    assert 9 not in born.labels[50:].tolist() and set(born.labels[:50].tolist()) == {9}
+
+
+def test_a_particle_without_a_label_takes_that_of_the_detection_that_it_lives_of() -> None:
+    after = seen(cloud(10.0, 10.0, 0.02, 0), (10.0, 10.0))
+    assert len(np.unique(after.labels)) == 1 and after.labels[0] != 0
+    unseen = seen(cloud(10.0, 10.0, 0.02, 0), (10.0, 13.0))
+    assert (unseen.labels[:50] == 0).all()
+
+
+def test_all_copies_of_a_drawn_particle_keep_its_label() -> None:
+    both = Particles(*(np.concatenate(parts) for parts in zip(cloud(10.0, 10.0, 0.9, 4), cloud(20.0, 10.0, 0.1, 6, first=100))))
+    drawn = resample(both, "s1", 3, 1, FILTER)
+    assert (drawn.labels == np.where(drawn.states[:, 0] < 15.0, 4, 6)).all() and len(drawn.ids) > 60
+
+
+def test_an_estimate_reports_the_label_the_velocity_the_covariance_and_the_existence_of_its_peak() -> None:
+    peak = cloud(10.5, 10.5, 0.8, 9)
+    peak.states[:, 2:] = 1.5, -0.5
+    found = estimate_tracks(peak)
+    spread = float((peak.weights * (peak.states[:, 0] - found.positions[0, 0]) ** 2).sum() / 0.8)
+    assert found.labels.tolist() == [9]
+    assert found.details[0, [0, 1, 5]] == pytest.approx([1.5, -0.5, 0.8], abs=1e-12)
+    assert found.details[0, 2] == pytest.approx(spread, abs=1e-12) and abs(found.details[0, 3]) < 0.01
+
+
+def test_of_two_peaks_with_one_label_the_heavier_keeps_it_and_the_other_takes_its_next_or_a_derived_one() -> None:
+    assert assign_labels([{5: 0.6, 7: 0.4}, {5: 0.9}]) == [7, 5]
+    assert assign_labels([{5: 0.6}, {5: 0.9}]) == [derived_label(5, 1), 5]
+    assert assign_labels([{5: 0.6}, {5: 0.6}, {5: 0.6}]) == [5, derived_label(5, 1), derived_label(5, 2)]
+    assert assign_labels([{}, {5: 0.6}]) == [0, 5] and assign_labels([]) == []
+
+
+def test_an_old_label_keeps_a_peak_as_long_as_it_holds_half_of_the_weight_of_the_heaviest() -> None:
+    assert assign_labels([{900: 0.6, 5: 0.31}]) == [5]
+    assert assign_labels([{900: 0.6, 5: 0.29}]) == [900]
+    assert assign_labels([{900: 0.4, 5: 0.4}]) == [5]
+
+
+def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> None:
+    assert heaviest(np.array([9, 3, 0, 9], np.uint64), np.array([1.0, 2.0, 9.0, 1.0])) == (3, 2.0)
+    assert heaviest(np.array([0], np.uint64), np.array([1.0])) == (0, 0.0) == heaviest(np.empty(0, np.uint64), np.empty(0))
+
+
+def test_the_compiled_rules_give_the_same_labels() -> None:
+    names = ("NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "HELD")
+    assert [getattr(rules, name) for name in names] == [getattr(label_kernels, name) for name in names]
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        peaks = [dict(zip(rng.permutation(6)[: rng.integers(4)].tolist(), rng.integers(1, 5, 4).tolist())) for _ in range(rng.integers(5))]
+        peaks = [{label + 1: weight / 4.0 for label, weight in peak.items()} for peak in peaks]
+        labels = np.array([label for peak in peaks for label in peak], dtype=np.uint64)
+        weights = np.array([weight for peak in peaks for weight in peak.values()], dtype=float)
+        starts = np.cumsum([0, *map(len, peaks)])
+        assert assign_labels(peaks) == label_kernels.assign_labels(labels, weights, starts).tolist()
+    bits = np.array([2**63 + 12345678901], dtype=np.uint64)
+    assert int(birth_labels(bits, 9)[0]) == int(label_kernels.birth_label(bits[0], label_kernels.stamp_of(np.uint64(9))))
+
+
+def test_a_label_counts_once_in_a_tick_for_the_estimate_of_the_largest_existence() -> None:
+    assert unique_labels([5, 5, 0, 8], [0.5, 0.9, 1.0, 1.0]).tolist() == [derived_label(5, 1), 5, derived_label(0, 1), 8]
+
+
+def test_a_table_of_labels_costs_eight_bytes_a_label_and_one_or_two_a_particle() -> None:
+    for labels, size in ((256, 1), (257, 2)):
+        held = np.repeat(np.arange(labels, dtype=np.uint64) * 3, 2)[::-1]
+        table, numbers = pack_labels(held)
+        assert (len(table), len(numbers)) == (8 * labels, size * 2 * labels)
+        assert (read_labels(table, numbers, len(held)) == held).all()
+    assert pack_labels(np.zeros(4, np.uint64)) == (b"", b"") and read_labels(b"", b"", 3).tolist() == [0, 0, 0]
+
+
+def gossip(table: list[int], numbers: bytes, count: int = 3) -> Gossip:
+    """A gossip with some particles."""
+    return Gossip(
+        sender="s1",
+        incarnation=1,
+        tick=4,
+        claim_tick=3,
+        pose=(1.0, 2.0, 0.0),
+        cod=(1.0, 2.0),
+        power_radius=1.0,
+        unused=3.0,
+        claim_names=("s1",),
+        claim_bytes=pack(np.array([[1.0, 2.0, 1.0]]), "<f8"),
+        states_bytes=pack(np.ones((count, 4)), "<f4"),
+        ids_bytes=pack(np.arange(count), "<u8"),
+        labels_bytes=pack(np.array(table, dtype=np.uint64), "<u8"),
+        label_numbers_bytes=numbers,
+    )
+
+
+@pytest.mark.parametrize(
+    ("table", "numbers", "reason"),
+    [
+        ([4, 9], b"\0\1\1", None),
+        ([], b"", None),
+        ([0], b"\0\0\0", None),
+        ([4, 9], b"\0\1\2", "shape"),  # no label has this number
+        ([4, 9], b"\0\1", "shape"),  # a particle too few
+        ([4, 9], b"", "shape"),
+        ([], b"\0\0\0", "shape"),
+        ([4, 4], b"\0\1\1", "range"),  # twice the same
+        ([9, 4], b"\0\1\1", "range"),
+        ([4, 2**53], b"\0\1\1", "range"),
+        (list(range(257)), b"\0\0\0", "shape"),  # so many need two bytes each
+        (list(range(257)), b"\0\0\0\1\1\1", "shape"),  # 256 is the largest number
+        (list(range(257)), b"\0\0\0\1\1\0", None),
+        (list(range(8193)), b"\0" * 6, "size"),
+    ],
+)
+def test_labels_are_checked_where_a_gossip_is_decoded(table: list[int], numbers: bytes, reason: str | None) -> None:
+    payload = encode(gossip(table, numbers))
+    assert gossip(table, numbers).is_plain() == (reason is None)
+    if reason is None:
+        labels = decode("covey/demo/gossip/s1", payload).labels  # type: ignore[attr-defined]
+        assert len(labels) == 3
+    else:
+        with pytest.raises(Malformed, match="label") as refused:
+            decode("covey/demo/gossip/s1", payload)
+        assert refused.value.reason == reason
+
+
+def test_an_estimate_whose_labels_or_details_do_not_fit_its_targets_is_refused() -> None:
+    said = Estimate(sender="s1", incarnation=1, tick=1, pose=(0.0, 0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, unused=0.0)
+    two = msgspec.structs.replace(said, targets_bytes=pack(np.ones((2, 2)), "<f8"))
+    two.check()
+    assert two.labels.tolist() == [0, 0] and two.details.shape == (2, 6)
+    for wrong in ({"labels_bytes": bytes(8)}, {"details_bytes": bytes(24)}, {"labels_bytes": pack(np.full(2, 2**53), "<u8")}):
+        with pytest.raises(Malformed, match="labels"):
+            msgspec.structs.replace(two, **wrong).check()

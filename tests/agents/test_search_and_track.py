@@ -1,0 +1,176 @@
+"""Search and track by numbers worked by hand: what is worth seeing, who leaves what to whom, where an agent goes and looks."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agents.backend import PLAIN
+from agents.config import AgentConfig, ControlSettings, SearchSettings
+from agents.coverage.control import control_law
+from agents.coverage.search_and_track import SearchAndTrack
+from agents.coverage.search_plan import Memory, PlanInput, Task, bin_values, decide, left_over, mark_view, no_memory, sector_of, worth_at
+from agents.round import context_of
+from agents.tracking.particles import NONE, Particles, unlabelled
+from protocol.fields import Malformed
+from protocol.messages import Gossip
+from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
+from tests.agents.gossip_table import table
+
+NARROW = SENSOR_CLASSES["C"]  # 45 degrees, 8 m: the circle that it serves has a radius of 6.5 m
+NOBODY = np.empty((0, 5))
+
+
+def particles(*rows: tuple[float, ...]) -> Particles:
+    """Particles of rows x, y, weight or x, y, weight, vx, vy; ids 1, 2, ..."""
+    states = np.array([(x, y, *(motion or (0.0, 0.0))) for x, y, _, *motion in rows]).reshape(-1, 4)
+    return unlabelled(states, np.array([row[2] for row in rows]), np.arange(1, len(rows) + 1, dtype=np.uint64))
+
+
+def gossip(name: str, pose: Pose) -> Gossip:
+    """A gossip of an agent of class C that scanned."""
+    return Gossip(sender=name, incarnation=1, tick=4, pose=pose, cod=pose[:2], power_radius=1.0, unused=1.0)
+
+
+def task(
+    density: Particles = NONE,
+    around: Particles = NONE,
+    partners: np.ndarray = NOBODY,
+    is_open: bool = False,
+    goal: tuple[float, float] = (50.0, 50.0),
+    settings: SearchSettings = SearchSettings(),
+    sensor: WedgeSensor = NARROW,
+    now: float = 1.0,
+) -> Task:
+    """What an agent at (50, 50) knows that faces east, in an arena of 100 x 100 m, with a step of 0.25 s."""
+    body = PlanInput(
+        now, 0.25, 50.0, 50.0, 1.0, 0.0, sensor.reach, sensor.angle, 5.0, 100.0, 100.0, 2.0, 5.0, 1.0 if is_open else 0.0, goal[0], goal[1]
+    )
+    return Task(body, settings, sensor, 0.0, density, around, table([gossip("s1", (50.0, 50.0, 0.0))], NARROW), partners)
+
+
+def seen(at: float) -> np.ndarray:
+    """All bins of the arena in view at a time."""
+    return np.full((50, 50), at)
+
+
+def test_it_is_a_law_that_scenarios_name_and_gets_the_backend_of_its_agent() -> None:
+    config = AgentConfig(control=ControlSettings(mode="search-and-track"), search=SearchSettings(weight=3.0), members={"s1": "A"})
+    assert type(control_law(config)) is SearchAndTrack
+    assert type(context_of(config, "s1", "A", PLAIN).law) is SearchAndTrack
+
+
+def test_bins_with_their_centre_in_a_field_of_view_are_seen_now() -> None:
+    """East of the sensor: (55, 51) lies 5.1 m away, 11 degrees off; (59, 51) beyond 8 m; (45, 51) behind."""
+    after = mark_view(seen(-7.0), task().table, 1.0)
+    assert [after[25, 27], after[25, 29], after[25, 22]] == [1.0, -7.0, -7.0]
+
+
+def test_mass_in_bins_seen_lately_is_a_track_and_older_mass_counts_twentyfold() -> None:
+    """Standing particles; bins seen 5 s ago, then 5.25 s ago."""
+    held = task(particles((21.0, 31.0, 0.5)), now=10.0)
+    tracks, values = bin_values(held, seen(5.0))
+    assert (tracks[15, 10], values[15, 10]) == (0.5, 0.0)
+    tracks, values = bin_values(held, seen(4.75))
+    assert (tracks[15, 10], values[15, 10]) == (0.0, 10.0)
+
+
+def test_mass_is_expected_where_it_will_be_and_what_leaves_counts_only_in_a_closed_arena() -> None:
+    """2 m/s for 2.25 s: from 21 to 25.5 m; from 98 m to 102.5 m, or back at 97.5 m."""
+    moving = particles((21.0, 31.0, 0.5, 2.0, 0.0), (98.0, 51.0, 1.0, 2.0, 0.0))
+    tracks, _ = bin_values(task(moving), seen(1.0))
+    assert (tracks[15, 12], tracks[25, 48], tracks.sum()) == (0.5, 1.0, 1.5)
+    tracks, values = bin_values(task(moving, is_open=True), seen(1.0))
+    assert tracks.sum() == 0.5
+    assert values.sum() == pytest.approx(196 * 0.06)  # the bins of the border
+
+
+def test_a_particle_whose_way_was_in_view_is_a_track() -> None:
+    """It left the last bins in view 2.5 s ago, at 31 m."""
+    view = seen(-100.0)
+    view[15, 15] = 0.0
+    tracks, _ = bin_values(task(particles((36.0, 31.0, 1.0, 2.0, 0.0))), view)
+    assert tracks.sum() == 1.0
+
+
+def test_a_partner_with_a_smaller_cost_leaves_what_it_cannot_serve() -> None:
+    """Radius 6.5 m. At the partner's goal its cost is -1, the own one 13.5; it serves all that is to be found there.
+
+    Load 2 means that it holds half of the tracks. A place 12.5 m from it and 10 m from here is nearer here.
+    """
+    partner = np.array([[70.0, 50.0, 2.0, 8.0, 0.0]])
+    tracks, values = left_over(task(partners=partner), np.array([70.0, 57.5]), np.array([50.0, 50.0]), 1.0)
+    assert tracks.tolist() == [0.5, 1.0]
+    assert values.tolist() == [0.0, 1.0]
+    outside, _ = left_over(task(partners=partner), np.array([70.0]), np.array([62.5]), 1.0)  # 6 m outside of its circle
+    assert outside[0] == pytest.approx(1.0 - 0.5 * 0.4 * math.exp(-1.0))
+
+
+def test_the_earlier_name_serves_a_place_where_the_costs_are_equal() -> None:
+    both = np.array([50.0]), np.array([56.0])
+    for first, left in ((1.0, 0.0), (0.0, 1.0)):
+        partner = np.array([[50.0, 62.0, 0.0, 8.0, first]])
+        assert left_over(task(partners=partner), *both, 1.0)[0].tolist() == [left]
+
+
+def test_a_track_is_worth_most_at_the_distance_of_the_cod() -> None:
+    """COD 5 m ahead: 1 there, 1 - .4 on top of the sensor, 1 - .4 at the edge of the circle, .4 / e 6 m outside of it."""
+    one, nothing = np.array([1.0]), np.array([0.0])
+    worth = [worth_at(task(), (50.0, 50.0), np.array([50.0 + apart]), np.array([50.0]), one, nothing) for apart in (5.0, 0.0, 6.5, 12.5)]
+    assert worth == pytest.approx([1.0, 0.6, 0.6, 0.4 * math.exp(-1.0)])
+    assert worth_at(task(), (50.0, 50.0), np.array([52.0]), np.array([50.0]), nothing, one) == 1.0
+
+
+def test_it_goes_towards_old_mass_and_announces_the_place_and_the_load() -> None:
+    """Mass out of view 14 m to the west: a goal 4 m to the west, reached in 2 s at 2 m/s."""
+    decision = decide(task(particles((36.0, 50.0, 1.0))), no_memory(100.0, 100.0))
+    assert decision.goal == pytest.approx((46.0, 50.0))
+    assert decision.velocity == pytest.approx((-2.0, 0.0))
+    assert decision.load == 0.0
+    watched = decide(task(particles((53.0, 50.5, 3.0))), Memory(seen(1.0), np.empty(0, np.uint64), np.empty(0)))
+    assert watched.load == pytest.approx(3.0 / 1.5)  # a sensor of 45 degrees holds 1.5 targets
+
+
+def test_it_leaves_to_a_partner_what_the_partner_serves() -> None:
+    """The same mass, with a partner whose goal lies there: nothing is worth a step."""
+    partner = np.array([[36.0, 50.0, 0.0, 8.0, 0.0]])
+    assert decide(task(particles((36.0, 50.0, 1.0)), partners=partner), no_memory(100.0, 100.0)).goal == (50.0, 50.0)
+
+
+def test_it_turns_to_mass_out_of_view_and_not_to_mass_that_a_partner_watches() -> None:
+    """Mass 5 m to the north; a turn of 1.25 rad is 14 sectors of 5 degrees."""
+    north = particles((50.0, 55.0, 1.0))
+    assert 0.25 * decide(task(around=north), no_memory(100.0, 100.0)).turn_rate == pytest.approx(math.radians(70.0))
+    partner = np.array([[50.0, 55.0, 0.0, 8.0, 0.0]])
+    idle = decide(task(around=north, partners=partner), no_memory(100.0, 100.0)).turn_rate
+    assert 0.25 * idle == pytest.approx(0.9 * math.pi / 4.0)  # the first turn of a sensor that has nothing to look at
+
+
+def test_of_two_places_it_looks_at_the_one_that_was_out_of_view_for_longer() -> None:
+    """Particle 2, 40 degrees to the right, was seen 2 s ago; particle 1, as far to the left, in the last tick."""
+    angle = math.radians(40.0)
+    both = particles(*((50.0 + 5.0 * math.cos(side), 50.0 + 5.0 * math.sin(side), 1.0) for side in (angle, -angle)))
+    memory = Memory(seen(-7.0), both.ids, np.array([0.75, -1.0]))
+    assert decide(task(around=both), memory).turn_rate < 0.0
+
+
+def test_sectors_count_counter_clockwise_from_ahead() -> None:
+    angles = np.radians([0.0, 2.0, 5.0, 90.0, 178.0, -178.0, -5.0, -2.0])
+    assert sector_of(np.cos(angles), np.sin(angles)).tolist() == [0, 0, 1, 18, 36, 36, 71, 0]
+
+
+@pytest.mark.parametrize("goal", [(math.nan, 1.0), (1.0, math.inf), (1.0e7, 1.0)])
+def test_a_goal_that_is_no_place_is_refused(goal: tuple[float, float]) -> None:
+    with pytest.raises(Malformed, match="goal"):
+        Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, goal=goal).check()
+
+
+@pytest.mark.parametrize("load", [math.nan, -1.0, math.inf])
+def test_a_load_that_is_no_number_is_refused(load: float) -> None:
+    with pytest.raises(Malformed, match="goal_load"):
+        Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, goal_load=load).check()
+
+
+def test_an_agent_without_a_goal_counts_as_one_that_stays() -> None:
+    with_goal = Gossip(sender="s2", incarnation=1, tick=4, pose=(3.0, 4.0, 0.0), cod=(0, 0), power_radius=1.0, unused=1.0, goal=(7.0, 8.0))
+    assert table([gossip("s1", (1.0, 2.0, 0.0)), with_goal]).plans.tolist() == [[1.0, 2.0, 0.0], [7.0, 8.0, 0.0]]

@@ -1,0 +1,351 @@
+"""The bridge to ROS 2: published hashes, an independent partner in both directions, and the rules that a body keeps."""
+
+import math
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+
+from deploy.bridge.body import RobotBody, Rules
+from deploy.bridge.client import Heard, Network, Participant, access_control
+from deploy.bridge.frames import fenced, moved, placed, wheels
+from deploy.bridge.ros import QOS, RosNode, attachment, message, topic_key
+from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
+from deploy.live.certificates import make_keys
+from deploy.scenario import resolve, toml_text
+from protocol import codec, keys, live
+from protocol.access import access_control as of_the_swarm
+from protocol.endpoints import free_port
+from protocol.messages import Observation
+from protocol.settings import NetworkSettings
+
+ROOT = Path(__file__).resolve().parents[2]
+# As ROS 2 Jazzy installs them (share/<package>/msg/<Type>.json, REP 2011). Twist, Odometry and their parts: extracted by the CARLA project
+# from osrf/ros:jazzy-desktop for its own test of type hashes. PoseArray and PolygonStamped: the type table of picoros.
+PUBLISHED = {
+    "nav_msgs/msg/Odometry": "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+    "geometry_msgs/msg/Twist": "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
+    "geometry_msgs/msg/PoseArray": "RIHS01_af0cc36d190e104d546d168d6b39df04fa4b4ccecf59cb4c9ed328d3d5004aa0",
+    "geometry_msgs/msg/PolygonStamped": "RIHS01_b7cf07932f1523d4b4088075945c1a0141f7cd21da87cc940fc61652e9138b46",
+    "geometry_msgs/msg/Pose": "RIHS01_d501954e9476cea2996984e812054b68026ae0bfae789d9a10b23daf35cc90fa",
+    "std_msgs/msg/Header": "RIHS01_f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01",
+}
+
+
+@pytest.mark.parametrize("kind", PUBLISHED)
+def test_the_key_of_a_topic_bears_the_published_hash_of_its_type(kind: str) -> None:
+    package, _, name = kind.split("/")
+    assert topic_key(7, "/s3/x", kind) == f"7/s3/x/{package}::msg::dds_::{name}_/{PUBLISHED[kind]}"
+
+
+def test_an_attachment_is_number_time_and_origin_in_33_bytes() -> None:
+    origin = bytes(range(16))
+    assert attachment(258, 3, origin) == bytes([2, 1, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0, 16]) + origin
+
+
+def until(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
+    """What the condition gives once that is true."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, "not reached"
+        time.sleep(0.02)
+    return found
+
+
+@pytest.mark.live
+def test_the_partner_of_another_make_reads_what_is_written_writes_what_is_read_and_finds_both_in_its_graph() -> None:
+    port = free_port()
+    router = live.open_session(NetworkSettings(mode="router", listen=(f"tcp/127.0.0.1:{port}",)))
+    program = [sys.executable, "-m", "tests.deploy.ros_echo", str(port), tempfile.mkdtemp()]
+    partner = subprocess.Popen(program, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    node = RosNode("covey", "/s3", router=f"tcp/127.0.0.1:{port}")
+    heard: list[Any] = []
+    try:
+        node.subscribe("/s3/echo", "geometry_msgs/msg/Twist", heard.append)
+        drive = node.publisher("/s3/cmd_vel", "geometry_msgs/msg/Twist")
+        three = [message("geometry_msgs/msg/Vector3", *numbers) for numbers in ((1.5, -0.25, 0.0), (0.0, 0.0, 0.125))]
+
+        def answered() -> bool:
+            assert partner.poll() is None, partner.communicate()
+            drive.publish(message("geometry_msgs/msg/Twist", *three))
+            return bool(heard)
+
+        until(answered)
+        assert (heard[0].linear.x, heard[0].linear.y, heard[0].angular.z) == (1.5, -0.25, 0.125)
+        assert partner.stdout is not None
+        assert partner.stdout.readline().split() == ["/s3/cmd_vel", "geometry_msgs/msg/Twist", "/s3/echo", "geometry_msgs/msg/Twist"]
+    finally:
+        partner.kill()
+        partner.communicate()
+        node.close()
+        router.close()
+
+
+def test_the_quality_of_service_is_what_the_partner_takes_for_the_default() -> None:
+    qos = pytest.importorskip("zenoh_ros2_sdk.qos")
+    assert qos.QosProfile().encode() == QOS
+
+
+class Desk:
+    """A body at tick 0 of a run whose ticks last 0.25 s, with what it has said and whether its token is up."""
+
+    def __init__(self, **changed: Any) -> None:
+        self.said: list[dict[str, Any]] = []
+        self.up = False
+        rules = Rules("s3", ("s1", "s2", "s3"), 0.25, 0.25, 100.0, 0.5, 2.0, 5.0)._replace(**changed)
+        self.body = RobotBody(rules, 50, lambda kind, fields: self.said.append({"kind": kind, **fields}), self._appear)
+        self.body.hear(Heard("agent", "s3", {}, 7), 99.0)
+
+    def _appear(self, up: bool) -> None:
+        self.up = up
+
+    def at(self, now: float, pose: tuple[float, float, float] = (1.0, 2.0, 0.5)) -> None:
+        """Odometry and an empty scan, and a look at the clock."""
+        self.body.at(pose, now)
+        self.body.sees([(3.0, 4.0)], now)
+        self.body.step(now)
+
+    def command(
+        self, now: float, tick: int = 0, incarnation: int = 7, velocity: tuple[float, float] = (1.0, 0.0), turn: float = 0.3
+    ) -> None:
+        self.body.hear(Heard("command", "s3", {"tick": tick, "velocity": velocity, "turn_rate": turn}, incarnation), now)
+
+
+def test_what_a_body_says_is_an_observation_that_the_swarm_reads() -> None:
+    desk = Desk()
+    desk.at(99.9)
+    assert desk.up and not desk.said, "tick 0 has not begun"
+    desk.at(100.51)
+    [said] = desk.said
+    assert said.pop("kind") == "observation"
+    packed = {"type": "observation", "sender": "s3", "incarnation": 50, "wire": 2, **said}
+    seen = codec.decode("covey/r/observation/s3", msgpack.packb(packed))
+    assert isinstance(seen, Observation)
+    assert (seen.tick, seen.time, seen.pose, seen.detections.tolist()) == (2, 0.5, (1.0, 2.0, 0.5), [[3.0, 4.0]])
+
+
+def test_a_command_moves_the_body_for_half_a_second_and_is_cut_to_the_limits() -> None:
+    desk = Desk()
+    desk.at(100.0)
+    desk.command(100.0, velocity=(6.0, 8.0), turn=9.0)
+    velocity, turn = desk.body.motion(100.4)
+    assert velocity == pytest.approx((1.2, 1.6)) and turn == 5.0
+    desk.at(100.49)
+    assert desk.body.motion(100.501) == ((0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("tick", "incarnation", "velocity"), [(1, 7, (1.0, 0.0)), (0, 6, (1.0, 0.0)), (0, 7, (math.nan, 0.0))], ids=["to come", "older", "nan"]
+)
+def test_a_command_of_a_tick_to_come_of_an_older_incarnation_or_that_is_no_number_moves_nothing(
+    tick: int, incarnation: int, velocity: tuple[float, float]
+) -> None:
+    desk = Desk()
+    desk.at(100.0)
+    desk.command(100.0, tick, incarnation, velocity)
+    assert desk.body.motion(100.1) == ((0.0, 0.0), 0.0)
+
+
+def test_a_body_stands_while_a_halt_holds_when_its_agent_has_gone_and_when_it_is_blind() -> None:
+    desk = Desk()
+    desk.at(100.0)
+    desk.command(100.0)
+    assert desk.body.motion(100.1) != ((0.0, 0.0), 0.0)
+    desk.body.hear(Heard("halt", "operator-1", {"held": True}, 9), 100.1)
+    assert desk.body.motion(100.1) == ((0.0, 0.0), 0.0)
+    desk.body.hear(Heard("halt", "operator-1", {"held": False}, 8), 100.1)
+    assert desk.body.motion(100.1) == ((0.0, 0.0), 0.0), "an older order"
+    desk.body.hear(Heard("halt", "operator-2", {"held": False}, 10), 100.1)
+    assert desk.body.motion(100.1) != ((0.0, 0.0), 0.0)
+    desk.body.hear(Heard("agent", "s3", {}, 7, up=False), 100.1)
+    assert desk.body.motion(100.1) == ((0.0, 0.0), 0.0)
+    blind = Desk(hold=10.0)
+    blind.at(100.0)
+    blind.command(100.0)
+    assert blind.body.motion(100.45) != ((0.0, 0.0), 0.0)
+    blind.body.step(100.6)
+    assert blind.body.motion(100.6) == ((0.0, 0.0), 0.0) and not blind.up, "no odometry for 0.6 s"
+    assert len(blind.said) == 1
+    blind.at(100.7)
+    assert blind.up
+
+
+def test_a_clock_follows_the_majority_of_those_who_speak_forward_at_once_and_back_only_from_afar() -> None:
+    for skew, tick in ((0.0, 4), (0.2, 5), (-0.2, 4), (-3.0, 4)):  # others ahead by 0.2 s: jump; behind by 0.2 s: as it was; by 3 s: stand
+        desk = Desk()
+        desk.at(100.0)
+        for name in ("s1", "s2", "s4"):
+            desk.body.hear(Heard("gossip", name, {"tick": 4}, 1), 101.0 - skew)
+        desk.at(101.06)
+        assert desk.body.tick == (tick if skew > -1.0 else 0), skew
+    late = Desk(anchor=None)
+    late.at(200.0)
+    assert late.body.tick == -1
+    late.body.hear(Heard("gossip", "s1", {"tick": 4000}, 1), 200.0)
+    late.at(200.3)
+    assert late.body.tick == 4001
+
+
+def test_a_run_of_robots_alone_begins_when_all_agents_and_bodies_are_there() -> None:
+    desk = Desk(anchor=None)
+    for role, name in (("agent", "s1"), ("agent", "s2"), ("body", "s1")):
+        desk.body.hear(Heard(role, name, {}, 1), 10.0)
+    desk.at(20.0)
+    assert desk.body.tick == -1
+    desk.body.hear(Heard("body", "s2", {}, 1), 20.0)
+    desk.at(20.9)
+    assert desk.body.tick == -1
+    desk.at(21.1)
+    assert desk.body.tick == 0
+
+
+def test_a_younger_body_of_the_name_ends_the_older_one() -> None:
+    desk = Desk()
+    desk.body.hear(Heard("body", "s3", {}, 49), 100.0)
+    assert not desk.body.replaced
+    desk.body.hear(Heard("body", "s3", {}, 51), 100.0)
+    assert desk.body.replaced
+
+
+def test_wheels_move_the_sensor_at_the_velocity_that_was_asked_for() -> None:
+    heading, velocity, offset = 0.7, (0.4, -0.3), 0.2
+    ahead, left, turn = wheels(velocity, 9.9, heading, 0.0, 5.0)
+    assert moved((0.0, 0.0, heading), (ahead, left)) == pytest.approx(velocity) and turn == 5.0
+    ahead, left, turn = wheels(velocity, 9.9, heading, offset, 50.0)
+    step = 1e-6
+    there = placed(placed((0.0, 0.0, heading), (step * ahead, 0.0, step * turn)), (offset, 0.0, 0.0))
+    here = placed((0.0, 0.0, heading), (offset, 0.0, 0.0))
+    assert [(b - a) / step for a, b in zip(here[:2], there[:2])] == pytest.approx(velocity, abs=1e-5) and left == 0.0
+    slow = wheels(velocity, 0.0, heading, offset, 1.0)
+    assert slow[2] == pytest.approx(math.copysign(1.0, turn)) and slow[0] / slow[2] == pytest.approx(ahead / turn)
+
+
+def test_a_fence_shortens_what_leads_out_and_leaves_what_leads_back() -> None:
+    box = (0.0, 0.0, 10.0, 10.0)
+    assert fenced((2.0, 1.0), (9.5, 5.0, 0.0), box, 0.5) == (1.0, 1.0)
+    assert fenced((2.0, -1.0), (11.0, 5.0, 0.0), box, 0.5) == (0.0, -1.0)
+    assert fenced((-2.0, -1.0), (11.0, 5.0, 0.0), box, 0.5) == (-2.0, -1.0)
+
+
+def test_the_access_control_of_a_bridge_lets_in_and_out_what_that_of_a_body_of_ours_does() -> None:
+    agents = ("s1", "s2", "s3")
+    theirs, ours = access_control("r", "s3", agents), of_the_swarm("r", agents)
+
+    def allowed(rules: dict[str, Any], name: str, message: str, flow: str, key: str) -> bool:
+        mine = [number for policy in rules["policies"] if name in policy["subjects"] for number in policy["rules"]]
+        found = [rule for rule in rules["rules"] if rule["id"] in mine and message in rule["messages"] and flow in rule["flows"]]
+        return any(keys.matches(expression, key) for rule in found for expression in rule["key_exprs"])
+
+    says = [f"covey/r/{kind}/{name}" for kind in ("gossip", "command", "estimate") for name in agents] + ["covey/r/halt"]
+    for name in (*agents, "monitor", "operator", "world", "x9"):
+        for key in says:
+            wanted = allowed(ours, name, "put", "ingress", key) and (key.endswith(("/s3", "halt")) or "/gossip/" in key)
+            assert allowed(theirs, name, "put", "ingress", key) == wanted, (name, key)
+        assert allowed(theirs, name, "put", "egress", "covey/r/observation/s3") == (name in ("s3", "monitor", "operator"))
+        assert not allowed(theirs, name, "put", "egress", "covey/r/gossip/s3")
+        for role in ("agent", "body"):
+            key = f"covey/r/alive/{role}/s2/5"
+            assert allowed(theirs, name, "liveliness_token", "ingress", key) == (name == "s2")
+
+
+@pytest.mark.live
+def test_with_certificates_a_bridge_is_heard_by_its_agent_alone_and_hears_no_command_of_another(tmp_path: Path) -> None:
+    make_keys(["s1", "s3"], tmp_path)
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    files = {"ca": f"{tmp_path}/ca.pem", "certificate": f"{tmp_path}/{{name}}.pem", "key": f"{tmp_path}/{{name}}.key"}
+
+    def agent(name: str, **places: Any) -> Any:
+        return live.open_session(NetworkSettings(admit=("s1", "s3"), **files, **places), keys.Token("r", "agent", name, 1))
+
+    own = agent("s3", listen=(endpoint,))
+    mine = {field: file.replace("{name}", "s3") for field, file in files.items()}
+    participant = Participant(Network((endpoint,), ("tls/127.0.0.1:0",), **mine, admitted=("s1", "s3")), "r", "s3")
+    participant.listen("gossip/*", "command/s3", "halt")
+    other = agent("s1", seeds=(endpoint,), listen=(f"tls/127.0.0.1:{free_port()}",))
+    seen: dict[str, list[str]] = {"s1": [], "s3": []}
+    ears = [
+        session.declare_subscriber("covey/r/observation/s3", lambda sample, name=name: seen[name].append(name))
+        for name, session in (("s1", other), ("s3", own))
+    ]
+    said, heard = msgpack.packb({"wire": 2, "sender": "s3", "incarnation": 1}), list[tuple[str, str]]()
+    of_s1 = msgpack.packb({"wire": 2, "sender": "s1", "incarnation": 1})
+
+    def exchanged() -> bool:
+        participant.say("observation", {})
+        own.put("covey/r/command/s3", said)
+        other.put("covey/r/command/s3", msgpack.packb({"wire": 2, "sender": "s3", "incarnation": 999}))
+        other.put("covey/r/gossip/s1", of_s1)
+        other.put("covey/r/halt", of_s1)
+        while not participant.events.empty():
+            event = participant.events.get()
+            heard.append((event.kind, event.name))
+            assert event.incarnation != 999 and event.kind != "halt", "forged by s1"
+        return bool(seen["s3"]) and {("command", "s3"), ("gossip", "s1")} <= set(heard)
+
+    until(exchanged)
+    for _ in range(20):
+        exchanged()
+        time.sleep(0.02)
+    assert seen["s1"] == []
+    del ears
+    for session in (own, other, participant):
+        session.close()
+
+
+@pytest.fixture
+def run_file(tmp_path: Path) -> Path:
+    file = tmp_path / "run.toml"
+    file.write_text(toml_text(resolve("quick", {"network.seeds": ["tcp/127.0.0.1:1"], "bodies.fence": 3.0})))
+    return file
+
+
+def test_the_run_file_of_a_swarm_says_all_that_a_body_must_know(run_file: Path) -> None:
+    name, network, rules = read_run(BridgeOptions(run_file, "s3"))
+    scenario = resolve("quick")
+    assert (name, network.seeds, network.admitted) == (scenario.run.name, ("tcp/127.0.0.1:1",), tuple(scenario.members))
+    assert (rules.dt, rules.period, rules.hold, rules.anchor) == (scenario.run.dt, scenario.run.dt / scenario.run.rate, 0.5, None)
+    assert rules.box == (-3.0, -3.0, scenario.arena.width + 3.0, scenario.arena.height + 3.0)
+    assert (rules.speed, rules.turn_rate) == (scenario.limits.speed, scenario.limits.turn_rate)
+
+
+def wrong_inputs(run_file: Path) -> Iterator[tuple[BridgeOptions, str]]:
+    yield BridgeOptions(run_file, "s99"), "--agent s99: the run has no such agent; it has s1, s2"
+    yield BridgeOptions(run_file.with_name("none.toml"), "s3"), "none.toml: No such file or directory"
+    yield BridgeOptions(run_file, "s3", offset=-1.0), "--offset -1.0: should be from 0 to 10 m"
+    yield BridgeOptions(run_file, "s3", origin=(0.0, math.nan, 0.0)), "should be three finite numbers"
+    yield BridgeOptions(run_file, "s3", domain=300), "--domain 300: should be a ROS_DOMAIN_ID from 0 to 232"
+
+
+def test_wrong_input_is_one_line(run_file: Path) -> None:
+    for options, complaint in wrong_inputs(run_file):
+        with pytest.raises(Wrong) as error:
+            check(options)
+            read_run(options)
+        assert complaint in str(error.value)
+    short = run_file.with_name("short.toml")
+    short.write_text("[run]\nname = 'x'\n")
+    with pytest.raises(Wrong, match=r"bodies is missing; should be a run\.toml with all settings"):
+        read_run(BridgeOptions(short, "s3"))
+
+
+def test_without_the_package_of_messages_the_command_says_what_to_install(run_file: Path) -> None:
+    program = "import sys; sys.modules.update(rosbags=None); from deploy.__main__ import main; main()"
+    words = [sys.executable, "-c", program, "bridge", "--agent", "s3", "--run", str(run_file)]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT}/deploy/interface", "COVEY_LAUNCHER": ""}
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "covey: bridge: needs rosbags: python -m pip install rosbags, or install covey[ros]\n"
+
+
+def test_rows_of_an_array_are_pairs_of_numbers() -> None:
+    from deploy.bridge.bridge import rows
+
+    assert [*rows(struct.pack("<4d", 1.0, 2.0, 3.0, 4.0))] == [(1.0, 2.0), (3.0, 4.0)]

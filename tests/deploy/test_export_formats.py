@@ -1,0 +1,174 @@
+"""Exports to MOT, GeoJSON and Cursor-on-Target, read back with other libraries: motmetrics, geojson with shapely, and pytak."""
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from deploy.cli import recordings
+from deploy.recording.geographic import earth_of, write_cot, write_geojson
+from deploy.recording.mot import write_mot
+from deploy.recording.observers import Observers, open_recorder
+from deploy.recording.recording import Recording
+from deploy.recording.reported import ReportedTick, reported_ticks
+from deploy.recording.rescore import rescore
+from deploy.scenario import resolve
+from deploy.simulation import Simulation
+from protocol.settings import BadSetting
+from world.recorded.local_frame import LocalFrame
+from world.track_score import similarity
+
+ORIGIN = (50.7, -1.2)
+BEGAN = "2016-01-12T13:02:11Z"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """20 ticks of the scenario `quick`."""
+    file = tmp_path_factory.mktemp("run") / "a.mcap"
+    simulation = Simulation(resolve("quick", {"run.seconds": 5.0, "run.name": "seen"}))
+    Observers(simulation.scorer, open_recorder(file, simulation.scenario, virtual=True))
+    simulation.run()
+    return Recording(file)
+
+
+@pytest.fixture(scope="module")
+def ticks(recording: Recording) -> list[ReportedTick]:
+    """What it reported."""
+    found = list(reported_ticks(recording))
+    assert len(found) == 20 and sum(len(tick.targets) for tick in found) > 20
+    return found
+
+
+def test_motmetrics_reads_the_truth_with_its_names_and_the_estimates_as_detections(
+    recording: Recording, ticks: list[ReportedTick], tmp_path: Path
+) -> None:
+    motmetrics = pytest.importorskip("motmetrics")
+    files = write_mot(recording, tmp_path)
+    assert [file.relative_to(tmp_path).as_posix() for file in files] == ["gt/gt.txt", "det/det.txt", "res/res.txt", "seqinfo.ini"]
+    truth, found = (motmetrics.io.loadtxt(str(file), fmt="mot15-2D", min_confidence=-1) for file in files[:2])
+    height, side = recording.scenario.arena.height, 2.0 * recording.scenario.study.cutoff
+    for tick in ticks:
+        rows = truth.loc[tick.truth.tick + 1]
+        assert sorted(rows.index.tolist()) == sorted(tick.truth.ids.tolist())
+        for name, place in zip(tick.truth.ids.tolist(), tick.truth.targets):
+            row = rows.loc[name]
+            left, top = row["X"] + 1.0, row["Y"] + 1.0  # motmetrics takes corners for pixels that count from 1
+            middle = left + row["Width"] / 2.0, height - top - row["Height"] / 2.0
+            assert middle == pytest.approx(tuple(place), abs=1e-5)
+    assert (truth["Width"] == side).all()
+    assert len(found) == sum(len(tick.targets) for tick in ticks) and set(found.index.get_level_values("Id")) == {-1}
+    assert "seqLength=20" in files[3].read_text() and "frameRate=4" in files[3].read_text()
+
+
+Exported = tuple[list[int], np.ndarray, list[int], np.ndarray]  # ids and places of targets, of estimates
+
+
+def exported(files: list[Path]) -> list[Exported]:
+    """The frames of gt.txt and res.txt: ids, and the places in the columns x and y."""
+    truth, found = (np.loadtxt(file, delimiter=",", ndmin=2) for file in (files[0], files[2]))
+    frames = []
+    for frame in range(1, int(truth[:, 0].max()) + 1):
+        parts = [rows[rows[:, 0] == frame] for rows in (truth, found)]
+        (ids, targets), (labels, places) = [(part[:, 1].astype(int).tolist(), part[:, 7:9]) for part in parts]
+        frames.append((ids, targets, labels, places))
+    return frames
+
+
+def indexed(values: list[list[int]]) -> list[np.ndarray]:
+    """The same ids, counted from 0 without gaps."""
+    known = sorted({value for row in values for value in row})
+    return [np.array([known.index(value) for value in row], dtype=int) for row in values]
+
+
+def test_trackeval_and_motmetrics_score_the_exported_tracks_as_the_run_does(recording: Recording, tmp_path: Path) -> None:
+    metrics, motmetrics = pytest.importorskip("trackeval").metrics, pytest.importorskip("motmetrics")
+    frames, cutoff, result = exported(write_mot(recording, tmp_path)), recording.scenario.study.cutoff, rescore(recording).result(0.0)
+    near = [similarity(targets, places, cutoff) for _, targets, _, places in frames]
+    data = {
+        "gt_ids": indexed([frame[0] for frame in frames]),
+        "tracker_ids": indexed([frame[2] for frame in frames]),
+        "similarity_scores": near,
+        "num_gt_dets": sum(len(frame[0]) for frame in frames),
+        "num_tracker_dets": sum(len(frame[2]) for frame in frames),
+        "num_gt_ids": len({name for frame in frames for name in frame[0]}),
+        "num_tracker_ids": len({name for frame in frames for name in frame[2]}),
+        "num_timesteps": len(frames),
+    }
+    quiet = {"PRINT_CONFIG": False}
+    clear, identity = metrics.CLEAR(quiet).eval_sequence(data), metrics.Identity(quiet).eval_sequence(data)
+    hota = float(np.mean(metrics.HOTA().eval_sequence(data)["HOTA"]))
+    assert (result.hota, result.mota) == pytest.approx((hota, float(clear["MOTA"])), abs=1e-9)
+    assert result.idf1 == pytest.approx(float(identity["IDF1"]), abs=1e-9) and result.idf1 > 0.3
+    assert result.id_switches == int(clear["IDSW"])
+    scored = motmetrics.MOTAccumulator(auto_id=True)
+    for (ids, _, labels, _), close in zip(frames, near):
+        scored.update(ids, labels, np.where(close >= 0.5, 1.0 - close, np.nan))
+    other = motmetrics.metrics.create().compute(scored, metrics=["idf1", "mota", "num_switches"]).iloc[0]
+    assert (result.idf1, result.mota) == pytest.approx((float(other["idf1"]), float(other["mota"])), abs=1e-9)
+    assert result.id_switches == int(other["num_switches"])
+
+
+def test_geojson_is_valid_and_its_points_lie_where_the_estimates_do(
+    recording: Recording, ticks: list[ReportedTick], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    geojson = pytest.importorskip("geojson")
+    monkeypatch.setattr(geojson.geometry, "DEFAULT_PRECISION", 9)  # it rounds what it reads to 0.1 m otherwise
+    count = write_geojson(recording, earth_of(recording, ORIGIN, BEGAN), tmp_path / "a.geojson")
+    found = geojson.loads((tmp_path / "a.geojson").read_text())
+    assert found.is_valid and len(found.features) == count
+    points = [one for one in found.features if one.properties["kind"] == "estimate"]
+    wanted = [(tick, one) for tick in ticks for one in tick.targets]
+    assert len(points) == len(wanted)
+    for point, (tick, one) in zip(points, wanted):
+        place = shapely.geometry.shape(point.geometry)
+        assert LocalFrame(*ORIGIN).to_plane(place.y, place.x) == pytest.approx((one.x, one.y), abs=0.02)
+        assert point.properties["time"] == f"2016-01-12T13:02:{11.0 + tick.truth.time:06.3f}Z"
+        assert point.properties["label"] == one.label
+    lines = {(one.properties["kind"], one.properties["name"]): one for one in found.features if one.properties["kind"] != "estimate"}
+    assert {name for kind, name in lines if kind == "sensor"} == set(recording.scenario.members)
+    assert len([name for kind, name in lines if kind == "target"]) == 3
+    assert len(lines["sensor", "s1"].geometry.coordinates) == len(lines["sensor", "s1"].properties["times"]) == 20
+
+
+def test_events_have_the_form_that_pytak_makes_and_hold_the_places(recording: Recording, ticks: list[ReportedTick], tmp_path: Path) -> None:
+    pytak = pytest.importorskip("pytak")
+    count = write_cot(recording, earth_of(recording, ORIGIN, BEGAN), tmp_path / "a.cot")
+    events = [ElementTree.fromstring(line) for line in (tmp_path / "a.cot").read_text().splitlines()]
+    assert len(events) == count == sum(len(tick.targets) + len(tick.truth.alive) for tick in ticks)
+    pattern = pytak.gen_cot_xml(lat=50.0, lon=-1.0, uid="x", cot_type="a-u-G", callsign="x")
+    for event in events:
+        assert {"version", "type", "uid", "how", "time", "start", "stale"} <= set(event.attrib) & set(pattern.attrib)
+        assert set(event.find("point").attrib) == set(pattern.find("point").attrib)  # type: ignore[union-attr]
+        assert event.find("detail/contact").attrib.keys() <= pattern.find("detail/contact").attrib.keys()  # type: ignore[union-attr]
+        assert event.attrib["time"] < event.attrib["stale"]
+    targets = [event for event in events if event.attrib["type"] == "a-u-G"]
+    frame, wanted = LocalFrame(*ORIGIN), [(one.x, one.y) for tick in ticks for one in tick.targets]
+    places = [frame.to_plane(float(event.find("point").attrib["lat"]), float(event.find("point").attrib["lon"])) for event in targets]  # type: ignore[union-attr]
+    assert np.array(places) == pytest.approx(np.array(wanted), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("form", "origin", "began", "said"),
+    [
+        ("geojson", None, None, "--origin: is missing; a latitude and a longitude in degrees say where (0, 0) of this arena is"),
+        ("cot", (95.0, 1.0), None, "--origin 95 1: should be a latitude within +-89 and a longitude within +-180 degrees"),
+        ("cot", ORIGIN, "yesterday", "--began yesterday: should be such as 2016-01-12T13:02:11Z"),
+        ("mot", ORIGIN, None, "--origin, --began: are for --to geojson and --to cot, not for --to mot"),
+    ],
+)
+def test_an_export_that_cannot_be_says_which_option_is_wrong(
+    recording: Recording, form: str, origin: tuple[float, float] | None, began: str | None, said: str
+) -> None:
+    with pytest.raises(BadSetting) as error:
+        recordings.export(str(recording.path), form, None, origin, began)
+    assert str(error.value) == said
+
+
+@pytest.mark.parametrize("form", ["mot", "geojson", "cot"])
+def test_a_place_that_cannot_be_written_to_is_named(recording: Recording, tmp_path: Path, form: str) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(BadSetting, match=r"--out .*should be a place that can be written to"):
+        recordings.export(str(recording.path), form, tmp_path / "file" / "below", None if form == "mot" else ORIGIN)

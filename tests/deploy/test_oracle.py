@@ -1,0 +1,33 @@
+"""The oracle: bodies go to the true targets, in a simulation only, and nothing else is told."""
+
+import pytest
+
+from deploy.scenario import Scenario, refuse_oracle, resolve
+from deploy.simulation import Simulation
+from protocol.settings import BadSetting
+
+SMALL = {"team.composition": "A6", "targets.count": 3, "run.seconds": 12.0, "run.dt": 0.25}
+
+
+def scenario(mode: str) -> Scenario:
+    return resolve("convergence", {**SMALL, "control.mode": mode})
+
+
+def test_the_oracle_keeps_every_target_in_view_where_it_has_more_sensors_than_targets() -> None:
+    """At 2 m/s a body is anywhere in the arena of 40 m within 12 s, or nearly."""
+    simulation = Simulation(scenario("oracle"))
+    simulation.run()
+    last = simulation.scorer.scores[-1]
+    assert (last.in_view, last.targets) == (3, 3)
+
+
+def test_standing_bodies_do_not() -> None:
+    simulation = Simulation(scenario("static"))
+    simulation.run()
+    assert simulation.scorer.scores[-1].in_view < 3
+
+
+def test_a_live_run_with_the_oracle_is_refused_in_one_line() -> None:
+    with pytest.raises(BadSetting, match=r"control.mode = 'oracle': .*covey simulate"):
+        refuse_oracle(scenario("oracle"))
+    refuse_oracle(scenario("lloyd"))

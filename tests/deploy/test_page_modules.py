@@ -1,0 +1,77 @@
+"""Modules of the page in Node: events become sentences, trails follow labels, cells of the dead fade, the view keeps its place."""
+
+import re
+from statistics import median
+
+from deploy.page.server import STATIC
+from tests.node import needs_node, node
+
+pytestmark = needs_node
+HINT = re.compile(r"data-hint\"?[=:,] ?\"([^\"]+)\"")
+
+
+def test_what_befalls_several_agents_at_once_is_one_sentence_and_a_command_stands_alone() -> None:
+    happened = [
+        [1, 9.0, "asked", "s2", "from the page: killed s2"],
+        [2, 9.1, "lost", "s2", "s2 is gone"],
+        [3, 9.1, "told", "s2", "s2 died: s1 took its cell"],
+        [4, 9.6, "lost", "s5", "s5 is gone"],
+        [5, 9.9, "lost", "s7", "s7 is gone"],
+        [6, 12.0, "lost", "s1", "s1 is gone"],
+    ]
+    groups = node("grouped(data).map((group) => group.text)", happened, "log")
+    assert groups == ["from the page: killed s2", "s2, s5 and s7 are gone", "s2 died: s1 took its cell", "s1 is gone"]
+
+
+def frame(time: float, **agent: object) -> dict[str, object]:
+    """A frame of one agent."""
+    return {"time": time, "ids": [], "targets": [], "agents": [{"name": "s1", "state": "alive", "pose": [1, 1, 0], "said": time, **agent}]}
+
+
+SEEN = """(() => {
+  const scene = new Scene();
+  scene.begin({ agents: [{}] }, { bodies: {}, targets: {} });
+  data.forEach((one) => scene.take(one));
+  return %s;
+})()"""
+
+
+def test_estimates_with_labels_leave_trails_by_label_and_others_leave_none() -> None:
+    labelled = [frame(1, targets=[5, 5, 9, 9], labels=[3, 4]), frame(2, targets=[9, 8, 5, 6], labels=[4, 3])]
+    assert node(SEEN % "Object.fromEntries(scene.trails.labels)", labelled, "scene") == {"3": [1, 5, 5, 2, 5, 6], "4": [1, 9, 9, 2, 9, 8]}
+    assert node(SEEN % "scene.trails.labels.size", [frame(1, targets=[5, 5])], "scene") == 0
+
+
+def test_the_cell_of_one_that_has_died_fades_for_four_seconds_and_a_jump_back_forgets_it() -> None:
+    square, gone = [0, 0, 1, 0, 1, 1], {"state": "dead", "cell": []}
+    died = [frame(1, cell=square), frame(2, **gone)]
+    assert node(SEEN % "scene.fading", died, "scene") == [{"index": 0, "cell": square, "time": 2}]
+    assert node(SEEN % "scene.fading", [*died, frame(5.9, **gone)], "scene") != []
+    assert node(SEEN % "scene.fading", [*died, frame(6, **gone)], "scene") == []
+    assert node(SEEN % "scene.fading", [*died, frame(1.5, cell=square)], "scene") == []
+
+
+def test_gossip_is_fresh_in_the_frame_that_brings_a_new_one_alone() -> None:
+    frames = [frame(1), frame(2), frame(3, said=2)]
+    assert node(SEEN % "scene.said.get('s1')", frames[:2], "scene") == {"tick": 2, "count": 2, "fresh": True}
+    assert node(SEEN % "scene.said.get('s1')", frames, "scene") == {"tick": 2, "count": 2, "fresh": False}
+
+
+def test_zoom_keeps_the_place_under_the_pointer_and_stays_within_the_arena() -> None:
+    made = "const view = new View(() => {})"
+    # a point at 0.6 of the arena is 0.1 right of the centre; twice as large, it is where it was when the centre is at 0.55
+    assert node(f"(() => {{ {made}; view.by(2, 0.6, 0.5); return [view.zoom, view.east, view.north]; }})()", 0, "view") == [2, 0.55, 0.5]
+    assert node(f"(() => {{ {made}; view.by(4); view.pan(9, -9); return [view.east, view.north]; }})()", 0, "view") == [0.875, 0.125]
+    assert node(f"(() => {{ {made}; view.by(0.1); return view.zoom; }})()", 0, "view") == 1
+
+
+def test_every_hint_has_a_text_of_short_sentences() -> None:
+    texts = node("TEXTS", 0, "texts")
+    tour = node("TOUR", 0, "texts")
+    sources = "".join(file.read_text(encoding="utf-8") for file in STATIC.iterdir() if file.suffix in (".html", ".js"))
+    named = set(HINT.findall(sources))
+    assert len(named) > 15 and named <= set(texts)
+    assert {"OSPA", "hole", "U", "centroids", "claim"} <= set(texts)
+    lengths = [len(line.split()) for _, *lines in texts.values() for line in lines]
+    assert median(lengths) <= 15 and max(lengths) <= 20
+    assert len(tour) == 5 and all(step["at"].removeprefix("#") in sources for step in tour)

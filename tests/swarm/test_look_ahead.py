@@ -1,0 +1,107 @@
+"""A swarm whose messages come late: its cells tile the arena, it is still one filter, and it is on time again when they are."""
+
+import numpy as np
+import pytest
+
+from agents.agent import Agent
+from agents.gossip.table import announced_sensor, gossip_table
+from agents.tracking.belief import share_of
+from agents.tracking.births import background_births
+from agents.tracking.claims import NO_CLAIM, in_arena
+from agents.tracking.particles import Particles, canonical, join, select
+from agents.tracking.step import Step
+from agents.tracking.tracker import RegionInput
+from deploy.scenario import Scenario, agent_config
+from deploy.simulation import Simulation, compiled
+from deploy.verify.central_filter import _drawn, _widely, particle_difference
+from protocol.compact import quantised
+from protocol.keys import order
+from protocol.messages import Gossip
+from protocol.settings import sensor_of
+from tests.swarm.scene import fault, tracking, watch
+
+START, DT = 4.0, 0.5
+
+
+def lags(simulation: Simulation) -> set[int]:
+    return {agent._rounds.lag.kept for agent in simulation.agents.values()}
+
+
+@pytest.mark.parametrize(("delay", "interest"), [(0.5, "all"), (0.5, "neighbours"), (1.0, "all")])
+def test_from_the_tick_on_in_which_messages_become_late_no_place_is_left_out_or_claimed_twice(delay: float, interest: str) -> None:
+    scenario = tracking(
+        fault(START, "delay", "100%", delay), run__dt=DT, run__seconds=12.0, timing__look_ahead=2.5, timing__interest=interest
+    )
+    seen = watch(scenario, clock="realtime")
+    since = seen.at(START)
+    assert max(seen.holes[since:]) < 1e-9 and max(seen.overlaps[since:]) < 1e-9
+    assert lags(seen.simulation) == {round(delay / DT)}
+    assert sum(agent.counters["missing"] for agent in seen.agents.values()) <= 1
+
+
+def test_the_lag_goes_with_the_delay_and_leaves_no_hole() -> None:
+    scenario = tracking(fault(START, "delay", "100%", 0.7, seconds=4.0), run__dt=DT, run__seconds=14.0, timing__look_ahead=2.5)
+    seen = watch(scenario, clock="realtime")
+    assert max(seen.holes) < 1e-9 and lags(seen.simulation) == {0}
+    assert all(agent.outcome.belief.stamp == agent.tick for agent in seen.agents.values())
+
+
+def test_without_the_setting_nothing_is_played_late() -> None:
+    scenario = tracking(fault(START, "delay", "100%", 0.5), run__dt=DT, run__seconds=10.0, timing__look_ahead=0.0)
+    seen = watch(scenario, clock="realtime")
+    assert lags(seen.simulation) == {0} and max(seen.holes) > 0.0
+
+
+def replayed(scenario: Scenario, owned: Particles, ticks: list[dict[str, Gossip]], claims: dict[str, Gossip]) -> Particles:
+    """One filter over the arena some ticks later; new particles are drawn in the claims of the last tick alone."""
+    config, backend = agent_config(scenario), compiled()
+    for gossips in ticks:
+        said = [gossips[name] for name in sorted(gossips, key=order)]
+        step = Step(config, said[0].tick)
+        born = background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
+        sensors = [
+            announced_sensor(gossip.sender, sensor_of(config, scenario.members[gossip.sender]), config.detection.clutter) for gossip in said
+        ]
+        everywhere = RegionInput("", 0, sensors[0].sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
+        updated = backend.update_regions(gossip_table(said, sensors, config), owned, born, [everywhere], step)[0].updated
+        owned = select(updated, in_arena(updated.states, config.arena))  # a tick ends with what is in the arena
+    parts = [_drawn(owned, name, share_of(gossip).claim, step) for name, gossip in claims.items()]
+    return canonical(join(parts))
+
+
+def told(gossips: dict[str, Gossip]) -> Particles:
+    return canonical(join([share_of(gossip).particles for gossip in gossips.values()]))
+
+
+@pytest.mark.parametrize("lag", [1, 2])
+def test_the_swarm_is_one_filter_that_draws_its_particles_once_in_so_many_ticks(lag: int) -> None:
+    gossips: dict[int, dict[str, Gossip]] = {}
+    scenario = tracking(fault(START, "delay", "100%", lag * DT), run__dt=DT, run__seconds=14.0, timing__look_ahead=2.5)
+
+    def look(tick: int, simulation: Simulation) -> None:
+        for agent in simulation.agents.values():
+            assert isinstance(agent, Agent)
+            for said_at, heard in agent._rounds.recent._said.items():
+                own = heard.get(agent.name)
+                if own is not None:
+                    gossips.setdefault(said_at, {})[agent.name] = own[0]
+
+    watch(scenario, clock="realtime", at_tick=look)
+    tick = 22  # of the claims; all say so, lag ticks later than usual
+    first, last = gossips[tick], gossips[tick + 1 + lag]
+    assert {gossip.claim_tick for gossip in last.values()} == {tick} and {gossip.behind for gossip in last.values()} == {lag}
+    assert {gossip.claim_tick for gossip in first.values()} == {tick - lag - 1}
+    scans = [gossips[stamp] for stamp in range(tick - lag, tick + 1)]
+    central = replayed(scenario, told(first), scans, last)
+    apart = particle_difference(told(last), central)
+    assert apart.exact, apart
+    assert len(np.unique(central.ids)) > 100
+
+
+def test_an_owner_keeps_the_particles_that_it_states_in_few_bytes() -> None:
+    seen = watch(tracking(run__dt=DT, run__seconds=6.0, filter__compact=True), clock="realtime")
+    for agent in seen.agents.values():
+        mine = agent.outcome.belief.mine.particles
+        states, ids = quantised(mine.states, seen.simulation.scenario.filter.speed, agent.name, agent.outcome.belief.stamp)
+        assert np.array_equal(states, mine.states) and np.array_equal(ids, mine.ids)
+    assert sum(len(agent.outcome.belief.mine.particles.ids) for agent in seen.agents.values()) > 100

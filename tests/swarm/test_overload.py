@@ -1,0 +1,65 @@
+"""A swarm that is starved or stopped, in virtual time: nobody is given up, no place is claimed by many, and all is well soon after."""
+
+import msgspec
+import pytest
+
+from deploy.scenario import FaultSettings, resolve
+from deploy.scoring.scores import Score
+from deploy.simulation import Simulation
+
+START, END, SECONDS = 10.0, 22.0, 30.0  # s of world time, which passes twice as fast as the clock
+RATE = 2.0
+
+
+def overloaded(*faults: FaultSettings) -> Simulation:
+    options = {"team.composition": "A3,C6,D3", "run.seed": 3, "run.seconds": SECONDS, "run.rate": RATE, "targets.count": 12}
+    scenario = resolve("efficacy", {**options, "arena.width": 60.0, "arena.height": 60.0})
+    simulation = Simulation(msgspec.structs.replace(scenario, faults=faults), clock="realtime")
+    simulation.run()
+    return simulation
+
+
+def between(simulation: Simulation, start: float, end: float) -> list[Score]:
+    return [score for score in simulation.scorer.scores if start <= score.time < end]
+
+
+def given_up(simulation: Simulation) -> int:
+    return sum(agent.neighbours.given_up for agent in simulation.agents.values())
+
+
+def starved(share: float) -> FaultSettings:
+    return FaultSettings(at=START, verb="starve", who="100%", value=share, seconds=END - START)
+
+
+@pytest.mark.parametrize("seconds", [3.0, 8.0])
+def test_after_a_stop_of_all_processes_nobody_is_dead_and_every_place_has_one_claim(seconds: float) -> None:
+    simulation = overloaded(FaultSettings(at=START, verb="freeze", who="100%", value=seconds))
+    assert given_up(simulation) == 0
+    assert all(agent.counters["stalled_ms"] > 2000 for agent in simulation.agents.values())
+    after = between(simulation, START + RATE, SECONDS)
+    assert max(score.hole for score in after) < 0.01 and max(score.overlap for score in after) < 0.01
+
+
+def test_a_stop_within_the_lease_changes_nothing_at_all() -> None:
+    frozen = overloaded(FaultSettings(at=START, verb="freeze", who="100%", value=3.0))
+    assert [score.ospa for score in frozen.scorer.scores] == [score.ospa for score in overloaded().scorer.scores]
+
+
+@pytest.mark.parametrize("share", [0.6, 0.4])
+def test_starved_agents_skip_in_step_keep_their_claims_and_come_back(share: float) -> None:
+    simulation = overloaded(starved(share))
+    during, after = between(simulation, START, END), between(simulation, END + 2.0 * RATE, SECONDS)
+    assert given_up(simulation) == 0
+    assert max(score.overlap for score in during) < 0.30
+    assert sum(score.hole for score in during) <= 0.03 * len(during)
+    spared, skipped = (sum(agent.counters[name] for agent in simulation.agents.values()) for name in ("spared", "skipped"))
+    assert spared > 3 * skipped
+    assert max(score.hole for score in after) < 0.01 and max(score.overlap for score in after) < 0.01
+    assert {agent.neighbours.pace for agent in simulation.agents.values()} == {1}
+
+
+def test_a_death_among_starved_agents_leaves_no_hole_for_long() -> None:
+    simulation = overloaded(starved(0.4), FaultSettings(at=START + 6.0, verb="kill", who="s5"))
+    [kill] = simulation.scorer.result(0.0).kills
+    assert kill.closed_seconds is not None and kill.closed_seconds <= 2.0
+    assert given_up(simulation) == 0

@@ -1,0 +1,245 @@
+"""Platforms of the user's own, the fence, and the tracking layer for robots that cannot move sideways."""
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from covey.examples.robots import INNER, DifferentialDrive
+from deploy.live.platform_check import check_platform
+from deploy.scenario import Scenario, resolve, world_config
+from protocol.messages import Command, Observation
+from protocol.node import Alive, Started, Stop, Timer, received
+from protocol.settings import BadSetting, LimitSettings
+from world.body import Body, check_epoch
+from world.config import WorldConfig
+from world.platform import Simulated, build_platform, fenced
+from world.unicycle import twist
+
+HERE = "tests.world.test_platform"
+LIMITS = LimitSettings(speed=2.0, turn_rate=5.0)
+
+
+class Robot:
+    """A platform that notes what it is told and answers what a test wants."""
+
+    answer: Any = ((5.0, 5.0, 0.0), None)
+    told: list[Any]
+
+    def __init__(self, name: str) -> None:
+        Robot.told = []
+
+    def read(self, tick: int) -> Any:
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    def drive(self, velocity: tuple[float, float], turn_rate: float) -> None:
+        self.told.append((velocity, turn_rate))
+
+    def stop(self) -> None:
+        self.told.append("stop")
+
+
+class Unstoppable:
+    read = drive = Robot.read
+
+    def __init__(self, name: str) -> None:
+        pass
+
+
+class NeedsAPort:
+    def __init__(self, name: str, port: str) -> None:
+        pass
+
+
+def config(platform: str = f"{HERE}:Robot", **settings: object) -> WorldConfig:
+    scenario: Scenario = resolve("quick", {"team.composition": "A2", "bodies.host": "own", "bodies.platform": platform, **settings})
+    return world_config(scenario)
+
+
+def started(monkeypatch: pytest.MonkeyPatch, answer: Any = ((5.0, 5.0, 0.0), None), **settings: object) -> Body:
+    monkeypatch.setattr(Robot, "answer", answer)
+    body = Body(config(**{"bodies.epoch": 100.0, "run.clock": "realtime", **settings}), "s1", 1, 100.0)
+    body.handle(Started(), 0.0)
+    body.handle(Alive("agent", "s1", 1), 0.0)
+    return body
+
+
+def command(tick: int, velocity: tuple[float, float] = (1.0, 0.0), incarnation: int = 1) -> Any:
+    return received(Command(sender="s1", incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=0.5))
+
+
+@pytest.mark.parametrize(
+    ("platform", "complaint"),
+    [
+        (f"{HERE}:Unstoppable", "has no method stop"),
+        (f"{HERE}:Nobody", "has no Nobody"),
+        (f"{HERE}:NeedsAPort", "missing 1 required positional argument: 'port'"),
+        ("robot", "should read module:Name"),
+    ],
+)
+def test_a_platform_that_cannot_be_one_is_refused_by_name(platform: str, complaint: str) -> None:
+    with pytest.raises(BadSetting, match=complaint) as refused:
+        build_platform("s1", config(platform))
+    assert str(refused.value).startswith(f"bodies.platform = {platform!r}: ") and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("answer", "complaint"),
+    [
+        (((math.nan, 0.0, 0.0), None), "three finite numbers"),
+        ((("1", 0.0, 0.0), None), "three finite numbers"),
+        (((0.0, 0.0), None), "three finite numbers"),
+        (None, "a pose and detections"),
+        (((0.0, 0.0, 0.0), np.zeros((2, 3))), "shape"),
+        (((0.0, 0.0, 0.0), np.array([[0.0, math.inf]])), "inf"),
+        (((0.0, 0.0, 0.0), np.full((1, 2), 1e30)), "within"),
+        (RuntimeError("no link"), "raised RuntimeError: no link"),
+    ],
+)
+def test_a_wrong_answer_stops_the_platform_and_names_the_class(monkeypatch: pytest.MonkeyPatch, answer: Any, complaint: str) -> None:
+    body = started(monkeypatch, answer)
+    with pytest.raises(BadSetting, match=complaint) as refused:
+        body.handle(Timer(), 0.0)
+    assert str(refused.value).startswith(f"{HERE}:Robot.read(0)") and "\n" not in str(refused.value)
+    assert Robot.told[-1] == "stop"
+
+
+def test_its_own_detections_reach_the_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch, ((5.0, 6.0, 7.0), np.array([[1.0, 2.0], [3.0, 4.0]])))
+    [seen] = body.handle(Timer(), 0.0)
+    assert isinstance(seen, Observation)
+    assert (seen.recipient, seen.tick, seen.pose) == ("s1", 0, (5.0, 6.0, 7.0))
+    assert seen.detections.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+
+
+def test_without_a_command_for_half_a_second_it_is_stopped_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch)
+    body.handle(Timer(), 0.0)
+    body.handle(command(0), 0.1)
+    assert Robot.told == [((1.0, 0.0), 0.5)]
+    for now in (0.25, 0.5, 0.59):
+        body.handle(Timer(), now)
+    assert Robot.told == [((1.0, 0.0), 0.5)]
+    assert body.deadline() == pytest.approx(0.6)
+    body.handle(Timer(), 0.6)
+    body.handle(Timer(), 0.75)
+    assert Robot.told[1:] == ["stop"]
+    body.handle(command(3), 0.8)
+    assert Robot.told[2:] == [((1.0, 0.0), 0.5)]
+
+
+def test_a_command_of_another_life_of_the_agent_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch)
+    body.handle(Timer(), 0.0)
+    body.handle(command(0, incarnation=2), 0.1)
+    body.handle(command(1), 0.1)
+    assert Robot.told == [] and body.ignored_commands == 2
+
+
+def test_a_tick_that_is_left_out_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch)
+    body.handle(Timer(), 0.0)
+    body.handle(command(0), 0.1)
+    body.handle(Timer(), 0.55)  # tick 1 never began
+    assert Robot.told[1:] == ["stop"] and body.tick == 2
+
+
+def test_the_last_tick_stops_the_platform(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch, **{"run.seconds": 0.25})
+    body.handle(Timer(), 0.0)
+    assert body.handle(Timer(), 0.25) == [Stop(0, "done")] and Robot.told == ["stop"]
+
+
+def test_the_fence_shortens_what_leads_out_and_leaves_what_leads_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    box = (-1.0, -1.0, 11.0, 11.0)
+    assert fenced((2.0, 1.0), (5.0, 5.0, 0.0), box, 0.5) == (2.0, 1.0)
+    assert fenced((2.0, 1.0), (10.5, 5.0, 0.0), box, 0.5) == (1.0, 1.0)
+    assert fenced((-2.0, 2.0), (-0.5, 10.5, 0.0), box, 0.5) == (-1.0, 1.0)
+    assert fenced((2.0, -2.0), (11.5, -1.5, 0.0), box, 0.5) == (0.0, 0.0)
+    assert fenced((-2.0, 2.0), (11.5, -1.5, 0.0), box, 0.5) == (-2.0, 2.0)
+    body = started(monkeypatch, ((43.0, 5.0, 0.0), None), **{"bodies.fence": 3.0, "arena.width": 40.0})
+    body.handle(Timer(), 0.0)
+    body.handle(command(0), 0.1)
+    assert Robot.told == [((0.0, 0.0), 0.5)]
+
+
+def test_an_epoch_that_lies_too_far_ahead_is_refused() -> None:
+    settings = config(**{"bodies.epoch": 1000.0, "run.clock": "realtime"})
+    check_epoch(settings, 941.0)
+    with pytest.raises(BadSetting, match=r"bodies.epoch = 1000.000: lies 100 s ahead of this machine's clock; should be at most 60 s"):
+        check_epoch(settings, 900.0)
+
+
+# ---------------------------------------------------------------------- robots that cannot move sideways
+
+
+def test_ahead_of_the_axle_a_point_moves_in_any_direction() -> None:
+    for heading in np.linspace(-3.0, 3.0, 13):
+        forward, turn = twist(heading, (0.3, -0.2), 0.5, LIMITS)
+        east, north = math.cos(heading), math.sin(heading)
+        moved = forward * east - 0.5 * turn * north, forward * north + 0.5 * turn * east
+        assert moved == pytest.approx((0.3, -0.2), abs=1e-12)
+
+
+def test_limits_shorten_the_motion_and_keep_its_direction() -> None:
+    assert twist(0.0, (0.0, 2.0), 0.2, LIMITS) == pytest.approx((0.0, 5.0))
+    assert twist(0.0, (4.0, 1.0), 0.5, LIMITS) == pytest.approx((2.0, 1.0))
+    assert twist(1.0, (1.0, 1.0), 0.5, LimitSettings(speed=0.0, turn_rate=5.0)) == (0.0, 0.0)
+
+
+def test_the_error_over_a_tick_is_as_stated() -> None:
+    """A course that changes every second, within the limits: at most |velocity| dt turn_rate h / 2 off it in a tick, and never faster."""
+    rng, robot = np.random.default_rng(7), DifferentialDrive("s1", {"s1": (0.0, 0.0, 0.0)})
+    (x, y, _), _ = robot.read(0)
+    worst, tick, slow = -math.inf, 0, []
+    for _ in range(300):
+        course, speed = rng.uniform(-math.pi, math.pi), rng.uniform(0.5, 2.0)
+        for _ in range(4):
+            robot.drive((speed * math.cos(course), speed * math.sin(course)), 0.0)
+            tick += 1
+            (x1, y1, _), _ = robot.read(tick)
+            along = (x1 - x) * math.cos(course) + (y1 - y) * math.sin(course)
+            across = (y1 - y) * math.cos(course) - (x1 - x) * math.sin(course)
+            worst = max(worst, abs(across) - speed * 0.25 * 5.0 * INNER / 2.0)
+            slow.append(along / (speed * 0.25))
+            x, y = x1, y1
+    print(f"margin {-1000 * worst:.2f} mm; share of the way {min(slow):.2f} to {max(slow):.2f}, median {np.median(slow):.3f}")
+    assert worst <= 0.0
+    assert min(slow) >= 0.2 * 5.0 / 2.0 - 0.05 and max(slow) <= 1.0 + 1e-9
+    assert np.median(slow) >= 0.98
+
+
+def test_a_simulated_body_stands_where_the_last_tick_has_left_it() -> None:
+    body = Simulated((1.0, 1.0, 0.0), 0.25, LIMITS)
+    body.drive((1.0, 0.0), 0.0)
+    assert body.read(2)[0] == (1.5, 1.0, 0.0)
+    body.stop()
+    assert body.read(9)[0] == (1.5, 1.0, 0.0)
+
+
+class Runaway(Robot):
+    """A robot that goes on after stop."""
+
+    def __init__(self, name: str) -> None:
+        self.begun: float | None = None
+
+    def read(self, tick: int) -> Any:
+        return ((0.2 * (time.monotonic() - self.begun) if self.begun else 0.0, 0.0, 0.0), None)
+
+    def drive(self, velocity: tuple[float, float], turn_rate: float) -> None:
+        self.begun = self.begun or time.monotonic()
+
+    def stop(self) -> None:
+        pass
+
+
+def test_the_contract_is_kept_by_the_example_and_broken_by_a_robot_that_does_not_stop() -> None:
+    parameters = {"bodies.parameters": {"places": {"s1": [5.0, 5.0, 0.0]}}}
+    example = config("covey.examples.robots:DifferentialDrive", **parameters)
+    assert all(kept for _, kept in check_platform("s1", example))
+    broken = [rule for rule, kept in check_platform("s1", config(f"{HERE}:Runaway")) if not kept]
+    assert broken == ["0.5 s after stop it stands (within 0.02 m)"]

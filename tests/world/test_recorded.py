@@ -1,0 +1,178 @@
+"""Recorded worlds: what the loaders read, what they leave out, and what they refuse, by file and line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.scenario import resolve, world_config
+from protocol.settings import ArenaSettings, BadSetting
+from world.config import RecordedSettings
+from world.recorded.local_frame import LocalFrame
+from world.recorded.pedestrians import read_pedestrians
+from world.recorded.ships import read_ships
+from world.recorded.targets import RecordedTargets
+from world.sources import recording_of, sources_of
+
+HEAD = "Time,MMSI,Latitude_degrees,Longitude_degrees,COG_degrees,SOG_knots"
+PEOPLE = RecordedSettings(kind="pedestrians", data="x")
+SHIPS = RecordedSettings(kind="ships", data="x", origin=(50.0, -1.0), longest_gap=60.0, longest_hole=60.0)
+ARENA = ArenaSettings(width=10.0, height=10.0)
+
+
+def people(tmp_path: Path, *lines: str) -> Path:
+    """A file of pedestrians: frame, person, x and y of each."""
+    rows = [line.split() for line in lines]
+    file = tmp_path / "people.txt"
+    file.write_text("# a comment\n" + "\n".join(f"{frame} {who} {x} 0 {y} 0 0 0" for frame, who, x, y in rows) + "\n")
+    return file
+
+
+def ships(tmp_path: Path, *lines: str, head: str = HEAD) -> Path:
+    """A file of AIS reports: seconds after 13:00:00, MMSI, latitude and longitude of each."""
+    rows = [line.split() for line in lines]
+    file = tmp_path / "ships.csv"
+    texts = [f"2016-01-12 13:{int(at) // 60:02}:{float(at) % 60.0:06.3f},{who},{lat},{lon},0,0" for at, who, lat, lon in rows]
+    file.write_text("\n".join([head, *texts]) + "\n")
+    return file
+
+
+def test_a_person_appears_with_the_first_line_and_leaves_with_the_last_and_walks_straight_in_between(tmp_path: Path) -> None:
+    file = people(tmp_path, "0 7 1 1", "10 7 2 1", "10 9 5 5", "20 7 2 2", "20 9 5 6", "30 9 5 7")
+    targets = RecordedTargets(read_pedestrians(file, PEOPLE).visits, ARENA, dt=0.2, start=0.0)
+    seen = []
+    for _ in range(7):
+        seen.append({int(name): tuple(np.round(place, 9)) for name, place in zip(targets.ids, targets.positions)})
+        targets.step()
+    assert seen[0] == {7: (1.0, 1.0)}
+    assert seen[1] == {7: (1.5, 1.0)}
+    assert seen[3] == {7: (2.0, 1.5), 9: (5.0, 5.5)}
+    assert seen[5] == {9: (5.0, 6.5)}
+
+
+def test_a_target_outside_the_arena_is_away(tmp_path: Path) -> None:
+    file = people(tmp_path, "0 1 -1 5", "10 1 1 5", "20 1 3 5")
+    targets = RecordedTargets(read_pedestrians(file, PEOPLE).visits, ARENA, dt=0.4, start=0.0)
+    assert len(targets.ids) == 0
+    targets.step()
+    assert targets.positions.tolist() == [[1.0, 5.0]]
+
+
+def test_a_target_that_is_silent_for_long_is_away_in_between_and_named(tmp_path: Path) -> None:
+    file = people(tmp_path, *[f"{frame} 1 5 5" for frame in range(0, 400, 10)], "400 2 1 1", "410 1 5 5")
+    lines = file.read_text().splitlines()
+    lines = lines[:1] + sorted([*lines[1:], "0 3 1 0 1 0 0 0", "300 3 2 0 1 0 0 0"], key=lambda line: float(line.split()[0]))
+    file.write_text("\n".join(lines))
+    found = read_pedestrians(file, PEOPLE)
+    assert len([visit for visit in found.visits if visit.target == 3]) == 2
+    number = lines.index("300 3 2 0 1 0 0 0") + 1
+    assert found.remarks == (f"{file}, line {number}: person 3 was silent for 12.0 s; it is away in between",)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["0 1 1 1", "200 1 1 1"], "line 3: a hole of 8 s in which there is no line; should be at most recorded.longest_hole = 5 s"),
+        (["10 1 1 1", "0 1 1 1"], "line 3: the time falls by 0.4 s; lines should be in the order of time"),
+        (["0 1 x 1"], "line 2: x = 'x': should be a finite number"),
+        (["0 1 nan 1"], "line 2: x = 'nan': should be a finite number"),
+        (["0.5 1 1 1"], "line 2: frame = '0.5': should be a whole number >= 0"),
+        (["0 1 1 1", "0 1 2 1"], "line 3: person = 1 stands in frame 0 twice"),
+        (["0 1 1 1 "], "line 2: 9 columns; should be 8"),
+    ],
+)
+def test_a_file_of_people_that_breaks_its_form_is_refused_by_file_and_line(tmp_path: Path, lines: list[str], said: str) -> None:
+    file = people(tmp_path, *lines)
+    if "9 columns" in said:
+        file.write_text(file.read_text().replace("0 0 0", "0 0 0 0"))
+    with pytest.raises(BadSetting) as error:
+        read_pedestrians(file, PEOPLE)
+    assert str(error.value) == f"{file}, {said}"
+
+
+def test_a_person_who_would_fly_is_left_out_and_named(tmp_path: Path) -> None:
+    file = people(tmp_path, "0 1 1 1", "10 1 9 1", "20 1 1.5 1")
+    found = read_pedestrians(file, PEOPLE)
+    assert found.remarks == (f"{file}, line 3: person 1 at 20 m/s: should be at most 12 m/s; the line is left out",)
+    assert found.visits[0].places.tolist() == [[1.0, 1.0], [1.5, 1.0]]
+
+
+def test_ships_lie_east_and_north_of_the_origin(tmp_path: Path) -> None:
+    file = ships(tmp_path, "0 235 50.01 -0.99", "10 235 50.01 -0.99")
+    east, north = read_ships(file, SHIPS).visits[0].places[0]
+    assert (east, north) == pytest.approx((717.2, 1112.4), abs=1.0)  # 0.01 degrees: 111.25 km x 0.01, and cos 50 of 111.66 km x 0.01
+
+
+@pytest.mark.parametrize("place", [(50.0, -1.0), (50.3, -0.7), (49.5, -1.9), (-33.0, 179.0)])
+def test_the_local_frame_and_its_inverse_agree(place: tuple[float, float]) -> None:
+    frame = LocalFrame(round(place[0]), round(place[1]))
+    assert frame.to_earth(*frame.to_plane(*place)) == pytest.approx(place, abs=1e-9)
+
+
+def test_a_report_that_cannot_be_true_is_left_out_and_named_by_line(tmp_path: Path) -> None:
+    file = ships(tmp_path, "0 235 50.0 -1.0", "5 245188000 50.8141 54.83172", "10 235 50.0 -1.0", "20 235 50.5 -1.0", "30 235 50.0 -1.0")
+    found = read_ships(file, SHIPS)
+    assert len(found.visits) == 1 and len(found.visits[0].times) == 3
+    assert found.remarks[0].startswith(f"{file}, line 3: latitude 50.8141, longitude 54.8317: ")
+    assert found.remarks[1].startswith(f"{file}, line 5: MMSI 235 at 5")
+
+
+@pytest.mark.parametrize(
+    ("head", "line", "said"),
+    [
+        (HEAD.replace("MMSI", "ship"), "0 1 50 -1", "line 1: column 'ship' is unknown"),
+        (HEAD + ",heading", "0 1 50 -1", "line 1: column 'heading' is unknown"),
+        (HEAD.replace("MMSI,", ""), "0 1 50 -1", "line 1: column 'MMSI' is missing"),
+        (HEAD, "0 1 north -1", "line 2: Latitude_degrees = 'north': should be a finite number"),
+    ],
+)
+def test_a_file_of_ships_that_breaks_its_form_is_refused_by_file_and_line(tmp_path: Path, head: str, line: str, said: str) -> None:
+    file = ships(tmp_path, line, head=head)
+    with pytest.raises(BadSetting) as error:
+        read_ships(file, SHIPS)
+    assert str(error.value).startswith(f"{file}, {said}")
+
+
+def test_a_time_that_is_none_is_refused(tmp_path: Path) -> None:
+    file = ships(tmp_path, "0 1 50 -1")
+    file.write_text(file.read_text().replace("2016-01-12", "yesterday"))
+    with pytest.raises(BadSetting, match=r"line 2: Time = 'yesterday .*should be such as 2016-01-12 13:02:11.218"):
+        read_ships(file, SHIPS)
+
+
+def test_a_file_with_many_impossible_lines_is_refused(tmp_path: Path) -> None:
+    file = ships(tmp_path, *[f"{at} 235 {50.0 + at % 2} -1.0" for at in range(20)])
+    with pytest.raises(BadSetting, match="10 of 20 lines like this: should be at most 1 %"):
+        read_ships(file, SHIPS)
+
+
+@pytest.mark.parametrize(("name", "most", "least"), [("students03", 62, 20), ("solent", 91, 40)])
+def test_the_shipped_recordings_fill_their_arenas(name: str, most: int, least: int) -> None:
+    config = world_config(resolve(name))
+    targets = sources_of(config).targets
+    counts = []
+    for _ in range(60):
+        counts.append(len(targets.ids))
+        targets.step()
+    assert least <= np.mean(counts) <= max(counts) <= most
+
+
+def test_the_solent_has_one_report_that_cannot_be_and_people_have_none() -> None:
+    wrong = [line for line in recording_of(world_config(resolve("solent"))).remarks if "left out" in line]
+    assert len(wrong) == 1
+    assert "solent.csv, line 8209: latitude 50.8141, longitude 54.8317: " in wrong[0]
+    assert recording_of(world_config(resolve("students03"))).remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"run.seconds": 300.0}, "run.seconds = 300: the recording ends before; should be at most 215.6"),
+        ({"recorded.data": ""}, "recorded.data: is missing; `--data PATH` says where the files of this world are"),
+        ({"recorded.data": "/nowhere.txt"}, "recorded.data = '/nowhere.txt': No such file or directory"),
+    ],
+)
+def test_a_recording_that_is_not_there_or_too_short_is_named(options: dict[str, object], said: str) -> None:
+    with pytest.raises(BadSetting) as error:
+        recording_of(world_config(resolve("students03", options)))
+    assert str(error.value) == said

@@ -1,0 +1,291 @@
+"""The Body node: the world's part for one agent. It keeps the pose, hands the agent its Observations and obeys its Commands.
+
+A tick k: read the platform, publish Observation(k), then wait for the clock (real time) or for the agent's command (lockstep). Nobody
+conducts: in real time a tick is a function of synchronised time (`world.clock`); in lockstep the agents' rounds hold the bodies together,
+because a round closes with the gossips of all, and a gossip is sent when a body opens the tick.
+
+The body stands still whenever its agent is not sure to be in charge: without a command for `bodies.hold` s, without the agent's token,
+in a tick that was left out, while an operator's Halt holds, and at the end.
+"""
+
+import contextlib
+import math
+
+from protocol.fields import pack
+from protocol.keys import all_of, one_of
+from protocol.messages import Command, Gossip, Halt, Hello, Observation, Truth
+from protocol.node import Alive, Batch, Effect, Event, Gone, Node, Received, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.sensing import Pose
+from protocol.settings import BadSetting, sensor_of
+from world.bodies import check_given
+from world.clock import TickClock, TickCount, neighbours
+from world.commands import CommandBook
+from world.config import WorldConfig
+from world.halt import Hold
+from world.platform import Physical, Platform, Simulated, build_platform, fenced
+from world.proximity import StandingBodies, around
+from world.roster import Roster
+from world.scene import Scene
+
+LOOK_PERIOD = 0.25  # s between two looks at the start line
+EXIT_TWIN, EXIT_INCOMPLETE = 3, 4
+
+
+class Body(Node):
+    """The body of the agent of the same name. `unix`: the Unix time when `now` was 0, s. `restored`: a Truth with its last pose."""
+
+    role = "body"
+
+    def __init__(self, config: WorldConfig, name: str, incarnation: int, unix: float = 0.0, restored: Truth | None = None) -> None:
+        if name not in config.members:
+            raise BadSetting(f"--body {name}: the scenario has no such agent; it has {', '.join(config.members)}")
+        check_given(config)
+        self.run, self.name, self.incarnation = config.run.name, name, incarnation
+        self.tick = -1
+        self.pose: Pose = (0.0, 0.0, 0.0)  # as the platform said in this tick
+        self.hold = Hold()  # by an operator
+        self.late_commands = 0  # lockstep: ticks without a command
+        self.ignored_commands = 0
+        self.platform: Platform = build_platform(name, config)
+        if restored is not None and name in restored.bodies and isinstance(self.platform, Simulated | Physical):
+            x, y, heading = restored.poses[restored.bodies.index(name)].tolist()
+            self.platform.put((x, y, heading))
+        self._config, self._roster = config, Roster()
+        self._scene = Scene(config)
+        self._scene.sensors[name] = sensor_of(config, config.members[name])
+        self._lockstep = config.run.clock == "lockstep"
+        self._period = config.run.dt / config.run.rate
+        self._pause = config.run.dt / config.run.pace if self._lockstep and config.run.pace else 0.0
+        self._hold_seconds = max(config.bodies.hold, 2.0 * self._period, 2.0 * self._pause)
+        epoch = config.bodies.epoch if not self._lockstep else 0.0
+        self._clock = TickClock(self._period, epoch - unix if epoch else None)
+        self._count = TickCount()
+        self._alive: dict[str, set[str]] = {"agent": set(), "body": {name}}  # by role: names with a token
+        self._standing = StandingBodies()
+        self._ring: tuple[str, ...] = ()  # the neighbours to whom the clock listens
+        self._expected, self._patience, self._strict = tuple(config.members), config.run.start_timeout, config.run.strict
+        self._changed = 0.0  # when an agent came, until the start
+        self._commands = CommandBook(lockstep=self._lockstep)
+        self._waiting = False  # lockstep: for the command of this tick
+        self._not_before = 0.0  # lockstep: when the tick may end
+        self._due: float | None = None
+        self._obeyed_at: float | None = None  # when the command came that drives the platform; None: it stands
+
+    def handle(self, event: Event, now: float) -> list[Effect]:
+        """Take one event and return what to do; an error stops the platform before it ends the process."""
+        try:
+            return self._handle(event, now)
+        except Exception:
+            self.end()
+            raise
+
+    def end(self) -> None:
+        """Stop the platform for good; what it answers does not count."""
+        with contextlib.suppress(Exception):
+            self._stand()
+
+    def expect(self, names: tuple[str, ...]) -> None:
+        """Wait for these agents before the first tick, however long they take: a parent that sees their processes asks for it."""
+        self._expected, self._patience = names, math.inf
+
+    def deadline(self) -> float | None:
+        """When the next tick is due, or the body is to stand."""
+        times = [self._due, None if self._obeyed_at is None else self._obeyed_at + self._hold_seconds]
+        return min((time for time in times if time is not None), default=None)
+
+    def _handle(self, event: Event, now: float) -> list[Effect]:
+        match event:
+            case Started():
+                return self._begin(now)
+            case Timer():
+                return self._on_time(now)
+            case Received(batch=batch):
+                return self._on_batch(batch, now)
+            case Alive(role="body", name=self.name):
+                twin = event.incarnation > self.incarnation
+                return self._stop(EXIT_TWIN, f"a younger body {event.incarnation} of {self.name} is alive") if twin else []
+            case Alive(role="agent" | "body"):
+                return self._greet(event, now)
+            case Gone(role="agent" | "body"):
+                return self._bury(event, now)
+        return []
+
+    def _begin(self, now: float) -> list[Effect]:
+        self._changed = now
+        self._due = now + LOOK_PERIOD if self._clock.anchor is None else max(now, self._clock.due(0))
+        return [
+            Subscribe(all_of(self.run, "hello")),
+            Subscribe(one_of(self.run, "command", self.name)),
+            Subscribe(all_of(self.run, "halt")),
+            *([Subscribe(all_of(self.run, "observation"))] if self._config.limits.radius else []),
+        ]
+
+    def _on_batch(self, batch: Batch, now: float) -> list[Effect]:
+        effects: list[Effect] = []
+        for message in batch.messages:
+            if isinstance(message, Gossip):
+                self._clock.hear(message.sender, message.tick, now)
+                self._count.hear(message.sender, message.tick)
+            elif isinstance(message, Command):
+                effects += self._obey(message, now)
+            elif isinstance(message, Hello):
+                effects += self._hear(message, now)
+            elif isinstance(message, Halt) and self.hold.take(message):
+                self._stand()
+            elif isinstance(message, Observation) and message.recipient != self.name:
+                self._standing.hear(message.recipient, message.pose)
+        return [*effects, *self._follow(now)] if batch.kind is Gossip else effects
+
+    # ------------------------------------------------------------------ who is there
+
+    def _hear(self, hello: Hello, now: float) -> list[Effect]:
+        if hello.role != "agent":
+            return []
+        if self._roster.hear(hello):
+            self._changed = now
+        return self._try_start(now)
+
+    def _greet(self, event: Alive, now: float) -> list[Effect]:
+        self._alive[event.role].add(event.name)
+        effects = self._listen_around()
+        if event.role == "body" or not self._roster.appear(event.name, event.incarnation):
+            return effects
+        self._changed = now
+        if event.name == self.name:
+            self._commands.drop(self.name)
+        return [*effects, *self._try_start(now)]
+
+    def _bury(self, event: Gone, now: float) -> list[Effect]:
+        """Somebody has gone; without its agent the body stands still at once and waits for no command."""
+        if event.role == "body" or self._roster.vanish(event.name, event.incarnation):
+            if event.role == "body" or self._roster.live(event.name) is None:
+                self._alive[event.role].discard(event.name)
+            if event.role == "agent" and event.name == self.name:
+                self._commands.drop(self.name)
+                self._stand()
+                return [*self._listen_around(), *(self._end_of_wait(now) if self._waiting else [])]
+        return self._listen_around()
+
+    def _listen_around(self) -> list[Effect]:
+        """The effects that subscribe to the gossips of the neighbours in the ring of those who have agent and body."""
+        before, self._ring = self._ring, neighbours(self.name, self._alive["agent"] & self._alive["body"])
+        gone = [Unsubscribe(one_of(self.run, "gossip", name)) for name in before if name not in self._ring]
+        return [*gone, *(Subscribe(one_of(self.run, "gossip", name)) for name in self._ring if name not in before)]
+
+    # ------------------------------------------------------------------ ticks
+
+    @property
+    def _started(self) -> bool:
+        return self.tick >= 0
+
+    def _try_start(self, now: float) -> list[Effect]:
+        """The first tick, once all expected agents are ready, or when long nobody has come; with an epoch the clock says when."""
+        if self._started or self._due is None or self._clock.anchor is not None:
+            return []
+        complete = self._roster.is_complete(self._expected, "")
+        if (not complete and now - self._changed < self._patience) or not self._alive["agent"]:
+            return []
+        if self._strict and not complete:
+            return self._stop(EXIT_INCOMPLETE, "not all agents are ready, and the run is strict")
+        self._clock.anchor = now
+        return self._open(0, now)
+
+    def _follow(self, now: float) -> list[Effect]:
+        """Correct the clock to what the neighbours say; a body that comes late begins with their tick."""
+        if self._due is None:
+            return []
+        if self._lockstep:
+            tick = self._count.majority(self._ring)
+            late = tick - self.tick >= (2 if self._waiting else 1)  # an agent that answers may be one tick behind the fastest
+            return self._open(tick, now) if late else []
+        if not self._clock.listen(self._ring, now):
+            return []
+        tick = self._clock.tick(now)
+        self._due = self._clock.due(max(self.tick, tick) + 1)
+        return self._open(tick, now) if tick > self.tick else []
+
+    def _on_time(self, now: float) -> list[Effect]:
+        if self._obeyed_at is not None and now >= self._obeyed_at + self._hold_seconds:
+            self._stand()
+        if self._due is None or now < self._due:
+            return []
+        if self._started or self._clock.anchor is not None:
+            return self._open(self.tick + 1 if self._lockstep else max(0, self.tick + 1, self._clock.tick(now)), now)
+        self._due = now + LOOK_PERIOD
+        return self._try_start(now)
+
+    def _open(self, tick: int, now: float) -> list[Effect]:
+        """Go on to a tick: what the agent sees at it. A tick that was left out, or had no command in lockstep, moves nothing."""
+        if self._waiting:
+            self.late_commands += 1
+        if self._waiting or tick > self.tick + 1:
+            self._stand()
+        if tick >= self._config.run.ticks:
+            return self._stop(0, "done")
+        self.tick, self._waiting = tick, self._lockstep and self._roster.speaks(self.name)
+        if self._lockstep:
+            self._not_before = max(self._not_before, now - self._pause) + self._pause
+            self._due = now + self._config.run.patience if self._waiting else max(now + self._period, self._not_before)
+        else:
+            self._due = self._clock.due(tick + 1)
+        self.pose, detections = self.platform.read(tick)
+        self._scene.step_until(tick)
+        if detections is None:
+            [detections], _ = self._scene.scans({self.name: self.pose})
+        obstacles = around(self.pose, self._standing.places(self._alive["body"]), self._config) if self._config.limits.radius else None
+        seen = Observation(
+            sender=self.name,
+            incarnation=self.incarnation,
+            recipient=self.name,
+            tick=tick,
+            time=tick * self._config.run.dt,
+            pose=self.pose,
+            detections_bytes=pack(detections, "<f4"),
+            obstacles_bytes=pack(obstacles, "<f8") if obstacles is not None else b"",
+        )
+        return [seen]
+
+    # ------------------------------------------------------------------ motion
+
+    def _obey(self, command: Command, now: float) -> list[Effect]:
+        """Drive the platform; in lockstep the tick ends with its command."""
+        if not self._started or not self._commands.keep(command, self.tick, self._roster.live(self.name)):
+            self.ignored_commands += 1
+            return []
+        self._roster.note_spoken(command.sender, command.incarnation)
+        if not self.hold.holds:
+            self._drive(command)
+            self._obeyed_at = now
+        return self._end_of_wait(now) if self._waiting else []
+
+    def _end_of_wait(self, now: float) -> list[Effect]:
+        self._waiting = False
+        if now < self._not_before:
+            self._due = self._not_before
+            return []
+        return self._open(self.tick + 1, now)
+
+    def _drive(self, command: Command) -> None:
+        fence, arena, velocity = self._config.bodies.fence, self._config.arena, command.velocity
+        if fence is not None:
+            velocity = fenced(velocity, self.pose, (-fence, -fence, arena.width + fence, arena.height + fence), self._hold_seconds)
+        self.platform.drive(velocity, command.turn_rate)
+
+    def _stand(self) -> None:
+        self._obeyed_at = None
+        self.platform.stop()
+
+    def _stop(self, code: int, reason: str) -> list[Effect]:
+        self._stand()
+        self._due, self._waiting = None, False
+        return [Stop(code, reason)]
+
+
+def check_epoch(config: WorldConfig, now: float) -> None:
+    """Raise BadSetting for an epoch that a body should not wait for; `now` is the Unix time, s."""
+    epoch, most = config.bodies.epoch, config.run.start_timeout
+    if epoch and config.run.clock == "lockstep":
+        raise BadSetting(f"bodies.epoch = {epoch:.3f}: lockstep has no clock; should be 0")
+    if epoch > now + most:
+        ahead = f"lies {epoch - now:.0f} s ahead of this machine's clock"
+        raise BadSetting(f"bodies.epoch = {epoch:.3f}: {ahead}; should be at most {most:g} s (run.start_timeout): is the clock right?")

@@ -1,0 +1,116 @@
+"""What a world consists of: targets, bodies and what the sensors return, simulated or recorded.
+
+Data types: `Sources` holds the three. Each has one interface, and the world node does not know which kind it has.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from protocol.messages import Command
+from protocol.sensing import Pose, SensorModel
+from protocol.settings import BadSetting
+from world.bodies import Bodies
+from world.config import RecordedSettings, WorldConfig
+from world.detector import Detector, Sightings
+from world.recorded.mrclam import read_mrclam
+from world.recorded.pedestrians import read_pedestrians
+from world.recorded.robots import ReplayedBodies, ReplayedScans
+from world.recorded.ships import read_ships
+from world.recorded.targets import RecordedTargets
+from world.recorded.tracks import RecordedWorld
+from world.targets import Targets
+
+
+class TargetSource(Protocol):
+    """The targets at the current tick; arrays are replaced by a step, never changed in place."""
+
+    tick: int
+    positions: np.ndarray  # (T, 2), m
+    ids: np.ndarray  # (T,) uint64
+
+    def step(self) -> None:
+        """Go on to the next tick."""
+
+
+class BodySource(Protocol):
+    """The poses of all bodies by name, in team order."""
+
+    poses: dict[str, Pose]
+
+    def place(self, name: str, pose: Pose) -> None:
+        """Put a body somewhere; a new one goes to the end of the order."""
+
+    def move(self, commands: dict[str, Command]) -> None:
+        """Go on to the next tick."""
+
+
+class ScanSource(Protocol):
+    """What the sensors of a tick return."""
+
+    def scans(
+        self,
+        sensors: Sequence[SensorModel],
+        poses: Sequence[Pose],
+        names: Sequence[str],
+        positions: np.ndarray,
+        ids: np.ndarray,
+        tick: int,
+        seen: Sightings,
+    ) -> list[np.ndarray]:
+        """The detections (M, 2) float32 of each sensor."""
+
+
+class Sources(NamedTuple):
+    """The targets, the bodies and the scans of a run."""
+
+    targets: TargetSource
+    bodies: BodySource
+    detector: ScanSource
+
+
+READERS: dict[str, Callable[[Path, RecordedSettings], RecordedWorld]] = {
+    "pedestrians": read_pedestrians,
+    "ships": read_ships,
+    "mrclam": read_mrclam,
+}
+
+
+def sources_of(config: WorldConfig) -> Sources:
+    """The sources that a configuration describes; raises BadSetting naming the file and the line, or the field."""
+    run = config.run
+    bodies, detector = body_source(config), Detector(config.detection, run.seed)
+    if config.recorded.kind == "none":
+        return Sources(Targets(config.targets, config.arena, run.dt, run.seed), bodies, detector)
+    recording = recording_of(config)
+    targets = RecordedTargets(recording.visits, config.arena, run.dt, config.recorded.start)
+    if not recording.bodies:
+        return Sources(targets, bodies, detector)
+    robots = dict(zip(config.members, recording.bodies))
+    if len(config.members) != len(recording.bodies):
+        raise BadSetting(f"members: {len(config.members)} agents for a recording of {len(recording.bodies)} robots; should be as many")
+    return Sources(targets, ReplayedBodies(robots, targets), ReplayedScans(robots, run.dt, config.recorded.start, run.ticks))
+
+
+def body_source(config: WorldConfig) -> BodySource:
+    """No bodies yet, of the model that a configuration names; raises BadSetting where it cannot be had."""
+    if config.bodies.model == "point":
+        return Bodies(config.run.dt, config.limits)
+    from world.physical_bodies import PhysicalBodies  # an extra
+
+    return PhysicalBodies(config.run.dt, config.limits)
+
+
+def recording_of(config: WorldConfig) -> RecordedWorld:
+    """The recording that a configuration names; raises BadSetting for a wrong file, and for a run that is longer than it."""
+    settings = config.recorded
+    if not settings.data:
+        raise BadSetting("recorded.data: is missing; `--data PATH` says where the files of this world are")
+    recording = READERS[settings.kind](Path(settings.data), settings)
+    end = settings.start + (config.run.ticks - 1) * config.run.dt
+    if end > recording.seconds + config.run.dt:
+        most = recording.seconds - settings.start
+        raise BadSetting(f"run.seconds = {config.run.seconds:g}: the recording ends before; should be at most {most:.1f}")
+    return recording
