@@ -39,7 +39,7 @@ def page() -> Iterator[Any]:
         window.on("pageerror", lambda error: complaints.append(str(error)))
         yield window
         browser.close()
-    assert complaints == []
+    assert not complaints, complaints
 
 
 def address(process: Any) -> str:
@@ -53,7 +53,7 @@ def until(page: Any, expression: str) -> None:
     """Wait until an expression holds in the page; by asking again and again, for the page forbids itself to evaluate texts."""
     end = time.monotonic() + PATIENCE / 1000.0
     while not page.evaluate(f"Boolean({expression})"):
-        assert time.monotonic() < end, f"never: {expression}"
+        assert time.monotonic() < end, f"never: {expression}; the page says {page.inner_text('body')[-2000:]!r}"
         page.wait_for_timeout(50)
 
 

@@ -11,7 +11,7 @@ export class Hint {
     addEventListener("focusin", (event) => { const thing = of(event); if (thing && thing.matches(":focus-visible")) this.over(thing); });
     addEventListener("focusout", () => this.hide());
     addEventListener("click", (event) => { const thing = of(event); if (thing) this.over(thing); else if (this.about) this.hide(); });
-    addEventListener("scroll", () => this.hide(), true);
+    addEventListener("scroll", ({ target }) => { if (target === document || target.contains(this.about)) this.hide(); }, true);
   }
 
   over(thing) {

@@ -128,6 +128,7 @@ function schedule(all = false) {
 function draw() {
   if (!state.hello) return;
   for (const arena of shown()) arena.draw();
+  for (const look of looks) look();
   film.draw();
   if (!state.frame) return;
   const { frame, hello } = state, now = performance.now();
@@ -276,10 +277,8 @@ $("film").addEventListener("click", filming);
 $("guide").addEventListener("click", (event) => { event.stopPropagation(); hint.hide(); tour.go(0); });
 $("theme").addEventListener("click", theme);
 $("helper").addEventListener("click", help);
-for (const arena of arenas) {
-  attach(arena, view, (event) => dragged(arena, event));
-  pointAt(arena, state, hint, schedule, choose);
-}
+for (const arena of arenas) attach(arena, view, (event) => dragged(arena, event));
+const looks = arenas.map((arena) => pointAt(arena, state, hint, schedule, choose)); // who looks again after a drawing
 new ResizeObserver(() => schedule(true)).observe($("frame"));
 keys({ state, view, player, switches: SWITCHES, flip, theme, help, escape, hold, step, readAt, charts: charts.map(([canvas]) => canvas) });
 

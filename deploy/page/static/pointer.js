@@ -1,22 +1,24 @@
 // The pointer over an arena: what lies under it is named and explained, and an agent's neighbours stand out; a click chooses.
+// Returns what looks again, after the arena has been drawn: things move under a pointer that rests.
 import { agentLines, TEXTS } from "./texts.js";
 
 export function pointAt(arena, state, hint, schedule, choose) {
   const { canvas } = arena;
-  let latest = null;
+  let latest = null, resting = null;
   canvas.addEventListener("pointermove", (event) => {
     if (event.buttons || event.pointerType === "touch") return;
-    if (!latest) requestAnimationFrame(() => { const now = latest; latest = null; if (now) look(now); });
+    if (!latest) requestAnimationFrame(() => { const now = latest; latest = null; if (now) look((resting = now)); });
     latest = event;
   });
-  canvas.addEventListener("pointerleave", () => { latest = null; point(null); hint.hide(); });
-  canvas.addEventListener("pointerdown", () => hint.hide());
+  canvas.addEventListener("pointerleave", () => { latest = resting = null; point(null); hint.hide(); });
+  canvas.addEventListener("pointerdown", () => { resting = null; hint.hide(); });
   canvas.addEventListener("click", (event) => {
     const found = arena.under(event);
     if (event.pointerType === "touch") look(event);
     if (found && (found.kind === "agent" || found.kind === "cell")) choose(found.name);
     else if (!found && state.chosen) choose(state.chosen);
   });
+  return () => { if (resting && hint.visible && !hint.about) look(resting); };
 
   function point(name) {
     if (state.pointed === name) return;

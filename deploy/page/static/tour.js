@@ -61,6 +61,7 @@ export class Tour {
     this.unmark();
     this.at = -1;
     this.card.hidden = true;
+    this.next.blur(); // at once, and not when the page is drawn next: the next key is the page's
     try { localStorage.setItem(KEPT, "seen"); } catch { /* not kept */ }
   }
 
