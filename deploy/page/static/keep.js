@@ -1,4 +1,5 @@
 // What can be kept of the page: an address of this second, a picture, a film.
+import { Gif } from "./gif.js";
 import { css } from "./palette.js";
 
 // The address of the moment; it stands in the address bar as well.
@@ -40,29 +41,29 @@ export function picture(canvases, state) {
   together(canvases).toBlob((blob) => save(blob, fileName(state, "png")), "image/png");
 }
 
-// A film of the canvases, from `begin` to `end`; `draw` after each frame.
+const STEP = 0.1, WIDE = 720; // s between two frames of a film; px, its greatest width
+
+// A film of the canvases as a GIF, from `begin` to `end`. It goes on while nothing moves.
 export class Film {
   begin(canvases) {
-    this.canvases = canvases;
-    this.target = together(canvases);
-    this.parts = [];
-    this.recorder = new MediaRecorder(this.target.captureStream(15), { mimeType: "video/webm" });
-    this.recorder.ondataavailable = ({ data }) => this.parts.push(data);
-    this.recorder.start(200);
-    this.timer = setInterval(() => this.draw(), 100); // a film goes on while nothing moves
+    const target = document.createElement("canvas"), whole = together(canvases), share = Math.min(1, WIDE / whole.width);
+    target.width = Math.round(whole.width * share);
+    target.height = Math.round(whole.height * share);
+    const pen = target.getContext("2d", { willReadFrequently: true });
+    this.gif = new Gif(target.width, target.height);
+    const take = () => {
+      pen.drawImage(together(canvases, whole), 0, 0, target.width, target.height);
+      this.gif.add(pen.getImageData(0, 0, target.width, target.height).data, STEP);
+    };
+    take();
+    this.timer = setInterval(take, 1000 * STEP);
   }
 
-  get begun() { return this.parts.some((part) => part.size > 0); } // there is something to save
-
-  get running() { return Boolean(this.recorder); }
-
-  draw() { if (this.running) together(this.canvases, this.target); }
+  get running() { return Boolean(this.gif); }
 
   end(state) {
-    const name = fileName(state, "webm");
-    this.recorder.onstop = () => save(new Blob(this.parts, { type: "video/webm" }), name);
     clearInterval(this.timer);
-    this.recorder.stop();
-    this.recorder = null;
+    save(this.gif.blob(), fileName(state, "gif"));
+    this.gif = null;
   }
 }

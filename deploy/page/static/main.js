@@ -129,7 +129,6 @@ function draw() {
   if (!state.hello) return;
   for (const arena of shown()) arena.draw();
   for (const look of looks) look();
-  film.draw();
   if (!state.frame) return;
   const { frame, hello } = state, now = performance.now();
   $("waiting").textContent = frame.waiting ?? "";
@@ -264,11 +263,10 @@ async function share() {
 }
 
 function filming() {
-  if (film.running && !film.begun) { answer("The film is still empty; a moment.", false); return; }
   if (film.running) film.end(state);
-  else try { film.begin(shown().map((arena) => arena.canvas)); } catch { answer("This browser records no films.", false); }
+  else film.begin(shown().map((arena) => arena.canvas));
   $("film").setAttribute("aria-pressed", String(film.running));
-  $("film").textContent = film.running ? "stop" : "film";
+  $("film").textContent = film.running ? "stop" : "GIF";
 }
 
 $("address").addEventListener("click", share);

@@ -44,7 +44,7 @@ export const TEXTS = {
   // tools
   link: ["Link to this second", "Copies an address with the time and the chosen agent.", "A replay that is served there opens at that second."],
   png: ["Picture", "Saves what the arena shows as a PNG file."],
-  film: ["Film", "Records the arena as a WebM film until you press it again."],
+  film: ["GIF", "Films the arena, ten frames a second, until you press it again. Then it is saved as a GIF."],
   tour: ["Tour", "Five steps that explain the page."],
   strip: ["Time line", "The whole run: marks show deaths, returns, cuts and commands."],
 };
