@@ -1,7 +1,7 @@
-"""The method in pictures, of a recorded run: footprints, centroid of detection, power cells, unused capacity, claim, copies, a death.
+"""The method in pictures, of a recorded run: footprints, centroid of detection, cells, capacity, goal, claim, copies, a death; and a round.
 
-The pictures are of one tick: the last one before the first death, or the middle of a run without deaths. The agent that is drawn large
-is the one that dies, or the first one.
+The pictures are of one tick: the last one before the first death, or the middle of a run without deaths. The goal is of the tick in which
+its agent believed in a target and had the longest way. The agent that is drawn large is the one that dies, or the first one.
 """
 
 import math
@@ -14,10 +14,12 @@ import numpy as np
 import shapely
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from agents.config import CapacitySettings
 from agents.coverage.capacity import detecting_capability, unused_capacity
 from agents.coverage.cells import power_cell
+from deploy.plots.round_figure import round_figure
 from deploy.plots.run_figures import ESTIMATE, GONE, MUTED, STYLE, pictures
 from deploy.recording.recording import Recording
 from deploy.scenario import Scenario
@@ -76,8 +78,10 @@ def write_figures(recording: Recording, folder: Path) -> list[Path]:
             "cod": cod_figure(moment[name]),
             "power-cells": diagram_figure(moment, scenario),
             "unused-capacity": capacity_figure(moment[name].sensor),
+            "goal": goal_figure(max(all_moments, key=lambda moment: _way(moment[name])), name),
             "claim": claim_figure(moment, name, scenario),
             "copies": copies_figure(moment, name, scenario),
+            "round": round_figure(),
         }
         if deaths:
             after = [all_moments[min(deaths[0][0] + later, len(all_moments) - 1)] for later in (0, 1, LATER)]
@@ -150,6 +154,27 @@ def capacity_figure(sensor: SensorModel) -> Figure:
     return figure
 
 
+def goal_figure(moment: SeenAgents, name: str) -> Figure:
+    """A cell with its density, the centroid of that, and the way of the centroid of detection to it."""
+    figure = Figure(figsize=(4.4, 4.6), layout="constrained")
+    axes = figure.subplots()
+    own = moment[name]
+    footprint, cod, states = own.sensor.footprint(own.pose), own.estimate.cod, own.gossip.states
+    for seen in moment.values():
+        _cell(axes, seen.estimate.cell, own.colour if seen.name == name else GONE, 0.25 if seen.name == name else 0.0)
+    axes.fill(*footprint.T, facecolor="none", edgecolor=own.colour, linestyle=":", label="footprint")
+    axes.plot(*states[:, :2].T, ".", color=own.colour, markersize=2.5, label="particles")
+    axes.plot(*own.pose[:2], "o", color=own.colour, markersize=7.0, label="body")
+    axes.plot(*cod, "D", color="#111111", markersize=5.0, label="centroid of detection")
+    if len(states):
+        axes.plot(*_centroid(states), "*", color="#111111", markersize=11.0, label="centroid of the density in the cell")
+        axes.annotate("", _centroid(states), cod, arrowprops={"arrowstyle": "->", "color": "#111111"})
+    points = np.vstack([footprint, own.estimate.cell])
+    _square(axes, points.min(axis=0) - 2.0, points.max(axis=0) + 2.0)
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.06), frameon=False)
+    return figure
+
+
 def claim_figure(moment: SeenAgents, name: str, scenario: Scenario) -> Figure:
     """A cell, and the generators that bound it: both together are the claim."""
     figure = Figure(figsize=(4.4, 4.4), layout="constrained")
@@ -185,7 +210,7 @@ def copies_figure(moment: SeenAgents, name: str, scenario: Scenario) -> Figure:
 
 def death_figure(stages: Sequence[SeenAgents], name: str, scenario: Scenario) -> Figure:
     """The cells before a death, in the tick of the death, in the next, and a while later."""
-    figure = Figure(figsize=(10.0, 3.0), layout="constrained")
+    figure = Figure(figsize=(10.0, 3.3), layout="constrained")
     titles = ("the tick before", f"{name} dies", "one tick later", f"{LATER * scenario.run.dt:g} s later")
     for axes, moment, title in zip(figure.subplots(1, 4), stages, titles):
         for seen in moment.values():
@@ -199,7 +224,27 @@ def death_figure(stages: Sequence[SeenAgents], name: str, scenario: Scenario) ->
             axes.plot(*np.vstack([former, former[:1]]).T, "--", color="#111111", linewidth=1.0)
         _whole(axes, scenario)
         axes.set_title(title)
+    signs = [
+        Line2D([], [], color=GONE, marker="o", linestyle="", markersize=4.0, label="body"),
+        Line2D([], [], color=GONE, marker="X", linestyle="", markersize=4.0, label="body of the dead"),
+        Line2D([], [], color=GONE, marker=".", linestyle="", markersize=2.0, label="particles, in the colour of their owner"),
+        Line2D([], [], color=ESTIMATE, marker="x", linestyle="", markersize=4.0, label="estimate"),
+        Line2D([], [], color="#111111", linestyle="--", linewidth=1.0, label=f"the last cell of {name}"),
+    ]
+    figure.legend(handles=signs, loc="outside lower center", ncols=len(signs), frameon=False)
     return figure
+
+
+def _centroid(states: np.ndarray) -> np.ndarray:
+    """The centroid (2,) of the particles of one agent, which all weigh the same, m."""
+    return np.asarray(states[:, :2].mean(axis=0))
+
+
+def _way(seen: SeenAgent) -> float:
+    """How far a centroid of detection is from the centroid of the density in its cell, m, where it believes half a target; else 0."""
+    if len(seen.gossip.states) * seen.gossip.weight < 0.5 or not len(seen.estimate.cell):
+        return 0.0
+    return float(np.linalg.norm(_centroid(seen.gossip.states) - seen.estimate.cod))
 
 
 def _cell(axes: Axes, cell: np.ndarray, colour: str, fill: float = 0.12) -> None:

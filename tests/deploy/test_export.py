@@ -160,7 +160,7 @@ def test_a_figure_is_a_pdf_with_real_fonts_and_a_png(run: Run, tmp_path: Path) -
 
 def test_the_pictures_of_the_method_are_of_the_tick_before_the_first_death(run: Run, tmp_path: Path) -> None:
     names = [file.stem for file in method_figures.write_figures(run[1], tmp_path)]
-    assert names == ["footprints", "cod", "power-cells", "unused-capacity", "claim", "copies", "death"]
+    assert names == ["footprints", "cod", "power-cells", "unused-capacity", "goal", "claim", "copies", "round", "death"]
     moments = method_figures.moments(run[1])
     assert [sum(seen.alive for seen in moment.values()) for moment in moments] == [6] * 12 + [5] * 8  # s2 falls silent with tick 12
     areas = [sum(shapely.Polygon(seen.estimate.cell).area for seen in moment.values() if seen.alive) for moment in moments]

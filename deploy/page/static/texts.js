@@ -16,7 +16,7 @@ export const TEXTS = {
   agent: ["Agent", "The name, and the class of its sensor.", "Choose it to see what it believes."],
   state: ["State", "Alive, listening (it has just come), silent, paused or dead.", "·2 means that it has been restarted once."],
   U: ["Unused capacity U", "How much of its sensor's power an agent has left, in m².", "An agent that watches many targets has little left.", "U makes its cell larger or smaller."],
-  "g(U)": ["Power radius", "The radius that stands for U in the diagram, in metres.", "A larger radius pushes the border of the cell outwards."],
+  "g(U)": ["Power radius", "The radius that stands for U in the diagram, in metres. It is that of U one round before.", "A larger radius pushes the border of the cell outwards."],
   load: ["Load", "Expected targets within the footprint of the sensor."],
   mass: ["Mass", "Expected targets within the cell.", "The agent answers for these."],
   round: ["Round", "How long the agent's last round took, in ms."],
