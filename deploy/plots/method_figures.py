@@ -168,7 +168,7 @@ def goal_figure(moment: SeenAgents, name: str) -> Figure:
     axes.plot(*cod, "D", color="#111111", markersize=5.0, label="centroid of detection")
     if len(states):
         axes.plot(*_centroid(states), "*", color="#111111", markersize=11.0, label="centroid of the density in the cell")
-        axes.annotate("", _centroid(states), cod, arrowprops={"arrowstyle": "->", "color": "#111111"})
+        axes.annotate("", tuple(_centroid(states)), cod, arrowprops={"arrowstyle": "->", "color": "#111111"})
     points = np.vstack([footprint, own.estimate.cell])
     _square(axes, points.min(axis=0) - 2.0, points.max(axis=0) + 2.0)
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.06), frameon=False)

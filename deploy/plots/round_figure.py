@@ -51,7 +51,8 @@ def _panel(axes: Axes, title: str, ticks: list[float], late: int) -> None:
         for who, height in LANES.items():
             axes.plot(begin, height, "v", color=INK, markersize=6.0)
             took = LATE if who == "s2" and number == late else EARLY - 0.02
-            axes.annotate("", (begin + took, 1.0 - height), (begin, height), arrowprops={"arrowstyle": "->", "color": INK, "linewidth": 0.8})
+            arrow = {"arrowstyle": "->", "color": INK, "linewidth": 0.8}
+            axes.annotate("", (begin + took, 1.0 - height), (begin, height), arrowprops=arrow)
 
 
 def _rounds(axes: Axes, played: list[Played]) -> None:
