@@ -164,7 +164,10 @@ def named(scenario: Scenario, run: str) -> Scenario:
 def targets_in_words(scenario: Scenario) -> str:
     """How many targets there are, or where they come from."""
     recorded = scenario.recorded
-    return f"{scenario.targets.count} targets" if recorded.kind == "none" else f"{recorded.kind} of {Path(recorded.data).name}"
+    if recorded.kind != "none":
+        return f"{recorded.kind} of {Path(recorded.data).name}"
+    crossing = " at the start, and others enter and leave" if scenario.targets.border == "cross" else ""
+    return f"{scenario.targets.count} targets{crossing}"
 
 
 def recording_remarks(scenario: Scenario) -> tuple[str, ...]:

@@ -5,8 +5,10 @@ inside the class raises a `BadSetting` with the exception as its cause.
 """
 
 import math
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,9 @@ from protocol.sensing import Pose, SensorModel
 from protocol.settings import BadSetting
 
 AT_REST: Pose = (0.0, 0.0, 0.0)
+GRID = 200  # points on a side of the square in which a sensor is sampled
+OFF = 1.5  # times that an area may differ from the sampled one, whose border is as coarse as the grid
+LEAST_SEEN = 100  # points of the grid with a probability above 0 from which on the sampled area says something
 
 
 @contextmanager
@@ -25,7 +30,9 @@ def fault_of(what: str) -> Iterator[None]:
     except BadSetting:
         raise
     except (Exception, SystemExit) as error:
-        raise BadSetting(f"{what} raised {type(error).__name__}: {' '.join(str(error).split())}") from error
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        place = f" ({Path(where.filename).name}, line {where.lineno})" if where.filename != __file__ else ""
+        raise BadSetting(f"{what} raised {type(error).__name__}: {' '.join(str(error).split())}{place}") from error
 
 
 def real_array(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -103,9 +110,28 @@ def probe(sensor: CheckedSensor, name: str) -> None:
     reach = sensor.reach
     for points in (np.array([[0.5 * reach, 0.0], [0.0, 0.25 * reach], [2.0 * reach, 2.0 * reach]]), np.empty((0, 2))):
         sensor.probability(points, AT_REST)
-    outline = shapely.Polygon(sensor.footprint(AT_REST))
+    corners = sensor.footprint(AT_REST)
+    outline = shapely.Polygon(corners)
     if not outline.is_valid or not outline.area > 0.0:
         why = shapely.is_valid_reason(outline).partition("[")[0] if not outline.is_valid else "no area"
         raise BadSetting(f"{name}.footprint returned no polygon: {why.strip()}; should be the corners of one in order")
+    if not shapely.LinearRing(corners).is_ccw:
+        raise BadSetting(f"{name}.footprint returned corners that run clockwise: should be counter-clockwise")
     if not math.isfinite(sensor.area):
         raise BadSetting(f"{name}.area = {sensor.area}: should be a number > 0")
+    _sample(sensor, name)
+
+
+def _sample(sensor: CheckedSensor, name: str) -> None:
+    """Ask a sensor for its probability on a grid; raises BadSetting where reach or area say something else."""
+    reach, step = sensor.reach, 3.0 * sensor.reach / GRID
+    side = (np.arange(GRID) + 0.5) * step - 1.5 * reach
+    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    found, far = sensor.probability(points, AT_REST), np.hypot(points[:, 0], points[:, 1])
+    beyond = np.flatnonzero((found > 0.0) & (far > reach * (1.0 + 1e-9)))
+    if len(beyond):
+        worst = beyond[np.argmax(found[beyond])]
+        raise BadSetting(f"{name}.probability is {found[worst]:.2g} at {far[worst]:.3g} m: should be 0 beyond reach = {reach:g}")
+    seen = int((found > 0.0).sum())
+    if seen >= LEAST_SEEN and not 1.0 / OFF <= sensor.area / (seen * step * step) <= OFF:
+        raise BadSetting(f"{name}.area = {sensor.area:g}: should be {seen * step * step:.3g} m^2, where its probability is above 0")

@@ -6,7 +6,9 @@ A scenario is a TOML file of sections; each room declares the sections it needs 
 
 import difflib
 import importlib
+import inspect
 import math
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -102,7 +104,9 @@ class SensorSettings(Section, frozen=True, kw_only=True):
             return WedgeSensor(angle, radius, prob_detection, self._measurement())
         try:
             sensor = load_named(self.model)(**self.parameters)
-        except (ValueError, ImportError, TypeError):
+        except TypeError as error:
+            raise TypeError(f"{error}{_parameters_of(self.model)}") from error
+        except (ValueError, ImportError):
             raise
         except (Exception, SystemExit) as error:
             raise ValueError(f"{self.model} raised {type(error).__name__}: {error}") from error
@@ -177,6 +181,9 @@ def load_named(name: str) -> Any:
         raise ValueError(f"{name!r} should read module:Name")
     try:
         found = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        where = f"{error}: it should lie in {os.getcwd()} or in a folder of PYTHONPATH" if error.name == module else str(error)
+        raise ValueError(where) from error
     except ImportError:
         raise
     except (Exception, SystemExit) as error:  # any error that the import of a user's module raises
@@ -185,8 +192,18 @@ def load_named(name: str) -> Any:
             f"module {module} cannot be imported: {type(error).__name__}: {error.args[0] if error.args else ''}{where}"
         ) from error
     if not hasattr(found, attribute):
-        raise ValueError(f"module {module} has no {attribute}")
+        alike = difflib.get_close_matches(attribute, dir(found), 1)
+        raise ValueError(f"module {module} has no {attribute}" + (f"; did you mean {alike[0]}?" if alike else ""))
     return getattr(found, attribute)
+
+
+def _parameters_of(name: str) -> str:
+    """What the class `module:Class` takes, for an error; empty where that cannot be told."""
+    try:
+        taken = ", ".join(inspect.signature(load_named(name)).parameters)
+    except (TypeError, ValueError):
+        return ""
+    return f"; it takes {taken}" if taken else "; it takes no parameters"
 
 
 _BUILT: dict[int, tuple[SensorSettings, SensorModel]] = {}  # settings by their id -> settings and model; equal settings share one model
@@ -198,7 +215,7 @@ def sensor_of(settings: Common, sensor_class: str) -> SensorModel:
     own = settings.sensors.get(sensor_class)
     if own is None and sensor_class in SENSOR_CLASSES:
         return SENSOR_CLASSES[sensor_class]
-    known = [*settings.sensors, *SENSOR_CLASSES]
+    known = list(dict.fromkeys([*settings.sensors, *SENSOR_CLASSES]))
     if own is None:
         raise BadSetting(f"sensor class {sensor_class!r} does not exist; known are {', '.join(known)}")
     known_as, built = _BUILT.get(id(own), (None, None))

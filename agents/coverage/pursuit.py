@@ -44,12 +44,13 @@ class Pursuit:
             self._offset = math.hypot(*sensor_facts(situation.sensor).cod_offset)
         x, y, heading = situation.pose
         vx, vy = _lead((x, y), goal, self._offset, situation)
-        place = x + vx * situation.dt, y + vy * situation.dt
+        seconds = situation.dt * situation.ticks
+        place = x + vx * seconds, y + vy * seconds
         turn = _best_turn(situation, ages, place)
         if turn is None:
             turn = wrap_angle(math.atan2(goal[1] - place[1], goal[0] - place[0]) - heading)
         most = situation.limits.turn_rate
-        return (vx, vy), max(-most, min(most, turn / situation.dt))
+        return (vx, vy), max(-most, min(most, turn / seconds))
 
     def _ages(self, situation: Situation) -> np.ndarray:
         """Times since each particle was last in sight, s: (N,)."""

@@ -35,7 +35,7 @@ class SearchAndTrack:
         (x, y, heading), (width, height) = situation.pose, situation.arena
         now, cos, sin = situation.tick * situation.dt, math.cos(heading), math.sin(heading)
         shape, bounds = (sensor.reach, *self._shape), (width, height, limits.speed, limits.turn_rate)
-        body = PlanInput(now, situation.dt, x, y, cos, sin, *shape, *bounds, float(known.is_open), *known.goal)
+        body = PlanInput(now, situation.dt * situation.ticks, x, y, cos, sin, *shape, *bounds, float(known.is_open), *known.goal)
         task = Task(body, self._settings, sensor, heading, known.density, known.around, known.table, known.partners)
         velocity, turn_rate, goal, load, self._memory = self._backend.decide(task, self._memory or no_memory(width, height))
         self.intent = Intent(goal, load)

@@ -14,7 +14,7 @@ Marks = dict[tuple[int, int], tuple[str, str]]  # (row, column) -> character and
 
 
 def swarm_map(swarm: dict[str, Any], rows: list[dict[str, Any]], most_lines: int = ROWS, most_columns: int = COLUMNS) -> Text:
-    """The map of a status as the supervisor gives it: o a true target, x an estimate, * both, an arrow a body, + a dead one.
+    """The map of a status as the supervisor gives it: o a true target, • an estimate, * both, an arrow a body, x a dead one.
 
     Empty where there is no room for it.
     """
@@ -28,7 +28,7 @@ def swarm_map(swarm: dict[str, Any], rows: list[dict[str, Any]], most_lines: int
         _put(marks, _square(place, width, height, columns, lines), "o", "bold")
     for place in swarm["estimates"]:
         square = _square(place, width, height, columns, lines)
-        _put(marks, square, "*" if marks.get(square, ("", ""))[0] in ("o", "*") else "x", "yellow")
+        _put(marks, square, "*" if marks.get(square, ("", ""))[0] in ("o", "*") else "•", "yellow")
     for row in rows:
         if row.get("pose"):
             _put_body(marks, row, _square(row["pose"], width, height, columns, lines), columns)
@@ -49,7 +49,7 @@ def _put_body(marks: Marks, row: dict[str, Any], square: tuple[int, int], column
     """An arrow and, where there is room, the number in the agent's name."""
     style = STYLES.get(row["state"], "")
     turn = round(row["pose"][2] / (math.pi / 4.0)) % 8
-    _put(marks, square, "+" if row["state"] == "dead" else ARROWS[turn], style)
+    _put(marks, square, "x" if row["state"] == "dead" else ARROWS[turn], style)
     number = "".join(character for character in row["name"] if character.isdecimal())
     squares = [(square[0], square[1] + 1 + place) for place in range(len(number))]
     if all(position_row not in marks and position_row[1] < columns for position_row in squares):
@@ -65,4 +65,4 @@ def _drawn(marks: Marks, columns: int, lines: int) -> Text:
             character, style = marks.get((line, column), (" ", ""))
             text.append(character, style=f"not dim {style}" if style and "dim" not in style else style)
         text.append("│\n")
-    return text.append("└" + "─" * columns + "┘  o target   x estimate   * both   ↗ agent   + dead")
+    return text.append("└" + "─" * columns + "┘  o target   • estimate   * both   ↗ agent   x dead")

@@ -217,18 +217,18 @@ def death_figure(stages: Sequence[SeenAgents], name: str, scenario: Scenario) ->
             if seen.alive:
                 _cell(axes, seen.estimate.cell, seen.colour, 0.35 if seen.name == name else 0.12)
                 axes.plot(*seen.gossip.states[:, :2].T, ".", color=seen.colour, markersize=1.2)
-                axes.plot(*seen.estimate.targets.T, "x", color=ESTIMATE, markersize=4.0)
-            axes.plot(*seen.pose[:2], "o" if seen.alive else "X", color=seen.colour if seen.alive else GONE, markersize=4.0)
+                axes.plot(*seen.estimate.targets.T, "o", color=ESTIMATE, markersize=3.0)
+            axes.plot(*seen.pose[:2], "s" if seen.alive else "X", color=seen.colour if seen.alive else GONE, markersize=4.0)
         former = stages[0][name].estimate.cell
         if len(former):
             axes.plot(*np.vstack([former, former[:1]]).T, "--", color="#111111", linewidth=1.0)
         _whole(axes, scenario)
         axes.set_title(title)
     signs = [
-        Line2D([], [], color=GONE, marker="o", linestyle="", markersize=4.0, label="body"),
+        Line2D([], [], color=GONE, marker="s", linestyle="", markersize=4.0, label="body"),
         Line2D([], [], color=GONE, marker="X", linestyle="", markersize=4.0, label="body of the dead"),
         Line2D([], [], color=GONE, marker=".", linestyle="", markersize=2.0, label="particles, in the colour of their owner"),
-        Line2D([], [], color=ESTIMATE, marker="x", linestyle="", markersize=4.0, label="estimate"),
+        Line2D([], [], color=ESTIMATE, marker="o", linestyle="", markersize=3.0, label="estimate"),
         Line2D([], [], color="#111111", linestyle="--", linewidth=1.0, label=f"the last cell of {name}"),
     ]
     figure.legend(handles=signs, loc="outside lower center", ncols=len(signs), frameon=False)

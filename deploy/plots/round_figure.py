@@ -10,7 +10,7 @@ EARLY, LATE, DEADLINE, WORK = 0.22, 0.75, 0.5, 0.13  # ticks: how long gossips t
 ROUND, ALONE, INK = "#4c78a8", "#e45756", "#333333"
 
 
-class Played(NamedTuple):
+class RoundBar(NamedTuple):
     """A round on the line of an agent: its number, when it begins, and whether every gossip of its tick was there."""
 
     who: str
@@ -26,13 +26,13 @@ def round_figure() -> Figure:
     slow = LATE + WORK + 0.1  # the length of tick 1 where the world waits
     _panel(lockstep, "lockstep: the world waits for all commands", [0.0, 1.0, 1.0 + slow, 2.0 + slow], 1)
     for begin, number in ((0.0, 0), (1.0 + slow, 2)):
-        _rounds(lockstep, [Played(who, number, begin + EARLY) for who in LANES])
-    _rounds(lockstep, [Played("s1", 1, 1.0 + LATE), Played("s2", 1, 1.0 + EARLY)])
+        _rounds(lockstep, [RoundBar(who, number, begin + EARLY) for who in LANES])
+    _rounds(lockstep, [RoundBar("s1", 1, 1.0 + LATE), RoundBar("s2", 1, 1.0 + EARLY)])
     _panel(realtime, "real time: a round closes at its deadline, here half a tick", [0.0, 1.0, 2.0, 3.0], 1)
-    _rounds(realtime, [Played("s1", 0, EARLY), Played("s2", 0, EARLY), Played("s1", 1, 1.0 + DEADLINE, complete=False)])
-    _rounds(realtime, [Played("s2", 1, 1.0 + EARLY), Played("s1", 2, 2.0 + EARLY), Played("s2", 2, 2.0 + EARLY)])
+    _rounds(realtime, [RoundBar("s1", 0, EARLY), RoundBar("s2", 0, EARLY), RoundBar("s1", 1, 1.0 + DEADLINE, complete=False)])
+    _rounds(realtime, [RoundBar("s2", 1, 1.0 + EARLY), RoundBar("s1", 2, 2.0 + EARLY), RoundBar("s2", 2, 2.0 + EARLY)])
     _panel(lagging, "real time with a lag of 1 tick: tick 2 plays round 1", [0.0, 1.0, 2.0, 3.0], 1)
-    _rounds(lagging, [Played(who, number - 1, number + EARLY) for number in (1, 2) for who in LANES])
+    _rounds(lagging, [RoundBar(who, number - 1, number + EARLY) for number in (1, 2) for who in LANES])
     lagging.set_xlabel("time in ticks.  ▼ observation    ↗ gossip    blue: a round with all gossips    red: a round without that of s2")
     return figure
 
@@ -55,7 +55,7 @@ def _panel(axes: Axes, title: str, ticks: list[float], late: int) -> None:
             axes.annotate("", (begin + took, 1.0 - height), (begin, height), arrowprops=arrow)
 
 
-def _rounds(axes: Axes, played: list[Played]) -> None:
+def _rounds(axes: Axes, played: list[RoundBar]) -> None:
     """Boxes of rounds on the lines of their agents."""
     for who, number, begin, complete in played:
         colour = ROUND if complete else ALONE

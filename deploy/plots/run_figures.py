@@ -136,7 +136,7 @@ def draw_moment(axes: Axes, picture: Picture) -> None:
         if pose is not None:
             _body(axes, pose, colour, known.alive)
         if known.alive and estimate is not None:
-            axes.plot(*estimate.targets.T, "x", color=ESTIMATE, markersize=4.0, markeredgewidth=1.0, zorder=6)
+            axes.plot(*estimate.targets.T, "o", color=ESTIMATE, markersize=3.0, zorder=6)
     if picture.shown is not None:
         axes.plot(*picture.shown.targets.T, "o", color=TARGET, markersize=5.0, markerfacecolor="none", markeredgewidth=0.7, zorder=5)
 
@@ -179,7 +179,7 @@ def _legend() -> list[Line2D]:
         Line2D([], [], color=MUTED[0], marker=arrow, markersize=6.0, linestyle="none", label="sensor, its cell and footprint"),
         Line2D([], [], color=GONE, marker="X", markersize=6.0, linestyle="none", label="dead"),
         Line2D([], [], color=TARGET, marker="o", markerfacecolor="none", markersize=5.0, linestyle="none", label="target"),
-        Line2D([], [], color=ESTIMATE, marker="x", markersize=4.5, linestyle="none", label="estimate"),
+        Line2D([], [], color=ESTIMATE, marker="o", markersize=3.0, linestyle="none", label="estimate"),
         Line2D([], [], color="#15336e", marker="s", alpha=0.6, markersize=5.0, linestyle="none", label="density of the PHD"),
     ]
 

@@ -52,7 +52,7 @@ class Loss:
     """An agent that died or was paused, until its effect is reported."""
 
     name: str
-    verb: str  # died, is paused
+    verb: str  # died, is paused, was silent
     tick: int
     time: float
     cell: np.ndarray
@@ -70,7 +70,7 @@ class Loss:
             self.closed, self.settled = view.tick - self.tick, view.time + SETTLE
             self.heirs = shares(self.cell, view.cells)
         if self.closed is None:
-            return f"{self.name} {self.verb}: its cell is still open" if view.time >= self.time + GIVE_UP else None
+            return f"{self.what()}: its cell is still open" if view.time >= self.time + GIVE_UP else None
         if view.time >= self.settled - 0.5 * SETTLE:
             self.seen |= view.tracked()
         return self.tell(set(view.ids.tolist())) if view.time >= self.settled else None
@@ -78,12 +78,16 @@ class Loss:
     def tell(self, present: set[int]) -> str:
         """The sentence, when `present` are the targets that still exist."""
         if len(self.cell) < 3:
-            return f"{self.name} {self.verb}; it owned no cell"
+            return f"{self.what()}; it owned no cell"
         ticks = f"{self.closed} tick{'s' * (self.closed != 1)}"
         heirs = names_of(self.heirs)
         gone = (self.tracked & present) - self.seen
         lost = f"{len(gone)} of {len(self.tracked)} targets in it lost" if gone else "no target lost"
-        return f"{self.name} {self.verb}: {heirs or 'the others'} took its cell within {ticks}; {lost}"
+        return f"{self.what()}: {heirs or 'the others'} took its cell within {ticks}; {lost}"
+
+    def what(self) -> str:
+        """The agent, what befell it, and when."""
+        return f"{self.name} {self.verb} at {self.time:.1f} s"
 
 
 @dataclass
@@ -134,8 +138,11 @@ class Chronicle:
         tracked = self._last.tracked() & self._last.inside(cell) if self._last else set()
         self._open.append(Loss(name, verb, tick, time, cell, tracked))
 
-    def regain(self, name: str, tick: int) -> None:
-        """An agent is back."""
+    def regain(self, name: str, tick: int, *, same: bool = False) -> None:
+        """An agent is back; `same`: in the same process, which was only silent."""
+        for one in self._open:
+            if isinstance(one, Loss) and one.name == name and one.verb == "died" and same:
+                one.verb = "was silent"
         self._open = [one for one in self._open if not (isinstance(one, Return) and one.name == name)]
         self._open.append(Return(name, tick))
 
@@ -165,7 +172,7 @@ class Chronicle:
         present, told = set(view.ids.tolist()), []
         for loss in losses:
             loss.seen |= view.tracked()
-            text = loss.tell(present) if loss.closed is not None else f"{loss.name} {loss.verb}: its cell was open when the run ended"
+            text = loss.tell(present) if loss.closed is not None else f"{loss.what()}: its cell was open when the run ended"
             told.append(EventReport(view.time, loss.name, text))
         return told
 

@@ -29,6 +29,12 @@ class Deaths:
         self._deaths.append(_Death(name, tick, time, now))
         return "died"
 
+    def regain(self, name: str) -> None:
+        """An agent is back in the same process: its last death was none."""
+        at = next((index for index in reversed(range(len(self._deaths))) if self._deaths[index].name == name), None)
+        if at is not None:
+            del self._deaths[at]
+
     def see(self, tick: int, hole: float, now: float) -> None:
         """The cells of a tick leave this share of the arena uncovered."""
         for loss in self._deaths:

@@ -91,6 +91,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
     def rows(self) -> list[tuple[str, str]]:
         """The table for people: rows of a label and a value."""
+        if not self.ticks:
+            return [("ended before the first tick", "nothing was measured")]
         closed = [kill for kill in self.kills if kill.closed_seconds is not None]
         slowest = max(closed, key=lambda kill: kill.closed_seconds or 0.0, default=None)
         hole = "not closed" if self.kills else "-"

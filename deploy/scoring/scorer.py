@@ -88,7 +88,7 @@ class Scorer(Node):
         self._fresh = max(agent_config(scenario).rounds_of_silence, 2 * scenario.timing.estimate_every)  # ticks
         self._names = list(scenario.members)
         self._alive: dict[str, int] = {}
-        self._gone_at: dict[str, float] = {}
+        self._gone_at: dict[str, tuple[float, int]] = {}  # when an agent was lost last, s, and its incarnation then
         self._truths: dict[int, Truth] = {}
         self._estimates: dict[int, dict[str, Estimate]] = {}
         self._latest: dict[str, Estimate] = {}
@@ -182,10 +182,11 @@ class Scorer(Node):
             self._tally.residual = max(self._tally.residual, abs(estimate.mass - gossip.weight * len(gossip.ids)))
 
     def _lose(self, name: str, now: float) -> None:
-        del self._alive[name]
+        incarnation = self._alive.pop(name)
+        self.tick_rate.forget(name)
         if self._finished or self.truth is None:
             return
-        self._gone_at[name] = self.truth.time
+        self._gone_at[name] = self.truth.time, incarnation
         tick, time = self.truth.tick, self.truth.time
         self._chronicle.lose(name, self.deaths.lose(name, tick, time, now), tick, time)
 
@@ -193,7 +194,10 @@ class Scorer(Node):
         is_new = name not in self._alive
         self._alive[name] = max(incarnation, self._alive.get(name, 0))
         if is_new and name in self._gone_at and self.truth is not None:
-            self._chronicle.regain(name, self.truth.tick)
+            same = self._gone_at[name][1] == incarnation
+            self._chronicle.regain(name, self.truth.tick, same=same)
+            if same and name not in self.deaths.paused:
+                self.deaths.regain(name)
 
     def _score_what_is_complete(self, now: float) -> None:
         while self.truth is not None and not self._finished:
@@ -329,7 +333,12 @@ class Scorer(Node):
         )
 
     def _agent_status(self, name: str) -> AgentStatus:
-        status = AgentStatus(name=name, alive=name in self._alive, incarnation=self._alive.get(name, 0), left_at=self._gone_at.get(name))
+        status = AgentStatus(
+            name=name,
+            alive=name in self._alive,
+            incarnation=self._alive.get(name, 0),
+            left_at=self._gone_at[name][0] if name in self._gone_at else None,
+        )
         status.paused = name in self.deaths.paused
         status.differs = list(self._differing.get(name, ()))
         if self.truth is not None and name in self.truth.bodies:

@@ -65,6 +65,10 @@ class TickRateMeter:
         if stalled and stalled != self._stalls.get(name, (0, 0.0))[0]:
             self._stalls[name] = stalled, self._ticks[-1][0] if self._ticks else 0.0
 
+    def forget(self, name: str) -> None:
+        """An agent has gone: its pace holds nobody up any more."""
+        self._paces.pop(name, None)
+
     @property
     def rounds(self) -> int:
         """Rounds that all agents have played."""

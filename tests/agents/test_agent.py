@@ -7,12 +7,13 @@ import pytest
 
 from agents.agent import EXIT_FENCED, Agent
 from agents.config import AgentConfig, ControlSettings, TimingSettings
+from agents.coverage.control import ControlInput, Situation
 from agents.membership.announcements import CROWD, EARLY, SOON
 from protocol.agreement import whole
 from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
 from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
 from protocol.sensing import SENSOR_CLASSES
-from protocol.settings import ArenaSettings, BadSetting, RunSettings
+from protocol.settings import ArenaSettings, BadSetting, LimitSettings, RunSettings
 
 CONFIG = AgentConfig(
     run=RunSettings(dt=0.5, rate=2.0),
@@ -55,6 +56,26 @@ def met(config: AgentConfig = CONFIG) -> Agent:
     agent.handle(Alive("agent", "s2", 1), 0.0)
     agent.handle(hello(), 0.0)
     return agent
+
+
+class East:
+    """A law that wants to go east as fast as it can."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        return (2.0, 0.0), 0.0
+
+
+@pytest.mark.parametrize(("pace", "ticks"), [(1, 1), (4, 4)])
+def test_at_a_slower_pace_bodies_keep_apart_for_as_long_as_a_command_lasts(pace: int, ticks: int) -> None:
+    """A body 2 m ahead: each may go 1 m less radius and clearance in twice the time between two commands."""
+    law, limits = ControlSettings(mode=f"{__name__}:East"), LimitSettings(radius=0.5)
+    config = AgentConfig(run=RunSettings(dt=0.25), arena=CONFIG.arena, members=CONFIG.members, control=law, limits=limits)
+    agent = met(config)
+    for tick in (0, 4):
+        agent.handle(see(tick), 1.0 + 0.25 * tick)
+        command = only(agent.handle(word(tick, pose=(12.0, 20.0, 0.0), cod=(14.0, 20.0), pace=pace), 1.0 + 0.25 * tick), Command)
+    assert isinstance(command, Command)
+    assert command.velocity == pytest.approx(((1.0 - 0.5 - 0.05) / (2.0 * ticks * 0.25), 0.0))
 
 
 def test_it_subscribes_to_greetings_gossip_and_its_own_observations_and_greets() -> None:

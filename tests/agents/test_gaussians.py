@@ -68,6 +68,14 @@ def test_a_component_that_crosses_the_border_is_gone_or_turns_round(border: str,
     assert [(x, vx) for x, _, vx, _ in moved.means.round(5).tolist()] == left
 
 
+def test_what_turns_round_keeps_place_and_velocity_in_step() -> None:
+    filters = FilterSettings(speed=2.0, heading_noise=0.0, position_noise=0.0, lifetime=0.0, border="reflect")
+    one = component(-0.5, 20.0, 1.0, velocity=(-2.0, 0.0))
+    one.covariances[0] = np.array([[1.0, 0.3, 0.5, 0.0], [0.3, 1.0, 0.0, 0.2], [0.5, 0.0, 1.0, 0.0], [0.0, 0.2, 0.0, 1.0]])
+    turned = gaussian_phd._in_arena(one, Step(config(filters), 3)).covariances[0]
+    assert (turned[0, 2], turned[0, 1], turned[1, 3]) == (0.5, -0.3, 0.2)
+
+
 def test_a_wide_component_splits_along_its_long_axis_and_keeps_mass_mean_and_covariance() -> None:
     wide = component(20.0, 20.0, 1.0, weight=0.4, velocity=(0.0, 0.0))
     wide.covariances[0] = np.array([[40.0, 10.0, 3.0, 0.0], [10.0, 20.0, 0.0, 1.0], [3.0, 0.0, 2.0, 0.0], [0.0, 1.0, 0.0, 2.0]])

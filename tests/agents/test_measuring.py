@@ -104,6 +104,15 @@ def test_births_scatter_as_the_sensor_does(model: float) -> None:
     assert (np.mean(far), np.std(far)) == pytest.approx((mean, deviation), rel=0.05)
 
 
+@pytest.mark.parametrize("far", [4.0, 10.0])
+def test_births_of_a_sensor_of_positions_scatter_with_its_heading(far: float) -> None:
+    noise = noise_of((POSITION, 0.0, 0.0), 0.1, 0.0, PoseSettings(heading_noise=0.04))
+    place = np.array([[POSE[0] + far, POSE[1]]])
+    ids = np.arange(1, 4001, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    found = birth_places(ids, POSE, np.repeat(place, 4000, axis=0), np.repeat(rays_of(place), 4000, axis=0), RADIUS, noise) - place
+    assert np.std(found, axis=0) == pytest.approx((0.1, math.hypot(0.1, 0.04 * far)), rel=0.05)
+
+
 def test_places_undo_measurements() -> None:
     camera, points = Measurement("range-bearing", 0.01, 0.1), np.array([[9.0, 9.0], [-4.0, 1.0], [3.0, -8.0]])
     assert places_of(camera, RADIUS, POSE, measured(camera, POSE, points)) == pytest.approx(points)

@@ -41,10 +41,11 @@ def task(
     settings: SearchSettings = SearchSettings(),
     sensor: WedgeSensor = NARROW,
     now: float = 1.0,
+    arena: tuple[float, float] = (100.0, 100.0),
 ) -> Task:
-    """What an agent at (50, 50) knows that faces east, in an arena of 100 x 100 m, with a step of 0.25 s."""
+    """What an agent at (50, 50) knows that faces east, in an arena of 100 x 100 m or another, with a step of 0.25 s."""
     body = PlanInput(
-        now, 0.25, 50.0, 50.0, 1.0, 0.0, sensor.reach, sensor.angle, 5.0, 100.0, 100.0, 2.0, 5.0, 1.0 if is_open else 0.0, goal[0], goal[1]
+        now, 0.25, 50.0, 50.0, 1.0, 0.0, sensor.reach, sensor.angle, 5.0, *arena, 2.0, 5.0, 1.0 if is_open else 0.0, goal[0], goal[1]
     )
     return Task(body, settings, sensor, 0.0, density, around, table([gossip("s1", (50.0, 50.0, 0.0))], NARROW), partners)
 
@@ -83,6 +84,19 @@ def test_mass_is_expected_where_it_will_be_and_what_leaves_counts_only_in_a_clos
     tracks, values = bin_values(task(moving, is_open=True), seen(1.0))
     assert tracks.sum() == 0.5
     assert values.sum() == pytest.approx(196 * 0.06)  # the bins of the border
+
+
+@pytest.mark.parametrize(
+    ("place", "velocity", "bin"),
+    [((20.0, 19.0), (0.0, 2.0), (8, 10)), ((20.0, 1.0), (0.0, -2.0), (1, 10)), ((39.0, 9.0), (2.0, 0.0), (4, 18))],
+)
+def test_what_meets_a_wall_of_an_oblong_arena_comes_back(
+    place: tuple[float, float], velocity: tuple[float, float], bin: tuple[int, int]
+) -> None:
+    """40 x 20 m: 4.5 m on from 1 m before a wall is 3.5 m before it."""
+    moving = task(particles((*place, 1.0, *velocity)), arena=(40.0, 20.0))
+    tracks, _ = bin_values(moving, np.full((10, 20), 1.0))
+    assert tracks[bin] == tracks.sum() == 1.0
 
 
 def test_a_particle_whose_way_was_in_view_is_a_track() -> None:

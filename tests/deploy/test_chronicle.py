@@ -43,7 +43,7 @@ def test_a_death_says_who_took_how_much_and_when_and_that_no_target_was_lost() -
     opened = [view(100, AFTER), view(101, AFTER, hole=0.1, targets=IN_S2), view(102, AFTER, targets=IN_S2)]
     assert play(chronicle, opened) == []
     told = play(chronicle, [view(tick, AFTER, targets=IN_S2, estimates=IN_S2) for tick in range(103, 120)])
-    assert told == [EventReport(27.5, "s2", "s2 died: s1 (60 %) and s3 (40 %) took its cell within 2 ticks; no target lost")]
+    assert told == [EventReport(27.5, "s2", "s2 died at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 2 ticks; no target lost")]
 
 
 def test_a_target_that_is_tracked_no_more_when_the_cells_have_settled_is_lost_and_one_elsewhere_is_not_counted() -> None:
@@ -54,7 +54,7 @@ def test_a_target_that_is_tracked_no_more_when_the_cells_have_settled_is_lost_an
     early = [view(tick, AFTER, targets=targets, estimates=targets) for tick in range(101, 105)]  # what a copy still says is no proof
     late = [view(tick, AFTER, targets=targets, estimates=((12.5, 5.0),)) for tick in range(105, 112)]
     assert [told.text for told in play(chronicle, early + late)] == [
-        "s2 died: s1 (60 %) and s3 (40 %) took its cell within 1 tick; 1 of 2 targets in it lost"
+        "s2 died at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 1 tick; 1 of 2 targets in it lost"
     ]
 
 
@@ -72,9 +72,9 @@ def test_a_cell_that_nobody_takes_and_an_agent_without_a_cell_are_told_as_such()
     chronicle.lose("s2", "died", 100, 25.0)
     chronicle.lose("s9", "died", 100, 25.0)
     told = play(chronicle, [view(tick, {"s1": BEFORE["s1"]}, hole=0.3) for tick in range(101, 165)])
-    assert [one.text for one in told] == ["s2 died: its cell is still open", "s9 died: its cell is still open"]
+    assert [one.text for one in told] == ["s2 died at 25.0 s: its cell is still open", "s9 died at 25.0 s: its cell is still open"]
     chronicle.lose("s7", "died", 165, 41.25)
-    assert [one.text for one in play(chronicle, [view(tick, AFTER) for tick in range(166, 176)])] == ["s7 died; it owned no cell"]
+    assert [one.text for one in play(chronicle, [view(tick, AFTER) for tick in range(166, 176)])] == ["s7 died at 41.2 s; it owned no cell"]
 
 
 def test_what_is_open_at_the_end_of_the_run_is_told_then() -> None:
@@ -85,8 +85,8 @@ def test_what_is_open_at_the_end_of_the_run_is_told_then() -> None:
     chronicle.see(view(101, AFTER))
     chronicle.lose("s1", "is paused", 101, 25.25)
     texts = [one.text for one in chronicle.finish()]
-    assert texts[0] == "s2 died: s1 (60 %) and s3 (40 %) took its cell within 1 tick; no target lost"
-    assert texts[2] == "s1 is paused: its cell was open when the run ended"
+    assert texts[0] == "s2 died at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 1 tick; no target lost"
+    assert texts[2] == "s1 is paused at 25.2 s: its cell was open when the run ended"
     assert chronicle.finish() == []
 
 
@@ -98,6 +98,19 @@ def test_a_return_is_told_when_the_agent_owns_a_cell_and_overtakes_what_was_open
     chronicle.regain("s2", 102)
     told = play(chronicle, [view(102, BEFORE), view(103, AFTER), view(104, {**AFTER, "s2": np.empty((0, 2))}), view(105, BEFORE)])
     assert told == [EventReport(26.25, "s2", "s2 is back: it owns a cell again after 3 ticks")]
+
+
+def test_an_agent_that_is_back_in_the_same_process_was_silent_and_has_not_died() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE))
+    chronicle.lose("s2", "died", 100, 25.0)
+    told = play(chronicle, [view(101, AFTER)])
+    chronicle.regain("s2", 102, same=True)
+    told += play(chronicle, [view(tick, BEFORE) for tick in range(102, 112)])
+    assert [one.text for one in told] == [
+        "s2 is back: it owns a cell again after 1 tick",
+        "s2 was silent at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 1 tick; no target lost",
+    ]
 
 
 def test_a_cut_is_told_when_both_sides_cover_the_arena_and_a_healing_when_the_cells_tile_it() -> None:
@@ -129,7 +142,7 @@ def test_the_result_of_a_run_tells_every_death_and_return_and_a_paused_agent_is_
     scenario = resolve("quick", {"run.seconds": 30.0, "targets.count": 6})
     result = simulate(msgspec.structs.replace(scenario, faults=faults))
     texts = [told.text for told in result.events]
-    assert any(text.startswith("s2 died: ") and "took its cell within" in text for text in texts)
-    assert any(text.startswith("s5 is paused: ") for text in texts)
+    assert any(text.startswith("s2 died at ") and "took its cell within" in text for text in texts)
+    assert any(text.startswith("s5 is paused at 1") for text in texts)
     assert [text for text in texts if "is back" in text][-1].startswith("s2 is back: it owns a cell again after")
     assert [kill.name for kill in result.kills] == ["s2"]

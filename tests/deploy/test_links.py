@@ -1,7 +1,8 @@
 """The links of a swarm: who hears whom after each verb."""
 
-from deploy.faults.faults import Action
+from deploy.faults.faults import Action, Schedule
 from deploy.faults.links import Links, describe
+from deploy.scenario import FaultSettings
 
 TEAM = ["s1", "s2", "s3", "s4"]
 
@@ -52,6 +53,17 @@ def test_conditions_add_up_and_zero_clears_them() -> None:
     links.act(Action("drop", ["s2"], 0.0))
     links.act(Action("delay", ["s1"], 0.0))
     assert hears(links) == ALL and links.reception("s2").conditions == {}
+
+
+def test_the_jitter_of_a_delay_ends_with_the_delay() -> None:
+    links = Links(1, ["a", "b"])
+    schedule = Schedule(1, [FaultSettings(at=0.0, verb="delay", who="a", value=0.1, seconds=5.0, options={"jitter": 0.5})])
+    found = []
+    for time in (0.0, 5.0):
+        for action in schedule.due(time, ["a", "b"], [], ["a", "b"]):
+            links.act(action)
+        found.append(dict(links.reception("b").conditions))
+    assert found[0] and not found[1]
 
 
 def test_a_newcomer_is_cut_off_like_all_others() -> None:

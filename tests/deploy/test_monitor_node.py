@@ -120,6 +120,15 @@ def test_a_lost_agent_leaves_a_hole_that_closes_when_the_cells_of_the_rest_cover
     assert rows["a"].alive and rows["a"].cell == 1.0 and rows["a"].pose == (2.0, 2.0, 2.0)
 
 
+def test_an_agent_whose_token_comes_back_in_the_same_process_has_not_died_and_one_in_a_new_process_has(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    scorer.handle(truth(0), 0.0)
+    for name, incarnation in (("a", 1), ("b", 2)):
+        scorer.handle(Gone("agent", name, 1), 0.5)
+        scorer.handle(Alive("agent", name, incarnation), 1.0)
+    assert [kill.name for kill in scorer.result(1.0).kills] == ["b"]
+
+
 def test_a_silent_agent_is_not_waited_for_without_end(scenario: Scenario) -> None:
     scorer = started(scenario)
     for tick in range(25):

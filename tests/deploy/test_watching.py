@@ -171,10 +171,10 @@ def test_the_map_has_north_up_and_marks_targets_estimates_and_bodies() -> None:
     ]
     lines = swarm_map(SWARM, rows, 20).plain.splitlines()
     assert lines[1][1] == "o"
-    assert lines[-2][-2] == "x"
+    assert lines[-2][-2] == "•"
     assert sum(line.count("*") for line in lines[:-1]) == 1
     assert any("↑12" in line for line in lines)
-    assert any("+3" in line for line in lines)
+    assert any("x3" in line for line in lines)
     assert len({len(line) for line in lines[:-1]}) == 1
 
 

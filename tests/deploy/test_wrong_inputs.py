@@ -25,7 +25,7 @@ class Camera:
     """A sensor model as it should be; each of the others has one fault."""
 
     reach = 8.0
-    area = 25.0
+    area = 78.5
 
     def probability(self, points: np.ndarray, pose: Pose) -> Any:
         """What is near is seen."""
@@ -79,6 +79,19 @@ class Later(Camera):
     def probability(self, points: np.ndarray, pose: Pose) -> Any:
         Later.calls += 1
         return super().probability(points, pose) if Later.calls < 60 else "much"
+
+
+class Farther(Camera):
+    reach = 4.0
+
+
+class Larger(Camera):
+    area = 785.0
+
+
+class Backwards(Camera):
+    def footprint(self, pose: Pose) -> Any:
+        return SQUARE[::-1]
 
 
 class Line(Camera):
@@ -305,6 +318,10 @@ PLUGGED = [
     ("sensor", "Raises", "Raises.probability of 3 points raised KeyError: 'nope'"),
     ("sensor", "Blind", "Blind: the detection probability is 0 everywhere"),
     ("sensor", "Later", "returned 'much': should be an array"),
+    ("sensor", "Farther", "Farther.probability is 0.9 at 5 m: should be 0 beyond reach = 4"),
+    ("sensor", "Larger", "Larger.area = 785: should be 78."),
+    ("sensor", "Backwards", "Backwards.footprint returned corners that run clockwise: should be counter-clockwise"),
+    ("sensor", "Caamera", "has no Caamera; did you mean Camera?"),
     ("sensor", "Line", "Line.footprint returned no polygon"),
     ("sensor", "Bow", "Bow.footprint returned no polygon"),
     ("sensor", "Text", "Text.footprint returned 'everywhere': should be an array of shape (N, 2)"),

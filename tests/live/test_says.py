@@ -238,7 +238,7 @@ def test_a_paused_agent_is_paused_everywhere_and_the_dead_own_no_cell(covey: Cov
     assert supervisor.wait(BOUND) == 0
     result = json.loads((covey.runs / "latest" / "result.json").read_text())
     assert [kill["name"] for kill in result["kills"]] == ["s2"]
-    assert "s1 is paused: " in output and "s2 died: " in output and "s1 is back: " in output
+    assert "s1 is paused at " in output and "s2 died at " in output and "s1 is back: " in output
     assert [kill["name"] for kill in covey.result("score", "latest")["kills"]] == ["s2"]
 
 

@@ -48,6 +48,16 @@ def test_the_inbox_never_holds_more_bytes_than_allowed() -> None:
     assert inbox.dropped == 200 - len(inbox)
 
 
+def test_what_was_taken_makes_room_though_the_inbox_is_never_empty() -> None:
+    inbox = Inbox(most_entries=1000, most_bytes=1000)
+    for _ in range(3):
+        inbox.add(Arrival("k", bytes(10)))
+    for _ in range(400):
+        inbox.add(Arrival("k", bytes(10)))
+        assert len(inbox.take(1)) == 1
+    assert (inbox.dropped, len(inbox)) == (0, 3)
+
+
 def test_twenty_bad_messages_in_ten_seconds_shut_a_source_out_for_ten_seconds() -> None:
     quarantine = Quarantine(most=20, window=10.0)
     for number in range(19):

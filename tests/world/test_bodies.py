@@ -8,7 +8,7 @@ import pytest
 from protocol.fields import FARTHEST
 from protocol.messages import Command
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
-from world.bodies import Bodies, check_given, clip_velocity, integrate, start_pose
+from world.bodies import Bodies, check_given, clip_velocity, integrate, pose_with_error, start_pose
 from world.config import BodySettings, WorldConfig
 
 LIMITS = LimitSettings(speed=2.0, turn_rate=5.0)
@@ -61,6 +61,13 @@ def test_a_body_may_leave_the_arena_but_not_the_range_of_the_wire() -> None:
     bodies.move({"s1": command("s1", (-1.0e6, 1.0e6))})
     bodies.move({"s1": command("s1", (0.0, 1.0e6))})
     assert bodies.poses["s1"] == (-FARTHEST, FARTHEST, 0.0)
+
+
+def test_the_pose_errors_of_two_agents_in_a_tick_have_nothing_to_do_with_each_other() -> None:
+    settings = BodySettings(position_error=1.0, heading_error=0.1)
+    one, other = (np.array([pose_with_error((0.0, 0.0, 0.0), settings, name, tick, 1) for tick in range(1000)]) for name in ("s1", "s2"))
+    assert all(abs(np.corrcoef(one[:, part], other[:, part])[0, 1]) < 0.1 for part in range(3))
+    assert np.std(one, axis=0) == pytest.approx((1.0, 1.0, 0.1), rel=0.1)
 
 
 def test_starts_are_uniform_in_the_arena_and_in_heading() -> None:

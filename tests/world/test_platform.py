@@ -10,7 +10,7 @@ import pytest
 from covey.examples.robots import INNER, DifferentialDrive
 from deploy.live.platform_check import check_platform
 from deploy.scenario import Scenario, resolve, world_config
-from protocol.messages import Command, Observation
+from protocol.messages import Command, Hello, Observation
 from protocol.node import Alive, Started, Stop, Timer, received
 from protocol.settings import BadSetting, LimitSettings
 from world.body import Body, check_epoch
@@ -130,6 +130,33 @@ def test_without_a_command_for_half_a_second_it_is_stopped_once(monkeypatch: pyt
     assert Robot.told[1:] == ["stop"]
     body.handle(command(3), 0.8)
     assert Robot.told[2:] == [((1.0, 0.0), 0.5)]
+
+
+def test_in_a_paced_lockstep_a_command_holds_for_the_whole_of_a_long_tick() -> None:
+    settings = {
+        "team.composition": "A1",
+        "bodies.host": "own",
+        "run.clock": "lockstep",
+        "run.pace": 0.25,
+        "run.dt": 0.25,
+        "targets.count": 1,
+    }
+    body, now = Body(world_config(resolve("efficacy", settings)), "s1", 1), 0.0
+    body.handle(Started(), now)
+    body.handle(Alive("agent", "s1", 1), now)
+    hello = Hello(sender="s1", incarnation=1, role="agent", software="", sensor_class="A", max_speed=2.0, max_turn_rate=5.0, heard=())
+    body.handle(received(hello), now)
+    while body.tick < 0:
+        now += 0.25
+        body.handle(Timer(), now)
+    start, tick, now = body.pose, body.tick, now + 0.1
+    body.handle(received(Command(sender="s1", incarnation=1, tick=tick, velocity=(1.0, 0.0), turn_rate=0.0)), now)
+    while body.tick == tick:
+        due = body.deadline()
+        assert due is not None
+        now = max(now, due)
+        body.handle(Timer(), now)
+    assert body.pose[0] - start[0] == pytest.approx(0.25)
 
 
 def test_a_command_of_another_life_of_the_agent_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

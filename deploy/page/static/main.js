@@ -77,6 +77,7 @@ function hello(message) {
   document.body.classList.toggle("compares", Boolean(message.beside));
   if (message.beside) CHARTS[0].lines = [["ospa", message.partition], ["beside", message.beside.partition]];
   player.begin(message);
+  $("hold").hidden = player.plays;
   charts[charts.length - 1][0].parentElement.hidden = message.source !== "live"; // how fast messages came is a matter of the live run
   if (another) { buildRoster($("roster").tBodies[0], state, choose); fillHelp($("help"), SWITCHES, player.plays); }
   link(message.source, false);
@@ -252,6 +253,8 @@ function escape() {
 // A live swarm goes on; the picture waits.
 function hold() {
   state.held = !state.held;
+  $("hold").setAttribute("aria-pressed", String(state.held));
+  $("hold").textContent = state.held ? "go on" : "hold";
   link(state.held ? "held; Space goes on" : state.hello.source, state.held);
 }
 
@@ -272,6 +275,7 @@ function filming() {
 $("address").addEventListener("click", share);
 $("png").addEventListener("click", () => { arenas[0].draw(); savePicture(shown().map((arena) => arena.canvas), state); });
 $("film").addEventListener("click", filming);
+$("hold").addEventListener("click", hold);
 $("guide").addEventListener("click", (event) => { event.stopPropagation(); hint.hide(); tour.go(0); });
 $("theme").addEventListener("click", theme);
 $("helper").addEventListener("click", help);

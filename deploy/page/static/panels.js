@@ -89,7 +89,7 @@ export function fillBelief(box, state) {
   set(box.querySelector("#belief-cell"), belief.mass === undefined ? "It has not spoken yet." :
     `Holds ${belief.mass.toFixed(2)} expected targets in ${particles} particles, reports ${targets}; sees ${(belief.detections || []).length / 2} detections; U = ${belief.unused.toFixed(1)} m².`);
   const agree = belief.agree ? ` Its diagram is that of ${belief.agree[0]} of ${belief.agree[1]} who spoke of tick ${belief.tick}.` : "";
-  set(box.querySelector("#belief-neighbours"), belief.neighbours ? `Its cell is bounded by ${belief.neighbours.length ? belief.neighbours.join(", ") : "nobody"}.${agree}` : "");
+  set(box.querySelector("#belief-neighbours"), belief.neighbours ? `${belief.neighbours.length ? `Its cell is bounded by ${belief.neighbours.join(", ")}.` : agent.cell && agent.cell.length ? "Its cell is the whole arena." : "It has no cell now: the cells of others cover its place."}${agree}` : "");
   set(box.querySelector("#belief-counters"), Object.entries(belief.counters || {}).map(([name, count]) => `${name} ${count}`).join("  ·  "));
   for (const button of box.querySelectorAll("[data-verb]")) {
     const verb = button.dataset.verb, dead = agent.state === "dead" || agent.state === "waiting", paused = agent.state === "paused";

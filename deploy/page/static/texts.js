@@ -31,7 +31,8 @@ export const TEXTS = {
   detections: ["Detections", "Points that the sensors measured in this tick.", "Some are false: clutter."],
   truth: ["True targets", "Where the targets are in the world.", "The agents do not know it. The page shows it to you."],
   estimates: ["Estimates", "Where the agents say that targets are.", "A dot in a ring is a target that was found.", "An empty ring was missed. A dot alone is false."],
-  trails: ["Trails", "The ways of the last 12 s."],
+  trails: ["Trails", "The ways of the last 12 s: of agents in their colours, of targets thin, of tracks with their labels."],
+  hold: ["Hold", "The picture stands still until you press it again. The swarm goes on."],
   names: ["Names", "The names of the agents."],
   belief: ["Belief of the chosen agent", "Drawn from its own messages alone.", "Dots: its particles. Dashed outline: its cell.", "Wide rings in the colour of estimates: its estimates."],
   gossip: ["Gossip", "Dashes run along a link when an agent has said something.", "They stand still while it is silent."],
@@ -54,7 +55,7 @@ export const TOUR = [
   { at: "#legend", title: "What they look for", text: "Rings are the true targets. Sensors do not know them. They only get detections, and some are false. Dots are what the swarm believes. A dot in a ring is a target that was found." },
   { at: "#figures", title: "How well it goes", text: "OSPA is the error in metres: the lower, the better. Hole is ground that nobody answers for. Point at any figure, and it says what it means." },
   { at: "#team", title: "What one of them believes", text: "Choose an agent here or in the arena. You see its particles, its cell and its neighbours, as it knows them from messages alone." },
-  { at: "#events", title: "Kill one", text: "Choose an agent and press Kill. Its neighbours take its cell within a tick or two. What came of it is written here as a sentence." },
+  { at: "#events", title: "Kill one", text: "In a live swarm, choose an agent and press Kill. Its neighbours take its cell within a tick or two. What came of it is written here as a sentence." },
 ];
 
 // What an agent's numbers say, in sentences.
