@@ -44,7 +44,7 @@ class LateRounds:
 
     def find_due(self, tick: int) -> int | None:
         """The oldest round, if it is due in the newest `tick`; else None."""
-        is_due = bool(self._rounds) and self._rounds[0].gossip.tick <= tick - self.lag.kept
+        is_due = bool(self._rounds) and self._rounds[0].gossip.tick <= tick - self.lag.current
         self.due = self._rounds[0].gossip.tick if is_due else None
         return self.due
 

@@ -178,8 +178,8 @@ class Driver:
     def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
         at_once, now = list[Arrival](), self._loop.time()
         for arrival in arrivals:
-            copies = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload, now)
-            for delay, payload in copies:
+            carried = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload, now)
+            for delay, payload in carried:
                 changed = arrival._replace(payload=payload)
                 if delay > 0.0:
                     self._loop.call_later(delay, self._receive, [changed])

@@ -18,7 +18,7 @@ class Captured(NamedTuple):
 
     me: AgentContext
     last: RoundResult
-    neighbours: PeerTable
+    peer_table: PeerTable
     mine: Gossip
     heard: dict[str, Gossip]
 
@@ -62,8 +62,8 @@ def capture(scenario: Scenario, tick: int) -> list[Captured]:
     names = sorted(collector.gossips, key=order)
     rounds = []
     for name, agent in simulation.agents.items():
-        heard = {other: collector.gossips[other] for other in names if other != name and other in agent.neighbours.peers}
-        rounds.append(Captured(agent.context, lasts[name], agent.neighbours, collector.gossips[name], heard))
+        heard = {other: collector.gossips[other] for other in names if other != name and other in agent.peer_table.peers}
+        rounds.append(Captured(agent.context, lasts[name], agent.peer_table, collector.gossips[name], heard))
     return rounds
 
 

@@ -150,7 +150,7 @@ def test_an_old_observation_and_an_old_world_change_nothing() -> None:
     agent.handle(see(5, incarnation=2), 1.0)
     assert agent.handle(see(5, incarnation=2), 1.1) == [] and agent.handle(see(4, incarnation=2), 1.1) == []
     assert agent.handle(see(9, incarnation=1), 1.1) == []
-    assert agent.counters["rejected.stale"] == 3 and agent.tick == 5
+    assert agent.counters["rejected.old_observation"] == 3 and agent.tick == 5
 
 
 def test_a_newcomer_listens_until_it_has_heard_everybody() -> None:
@@ -312,5 +312,5 @@ def test_a_beacon_of_other_settings_is_refused() -> None:
     )
     for settings, known in [(right ^ 2, set()), (0, {"s2"}), (right, {"s2", "s3"})]:
         agent.handle(received(msgspec.structs.replace(seen, sender="s3" if settings == right else "s2", settings=settings)), 0.1)
-        assert agent.neighbours.peers.keys() == known
+        assert agent.peer_table.peers.keys() == known
     assert agent.counters["rejected.settings"] == 1

@@ -57,7 +57,7 @@ def test_labels_of_later_ticks_are_larger_and_those_of_another_sensor_seed_or_de
 
 def test_births_beside_a_living_track_bear_its_label() -> None:
     born = seen(cloud(10.0, 10.0, 1.0, 9), (10.0, 10.0))
-    assert len(born.ids) == 50 + BIRTH.copies and set(born.labels.tolist()) == {9}
+    assert len(born.ids) == 50 + BIRTH.measurement_particles and set(born.labels.tolist()) == {9}
 
 
 def test_births_at_a_detection_that_the_track_hardly_explains_found_a_label_of_their_own() -> None:

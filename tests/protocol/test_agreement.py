@@ -25,7 +25,7 @@ OTHERS = {
     "detection.clutter": AgentConfig(detection=DetectionSettings(clutter=0.2)),
     "limits.speed": AgentConfig(limits=LimitSettings(speed=3.0)),
     "filter.seed": AgentConfig(filter=FilterSettings(seed=1)),
-    "birth.copies": AgentConfig(birth=BirthSettings(copies=9)),
+    "birth.measurement_particles": AgentConfig(birth=BirthSettings(measurement_particles=9)),
     "timing.tile": AgentConfig(timing=TimingSettings(tile=36.0)),
 }
 

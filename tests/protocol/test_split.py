@@ -85,7 +85,7 @@ def test_two_whose_session_has_stayed_split_find_each_other_again(redials: bool,
         tasks = [asyncio.create_task(driver.serve()) for driver in drivers]
 
         def sees(one: int, other: int) -> bool:
-            peer = agents[one].neighbours.peers.get(f"s{other + 1}")
+            peer = agents[one].peer_table.peers.get(f"s{other + 1}")
             return peer is not None and peer.token
 
         def hears(one: int, other: int) -> bool:

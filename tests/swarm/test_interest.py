@@ -84,7 +84,7 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
     print(f"seed {seed}")
     (_, everything), (simulation, all_the_same) = (play(large(seed, team, interest)) for interest in ("all", "neighbours"))
     assert everything == all_the_same
-    heard = [len(agent.neighbours.interest_set) for agent in simulation.agents.values()]
+    heard = [len(agent.peer_table.interest_set) for agent in simulation.agents.values()]
     assert sum(heard) < 0.6 * len(heard) * (len(heard) - 1)
 
 
