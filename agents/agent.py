@@ -20,20 +20,17 @@ from agents.gossip.table import announced_sensor
 from agents.interest.manager import InterestManager
 from agents.late_rounds import LateRounds
 from agents.look_ahead import OpenRound, look_ahead
-from agents.membership.agreement import SettingsAgreement
-from agents.membership.announcements import SOON, AnnouncementSchedule
-from agents.membership.body_tokens import BodyTokens
+from agents.membership.announcements import SOON
 from agents.membership.local_health import LocalHealth
+from agents.membership.membership import Membership
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
 from agents.tracking.step import Step
-from protocol.failure_detector import FailureDetector
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
-from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, Timer
 
-EXIT_FENCED = 3
 MANY = 1 << 30
 MOST_OVERDUE = 0.5  # of the time for which a round waits: a round that closes later has not listened
 
@@ -51,7 +48,6 @@ class Agent(Node):
         self.sensor_class = sensor_class or config.members[name]  # empty: the class that the roster names
         self.counters: Counter[str] = Counter()
         self.peer_table = PeerTable(config, name)
-        self._bodies = BodyTokens(self.peer_table)
         self.tick = -1  # of the newest observation; -1: none has come
         self.context = context_of(config, name, self.sensor_class, backend)
         self.peer_table.own_sensor = announced_sensor(name, self.context.sensor, config.detection.clutter)
@@ -60,8 +56,7 @@ class Agent(Node):
         self._interest = InterestManager(self.context, self.peer_table, incarnation) if self.local else None
         nothing = (0.0, 0.0, -1.0, -1.0) if self.local else None
         self.outcome = RoundResult(self.context.tracker.start(name, Step(config, 0), nothing), self.context.facts.capability)
-        self._failure_detector = FailureDetector(name, ["world"] if self.local else [*config.others(name), "world"])
-        self._world_incarnation = 0  # incarnation of the world
+        self.membership = Membership(self.context, incarnation, self.peer_table, self.counters)
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
         self._rounds = LateRounds(self.context)
@@ -72,14 +67,12 @@ class Agent(Node):
         self._rounds_alone = 0  # listening rounds left without any gossip, before the agent takes itself to be alone
         self._close_at: float | None = None
         self._answer_at: float | None = None
-        self._announcements = AnnouncementSchedule(0 if self.local else len(config.others(name)), self.peer_table.is_roster_alive)
         self._opened_at = 0.0
         self._newest_tick = -1  # of the newest observation, played or not
         self._asked_at: float | None = None  # when the driver was asked to come back at once: the next event shows for how long it was busy
         self._spared = 0  # observations since the last round that were left out to keep the pace
         self._pace = Pace(config.run.dt / config.run.rate, measured=config.run.clock == "realtime")
         self._health = LocalHealth(measured=config.run.clock == "realtime")
-        self._agreement = SettingsAgreement(name, self.peer_table.settings, self.counters)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event at `now`, s. Return the effects in order; `NO_EFFECTS` when nothing follows (Node)."""
@@ -94,29 +87,16 @@ class Agent(Node):
         match event:
             case Timer():
                 return self._on_timer(now)
-            case Alive(role="agent") if event.name == self.name:
-                return self._fence(event.incarnation)
-            case Alive(role="body"):
-                self._bodies.appear(event.name, event.incarnation)
-            case Gone(role="body") if self._bodies.leave(event.name, event.incarnation, self.tick):
-                self._awaited.discard(event.name)
-                return self._close_if_complete(now)
             case Alive():
-                if event.role == "agent":
-                    self._bodies.agent_left(event.name)
-                    self._failure_detector.appear(event.name, event.incarnation)
-                    self.peer_table.alive(event.name, event.incarnation)
-                if event.role != "agent" or not self.local:
-                    self._announcements.peer_appeared(len(self.peer_table.peers), now)
-            case Gone(role="agent"):
-                self._bodies.agent_left(event.name)
-                self._failure_detector.leave(event.name, event.incarnation)
-                self.peer_table.gone(event.name, event.incarnation, self._newest_tick, doubted=self._health.is_doubtful(now))
-                self._awaited.discard(event.name)
-                return self._close_if_complete(now)
+                return self.membership.alive(event, now)
+            case Gone():
+                tick = self.tick if event.role == "body" else self._newest_tick
+                if self.membership.gone(event, tick, doubted=self._health.is_doubtful(now)):
+                    self._awaited.discard(event.name)
+                    return self._close_if_complete(now)
             case Started():
-                self._announcements.start(now)
-                return [*map(Subscribe, [*self._expressions(), one_of(self.run, "observation", self.name)]), self._hello(now)]
+                expressions = [*self._expressions(), one_of(self.run, "observation", self.name)]
+                return [*map(Subscribe, expressions), self.membership.start(now)]
             case Rejected(reason=reason):
                 self.counters[f"rejected.{reason}"] += 1
         return []
@@ -130,7 +110,7 @@ class Agent(Node):
         effects: list[Effect] = NO_EFFECTS
         for message in batch.messages:
             if isinstance(message, Hello):
-                more = self._on_hello(message, now)
+                more = self.membership.take_hello(message, now)
             else:
                 more = self._on_observation(message, now) if isinstance(message, Observation) else NO_EFFECTS
             effects = more if effects is NO_EFFECTS else [*effects, *more]
@@ -154,20 +134,18 @@ class Agent(Node):
 
     def deadline(self) -> float | None:
         """When to call with `Timer`, s (Node): the earliest of the round's end, the next Hello, the next answer and the next selection."""
-        if self._interest is None:
-            times = [time for time in (self._close_at, self._announcements.due, self._health.due, self._asked_at) if time is not None]
-            return min(times, default=None)
-        dues = self._close_at, self._announcements.due, self._health.due, self._asked_at, self._answer_at, self._interest.due
-        times = [time for time in dues if time is not None]
-        return min(times, default=None)
+        times = [self._close_at, self.membership.announcements.due, self._health.due, self._asked_at]
+        if self._interest is not None:
+            times += [self._answer_at, self._interest.due]
+        return min([time for time in times if time is not None], default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
         """Close a round that is still open, and open that of the observation. An old observation is counted and ignored."""
-        if observation.incarnation < self._world_incarnation or observation.tick <= self.tick:
+        if observation.incarnation < self.membership.world_incarnation or observation.tick <= self.tick:
             self.counters["rejected.old_observation"] += 1
             return []
-        self._world_incarnation = observation.incarnation
-        self._failure_detector.speak(observation.sender, now)
+        self.membership.world_incarnation = observation.incarnation
+        self.membership.failure_detector.speak(observation.sender, now)
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
         if not self._pace.plays(observation.tick):
@@ -181,7 +159,7 @@ class Agent(Node):
             self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._spared)
         self._spared = 0
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
-        self._announcements.observation_arrived(now)
+        self.membership.announcements.observation_arrived(now)
         if self._interest is not None and not self._interest.settled:
             return [*effects, *self._interest.start(observation, self.outcome, now)]
         return [*effects, *self._open_round(observation, now)]
@@ -244,11 +222,11 @@ class Agent(Node):
         if self.name in batch.senders:
             for message in batch.messages:
                 if message.sender == self.name and message.incarnation > self.incarnation:
-                    return self._fence(message.incarnation)
+                    return self.membership.fence(message.incarnation)
         if not self.local:
-            self._failure_detector.speak_all(batch.senders, now)
+            self.membership.failure_detector.speak_all(batch.senders, now)
         if self.tick < 0:
-            self._announcements.run_started()
+            self.membership.announcements.run_started()
         effects: list[Effect] = NO_EFFECTS
         start = 0
         while start < len(batch):  # a round closes with the gossip that completes it; later rows belong to the next one
@@ -291,41 +269,16 @@ class Agent(Node):
         """Take the beacons of other agents, and plan an answer if one of them needs it."""
         if self._interest is None:
             return NO_EFFECTS
-        refused = [beacon for beacon in beacons if self._agreement.differs(beacon)]
-        warnings = self._agreement.refuse(refused) if refused else NO_EFFECTS
+        refused = [beacon for beacon in beacons if self.membership.agreement.differs(beacon)]
+        warnings = self.membership.agreement.refuse(refused) if refused else NO_EFFECTS
         if not self._interest.take_beacons([beacon for beacon in beacons if beacon not in refused] if refused else beacons):
             return warnings
         self._answer_at = now + SOON if self._answer_at is None else self._answer_at
         return [*warnings]
 
-    def _on_hello(self, hello: Hello, now: float) -> list[Effect]:
-        """Take a Hello: remember the announced sensor, compare the settings, and check the session for a half-open link."""
-        if hello.sender == self.name:
-            return self._fence(hello.incarnation)
-        if hello.role == "agent" and self.peer_table.has_announced(hello) and self._failure_detector.greet_again(hello.sender, now):
-            return NO_EFFECTS
-        reason = self.peer_table.take_hello(hello) if hello.role == "agent" else None
-        # a refused sender still counts as heard, and the own Hello lists it
-        warnings = self._agreement.refuse([hello]) if self._agreement.differs(hello) else []
-        if reason and reason != "settings":
-            self.counters[f"rejected.{reason}"] += 1
-            return warnings
-        is_new = self._failure_detector.greet(hello.sender, now)
-        # a Hello sent when the token of a world appeared can be lost, because the world may not have subscribed yet
-        is_restarted_world = hello.role == "world" and 0 < self._world_incarnation < hello.incarnation
-        if is_new or is_restarted_world:
-            self._announcements.peer_appeared(len(self.peer_table.peers), now)
-        reason = self._failure_detector.split(hello, now) if hello.role == "agent" else ""
-        if not reason:
-            return warnings or ([] if is_new else NO_EFFECTS)
-        self.counters["reopened"] += 1
-        return [*warnings, Reopen(reason)]
-
     def _on_timer(self, now: float) -> list[Effect]:
         """Do everything that is due."""
-        effects: list[Effect] = []
-        if self._announcements.is_due(len(self.peer_table.peers), self.tick < 0 or self.peer_table.lacks_announcements(), now):
-            effects.append(self._hello(now))
+        effects = self.membership.announce_if_due(now, has_observed=self.tick >= 0)
         if self._interest is not None:
             effects += self._on_interest_timer(self._interest, now)
         if self._close_at is not None and now >= self._close_at:
@@ -443,14 +396,3 @@ class Agent(Node):
         else:
             self._rounds_alone -= 1
             self._listening_rounds = self._listening_rounds if self._rounds_alone > 0 else 0
-
-    def _hello(self, now: float) -> Hello:
-        """The Hello of this agent at `now`. Before the first observation it lists all peers that ever sent a Hello and are alive."""
-        heard = self._failure_detector.heard(now if self.tick >= 0 else None)
-        return outbox.hello(self.context, self.incarnation, heard, self.peer_table.settings)
-
-    def _fence(self, incarnation: int) -> list[Effect]:
-        """Stop if another process with the same name has a younger incarnation."""
-        if incarnation > self.incarnation:
-            return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self.name} is alive")]
-        return NO_EFFECTS

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from protocol.agreement import agreed, common_sections
-from protocol.messages import Agreed
+from protocol.message import Agreed
 from protocol.settings import Common, Fraction, NotNegative, Positive, Section, Seed
 
 ParticleCount = Annotated[int, msgspec.Meta(ge=1, le=8000)]

@@ -26,7 +26,7 @@ from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
 from protocol.inbox import Arrival, Inbox, RateLimiter
 from protocol.links import LinkFaults
-from protocol.messages import Message
+from protocol.message import Message
 from protocol.node import NO_EFFECTS, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, Warn
 from protocol.reception import Reception
 from protocol.settings import BadSetting, NetworkSettings

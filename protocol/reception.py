@@ -10,7 +10,7 @@ from typing import NamedTuple
 from protocol.codec import decode_all
 from protocol.fields import Malformed
 from protocol.inbox import Arrival, Quarantine
-from protocol.messages import Message
+from protocol.message import Message
 from protocol.node import Batch, Event, Received, Rejected
 from protocol.tokens import Tokens
 

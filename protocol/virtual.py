@@ -15,7 +15,8 @@ from typing import Protocol
 from protocol import codec
 from protocol.delivery import TO_MANY, BusEndpoint, Delivery, Item, MessageRun, is_observation, place_of
 from protocol.keys import is_of_tokens, message_key, tokens_of
-from protocol.messages import Command, Gossip, Message
+from protocol.message import Message
+from protocol.messages import Command, Gossip
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.reception import in_batches, read
 from protocol.routes import Routes

@@ -4,7 +4,8 @@ from collections import Counter
 from collections.abc import Sequence
 
 from protocol.agreement import disagreement, whole
-from protocol.messages import Agreed, Beacon, Hello
+from protocol.message import Agreed
+from protocol.messages import Beacon, Hello
 from protocol.node import Effect, Warn
 
 

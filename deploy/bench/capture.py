@@ -9,8 +9,9 @@ from deploy.scenario import Scenario
 from deploy.simulation import Simulation
 from protocol import codec
 from protocol.keys import all_of, message_key, order
-from protocol.messages import Gossip, Truth
+from protocol.messages import Gossip
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
+from protocol.observer_messages import Truth
 
 
 class Captured(NamedTuple):

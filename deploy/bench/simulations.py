@@ -15,8 +15,8 @@ from deploy.bench import central
 from deploy.bench.timing import BenchRow, in_turns
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation, compiled
-from protocol.messages import Truth
 from protocol.node import Effect, Event
+from protocol.observer_messages import Truth
 
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
 INSIDE = 60.0  # m from every edge of the arena: who is farther from them is counted apart

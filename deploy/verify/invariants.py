@@ -18,8 +18,9 @@ from deploy.simulation import Simulation
 from deploy.verify.central_filter import CentralFilter, CentralMixture, mixture_difference, particle_difference, united
 from protocol.geometry import polygon_area
 from protocol.keys import all_of
-from protocol.messages import Command, Estimate, Gossip, Hello, Truth
+from protocol.messages import Command, Gossip, Hello
 from protocol.node import Alive, Effect, Event, Node, Received, Started, Subscribe
+from protocol.observer_messages import Estimate, Truth
 
 GENTLE = {"loss", "copies", "reorder", "freeze"}  # profiles under which the cells hardly move apart
 LOADS = {"starve", "freeze"}  # profiles in which nobody dies

@@ -10,7 +10,8 @@ from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
 from agents.membership.peer import TOLERANCE
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
-from protocol.messages import Gossip, Hello, Message, Observation
+from protocol.message import Message
+from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Batch, Gone, Started, Timer, received
 from protocol.sensing import SENSOR_CLASSES
 from tests.agents.test_peer_table import CONFIG, gossip, hear, hello, neighbours

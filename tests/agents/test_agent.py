@@ -5,12 +5,15 @@ import math
 import msgspec
 import pytest
 
-from agents.agent import EXIT_FENCED, Agent
+from agents.agent import Agent
 from agents.config import AgentConfig, ControlSettings, TimingSettings
 from agents.membership.announcements import CROWD, EARLY, SOON
+from agents.membership.membership import EXIT_FENCED
 from protocol.agreement import whole
-from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
+from protocol.message import Message
+from protocol.messages import Beacon, Command, Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
+from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, BadSetting, RunSettings
 

@@ -15,7 +15,8 @@ from agents.tracking.phd import resample, update
 from deploy.scoring.tracks import unique_labels
 from protocol.codec import decode, encode
 from protocol.fields import Malformed, pack, pack_labels, read_labels
-from protocol.messages import Estimate, Gossip
+from protocol.messages import Gossip
+from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
 
 FILTER = FilterSettings(vicinity=6.0)

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from protocol.messages import Command, Estimate, Gossip, Message
+from protocol.message import Message
+from protocol.messages import Command, Gossip
+from protocol.observer_messages import Estimate
 
 Values = list[Any]  # numbers, texts, arrays, or lists of them
 FIELDS: dict[str, tuple[type[Message], Callable[[Any], Iterable[Any]]]] = {

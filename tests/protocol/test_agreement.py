@@ -15,7 +15,8 @@ from agents.config import AgentConfig, BirthSettings, CapacitySettings, FilterSe
 from protocol.agreement import disagreement, whole
 from protocol.codec import decode, encode
 from protocol.fields import MAX_SETTINGS, Malformed
-from protocol.messages import Hello, Setting
+from protocol.message import Setting
+from protocol.messages import Hello
 from protocol.settings import ArenaSettings, DetectionSettings, LimitSettings, RunSettings, SensorSettings
 
 MODEL = {"R": SensorSettings(model="deploy.examples.sensors:RangeFalling")}

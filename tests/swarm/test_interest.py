@@ -13,8 +13,9 @@ from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
 from protocol.geometry import distances, polygon_area, polygon_centroid
 from protocol.keys import all_of
-from protocol.messages import Beacon, Estimate
+from protocol.messages import Beacon
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
+from protocol.observer_messages import Estimate
 from tests.swarm.scene import Listener, ledger, tracking, watch
 
 
