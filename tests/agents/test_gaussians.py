@@ -8,7 +8,7 @@ import pytest
 from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSettings
 from agents.tracking import gaussian_phd
 from agents.tracking.births import Scan
-from agents.tracking.gaussian_reduction import estimates, reduced, merged
+from agents.tracking.gaussian_reduction import estimates, merged, reduced
 from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked
 from agents.tracking.step import Step
 from protocol.sensing import Pose, WedgeSensor
