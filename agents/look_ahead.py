@@ -48,7 +48,7 @@ class RecentTicks:
         self._context, self._most = context, most
         self._said: dict[int, dict[str, tuple[Gossip, AnnouncedSensor]]] = {}
         self._blurred: dict[int, AgentConfig] = {}  # by ticks
-        self._beliefs: deque[TrackerState] = deque(maxlen=most + 2)
+        self._beliefs: deque[TrackerState] = deque(maxlen=most + 2 if most else 0)  # a round in its own tick begins with the newest
 
     def put(self, gossip: Gossip, announced: AnnouncedSensor) -> bool:
         """Keep a gossip; whether it is the first one of its sender and tick."""

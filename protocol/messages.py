@@ -13,6 +13,7 @@ from typing import Union
 import msgspec
 import numpy as np
 
+from protocol.agreement import whole
 from protocol.components import check_components, read_components
 from protocol.fields import (
     CLAIM,
@@ -84,6 +85,11 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     heard: tuple[str, ...] = ()
     local: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
     settings: Agreed = {}  # those on which all agree; a setting that is missing is not compared
+
+    @once
+    def digest(self) -> int:
+        """The hash of the settings, as in a Beacon."""
+        return whole(self.settings)
 
     def check(self) -> None:
         check_number("max_speed", self.max_speed, least=0.0)

@@ -48,6 +48,11 @@ def in_batches(arrived: Iterable[Decoded | Event]) -> Iterator[Event]:
         yield _batch(run)
 
 
+def event_of(arrived: Decoded | Event) -> Event:
+    """The event of one arrival."""
+    return Received(Batch((arrived.message,), (arrived.payload,))) if isinstance(arrived, Decoded) else arrived
+
+
 def _batch(run: list[Decoded]) -> Received:
     messages, payloads = zip(*run)
     return Received(Batch(messages, payloads))

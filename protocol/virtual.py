@@ -18,7 +18,7 @@ from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.message import Message
 from protocol.messages import Command, Gossip
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
-from protocol.reception import in_batches, read
+from protocol.reception import event_of, in_batches, read
 from protocol.routes import Routes
 
 
@@ -180,17 +180,16 @@ class VirtualBus:
             entry[0].at_work = False
             self._wake(entry[0])
         else:
-            for event in in_batches([entry[1]]):
-                self._hand(entry[0], event)
+            self._hand(entry[0], event_of(entry[1]))
         return True
 
     def _deliver(self, delivery: Delivery) -> None:
         """Hand a message to all its listeners; those of kinds in `TO_MANY` go into their boxes."""
         if delivery.kind not in TO_MANY:
-            for event in in_batches([delivery.item]):
-                for endpoint in delivery.listeners:
-                    if endpoint is not delivery.sender:
-                        self._hand(endpoint, event)
+            event = event_of(delivery.item)
+            for endpoint in delivery.listeners:
+                if endpoint is not delivery.sender:
+                    self._hand(endpoint, event)
             return
         run = delivery.with_followers(self._ready) if self.batches else MessageRun(delivery.sender, delivery.item)
         for endpoint in delivery.listeners:

@@ -22,7 +22,6 @@ from agents.membership.half_open_link import HalfOpenLinkDetector, LagDetector
 from agents.membership.peer import Peer
 from agents.membership.peer_table import PeerTable
 from agents.round import HORIZON, AgentContext, RoundResult
-from protocol.agreement import whole
 from protocol.geometry import distances
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
@@ -47,7 +46,7 @@ class InterestManager:
 
     def __init__(self, context: AgentContext, peer_table: PeerTable, incarnation: int) -> None:
         config = context.config
-        self._settings = whole(peer_table.settings)
+        self._settings = peer_table.digest
         self.settled = False  # the first selection is made and the others have had the time to make theirs
         self.due: float | None = None  # when to call `on_timer`
         self._context, self._peer_table, self._incarnation = context, peer_table, incarnation

@@ -22,7 +22,7 @@ class SettingsAgreement:
         """Whether a message announces other settings."""
         if isinstance(message, Beacon):
             return message.settings not in (0, self._digest)
-        return bool(disagreement(self.settings, message.settings))
+        return message.digest != self._digest and bool(disagreement(self.settings, message.settings))
 
     def refuse(self, messages: Sequence[Hello | Beacon]) -> list[Effect]:
         """Count messages with other settings, and return a warning for each new sender."""

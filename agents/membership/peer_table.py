@@ -26,7 +26,7 @@ from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
 from agents.membership.peer import Peer, all_plausible, announced_by, plausible, steady
-from protocol.agreement import disagreement
+from protocol.agreement import disagreement, whole
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
@@ -52,6 +52,7 @@ class PeerTable:
         self._measures_pace = config.run.clock == "realtime"
         self._listened: deque[int] = deque(maxlen=self._silent)  # the last closed rounds in which this agent listened
         self._name, self.settings = name, config.agreed()
+        self.digest = whole(self.settings)
         self.own_sensor: AnnouncedSensor | None = None  # as it is announced
         self.inbox = RoundInbox()
         self.pace = 1  # this agent plays the ticks that this number divides
@@ -97,7 +98,7 @@ class PeerTable:
         peer = self._peer(hello.sender, hello.incarnation)
         if peer is None:
             return "incarnation"
-        differs = disagreement(self.settings, hello.settings)
+        differs = () if hello.digest == self.digest else disagreement(self.settings, hello.settings)
         if differs != peer.differs and peer.announced is None:  # a peer that agreed before stays: one wrong bit must not silence it
             self._exclude(peer, differs)
         if differs:
@@ -137,7 +138,7 @@ class PeerTable:
         * dead: it was sent before the peer's token vanished;
         * bounds: the sender's sensor cannot do what it states.
         """
-        interest_set, reasons = self.interest_set, []
+        interest_set, accepted, reasons = self.interest_set, list[Gossip](), list[str]()
         own, own_name = self.own_sensor, self._name  # in the own place, so that all agents of a process ask the same of a batch
         carried = [
             peer.announced if (peer := interest_set.get(name)) is not None else own if name == own_name else None for name in batch.senders
@@ -148,11 +149,12 @@ class PeerTable:
             reasons.append(reason)
             if reason:
                 continue
-            self.inbox.put(gossip)
+            accepted.append(gossip)
             if awaited and gossip.tick == tick:
                 awaited.discard(gossip.sender)
                 if not awaited:
                     break
+        self.inbox.put(accepted)
         return reasons
 
     def _judge(self, gossip: Gossip, fits: bool) -> str:
