@@ -67,7 +67,7 @@ def check_settings(settings: Agreed) -> None:
         size += len(section)
         for name, value in values.items():
             size += len(name) + (len(value) if isinstance(value, str) else VALUE_SIZE)
-            if isinstance(value, float):
+            if isinstance(value, float) and not abs(value) <= LARGEST_SETTING:
                 check_number(f"settings.{section[:64]}.{name[:64]}", value, -LARGEST_SETTING, LARGEST_SETTING)
     if size > MAX_SETTINGS:
         raise Malformed("size", f"settings: {size} characters, at most {MAX_SETTINGS} are allowed")
