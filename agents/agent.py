@@ -20,20 +20,17 @@ from agents.gossip.table import announced_sensor
 from agents.interest.manager import InterestManager
 from agents.late_rounds import LateRounds
 from agents.look_ahead import OpenRound, look_ahead
-from agents.membership.agreement import SettingsAgreement
-from agents.membership.announcements import SOON, AnnouncementSchedule
-from agents.membership.body_tokens import BodyTokens
+from agents.membership.announcements import SOON
 from agents.membership.local_health import LocalHealth
+from agents.membership.membership import Membership
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
 from agents.tracking.step import Step
-from protocol.failure_detector import FailureDetector
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
-from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, Timer
 
-EXIT_FENCED = 3
 MANY = 1 << 30
 MOST_OVERDUE = 0.5  # of the time for which a round waits: a round that closes later has not listened
 
@@ -50,18 +47,16 @@ class Agent(Node):
         self.config = config
         self.sensor_class = sensor_class or config.members[name]  # empty: the class that the roster names
         self.counters: Counter[str] = Counter()
-        self.neighbours = PeerTable(config, name)
-        self._bodies = BodyTokens(self.neighbours)
+        self.peer_table = PeerTable(config, name)
         self.tick = -1  # of the newest observation; -1: none has come
         self.context = context_of(config, name, self.sensor_class, backend)
-        self.neighbours.own_sensor = announced_sensor(name, self.context.sensor, config.detection.clutter)
-        self.local = self.neighbours.local
+        self.peer_table.own_sensor = announced_sensor(name, self.context.sensor, config.detection.clutter)
+        self.local = self.peer_table.local
         self.sees_all_tokens = not self.local
-        self._interest = InterestManager(self.context, self.neighbours, incarnation) if self.local else None
+        self._interest = InterestManager(self.context, self.peer_table, incarnation) if self.local else None
         nothing = (0.0, 0.0, -1.0, -1.0) if self.local else None
         self.outcome = RoundResult(self.context.tracker.start(name, Step(config, 0), nothing), self.context.facts.capability)
-        self._failure_detector = FailureDetector(name, ["world"] if self.local else [*config.others(name), "world"])
-        self._world_incarnation = 0  # incarnation of the world
+        self.membership = Membership(self.context, incarnation, self.peer_table, self.counters)
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
         self._rounds = LateRounds(self.context)
@@ -72,14 +67,12 @@ class Agent(Node):
         self._rounds_alone = 0  # listening rounds left without any gossip, before the agent takes itself to be alone
         self._close_at: float | None = None
         self._answer_at: float | None = None
-        self._announcements = AnnouncementSchedule(0 if self.local else len(config.others(name)), self.neighbours.is_roster_alive)
         self._opened_at = 0.0
         self._newest_tick = -1  # of the newest observation, played or not
         self._asked_at: float | None = None  # when the driver was asked to come back at once: the next event shows for how long it was busy
         self._spared = 0  # observations since the last round that were left out to keep the pace
         self._pace = Pace(config.run.dt / config.run.rate, measured=config.run.clock == "realtime")
         self._health = LocalHealth(measured=config.run.clock == "realtime")
-        self._agreement = SettingsAgreement(name, self.neighbours.settings, self.counters)
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event at `now`, s. Return the effects in order; `NO_EFFECTS` when nothing follows (Node)."""
@@ -94,29 +87,16 @@ class Agent(Node):
         match event:
             case Timer():
                 return self._on_timer(now)
-            case Alive(role="agent") if event.name == self.name:
-                return self._fence(event.incarnation)
-            case Alive(role="body"):
-                self._bodies.appear(event.name, event.incarnation)
-            case Gone(role="body") if self._bodies.leave(event.name, event.incarnation, self.tick):
-                self._awaited.discard(event.name)
-                return self._close_if_complete(now)
             case Alive():
-                if event.role == "agent":
-                    self._bodies.agent_left(event.name)
-                    self._failure_detector.appear(event.name, event.incarnation)
-                    self.neighbours.alive(event.name, event.incarnation)
-                if event.role != "agent" or not self.local:
-                    self._announcements.peer_appeared(len(self.neighbours.peers), now)
-            case Gone(role="agent"):
-                self._bodies.agent_left(event.name)
-                self._failure_detector.leave(event.name, event.incarnation)
-                self.neighbours.gone(event.name, event.incarnation, self._newest_tick, doubted=self._health.is_doubtful(now))
-                self._awaited.discard(event.name)
-                return self._close_if_complete(now)
+                return self.membership.alive(event, now)
+            case Gone():
+                tick = self.tick if event.role == "body" else self._newest_tick
+                if self.membership.gone(event, tick, doubted=self._health.is_doubtful(now)):
+                    self._awaited.discard(event.name)
+                    return self._close_if_complete(now)
             case Started():
-                self._announcements.start(now)
-                return [*map(Subscribe, [*self._expressions(), one_of(self.run, "observation", self.name)]), self._hello(now)]
+                expressions = [*self._expressions(), one_of(self.run, "observation", self.name)]
+                return [*map(Subscribe, expressions), self.membership.start(now)]
             case Rejected(reason=reason):
                 self.counters[f"rejected.{reason}"] += 1
         return []
@@ -130,7 +110,7 @@ class Agent(Node):
         effects: list[Effect] = NO_EFFECTS
         for message in batch.messages:
             if isinstance(message, Hello):
-                more = self._on_hello(message, now)
+                more = self.membership.take_hello(message, now)
             else:
                 more = self._on_observation(message, now) if isinstance(message, Observation) else NO_EFFECTS
             effects = more if effects is NO_EFFECTS else [*effects, *more]
@@ -150,24 +130,22 @@ class Agent(Node):
     @property
     def newest_only(self) -> str:
         """An agent that plays every tick needs the newest observation only (Node). At a slower pace the newest may be one to leave out."""
-        return "/observation/" if self._pace.kept == 1 else ""
+        return "/observation/" if self._pace.current == 1 else ""
 
     def deadline(self) -> float | None:
         """When to call with `Timer`, s (Node): the earliest of the round's end, the next Hello, the next answer and the next selection."""
-        if self._interest is None:
-            times = [time for time in (self._close_at, self._announcements.due, self._health.due, self._asked_at) if time is not None]
-            return min(times, default=None)
-        dues = self._close_at, self._announcements.due, self._health.due, self._asked_at, self._answer_at, self._interest.due
-        times = [time for time in dues if time is not None]
-        return min(times, default=None)
+        times = [self._close_at, self.membership.announcements.due, self._health.due, self._asked_at]
+        if self._interest is not None:
+            times += [self._answer_at, self._interest.due]
+        return min([time for time in times if time is not None], default=None)
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
         """Close a round that is still open, and open that of the observation. An old observation is counted and ignored."""
-        if observation.incarnation < self._world_incarnation or observation.tick <= self.tick:
-            self.counters["rejected.stale"] += 1
+        if observation.incarnation < self.membership.world_incarnation or observation.tick <= self.tick:
+            self.counters["rejected.old_observation"] += 1
             return []
-        self._world_incarnation = observation.incarnation
-        self._failure_detector.speak(observation.sender, now)
+        self.membership.world_incarnation = observation.incarnation
+        self.membership.failure_detector.speak(observation.sender, now)
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
         if not self._pace.plays(observation.tick):
@@ -181,7 +159,7 @@ class Agent(Node):
             self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._spared)
         self._spared = 0
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
-        self._announcements.observation_arrived(now)
+        self.membership.announcements.observation_arrived(now)
         if self._interest is not None and not self._interest.settled:
             return [*effects, *self._interest.start(observation, self.outcome, now)]
         return [*effects, *self._open_round(observation, now)]
@@ -196,7 +174,7 @@ class Agent(Node):
         seconds = (observation.tick - belief.stamp) * self.config.run.dt
         tracks = self.outcome.tracks
         moved = tracks._replace(positions=self.context.tracker.foresee(belief, tracks.positions, seconds))
-        work = outbox.RoundCost(self.counters, 0.0, self._pace.kept)
+        work = outbox.RoundCost(self.counters, 0.0, self._pace.current)
         now_there = msgspec.structs.replace(said, tick=observation.tick, pose=observation.pose)
         return [outbox.estimate(self.context, self.incarnation, replace(self.outcome, tracks=moved), now_there, work)]
 
@@ -212,13 +190,13 @@ class Agent(Node):
         )
         self._rounds.open(self._gossip, self.outcome.belief, now)
         self._await()
-        self._close_at = now + self.config.gossip_timeout(missed=self.neighbours.any_missed()) * self._pace.kept
+        self._close_at = now + self.config.gossip_timeout(missed=self.peer_table.any_missed()) * self._pace.current
         return [self._gossip, *self._close_if_complete(now)]
 
     def _await(self) -> None:
         """Determine the round that is due, and the gossips for which it waits."""
         due = self._rounds.find_due(self.tick)
-        self._awaited = set() if due is None else self.neighbours.missing(due, newcomer=self._listening_rounds > 0)
+        self._awaited = set() if due is None else self.peer_table.missing(due, newcomer=self._listening_rounds > 0)
 
     def _hold_claim(self) -> None:
         """Keep the claim over skipped rounds, as long as peers keep the generator of the silent agent."""
@@ -244,11 +222,11 @@ class Agent(Node):
         if self.name in batch.senders:
             for message in batch.messages:
                 if message.sender == self.name and message.incarnation > self.incarnation:
-                    return self._fence(message.incarnation)
+                    return self.membership.fence(message.incarnation)
         if not self.local:
-            self._failure_detector.speak_all(batch.senders, now)
+            self.membership.failure_detector.speak_all(batch.senders, now)
         if self.tick < 0:
-            self._announcements.run_started()
+            self.membership.announcements.run_started()
         effects: list[Effect] = NO_EFFECTS
         start = 0
         while start < len(batch):  # a round closes with the gossip that completes it; later rows belong to the next one
@@ -263,14 +241,14 @@ class Agent(Node):
         Returns the effects and the number of rows taken.
         """
         tick = self.tick if self._rounds.due is None else self._rounds.due
-        reasons = self.neighbours.accept(batch, start, tick, self._awaited if self._gossip is not None else None)
+        reasons = self.peer_table.accept(batch, start, tick, self._awaited if self._gossip is not None else None)
         accepted = [gossip for gossip, reason in zip(batch.messages[start:], reasons) if reason == ACCEPTED]
         if len(accepted) < len(reasons):
             refused = [reason for reason in reasons if reason not in (ACCEPTED, OWN, UNASKED)]
             self.counters.update([f"rejected.{reason}" for reason in refused])
         if accepted:
             self.counters["heard"] += len(accepted)
-            self._rounds.hear(accepted, self.neighbours.interest_set, now)
+            self._rounds.hear(accepted, self.peer_table.interest_set, now)
         reopenings = self._reopen_if_behind(accepted, now) if self._interest is not None else []
         if self._gossip is not None and not self._awaited:
             return [*reopenings, *self._close(now)], len(reasons)
@@ -291,41 +269,16 @@ class Agent(Node):
         """Take the beacons of other agents, and plan an answer if one of them needs it."""
         if self._interest is None:
             return NO_EFFECTS
-        refused = [beacon for beacon in beacons if self._agreement.differs(beacon)]
-        warnings = self._agreement.refuse(refused) if refused else NO_EFFECTS
+        refused = [beacon for beacon in beacons if self.membership.agreement.differs(beacon)]
+        warnings = self.membership.agreement.refuse(refused) if refused else NO_EFFECTS
         if not self._interest.take_beacons([beacon for beacon in beacons if beacon not in refused] if refused else beacons):
             return warnings
         self._answer_at = now + SOON if self._answer_at is None else self._answer_at
         return [*warnings]
 
-    def _on_hello(self, hello: Hello, now: float) -> list[Effect]:
-        """Take a Hello: remember the announced sensor, compare the settings, and check the session for a half-open link."""
-        if hello.sender == self.name:
-            return self._fence(hello.incarnation)
-        if hello.role == "agent" and self.neighbours.has_announced(hello) and self._failure_detector.greet_again(hello.sender, now):
-            return NO_EFFECTS
-        reason = self.neighbours.take_hello(hello) if hello.role == "agent" else None
-        # a refused sender still counts as heard, and the own Hello lists it
-        warnings = self._agreement.refuse([hello]) if self._agreement.differs(hello) else []
-        if reason and reason != "settings":
-            self.counters[f"rejected.{reason}"] += 1
-            return warnings
-        is_new = self._failure_detector.greet(hello.sender, now)
-        # a Hello sent when the token of a world appeared can be lost, because the world may not have subscribed yet
-        is_restarted_world = hello.role == "world" and 0 < self._world_incarnation < hello.incarnation
-        if is_new or is_restarted_world:
-            self._announcements.peer_appeared(len(self.neighbours.peers), now)
-        reason = self._failure_detector.split(hello, now) if hello.role == "agent" else ""
-        if not reason:
-            return warnings or ([] if is_new else NO_EFFECTS)
-        self.counters["reopened"] += 1
-        return [*warnings, Reopen(reason)]
-
     def _on_timer(self, now: float) -> list[Effect]:
         """Do everything that is due."""
-        effects: list[Effect] = []
-        if self._announcements.is_due(len(self.neighbours.peers), self.tick < 0 or self.neighbours.lacks_announcements(), now):
-            effects.append(self._hello(now))
+        effects = self.membership.announce_if_due(now, has_observed=self.tick >= 0)
         if self._interest is not None:
             effects += self._on_interest_timer(self._interest, now)
         if self._close_at is not None and now >= self._close_at:
@@ -349,7 +302,7 @@ class Agent(Node):
         if reopenings:
             self.counters["reopened"] += 1
         effects = [*interest.close_round(gossip, self.outcome), *reopenings]
-        self.outcome.belief.everyone &= self.neighbours.interest_set.keys() | {self.name}
+        self.outcome.belief.everyone &= self.peer_table.interest_set.keys() | {self.name}
         return effects
 
     def _close_if_complete(self, now: float) -> list[Effect]:
@@ -369,17 +322,17 @@ class Agent(Node):
 
     def _holds(self, due: int, now: float) -> bool:
         """Whether the round that is due waits for another tick, because hardly any gossip has come."""
-        if self._listening_rounds or self._pace.kept > 1 or not self._has_listened(now):
+        if self._listening_rounds or self._pace.current > 1 or not self._has_listened(now):
             return False
-        return self._rounds.holds(self.tick, self._awaited, len(self.neighbours.fresh(due)))
+        return self._rounds.holds(self.tick, self._awaited, len(self.peer_table.fresh(due)))
 
     def _play(self, opened: OpenRound, now: float) -> None:
         """Play a round."""
         gossip, newcomer = opened.gossip, self._listening_rounds > 0
-        fresh = self.neighbours.fresh(gossip.tick)
-        self.outcome = run_round(self.context, self.outcome, self.neighbours, gossip, fresh, self._rounds.replay(opened, fresh))
+        fresh = self.peer_table.fresh(gossip.tick)
+        self.outcome = run_round(self.context, self.outcome, self.peer_table, gossip, fresh, self._rounds.replay(opened, fresh))
         self._rounds.recent.keep(self.outcome.belief)
-        missing = self.neighbours.close(gossip.tick, newcomer=newcomer, listened=self._has_listened(now))
+        missing = self.peer_table.close(gossip.tick, newcomer=newcomer, listened=self._has_listened(now))
         if self._listening_rounds:
             self._count_listening_round(len(fresh), missing)
         self._fresh = list(fresh.values())
@@ -391,7 +344,7 @@ class Agent(Node):
         observation, gossip = self._observation, self._gossip
         assert observation is not None and gossip is not None
         if self.outcome.belief.stamp < self.tick:
-            self.outcome = look_ahead(self._rounds.recent, self.context, self.outcome, gossip, self.neighbours)
+            self.outcome = look_ahead(self._rounds.recent, self.context, self.outcome, gossip, self.peer_table)
             self.counters["looked_ahead"] += 1
         if self.config.limits.radius:
             self._keep_apart(observation)
@@ -404,22 +357,23 @@ class Agent(Node):
         if self.tick % self.config.timing.estimate_every:
             return [*effects, command]
         seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
-        work = outbox.RoundCost(self.counters, seconds, self._pace.kept)
+        work = outbox.RoundCost(self.counters, seconds, self._pace.current)
         return [*effects, outbox.estimate(self.context, self.incarnation, self.outcome, gossip, work), command]
 
     def _keep_apart(self, observation: Observation) -> None:
         """Keep the body away from those of the peers and from what it senses."""
         others = [other.pose[:2] for other in self._fresh] + [(x, y) for x, y in observation.obstacles.tolist()]
-        seconds = self.config.run.dt * self._pace.kept
+        seconds = self.config.run.dt * self._pace.current
         command = keep_apart(self.outcome.command, observation.pose[:2], others, self.config.limits, seconds)
         self.outcome = replace(self.outcome, command=command)
 
     def _keep_pace(self, now: float) -> None:
         """Judge the pace and the lag at the end of a tick."""
-        self._pace.close([gossip.pace for gossip in self._fresh])
-        self.neighbours.keep_pace(self._pace.kept)
-        self._rounds.close(self.tick, [gossip.lag for gossip in self._fresh], self._pace.kept, now)
-        for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.neighbours.given_up)):
+        self._pace.close(gossip.pace for gossip in self._fresh)
+        if self._pace.current != self.peer_table.pace:
+            self.peer_table.keep_pace(self._pace.current)
+        self._rounds.close(self.tick, (gossip.lag for gossip in self._fresh), self._pace.current, now)
+        for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.peer_table.given_up)):
             if count:
                 self.counters[name] = count
 
@@ -443,14 +397,3 @@ class Agent(Node):
         else:
             self._rounds_alone -= 1
             self._listening_rounds = self._listening_rounds if self._rounds_alone > 0 else 0
-
-    def _hello(self, now: float) -> Hello:
-        """The Hello of this agent at `now`. Before the first observation it lists all peers that ever sent a Hello and are alive."""
-        heard = self._failure_detector.heard(now if self.tick >= 0 else None)
-        return outbox.hello(self.context, self.incarnation, heard, self.neighbours.settings)
-
-    def _fence(self, incarnation: int) -> list[Effect]:
-        """Stop if another process with the same name has a younger incarnation."""
-        if incarnation > self.incarnation:
-            return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self.name} is alive")]
-        return NO_EFFECTS

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from protocol.agreement import agreed, common_sections
-from protocol.messages import Agreed
+from protocol.message import Agreed
 from protocol.settings import Common, Fraction, NotNegative, Positive, Section, Seed
 
 ParticleCount = Annotated[int, msgspec.Meta(ge=1, le=8000)]
@@ -64,7 +64,7 @@ class BirthSettings(Section, frozen=True, kw_only=True):
     background_particles: ParticleCount = 12  # per tick over the whole arena
     background: bool = True
     measurement: bool = True
-    copies: ParticleCount = 10  # particles per measurement birth
+    measurement_particles: ParticleCount = 10  # per detection, if `measurement`
     radius: Distance = 4.0  # the local density is read within this distance, m
     least_density: Density = 1.0e-5  # the density is at least this, per m^2,
     least_share: NotNegative = 0.25  # and at least this share of the clutter density, but not of more than twice the most
@@ -148,7 +148,7 @@ class AgentConfig(Common, frozen=True, kw_only=True):
     timing: TimingSettings = TimingSettings()
 
     @property
-    def dice(self) -> int:
+    def shared_seed(self) -> int:
         """The seed that all agents share."""
         return self.filter.seed
 

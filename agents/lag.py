@@ -33,7 +33,7 @@ class Lag:
         `measured` false: the lag stays 0.
         """
         self.need = 0  # stated in the gossip
-        self.kept = 0  # rounds are played so many ticks late
+        self.current = 0  # rounds are played so many ticks late
         self.most = min(MOST, math.ceil(max(0.0, longest - timeout) / period)) if measured else 0
         self._period, self._timeout = period, timeout
         self._common = 1
@@ -79,12 +79,12 @@ class Lag:
         recent = [late for begin, late in opened if now - begin <= REMEMBERED + max(late) * self._period]
         self.need = _covering(sorted(chain.from_iterable(recent)))
         wanted = min(self.most, max([self.need, *needs]))
-        if wanted > self.kept or tick % self._common == 0:
-            self.kept = wanted
+        if wanted > self.current or tick % self._common == 0:
+            self.current = wanted
 
     def settle(self) -> None:
         """Keep no lag: the agent plays at a slower pace, which leaves the time for late gossips."""
-        self.need = self.kept = 0
+        self.need = self.current = 0
 
 
 def _covering(late: Sequence[int]) -> int:

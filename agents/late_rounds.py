@@ -4,7 +4,7 @@ Data type: `LateRounds`, made of the `Lag` that says how late, and of the `Recen
 """
 
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 
 from agents.lag import Lag
@@ -44,7 +44,7 @@ class LateRounds:
 
     def find_due(self, tick: int) -> int | None:
         """The oldest round, if it is due in the newest `tick`; else None."""
-        is_due = bool(self._rounds) and self._rounds[0].gossip.tick <= tick - self.lag.kept
+        is_due = bool(self._rounds) and self._rounds[0].gossip.tick <= tick - self.lag.current
         self.due = self._rounds[0].gossip.tick if is_due else None
         return self.due
 
@@ -76,7 +76,7 @@ class LateRounds:
             return None
         return partial(received, self.recent, self._context, opened, self.lag.most)
 
-    def close(self, tick: int, needs: Sequence[int], pace: int, now: float) -> None:
+    def close(self, tick: int, needs: Iterable[int], pace: int, now: float) -> None:
         """A tick ends. `needs`: those that gossips state. An agent of a slower `pace` keeps no lag."""
         if pace > 1:
             self.lag.settle()

@@ -48,7 +48,7 @@ class RecentTicks:
         self._context, self._most = context, most
         self._said: dict[int, dict[str, tuple[Gossip, AnnouncedSensor]]] = {}
         self._blurred: dict[int, AgentConfig] = {}  # by ticks
-        self._beliefs: deque[TrackerState] = deque(maxlen=most + 2)
+        self._beliefs: deque[TrackerState] = deque(maxlen=most + 2 if most else 0)  # a round in its own tick begins with the newest
 
     def put(self, gossip: Gossip, announced: AnnouncedSensor) -> bool:
         """Keep a gossip; whether it is the first one of its sender and tick."""
@@ -116,7 +116,7 @@ def received(recent: RecentTicks, context: AgentContext, opened: OpenRound, most
     stamps = [gossip.claim_tick for gossip in table.gossips if gossip.behind and gossip.claim_names and gossip.claim_tick >= oldest]
     belief = recent.since(min(stamps, default=opened.belief.stamp), opened.belief)
     if belief.stamp < oldest:
-        belief = tracker.predict(belief, Step(config, oldest + 1))
+        belief = tracker.catch_up(belief, Step(config, oldest + 1))
     density = tracker.merge(belief, table, Step(config, belief.stamp + 1))
     for stamp in range(belief.stamp + 1, tick):
         own = recent.own(stamp, opened.gossip)
@@ -143,15 +143,15 @@ def _influence(step: Step) -> float:
 
 def around(polygon: np.ndarray, own: Gossip, reach: float, margin: float) -> np.ndarray:
     """The rectangle (4, 2) around a cell and the footprint of a sensor, `margin` m wider, counter-clockwise."""
-    (x, y, _), far = own.pose, reach + margin
-    low, high = np.array([x - far, y - far]), np.array([x + far, y + far])
+    (x, y, _), half = own.pose, reach + margin
+    low, high = np.array([x - half, y - half]), np.array([x + half, y + half])
     if len(polygon):
         low, high = np.minimum(low, polygon.min(axis=0) - margin), np.maximum(high, polygon.max(axis=0) + margin)
     (west, south), (east, north) = low.tolist(), high.tolist()
     return np.array([[west, south], [east, south], [east, north], [west, north]])
 
 
-def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, own: Gossip, neighbours: PeerTable) -> RoundResult:
+def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, own: Gossip, peer_table: PeerTable) -> RoundResult:
     """The result of a round as it stands at the tick of `own`, some ticks later: the belief is that of the round, all else is of now."""
     frame, belief, tracker, config = last.frame, last.belief, context.tracker, context.config
     if frame is None:  # no round has been played yet
@@ -166,4 +166,4 @@ def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, ow
     density = tracker.merge(belief, table, step)
     now = region._replace(row=table.names.index(context.name), pose=own.pose)
     near = tracker.update(density, table, [now], step)[0]
-    return result_of(context, own, Frame(now, frame.generators), near, table, density, last.belief, neighbours.pace)
+    return result_of(context, own, Frame(now, frame.generators), near, table, density, last.belief, peer_table.pace)

@@ -27,7 +27,7 @@ class Pace:
     def __init__(self, period: float, *, measured: bool) -> None:
         """`period`: s between two ticks; `measured` false: the pace stays 1."""
         self.need = 1  # stated in the gossip
-        self.kept = 1  # the agent plays the ticks that this number divides
+        self.current = 1  # the agent plays the ticks that this number divides
         self._period, self._measured = period, measured
         self._most = 1
         while measured and 2 * self._most * period <= LONGEST:
@@ -41,7 +41,7 @@ class Pace:
 
     def plays(self, tick: int) -> bool:
         """Whether the agent plays a tick."""
-        return tick % self.kept == 0
+        return tick % self.current == 0
 
     def observe(self, tick: int, now: float) -> None:
         """Note that the observation of a tick has come."""
@@ -61,7 +61,7 @@ class Pace:
     def open(self, tick: int, now: float) -> None:
         """A round of a tick opens."""
         gap = tick - self._played if self._played >= 0 else 1
-        self._gaps.append(gap if gap > self.kept else 1)
+        self._gaps.append(gap if gap > self.current else 1)
         self._played, self._lag = tick, now - self._began
 
     def spend(self, seconds: float) -> None:
@@ -79,7 +79,7 @@ class Pace:
         calm = min(max(list(self._lags)[-CALM:]) / FREE, self._lags[-1] / IDLE)
         faster = self._power(max(calm, gap))
         self.need = slower if slower > self.need else min(self.need, faster)
-        self.kept = min(self._most, max([self.need, *needs]))
+        self.current = min(self._most, max([self.need, *needs]))
 
     def _power(self, number: float) -> int:
         """The smallest power of two that is not below a number, at most the slowest pace."""

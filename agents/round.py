@@ -92,7 +92,7 @@ class RoundResult:
 
 
 def run_round(
-    context: AgentContext, last: RoundResult, neighbours: PeerTable, own: Gossip, fresh: dict[str, Gossip], replay: Replay | None = None
+    context: AgentContext, last: RoundResult, peer_table: PeerTable, own: Gossip, fresh: dict[str, Gossip], replay: Replay | None = None
 ) -> RoundResult:
     """The result of the round of `own.tick`.
 
@@ -100,29 +100,30 @@ def run_round(
     density of the tick before where gossips state older ones.
     """
     step, shared = Step(context.config, own.tick), None
-    table = _with_own(context, neighbours, fresh, own)
-    generator_table = _generator_table(context, neighbours, own, fresh, table)
+    table = _with_own(context, peer_table, fresh, own)
+    generator_table = _generator_table(context, peer_table, own, fresh, table)
     row = table.names.index(context.name)
     if replay is None:
-        received = context.tracker.merge(context.tracker.predict(last.belief, step), table, step)
+        received = context.tracker.merge(context.tracker.catch_up(last.belief, step), table, step)
         if generator_table is table is received:
             shared = shared_round(table, context.backend, context.tracker, step, context.arena)
     if shared is not None:
         region, near = shared.regions[row], shared.updates[row]
     else:
-        cell = _own_cell(context, generator_table, neighbours.far)
-        region = RegionInput(context.name, row, context.sensor, own.pose, cell.polygon, _claim(generator_table, cell, neighbours.far))
+        cell = _own_cell(context, generator_table, peer_table.unsubscribed)
+        claim = _claim(generator_table, cell, peer_table.unsubscribed)
+        region = RegionInput(context.name, row, context.sensor, own.pose, cell.polygon, claim)
         if replay is not None:
             received = replay(table, cell.polygon)
         near = context.tracker.update(received, table, [region], step)[0]
     diagram = Diagram(
-        view=_view(neighbours, fresh, generator_table, region.claim),
+        view=_view(peer_table, fresh, generator_table, region.claim),
         everyone=generator_table.everyone,
-        acquainted=neighbours.acquainted if neighbours.local else None,
-        horizon=HORIZON if neighbours.local else math.inf,
+        acquainted=peer_table.acquainted if peer_table.local else None,
+        horizon=HORIZON if peer_table.local else math.inf,
     )
     belief = context.tracker.share(received, region, near, diagram, step)
-    return result_of(context, own, Frame(region, generator_table), near, table, received, belief, neighbours.pace)
+    return result_of(context, own, Frame(region, generator_table), near, table, received, belief, peer_table.pace)
 
 
 def result_of(
@@ -175,60 +176,60 @@ def _surroundings(
     )
 
 
-def _with_own(context: AgentContext, neighbours: PeerTable, fresh: dict[str, Gossip], own: Gossip) -> GossipTable:
+def _with_own(context: AgentContext, peer_table: PeerTable, fresh: dict[str, Gossip], own: Gossip) -> GossipTable:
     """The gossips in the order of names, the own one in its place."""
     gossips = list(fresh.values())
     gossips.insert(bisect_left(list(fresh), order(own.sender), key=order), own)
-    return _table(context, neighbours, gossips)
+    return _table(context, peer_table, gossips)
 
 
-def _table(context: AgentContext, neighbours: PeerTable, gossips: list[Gossip]) -> GossipTable:
+def _table(context: AgentContext, peer_table: PeerTable, gossips: list[Gossip]) -> GossipTable:
     """The gossips side by side, with the sensors that their senders announced."""
-    interest_set, own_sensor = neighbours.interest_set, announced_sensor(context.name, context.sensor, context.config.detection.clutter)
+    interest_set, own_sensor = peer_table.interest_set, announced_sensor(context.name, context.sensor, context.config.detection.clutter)
     sensors = [own_sensor if gossip.sender == context.name else interest_set[gossip.sender].announced for gossip in gossips]
     return gossip_table(gossips, sensors, context.config)  # type: ignore[arg-type]  # every accepted sender has announced a sensor
 
 
 def _generator_table(
-    context: AgentContext, neighbours: PeerTable, own: Gossip, fresh: dict[str, Gossip], table: GossipTable
+    context: AgentContext, peer_table: PeerTable, own: Gossip, fresh: dict[str, Gossip], table: GossipTable
 ) -> GossipTable:
     """The gossips that give the generators of the tick. The own one is among them unless the agent listens."""
-    if len(fresh) == len(neighbours.interest_set) and not table.listening:
+    if len(fresh) == len(peer_table.interest_set) and not table.listening:
         return table
-    latest = neighbours.generators(own.tick, fresh)
-    return _table(context, neighbours, list(latest.values())) if own.listening else _with_own(context, neighbours, latest, own)
+    latest = peer_table.generators(own.tick, fresh)
+    return _table(context, peer_table, list(latest.values())) if own.listening else _with_own(context, peer_table, latest, own)
 
 
-def _view(neighbours: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
+def _view(peer_table: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
     """The view of a round: agents with equal views cut the same diagram.
 
     In a swarm that hears everybody the view is a hash of all generators. With neighbours only, `LOCAL_VIEW` states that all gossips of
     the interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
     agent with an empty cell needs no certificate: unknown peers could only shrink its cell.
     """
-    if neighbours.local and (neighbours.certified or not claim.names) and len(fresh) == len(neighbours.interest_set):
-        return LOCAL_VIEW if neighbours.interest_set.keys() >= set(claim.names[1:]) else generator_table.view
+    if peer_table.local and (peer_table.certified or not claim.names) and len(fresh) == len(peer_table.interest_set):
+        return LOCAL_VIEW if peer_table.interest_set.keys() >= set(claim.names[1:]) else generator_table.view
     return generator_table.view
 
 
-def _own_cell(context: AgentContext, generator_table: GossipTable, far: UnsubscribedGenerators) -> Cell:
+def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed: UnsubscribedGenerators) -> Cell:
     """The own cell; `NO_CELL` while the agent listens."""
     if context.name not in generator_table.names:
         return NO_CELL
     points, radii = generator_table.points, generator_table.radii
-    if len(far.generators):
-        generators = np.concatenate([generator_table.generators, far.generators])
+    if len(unsubscribed.generators):
+        generators = np.concatenate([generator_table.generators, unsubscribed.generators])
         points, radii = generators[:, :2].copy(), generators[:, 2].copy()
     return context.backend.cut_cells([generator_table.names.index(context.name)], points, radii, context.arena)[0]
 
 
-def _claim(generator_table: GossipTable, cell: Cell, far: UnsubscribedGenerators) -> Claim:
-    """The cell as generators, the own one first. The names in the table are in order; those of `far` follow in any order."""
+def _claim(generator_table: GossipTable, cell: Cell, unsubscribed: UnsubscribedGenerators) -> Claim:
+    """The cell as generators, the own one first. The names in the table are in order; those of `unsubscribed` follow in any order."""
     if not cell.bounds or max(cell.bounds) < len(generator_table.names):
         return claim_of(cell, generator_table.names, generator_table.generators)
-    everyone = (*generator_table.names, *far.names())
+    everyone = (*generator_table.names, *unsubscribed.names())
     names = tuple([everyone[index] for index in cell.bounds])
-    generators = np.concatenate([generator_table.generators, far.generators])[np.array(cell.bounds)]
+    generators = np.concatenate([generator_table.generators, unsubscribed.generators])[np.array(cell.bounds)]
     return make_claim(names, generators, tuple([order(name) for name in names]))
 
 

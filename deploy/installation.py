@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from protocol.messages import WIRE_VERSION
+from protocol.message import WIRE_VERSION
 from protocol.settings import BadSetting
 
 VERSION = "0.1.0"

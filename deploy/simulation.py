@@ -21,7 +21,7 @@ from deploy.oracle import Oracle, without_oracle
 from deploy.scenario import ORACLE, Scenario, bodies_of, world_config, world_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from protocol.virtual import Link, VirtualBus
 from world.body import Body

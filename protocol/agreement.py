@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from protocol.messages import Agreed, Setting
+from protocol.message import Agreed, Setting
 from protocol.settings import Common
 
 

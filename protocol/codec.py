@@ -7,7 +7,8 @@ import msgspec
 from protocol.compact import unpacked
 from protocol.fields import Malformed
 from protocol.keys import NAME, OF_ALL, Key, parse_message_key
-from protocol.messages import KINDS, WIRE_VERSION, Beacon, Gossip, Message, Observation, plain_arrays
+from protocol.message import WIRE_VERSION, Message
+from protocol.messages import KINDS, Beacon, Gossip, Observation, plain_arrays
 
 MAX_BYTES = 512 * 1024
 

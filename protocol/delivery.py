@@ -5,26 +5,27 @@ sequence of messages of one kind to the same receivers, put into a batch once fo
 """
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from protocol.keys import token_key
+from protocol.message import Message
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Effect, Event, Node, Received
 from protocol.once import once
-from protocol.reception import Decoded, in_batches
+from protocol.reception import Decoded, in_batches, read_all
 
 Item = Decoded | Event  # a decoded message, or the event that the bytes were rejected
 TO_MANY = (Gossip, Beacon, Hello)  # kinds that wait in the receivers' boxes until the instant holds no other event
 
 
 class MessageRun:
-    """Consecutive messages of one kind to the same listeners, put into batches once for all listeners."""
+    """Consecutive messages of one kind to the same listeners, decoded and put into batches once for all listeners."""
 
-    def __init__(self, sender: "BusEndpoint", item: Item) -> None:
-        self.senders = [sender]
-        self.items = [item]
+    def __init__(self, deliveries: "Sequence[Delivery]") -> None:
+        self.senders = [delivery.sender for delivery in deliveries]
+        self.items: list[Item] = [*read_all([(delivery.key, delivery.payload) for delivery in deliveries])]
 
     @once
     def events(self) -> list[Event]:
@@ -38,25 +39,20 @@ class MessageRun:
 
 @dataclass(slots=True)
 class Delivery:
-    """A message on its way to all its listeners."""
+    """A message on its way to all its listeners, as bytes under a key. `kind` is its type."""
 
     listeners: "list[BusEndpoint]"
     sender: "BusEndpoint"
-    item: Item
-
-    @property
-    def kind(self) -> type | None:
-        """The type of the message; None for rejected bytes."""
-        return type(self.item.message) if isinstance(self.item, Decoded) else None
+    kind: type[Message]
+    key: str
+    payload: bytes
 
     def with_followers(self, ready: deque[Any]) -> MessageRun:
-        """This message and the next ones in the queue of its kind to the same listeners; they leave the queue."""
-        run = MessageRun(self.sender, self.item)
+        """This message and the next ones in the queue of its kind to the same listeners, decoded together; they leave the queue."""
+        found = [self]
         while ready and isinstance(ready[0], Delivery) and ready[0].listeners is self.listeners and ready[0].kind is self.kind:
-            following = ready.popleft()
-            run.senders.append(following.sender)
-            run.items.append(following.item)
-        return run
+            found.append(ready.popleft())
+        return MessageRun(found)
 
 
 @dataclass(eq=False, slots=True)

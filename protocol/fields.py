@@ -109,10 +109,11 @@ def pack_labels(labels: np.ndarray) -> tuple[bytes, bytes]:
 
     Both are empty if no label is other than 0.
     """
-    table, numbers = np.unique(labels, return_inverse=True)
-    if not table.any():
+    known = sorted(set(labels.tolist()))
+    if not any(known):
         return b"", b""
-    return pack(table, "<u8"), pack(numbers, "<u1" if len(table) <= 256 else "<u2")
+    table = np.array(known, U8)
+    return table.tobytes(), pack(table.searchsorted(labels), "<u1" if len(table) <= 256 else "<u2")
 
 
 def read_labels(table: bytes, numbers: bytes, count: int) -> np.ndarray:

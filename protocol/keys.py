@@ -14,7 +14,8 @@ from functools import lru_cache
 from sys import intern
 from typing import NamedTuple
 
-from protocol.messages import Beacon, Message, Observation
+from protocol.message import Message
+from protocol.messages import Beacon, Observation
 
 ROOT = "covey"
 OF_ALL = ("truth", "halt")  # kinds with one key for the whole run

@@ -52,7 +52,7 @@ class Channel:
 
     def __init__(self, seed: int, sender: str, receiver: str) -> None:
         self._rng = stream(seed, "link", key(sender), key(receiver))
-        self._dice: list[list[float]] = []  # the draws of the next messages, the last message first
+        self._draws: list[list[float]] = []  # the draws of the next messages, the last message first
         self._bad = False  # Gilbert-Elliott: every message is lost while the channel is bad
         self._free_at = -math.inf  # s, when a link of little bandwidth has carried all that it was given
 
@@ -66,8 +66,8 @@ class Channel:
             return LOST
         delay = waited + condition.delay + jitter * condition.jitter + (hold * condition.spread if held < condition.reorder else 0.0)
         arrived = corrupted(payload, where) if flip < condition.flip and payload else payload
-        copies = [(delay, arrived)]
-        return [*copies, (delay + later * condition.spread, arrived)] if twice < condition.duplicate else copies
+        arrivals = [(delay, arrived)]
+        return [*arrivals, (delay + later * condition.spread, arrived)] if twice < condition.duplicate else arrivals
 
     def _carry(self, size: int, condition: Condition, now: float) -> float:
         """The time in s until a link of little bandwidth has carried `size` bytes; infinite if the queue is full."""
@@ -81,9 +81,9 @@ class Channel:
 
     def throw(self) -> list[float]:
         """The eight draws of the next message, each in [0, 1)."""
-        if not self._dice:
-            self._dice = self._rng.random((AT_ONCE, 8)).tolist()[::-1]
-        return self._dice.pop()
+        if not self._draws:
+            self._draws = self._rng.random((AT_ONCE, 8)).tolist()[::-1]
+        return self._draws.pop()
 
     def _loses(self, draw: float, condition: Condition) -> bool:
         """Whether this message is lost; with bursts the channel alternates so that the share `drop` is lost in the long run."""

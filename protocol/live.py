@@ -26,7 +26,7 @@ from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
 from protocol.inbox import Arrival, Inbox, RateLimiter
 from protocol.links import LinkFaults
-from protocol.messages import Message
+from protocol.message import Message
 from protocol.node import NO_EFFECTS, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, Warn
 from protocol.reception import Reception
 from protocol.settings import BadSetting, NetworkSettings
@@ -178,8 +178,8 @@ class Driver:
     def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
         at_once, now = list[Arrival](), self._loop.time()
         for arrival in arrivals:
-            copies = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload, now)
-            for delay, payload in copies:
+            carried = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload, now)
+            for delay, payload in carried:
                 changed = arrival._replace(payload=payload)
                 if delay > 0.0:
                     self._loop.call_later(delay, self._receive, [changed])

@@ -46,4 +46,6 @@ def places_of(measurement: Measurement | None, radius: float, pose: tuple[float,
     rows = np.asarray(detections, dtype=float).tolist()
     ranges = [first if measurement.kind == "range-bearing" else MIDDLE * radius for first, _ in rows]
     angles = [pose[2] + bearing for _, bearing in rows]
-    return np.array([(pose[0] + far * math.cos(angle), pose[1] + far * math.sin(angle)) for far, angle in zip(ranges, angles)])
+    return np.array(
+        [(pose[0] + distance * math.cos(angle), pose[1] + distance * math.sin(angle)) for distance, angle in zip(ranges, angles)]
+    )

@@ -8,16 +8,15 @@ the agent. All lengths in m, times in s, angles in rad.
 import math
 import struct
 from itertools import accumulate
-from typing import Annotated, Union
+from typing import Union
 
 import msgspec
 import numpy as np
 
+from protocol.agreement import whole
 from protocol.components import check_components, read_components
 from protocol.fields import (
-    CELL,
     CLAIM,
-    DETAILS,
     DETECTIONS,
     F4,
     F8,
@@ -25,7 +24,6 @@ from protocol.fields import (
     IDS,
     LARGEST_ANGLE,
     LARGEST_AREA,
-    LARGEST_LABEL,
     LARGEST_SETTING,
     LATEST,
     LEAST_ANGLE,
@@ -35,11 +33,7 @@ from protocol.fields import (
     MAX_PARTICLES,
     MAX_SETTINGS,
     OBSTACLES,
-    PEAK_LABELS,
-    POSES,
     STATES,
-    TARGET_IDS,
-    TARGETS,
     U8,
     VALUE_SIZE,
     Malformed,
@@ -53,19 +47,10 @@ from protocol.fields import (
     pack,
     read_labels,
 )
+from protocol.message import Agreed, Count, LagNumber, Message, PaceNumber, Tick, TileNumber, Triple, Vector
+from protocol.observer_messages import Estimate, Truth
 from protocol.once import once
 from protocol.sensing import WedgeSensor
-
-WIRE_VERSION = 2
-Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
-Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-LagNumber = Annotated[int, msgspec.Meta(ge=0, le=64)]
-PaceNumber = Annotated[int, msgspec.Meta(ge=1, le=64)]
-TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
-Vector = tuple[float, float]
-Triple = tuple[float, float, float]
-Setting = bool | int | float | str
-Agreed = dict[str, dict[str, Setting]]  # section -> name -> value of the settings on which all agree (`agreement`)
 
 
 def check_sensor(sensor: WedgeSensor | None) -> None:
@@ -82,21 +67,10 @@ def check_settings(settings: Agreed) -> None:
         size += len(section)
         for name, value in values.items():
             size += len(name) + (len(value) if isinstance(value, str) else VALUE_SIZE)
-            if isinstance(value, float):
+            if isinstance(value, float) and not abs(value) <= LARGEST_SETTING:
                 check_number(f"settings.{section[:64]}.{name[:64]}", value, -LARGEST_SETTING, LARGEST_SETTING)
     if size > MAX_SETTINGS:
         raise Malformed("size", f"settings: {size} characters, at most {MAX_SETTINGS} are allowed")
-
-
-class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, tag_field="type"):
-    """The fields of every message."""
-
-    sender: Name  # unique in the run, the last part of the key
-    incarnation: Count  # grows with every restart under the same name
-    wire: int = WIRE_VERSION
-
-    def check(self) -> None:
-        """Raise `Malformed` unless every array and number is in range."""
 
 
 class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
@@ -111,6 +85,11 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     heard: tuple[str, ...] = ()
     local: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
     settings: Agreed = {}  # those on which all agree; a setting that is missing is not compared
+
+    @once
+    def digest(self) -> int:
+        """The hash of the settings, as in a Beacon."""
+        return whole(self.settings)
 
     def check(self) -> None:
         check_number("max_speed", self.max_speed, least=0.0)
@@ -352,101 +331,6 @@ class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
     def check(self) -> None:
         check_vector("velocity", self.velocity)
         check_number("turn_rate", self.turn_rate)
-
-
-class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
-    """From an agent to watchers: its estimate after round `tick`, and its counters."""
-
-    tick: Tick
-    pose: Triple
-    cod: Vector
-    power_radius: float
-    unused: float
-    load: float = 0.0  # expected targets in the footprint
-    mass: float = 0.0  # expected targets in the cell
-    cell_bytes: bytes = msgspec.field(name="cell", default=b"")  # (V, 2) float64, counter-clockwise
-    targets_bytes: bytes = msgspec.field(name="targets", default=b"")  # (M, 2) float64
-    details_bytes: bytes = msgspec.field(name="details", default=b"")  # (M, 6) float32: vx, vy, covariance xx, xy, yy, existence
-    labels_bytes: bytes = msgspec.field(name="labels", default=b"")  # (M,) uint64: identities; 0: none
-    view: Count = 0  # hash of the generators from which the cell was cut
-    neighbours: tuple[str, ...] = ()  # the agents that bound the cell
-    counters: dict[str, int] = {}  # rounds, late, missing, skipped, rejected.<reason>, heard, ...
-    round_seconds: float = 0.0  # duration of the round; 0 in virtual time
-    pace: PaceNumber = 1  # the sender plays the ticks that this number divides
-
-    @once
-    def cell(self) -> np.ndarray:
-        """(V, 2) float64."""
-        return CELL.read(self.cell_bytes)
-
-    @once
-    def targets(self) -> np.ndarray:
-        """(M, 2) float64."""
-        return TARGETS.read(self.targets_bytes)
-
-    @once
-    def details(self) -> np.ndarray:
-        """(M, 6) float32: velocity vx, vy in m/s, covariance xx, xy, yy of the position in m^2, existence; zeros if not stated."""
-        return DETAILS.read(self.details_bytes) if self.details_bytes else np.zeros((len(self.targets), DETAILS.columns))
-
-    @once
-    def labels(self) -> np.ndarray:
-        """(M,) uint64; 0: none, or not stated."""
-        return PEAK_LABELS.read(self.labels_bytes) if self.labels_bytes else np.zeros(len(self.targets), U8)
-
-    def check(self) -> None:
-        check_rows(CELL, self.cell_bytes)
-        targets = check_rows(TARGETS, self.targets_bytes)
-        if self.details_bytes or self.labels_bytes:
-            details, labels = check_rows(DETAILS, self.details_bytes), PEAK_LABELS.count(self.labels_bytes)
-            if (details or targets) != targets or (labels or targets) != targets:
-                raise Malformed("shape", f"details, labels: {details} and {labels} rows for {targets} targets")
-            if labels and int(self.labels.max()) > LARGEST_LABEL:
-                raise Malformed("range", f"labels: should be at most {LARGEST_LABEL}")
-        plain = are_plain(self.pose, self.cod, (self.power_radius, self.load, self.mass))
-        if plain and 0.0 <= self.unused <= LARGEST_AREA and 0.0 <= self.round_seconds <= LATEST:
-            return
-        check_vector("pose", self.pose)
-        check_vector("cod", self.cod)
-        check_number("power_radius", self.power_radius, least=0.0)
-        check_number("load", self.load, least=0.0)
-        check_number("mass", self.mass, least=0.0)
-        check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
-        check_number("round_seconds", self.round_seconds, least=0.0, most=LATEST)
-
-
-class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
-    """From the world to watchers, never to agents: the true state of everything at `tick`."""
-
-    tick: Tick
-    time: float
-    targets_bytes: bytes = msgspec.field(name="targets", default=b"")  # (T, 2) float64
-    ids_bytes: bytes = msgspec.field(name="ids", default=b"")  # (T,) uint64
-    bodies: tuple[str, ...] = ()  # every body, in team order
-    poses_bytes: bytes = msgspec.field(name="poses", default=b"")  # (B, 3) float64
-    in_view: int = 0  # targets inside the field of view of some live agent's body
-    alive: tuple[str, ...] = ()  # the agents with a token that the world sees
-
-    @once
-    def targets(self) -> np.ndarray:
-        """(T, 2) float64."""
-        return TARGETS.read(self.targets_bytes)
-
-    @once
-    def ids(self) -> np.ndarray:
-        """(T,) uint64."""
-        return TARGET_IDS.read(self.ids_bytes)
-
-    @once
-    def poses(self) -> np.ndarray:
-        """(B, 3) float64."""
-        return POSES.read(self.poses_bytes)
-
-    def check(self) -> None:
-        check_number("time", self.time, -LATEST, LATEST)
-        targets, poses = check_rows(TARGETS, self.targets_bytes), check_rows(POSES, self.poses_bytes)
-        if TARGET_IDS.count(self.ids_bytes) != targets or poses != len(self.bodies):
-            raise Malformed("shape", "one id per target, one pose per body")
 
 
 class Halt(Message, frozen=True, kw_only=True, dict=True, tag="halt"):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from protocol.messages import Message
+from protocol.message import Message
 from protocol.once import once
 
 

@@ -143,7 +143,7 @@ def main(
             let_others_finish()
         incarnation = options.incarnation if options.incarnation is not None else time.time_ns() // 1_000_000
         node = build(config, options.name, incarnation)
-        link = LiveLink(config.dice, options.name, logging.getLogger(__name__).warning) if config.network.link_faults else None
+        link = LiveLink(config.shared_seed, options.name, logging.getLogger(__name__).warning) if config.network.link_faults else None
         hear = partial(on_line, node) if on_line else link.on_line if link else None
         code = live.run(node, network_of(config, options), watch_stdin=options.supervised, on_line=hear, link=link)
         at_end(node)

@@ -169,7 +169,7 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
     members: dict[Name, str] = {}  # agent name -> sensor class, in team order
 
     @property
-    def dice(self) -> int:
+    def shared_seed(self) -> int:
         """The seed of this process's own random streams."""
         return 0
 

@@ -15,9 +15,10 @@ from typing import Protocol
 from protocol import codec
 from protocol.delivery import TO_MANY, BusEndpoint, Delivery, Item, MessageRun, is_observation, place_of
 from protocol.keys import is_of_tokens, message_key, tokens_of
-from protocol.messages import Command, Gossip, Message
+from protocol.message import Message
+from protocol.messages import Command, Gossip
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
-from protocol.reception import in_batches, read
+from protocol.reception import event_of, in_batches, read_all
 from protocol.routes import Routes
 
 
@@ -179,19 +180,19 @@ class VirtualBus:
             entry[0].at_work = False
             self._wake(entry[0])
         else:
-            for event in in_batches([entry[1]]):
-                self._hand(entry[0], event)
+            self._hand(entry[0], event_of(entry[1]))
         return True
 
     def _deliver(self, delivery: Delivery) -> None:
         """Hand a message to all its listeners; those of kinds in `TO_MANY` go into their boxes."""
         if delivery.kind not in TO_MANY:
-            for event in in_batches([delivery.item]):
-                for endpoint in delivery.listeners:
-                    if endpoint is not delivery.sender:
-                        self._hand(endpoint, event)
+            [item] = read_all([(delivery.key, delivery.payload)])
+            event = event_of(item)
+            for endpoint in delivery.listeners:
+                if endpoint is not delivery.sender:
+                    self._hand(endpoint, event)
             return
-        run = delivery.with_followers(self._ready) if self.batches else MessageRun(delivery.sender, delivery.item)
+        run = delivery.with_followers(self._ready) if self.batches else MessageRun([delivery])
         for endpoint in delivery.listeners:
             if len(run.items) > 1 or endpoint is not delivery.sender:
                 if not endpoint.box:
@@ -333,34 +334,32 @@ class VirtualBus:
         payload = codec.encode(message)
         self.messages += 1
         self.bytes += len(payload)
-        item = _item(key, payload)
         pace = self._pace if isinstance(message, Command) else 0.0
         if self._link is None and pace == 0.0:
-            self._ready.append(Delivery(listeners, endpoint, item))
+            self._ready.append(Delivery(listeners, endpoint, type(message), key, payload))
             self.deliveries += len(listeners)
             return
         at_once: list[BusEndpoint] = []
+        decoded: Item | None = None  # for listeners that it reaches later
         for listener in listeners:
             if listener is not endpoint:
                 for delay, arrived in self._carried(endpoint, listener, key, payload):
                     self.deliveries += 1
-                    if arrived is payload and pace + delay <= 0.0:
+                    if arrived is not payload:
+                        [corrupt] = read_all([(key, arrived)])
+                        self._schedule(listener, corrupt, pace + delay)
+                    elif pace + delay <= 0.0:
                         at_once.append(listener)
                     else:
-                        self._schedule(listener, item if arrived is payload else _item(key, arrived), pace + delay)
+                        decoded = decoded or read_all([(key, payload)])[0]
+                        self._schedule(listener, decoded, pace + delay)
         if at_once:
-            self._ready.append(Delivery(at_once, endpoint, item))
+            self._ready.append(Delivery(at_once, endpoint, type(message), key, payload))
 
     def _carried(self, endpoint: BusEndpoint, listener: BusEndpoint, key: str, payload: bytes) -> Sequence[tuple[float, bytes]]:
         if self._link is None:
             return [(0.0, payload)]
         return self._link.carry(endpoint.node.name, listener.node.name, key, payload, self.now)
-
-
-def _item(key: str, payload: bytes) -> Item:
-    """The message that the bytes under a key hold, or the event that they are rejected; the same for every receiver."""
-    [message] = codec.decode_all([(key, payload)])
-    return read(key, payload, message)
 
 
 def _parent(key: str) -> str:

@@ -49,7 +49,7 @@ OUTSIDE_WORLD = {"random", "secrets", "uuid", "time", "datetime", "socket", "asy
 PURE_RANDOM = {"Generator", "PCG64", "BitGenerator", "SeedSequence"}
 STRANGER = "deploy/examples/stranger.py"
 BRIDGE = "deploy/bridge/"
-MOST_LINES = 480  # the subject decides where a file ends; this only asks whether there are two
+MOST_LINES = 450  # the subject decides where a file ends; this only asks whether there are two
 AGENT_PACKAGES = {
     "numpy",
     "msgspec",

@@ -20,7 +20,9 @@ from protocol.codec import decode, encode
 from protocol.fields import Malformed
 from protocol.keys import message_key
 from protocol.live import session_config
-from protocol.messages import KINDS, WIRE_VERSION, Beacon, Command, Estimate, Gossip, Halt, Hello, Message, Observation, Truth
+from protocol.message import WIRE_VERSION, Message
+from protocol.messages import KINDS, Beacon, Command, Gossip, Halt, Hello, Observation
+from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import WedgeSensor
 from protocol.settings import NetworkSettings
 

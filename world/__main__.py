@@ -15,8 +15,9 @@ from typing import NoReturn
 from protocol import codec, process
 from protocol.fields import Malformed
 from protocol.keys import all_of
-from protocol.messages import Halt, Truth
+from protocol.messages import Halt
 from protocol.node import Effect, Event, Node
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from world.body import Body, check_epoch
 from world.config import WorldConfig

@@ -11,7 +11,8 @@ import numpy as np
 
 from protocol.fields import FARTHEST
 from protocol.geometry import wrap_angle
-from protocol.messages import Command, Vector
+from protocol.message import Vector
+from protocol.messages import Command
 from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
 from protocol.streams import key, stream

@@ -13,8 +13,9 @@ import math
 
 from protocol.fields import pack
 from protocol.keys import all_of, one_of
-from protocol.messages import Command, Gossip, Halt, Hello, Observation, Truth
+from protocol.messages import Command, Gossip, Halt, Hello, Observation
 from protocol.node import Alive, Batch, Effect, Event, Gone, Node, Received, Started, Stop, Subscribe, Timer, Unsubscribe
+from protocol.observer_messages import Truth
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given

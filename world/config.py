@@ -59,6 +59,6 @@ class WorldConfig(Common, frozen=True, kw_only=True):
     recorded: RecordedSettings = RecordedSettings()
 
     @property
-    def dice(self) -> int:
+    def shared_seed(self) -> int:
         """The run's seed."""
         return self.run.seed

@@ -133,12 +133,12 @@ class Detector:
         poses: Sequence[Pose],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Sensor indices (M,) and noisy detections (M, 2) of the sightings that are not missed."""
-        dice = scramble(ids, key("target"))[seen.targets] ^ words[seen.sensors]
-        hit = uniform(scramble(dice, _MISS)) < seen.probabilities
-        dice, owners, points = dice[hit], seen.sensors[hit], positions[seen.targets[hit]]
+        bits = scramble(ids, key("target"))[seen.targets] ^ words[seen.sensors]
+        hit = uniform(scramble(bits, _MISS)) < seen.probabilities
+        bits, owners, points = bits[hit], seen.sensors[hit], positions[seen.targets[hit]]
         # Box and Muller: two normal variates from two uniform ones.
-        radius = self._noise * np.sqrt(-2.0 * np.log1p(-uniform(scramble(dice, _RADIUS))))
-        angle = 2.0 * math.pi * uniform(scramble(dice, _ANGLE))
+        radius = self._noise * np.sqrt(-2.0 * np.log1p(-uniform(scramble(bits, _RADIUS))))
+        angle = 2.0 * math.pi * uniform(scramble(bits, _ANGLE))
         noise = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
         found = points + noise
         for index, sensor in enumerate(sensors):
@@ -181,8 +181,8 @@ def _first_draws(
     batches = np.array([_batch(sensor, number) for sensor, number in zip(wedges, numbers.tolist())])
     who = np.repeat(np.arange(len(wedges)), batches)
     starts = np.cumsum(batches) - batches
-    dice = scramble((np.arange(len(who)) - starts[who]).astype(np.uint64), words[who])
-    points = _in_squares(dice, np.array([sensor.reach for sensor in wedges])[who, None], np.array(poses)[who, :2])
+    bits = scramble((np.arange(len(who)) - starts[who]).astype(np.uint64), words[who])
+    points = _in_squares(bits, np.array([sensor.reach for sensor in wedges])[who, None], np.array(poses)[who, :2])
     inside = wedge_probabilities(wedges, poses, who, points) > 0.0
     so_far = np.cumsum(inside)
     before = so_far[starts] - inside[starts]
@@ -195,9 +195,9 @@ def _batch(sensor: SensorModel, number: int) -> int:
     return 8 + min(2000 + 4 * number, math.ceil(number * 6.0 * sensor.reach**2 / max(sensor.area, 1e-300)))
 
 
-def _in_squares(dice: np.ndarray, reach: np.ndarray | float, places: np.ndarray) -> np.ndarray:
+def _in_squares(bits: np.ndarray, reach: np.ndarray | float, places: np.ndarray) -> np.ndarray:
     """Points (N, 2) uniform in the squares of half a side `reach` around the places."""
-    east, north = uniform(scramble(dice, _EAST)), uniform(scramble(dice, _NORTH))
+    east, north = uniform(scramble(bits, _EAST)), uniform(scramble(bits, _NORTH))
     return np.column_stack([2.0 * east - 1.0, 2.0 * north - 1.0]) * reach + places
 
 
@@ -210,8 +210,8 @@ def clutter_points(sensor: SensorModel, pose: Pose, number: int, word: int) -> n
     accepted: list[np.ndarray] = []
     found = 0
     for start in range(0, batch * _MOST_BATCHES, batch):
-        dice = scramble(np.arange(start, start + batch, dtype=np.uint64), word)
-        points = _in_squares(dice, sensor.reach, np.array(pose[:2]))
+        bits = scramble(np.arange(start, start + batch, dtype=np.uint64), word)
+        points = _in_squares(bits, sensor.reach, np.array(pose[:2]))
         accepted.append(points[sensor.probability(points, pose) > 0.0])
         found += len(accepted[-1])
         if found >= number:

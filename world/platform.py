@@ -10,7 +10,8 @@ import numpy as np
 
 from protocol.fields import FARTHEST, MAX_DETECTIONS
 from protocol.foreign import fault_of, real_array, shown
-from protocol.messages import Command, Vector
+from protocol.message import Vector
+from protocol.messages import Command
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, LimitSettings, load_named
 from world.bodies import integrate, start_poses

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from protocol.messages import Vector
+from protocol.message import Vector
 from protocol.sensing import Pose
 from world.config import WorldConfig
 

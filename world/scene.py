@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from protocol.fields import pack
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.sensing import Pose, SensorModel
 from world.config import WorldConfig
 from world.detector import Sightings, count_in_view, sightings

@@ -14,7 +14,7 @@ the point is slower than asked, by the factor offset turn_rate / |velocity| at w
 
 import math
 
-from protocol.messages import Vector
+from protocol.message import Vector
 from protocol.settings import LimitSettings
 
 

@@ -4,8 +4,9 @@ The targets of a tick are a function of the seed. The poses are in the observati
 the Truth that a world would say, and nothing of it is sent.
 """
 
-from protocol.messages import Observation, Truth
+from protocol.messages import Observation
 from protocol.node import Alive, Event, Gone, messages_of
+from protocol.observer_messages import Truth
 from protocol.sensing import Pose
 from protocol.settings import sensor_of
 from world.bodies import start_poses

@@ -13,8 +13,10 @@ from protocol.agreement import agreed, common_sections
 from protocol.failure_detector import FailureDetector
 from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
-from protocol.messages import Command, Halt, Hello, Message, Observation, Truth
+from protocol.message import Message
+from protocol.messages import Command, Halt, Hello, Observation
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
+from protocol.observer_messages import Truth
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given, free_pose, from_other_frame, pose_with_error

@@ -106,9 +106,9 @@ def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, cla
     return Particles(*merge_kernels.remote_copies(tuple(near), tuple(received), cell, claim.generators, claim.first, halo, horizon, moved))
 
 
-def merge(received: Particles, kept: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
+def merge(received: Particles, counts: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
     """See `merge.merge`."""
-    return Particles(*merge_kernels.merge(tuple(received), kept, tuple(copies), free))
+    return Particles(*merge_kernels.merge(tuple(received), counts, tuple(copies), free))
 
 
 _NO_CORNERS = np.empty((0, 2))  # writable, because a read-only array would need a second compilation
@@ -126,7 +126,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
     numbers = [*motion(step)[3:], filters.halo, step.reach, noise, width, (filters.gate * width) ** 2]
     numbers += [filters.certainty, filters.vicinity / phd.BINS]
-    numbers += [birth.measurement, birth.copies, birth.radius, birth.least_density, birth.least_share, birth.most_density]
+    numbers += [birth.measurement, birth.measurement_particles, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold, config.extraction.beside]
     numbers += [filters.gate, kernel_variance(filters)]
@@ -184,7 +184,7 @@ def _update_wedges(
     else:
         stated = stated_near(received, regions_[0], step)
     corners = _end_to_end([region.polygon for region in regions_])
-    updated, own, kept, tracks, names, results = region_kernels.update_regions(
+    updated, own, drawn, tracks, names, results = region_kernels.update_regions(
         settings,
         keys,
         step.tick,
@@ -205,14 +205,14 @@ def _update_wedges(
     if len(regions_) == 1:
         _, _, _, _, mass, east, north, load, detected = results[0].tolist()
         return [
-            RegionUpdate(Particles(*updated), Particles(*own), Particles(*kept), mass, east, north, load, detected, _tracks(tracks, names))
+            RegionUpdate(Particles(*updated), Particles(*own), Particles(*drawn), mass, east, north, load, detected, _tracks(tracks, names))
         ]
     ends, found = np.cumsum(results[:, : region_kernels.SIZES], axis=0, dtype=np.int64).tolist(), []
     for before, after, result in zip([[0] * region_kernels.SIZES, *ends], ends, results.tolist()):
-        near, mine, drawn = [_rows(*part) for part in zip((updated, own, kept), before, after)]
+        near, mine, new = [_rows(*part) for part in zip((updated, own, drawn), before, after)]
         mass, east, north, load, detected = result[region_kernels.SIZES :]
         rows = slice(before[3], after[3])
-        found.append(RegionUpdate(near, mine, drawn, mass, east, north, load, detected, _tracks(tracks[rows], names[rows])))
+        found.append(RegionUpdate(near, mine, new, mass, east, north, load, detected, _tracks(tracks[rows], names[rows])))
     return found
 
 

@@ -112,19 +112,19 @@ def insert(places: np.ndarray, count: int, keys: np.ndarray) -> None:
 @njit
 def _clip(corners: np.ndarray, size: int, heights: np.ndarray, other: np.ndarray) -> int:
     """The number of corners of the part of a polygon with heights <= 0; its corners are written into `other`."""
-    kept = 0
+    corner = 0
     for c in range(size):
         p = c - 1 if c > 0 else size - 1
         before, after = heights[p], heights[c]
         if (before < 0.0 and after > 0.0) or (after < 0.0 and before > 0.0):
             share = before / (before - after)
-            other[kept, 0] = corners[p, 0] + share * (corners[c, 0] - corners[p, 0])
-            other[kept, 1] = corners[p, 1] + share * (corners[c, 1] - corners[p, 1])
-            kept += 1
+            other[corner, 0] = corners[p, 0] + share * (corners[c, 0] - corners[p, 0])
+            other[corner, 1] = corners[p, 1] + share * (corners[c, 1] - corners[p, 1])
+            corner += 1
         if after <= 0.0:
-            other[kept, 0], other[kept, 1] = corners[c, 0], corners[c, 1]
-            kept += 1
-    return kept
+            other[corner, 0], other[corner, 1] = corners[c, 0], corners[c, 1]
+            corner += 1
+    return corner
 
 
 @njit

@@ -250,11 +250,11 @@ def update(
 
     `noises` are the deviations of the sensors and of the likelihood in m, the squared gate in m^2, the gate in deviations, the variance
     of a particle's kernel in m^2, and those of a pose in m^2 and rad^2. `all_rays` has no columns if all detections are exact positions.
-    `miss` is (certainty, side of a bin). `birth` is (on, copies, radius, least, least share, most, speed, key of the births, directions,
-    stamp of the labels).
+    `miss` is (certainty, side of a bin). `birth` is (on, particles each, radius, least, least share, most, speed, key of the births,
+    directions, stamp of the labels).
     """
     states, weights, ids, labels = particles
-    on, copies, radius, _, _, _, speed, births_key, directions, stamp = birth
+    on, each, radius, _, _, _, speed, births_key, directions, stamp = birth
     noise, likelihood_noise, gate2, gate, kernel, place2, turn2 = noises
     has_rays = all_rays.shape[1] > 0
     box = around(polygon, 0.0)
@@ -264,7 +264,7 @@ def update(
     for s in range(scans):
         close = starts[s + 1] = _pick(table[sensors[s]], begins[s], polygon, box, halo, all_detections, picked, close)
     count = len(weights)
-    capacity = count + (close * copies if on else 0)
+    capacity = count + (close * each if on else 0)
     new_states, new_weights, new_ids, new_labels = blank(capacity)
     new_states[:count], new_weights[:count], new_ids[:count], new_labels[:count] = states, weights, ids, labels
     x, y, seen = np.empty(capacity), np.empty(capacity), np.empty(capacity, np.bool_)
@@ -321,13 +321,13 @@ def update(
         if on:
             for m in range(len(points)):
                 number = np.uint64(picked[starts[s] + m] - begins[s])
-                given[m] = birth_label(scramble(number * np.uint64(copies), salt), stamp)
+                given[m] = birth_label(scramble(number * np.uint64(each), salt), stamp)
         label_scan(new_labels, new_weights, rows[:pairs], columns[:pairs], shares[:pairs], norms, given)
         if on:
             for m in range(len(points)):
                 number = np.uint64(picked[starts[s] + m] - begins[s])
-                for copy in range(copies):
-                    new_id = scramble(number * np.uint64(copies) + np.uint64(copy), salt)
+                for copy in range(each):
+                    new_id = scramble(number * np.uint64(each) + np.uint64(copy), salt)
                     if has_rays:
                         x[count], y[count] = birth_place(new_id, sensor, points[m], point_rays[m], scan_noise)
                     else:
@@ -336,6 +336,6 @@ def update(
                     direction = np.int64(scramble(new_id, np.uint64(3)) >> _S52)
                     new_states[count, 0], new_states[count, 1] = x[count], y[count]
                     new_states[count, 2], new_states[count, 3] = directions[direction, 0] * speed, directions[direction, 1] * speed
-                    new_ids[count], new_weights[count], new_labels[count] = new_id, born[m] / np.float64(copies), given[m]
+                    new_ids[count], new_weights[count], new_labels[count] = new_id, born[m] / np.float64(each), given[m]
                     count += 1
     return new_states, new_weights, new_ids, new_labels

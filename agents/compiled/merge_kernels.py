@@ -1,4 +1,4 @@
-"""Compiled merging: the copies kept after a round, and their merge with received particles; twins of agents/tracking/merge.py.
+"""Compiled merging: the copies after a round, and their merge with received particles; twins of agents/tracking/merge.py.
 
 Rules as in agents/compiled/particle_kernels.py.
 """
@@ -77,7 +77,7 @@ def remote_copies(
 
 
 @cached
-def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
+def merge(received: tuple, counts: np.ndarray, copies: tuple, free: np.ndarray) -> _Particles:
     """Twin of `merge.merge`: states, weights, ids and labels in canonical order."""
     received_states, received_weights, received_ids, received_labels = received
     states, weights, ids, labels = copies
@@ -85,7 +85,7 @@ def merge(received: tuple, kept: np.ndarray, copies: tuple, free: np.ndarray) ->
     rows, chosen_ids, count = np.empty(number + len(ids), np.int64), np.empty(number + len(ids), np.uint64), 0
     for n in range(number):
         rows[count], chosen_ids[count] = n, received_ids[n]
-        count += kept[n]
+        count += counts[n]
     for n in range(len(ids)):
         rows[count], chosen_ids[count] = number + n, ids[n]
         count += free[n]

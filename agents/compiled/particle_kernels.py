@@ -176,16 +176,16 @@ def resample(
         new_ids[n] = ids[parent] if copy == 0 else scramble(ids[parent] + np.uint64(copy), salt)
         parents[n] = parent
     order = sort_by_id(new_ids, np.arange(count))
-    sorted_ids, kept_labels, unique = np.empty(count, np.uint64), np.empty(count, np.uint64), 0
+    sorted_ids, sorted_labels, unique = np.empty(count, np.uint64), np.empty(count, np.uint64), 0
     for rank in range(count):
         n = order[rank]
         if rank > 0 and new_ids[n] == new_ids[order[rank - 1]]:
             continue
-        sorted_ids[unique], kept_labels[unique] = new_ids[n], labels[parents[n]]
+        sorted_ids[unique], sorted_labels[unique] = new_ids[n], labels[parents[n]]
         for axis in range(4):
             chosen[unique, axis] = np.float64(np.float32(states[parents[n], axis]))
         unique += 1
-    return chosen[:unique], sorted_ids[:unique], kept_labels[:unique]
+    return chosen[:unique], sorted_ids[:unique], sorted_labels[:unique]
 
 
 @cached

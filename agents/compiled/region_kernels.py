@@ -236,19 +236,19 @@ def _update_region(
     mass, east, north = first_moments(own_states, own_weights)
     near_load, near_detected = in_view(states, weights, sensor)
     far_load, far_detected = in_view(far_states, far_weights, sensor)
-    kept_states, kept_ids, kept_labels, each = np.empty((0, 4)), np.empty(0, np.uint64), np.empty(0, np.uint64), 0.0
+    drawn_states, drawn_ids, drawn_labels, each = np.empty((0, 4)), np.empty(0, np.uint64), np.empty(0, np.uint64), 0.0
     if mass > 0.0:
         count = int(min(max(np.rint(settings[PER_TARGET] * mass), settings[LEAST]), settings[MOST]))
         offset = np.float64(scramble(now, owner) >> _S11) * 2.0**-53
-        kept = resample(own_states, own_weights, own_ids, own_labels, mass, count, offset, scramble(now, keys[SPLIT]))
-        kept_states, kept_ids, kept_labels = kept
+        resampled = resample(own_states, own_weights, own_ids, own_labels, mass, count, offset, scramble(now, keys[SPLIT]))
+        drawn_states, drawn_ids, drawn_labels = resampled
         each = mass / count
     targets, names = np.empty((0, TRACK)), np.empty(0, np.uint64)
     if len(generators) > 0 and len(weights) > 0:
         targets, names = estimate_tracks(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE])
         inside = owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])
         targets, names = targets[inside], names[inside]
-    drawn = kept_states, np.full(len(kept_ids), each), kept_ids, kept_labels
+    drawn = drawn_states, np.full(len(drawn_ids), each), drawn_ids, drawn_labels
     sums = mass, east, north, near_load + far_load, near_detected + far_detected
     return (states, weights, ids, labels), own, drawn, sums, targets, names
 
@@ -303,7 +303,7 @@ def update_regions(
     predicted = _predict(stated, others, births, box, disc, _motion(settings, keys, now))
     size = len(predicted[0])
     scratch = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
-    updated, own, kept, targets, names = blank(0), blank(0), blank(0), np.empty((0, TRACK)), np.empty(0, np.uint64)
+    updated, own, drawn, targets, names = blank(0), blank(0), blank(0), np.empty((0, TRACK)), np.empty(0, np.uint64)
     results, start = np.empty((number, SIZES + SUMS)), np.zeros(SIZES, np.int64)
     corner = bound = 0
     for k in range(number):
@@ -316,7 +316,7 @@ def update_regions(
             settings, keys, now, sensor, table, salts, detections, rays, gated, polygon, claim[0], claim[1], draws[k], directions
         )
         updated, own = _append(updated, start[0], found[0], 2 * size), _append(own, start[1], found[1], 2 * size)
-        kept = _append(kept, start[2], found[2], 2 * size)
+        drawn = _append(drawn, start[2], found[2], 2 * size)
         targets, names = (np.concatenate((targets, found[4])), np.concatenate((names, found[5]))) if k > 0 else (found[4], found[5])
         sizes = len(found[0][2]), len(found[1][2]), len(found[2][2]), len(found[5])
         for column in range(SIZES):
@@ -324,4 +324,4 @@ def update_regions(
             results[k, column] = sizes[column]
         for column, value in enumerate(found[3]):
             results[k, SIZES + column] = value
-    return updated, own, kept, targets, names, results
+    return updated, own, drawn, targets, names, results

@@ -98,16 +98,16 @@ def _clip(corners: list[tuple[float, float]], nx: float, ny: float, limit: float
     heights = [x * nx + y * ny - limit for x, y in corners]
     if max(heights) <= 0.0:
         return corners
-    kept = []
+    inside = []
     for here, (x, y) in enumerate(corners):
         before, after = heights[here - 1], heights[here]
         if (before < 0.0 < after) or (after < 0.0 < before):
             px, py = corners[here - 1]
             share = before / (before - after)
-            kept.append((px + share * (x - px), py + share * (y - py)))
+            inside.append((px + share * (x - px), py + share * (y - py)))
         if after <= 0.0:
-            kept.append((x, y))
-    return kept
+            inside.append((x, y))
+    return inside
 
 
 def _area(corners: list[tuple[float, float]]) -> float:

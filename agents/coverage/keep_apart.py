@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from itertools import combinations
 
 from agents.coverage.control import ControlInput
-from protocol.messages import Vector
+from protocol.message import Vector
 from protocol.settings import LimitSettings
 
 CLEARANCE = 0.05  # m, kept around each body besides its radius: wheels do not obey to the millimetre

@@ -207,8 +207,9 @@ def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]
     track, value = tracks.ravel()[near] * left_tracks, values.ravel()[near] * left_values
     load = total(np.where(apart2 <= body.radius * body.radius, track, 0.0))
     step, best, goal = 0.5 * settings.horizon * body.speed, -math.inf, (body.x, body.y)
-    for far, (east, north) in [(0.0, (1.0, 0.0)), *((far, way) for way in DIRECTIONS.tolist() for far in (2.0 * step, step))]:
-        place = min(max(body.x + far * east, 0.0), body.width), min(max(body.y + far * north, 0.0), body.height)
+    places = [(0.0, (1.0, 0.0)), *((distance, way) for way in DIRECTIONS.tolist() for distance in (2.0 * step, step))]
+    for distance, (east, north) in places:
+        place = min(max(body.x + distance * east, 0.0), body.width), min(max(body.y + distance * north, 0.0), body.height)
         dx, dy = place[0] - body.goal_x, place[1] - body.goal_y
         worth = worth_at(task, place, x, y, track, value) - settings.step_cost * math.sqrt(dx * dx + dy * dy) / (2.0 * step)
         if worth > best:

@@ -14,11 +14,15 @@ class RoundInbox:
         self.rounds: dict[int, dict[str, Gossip]] = {}  # of rounds that are not closed yet
         self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
 
-    def put(self, gossip: Gossip) -> None:
-        """Keep an accepted gossip. Beyond `MOST_TICKS` ticks the oldest is dropped."""
-        self.rounds.setdefault(gossip.tick, {})[gossip.sender] = gossip
-        if len(self.rounds) > MOST_TICKS:
-            del self.rounds[min(self.rounds)]
+    def put(self, gossips: Iterable[Gossip]) -> None:
+        """Keep accepted gossips. Beyond `MOST_TICKS` ticks the oldest is dropped."""
+        rounds = self.rounds
+        for gossip in gossips:
+            if gossip.tick not in rounds:
+                rounds[gossip.tick] = {}
+            rounds[gossip.tick][gossip.sender] = gossip
+            if len(rounds) > MOST_TICKS:
+                del rounds[min(rounds)]
 
     def of(self, tick: int) -> dict[str, Gossip]:
         """The gossips of a tick, by name; not to be changed."""

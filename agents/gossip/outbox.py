@@ -7,7 +7,9 @@ from agents.coverage.capacity import place
 from agents.round import AgentContext, RoundResult
 from agents.tracking.tracker import Said
 from protocol.fields import pack
-from protocol.messages import Agreed, Command, Estimate, Gossip, Hello, Observation
+from protocol.message import Agreed
+from protocol.messages import Command, Gossip, Hello, Observation
+from protocol.observer_messages import Estimate
 from protocol.sensing import WedgeSensor
 
 VERSION = "0.1.0"

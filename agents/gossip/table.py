@@ -185,9 +185,9 @@ class GossipTable:
             noise = noise_of((row[MODEL], row[RANGE_NOISE], row[BEARING_NOISE]), settings.detection.noise, kernel, settings.pose)
             for _ in range(int(row[DETECTIONS])):
                 dx, dy = places[number][0] - row[X], places[number][1] - row[Y]
-                far = math.sqrt(dx * dx + dy * dy)
-                east, north = (dx / far, dy / far) if far > 0.0 else (row[COS], row[SIN])
-                rays[number] = east, north, far, spread_of(noise.model, far, row[REACH], noise)
+                distance = math.sqrt(dx * dx + dy * dy)
+                east, north = (dx / distance, dy / distance) if distance > 0.0 else (row[COS], row[SIN])
+                rays[number] = east, north, distance, spread_of(noise.model, distance, row[REACH], noise)
                 number += 1
         return rays
 

@@ -22,7 +22,6 @@ from agents.membership.half_open_link import HalfOpenLinkDetector, LagDetector
 from agents.membership.peer import Peer
 from agents.membership.peer_table import PeerTable
 from agents.round import HORIZON, AgentContext, RoundResult
-from protocol.agreement import whole
 from protocol.geometry import distances
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
@@ -45,12 +44,12 @@ LINGER = 4.0  # s of world time for which a peer that is needed no longer stays 
 class InterestManager:
     """The subscriptions of one agent to the gossips, tokens and beacons of others."""
 
-    def __init__(self, context: AgentContext, neighbours: PeerTable, incarnation: int) -> None:
+    def __init__(self, context: AgentContext, peer_table: PeerTable, incarnation: int) -> None:
         config = context.config
-        self._settings = whole(neighbours.settings)
+        self._settings = peer_table.digest
         self.settled = False  # the first selection is made and the others have had the time to make theirs
         self.due: float | None = None  # when to call `on_timer`
-        self._context, self._neighbours, self._incarnation = context, neighbours, incarnation
+        self._context, self._peer_table, self._incarnation = context, peer_table, incarnation
         self._tiling = Tiling(config.timing.tile, config.arena)
         drift = JUMP + config.limits.speed * config.run.dt
         own_bounds = bounds_of(context.sensor, context.facts)  # type: ignore[arg-type]  # a sensor model is hashable
@@ -91,7 +90,7 @@ class InterestManager:
         settle = min(max(SETTLE, BUSY * overdue), LONGEST)
         self.due = now + settle
         own = self._own_beacon(observation, outcome)
-        if self._asking and not self._neighbours.peers and self._questions < UNHEARD:
+        if self._asking and not self._peer_table.peers and self._questions < UNHEARD:
             self._questions += 1
             return [self._last_beacon] if self._last_beacon else []
         if self._asking:
@@ -105,7 +104,7 @@ class InterestManager:
             self._asking = False
             self.due = max(now + settle, self._join_at)
             return self._apply(choice, table, observation.tick)
-        late, self._questions = self._neighbours.changed and self._questions < MOST_QUESTIONS, self._questions + 1
+        late, self._questions = self._peer_table.changed and self._questions < MOST_QUESTIONS, self._questions + 1
         if late:  # a peer has appeared only now: both need time to subscribe
             return self.reselect(self._first_cell(own, observation.tick), own, observation.tick)
         self.settled, self.due = True, None
@@ -126,8 +125,8 @@ class InterestManager:
 
     def _table(self, own: Beacon, tick: int) -> np.ndarray:
         """The positions of peers (`PositionTable.table`), after those without a recent beacon are forgotten."""
-        self._forgotten |= self._neighbours.forget(tick - math.ceil(FORGOTTEN * self._period))
-        return self._neighbours.positions.table(beacon_row(own, self._context.config.partition.kind))
+        self._forgotten |= self._peer_table.forget(tick - math.ceil(FORGOTTEN * self._period))
+        return self._peer_table.positions.table(beacon_row(own, self._context.config.partition.kind))
 
     # ------------------------------------------------------------------ beacons
 
@@ -137,7 +136,7 @@ class InterestManager:
         A peer that is new here may not know this agent either. The exception is a peer that is new only because this agent did not
         receive beacons there before: the peer has just entered the known rectangle, or the subscription to its tile has just begun.
         """
-        new = self._neighbours.take_beacon(beacon)
+        new = self._peer_table.take_beacon(beacon)
         self._learn_bounds(beacon)
         return beacon.asks or (new and self._covers_beacons(beacon.position))
 
@@ -147,7 +146,7 @@ class InterestManager:
         for beacon in beacons:
             if beacon.widest_reach > widest.reach or beacon.widest_offset > widest.offset or beacon.widest_radius > widest.radius:
                 self._learn_bounds(beacon)
-        for beacon in self._neighbours.positions.note_all(beacons, self._neighbours.peers):
+        for beacon in self._peer_table.positions.note_all(beacons, self._peer_table.peers):
             asking |= self.take_beacon(beacon)
         return asking
 
@@ -164,14 +163,14 @@ class InterestManager:
         A larger agent matters from farther away.
         """
         announced = Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius)
-        peer = self._neighbours.peers.get(beacon.sender)
+        peer = self._peer_table.peers.get(beacon.sender)
         if peer is not None and peer.announced is not None:
             announced = announced.wider(bounds_of(*peer.announced[:2]))  # type: ignore[arg-type]  # a sensor model is hashable
         known = self._ground.bounds
         wider = known.wider(announced)
         if wider is not known:
             self._ground = self._ground._replace(bounds=wider)
-            self._neighbours.changed = True
+            self._peer_table.changed = True
 
     def close_round(self, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
         """The effects at the end of a round: a beacon and a new selection, where they are due for the pose of the next tick."""
@@ -216,7 +215,7 @@ class InterestManager:
 
     def _reselect_if_due(self, next_one: Beacon, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
         """Select peers anew if that is due."""
-        if gossip.tick < self._chosen_at + self._between and not self._neighbours.changed and len(outcome.cell):
+        if gossip.tick < self._chosen_at + self._between and not self._peer_table.changed and len(outcome.cell):
             return []  # an empty cell may appear anywhere, so an agent without a cell selects in every round
         return self.reselect(outcome.cell, next_one, gossip.tick)
 
@@ -224,8 +223,8 @@ class InterestManager:
         """A new session, if neighbours have long been naming a peer that this agent should hear and does not; else no effects."""
         if tick % CHECK:
             return []
-        gossips = [gossip for gossip in self._neighbours.inbox.last.values() if gossip.tick == tick]
-        unheard = self._link_detector.find_unheard(gossips, self._neighbours.acquainted, self._covers_generator, tick, now)
+        gossips = [gossip for gossip in self._peer_table.inbox.last.values() if gossip.tick == tick]
+        unheard = self._link_detector.find_unheard(gossips, self._peer_table.acquainted, self._covers_generator, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._context.name} does not")] if unheard else []
 
     def reopen_if_behind(self, tick: int, now: float) -> list[Effect]:
@@ -258,10 +257,10 @@ class InterestManager:
 
     def _apply(self, choice: Choice, table: np.ndarray, tick: int) -> list[Effect]:
         """Make a selection the interest set; the subscriptions that change."""
-        self._neighbours.choose(table, choice)
+        self._peer_table.choose(table, choice)
         while self._known_from and tick >= self._known_from[0][0]:
             self.known = self._known_from.pop(0)[1]
-        self._neighbours.certified = self.known is not None and self.known.holds(choice.needed) and tick >= self._unknown_until
+        self._peer_table.certified = self.known is not None and self.known.holds(choice.needed) and tick >= self._unknown_until
         before, self._chosen_at = self._chosen_at, tick
         return self._subscribe_peers(before, tick)
 
@@ -271,7 +270,7 @@ class InterestManager:
         A change of subscription costs more than some gossips too many, and many peers are soon needed again. So gossips stay subscribed
         for `LINGER` s, and tokens until the peer is forgotten.
         """
-        interest_set, run, lingering = self._neighbours.interest_set, self._context.config.run.name, self._lingering
+        interest_set, run, lingering = self._peer_table.interest_set, self._context.config.run.name, self._lingering
         added: set[str] = set()
         seen: set[str] = set()
         if interest_set is not self._last_interest_set:
@@ -284,7 +283,7 @@ class InterestManager:
         dropped = [name for name, last in lingering.items() if last + self._linger <= tick]
         for name in dropped:
             del lingering[name]
-        unseen = self._token_names - self._neighbours.peers.keys() if self._forgotten else set()
+        unseen = self._token_names - self._peer_table.peers.keys() if self._forgotten else set()
         self._forgotten = False
         if not (added or dropped or seen or unseen):
             return []

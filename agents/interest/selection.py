@@ -119,10 +119,10 @@ def _needed(home: np.ndarray, points: np.ndarray, least: np.ndarray, halo: float
     squared minus the largest radius squared.
     """
     bounds = ground.bounds
-    far = np.sqrt(np.maximum(least + bounds.radius * bounds.radius, 0.0))[:, None] + (bounds.offset + ground.drift)
+    ranges = np.sqrt(np.maximum(least + bounds.radius * bounds.radius, 0.0))[:, None] + (bounds.offset + ground.drift)
     observed = halo + MARGIN + bounds.reach + ground.drift
-    low = np.minimum((points - far).min(axis=0), home.min(axis=0) - observed)
-    high = np.maximum((points + far).max(axis=0), home.max(axis=0) + observed)
+    low = np.minimum((points - ranges).min(axis=0), home.min(axis=0) - observed)
+    high = np.maximum((points + ranges).max(axis=0), home.max(axis=0) + observed)
     return Rectangle(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 

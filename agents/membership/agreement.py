@@ -4,7 +4,8 @@ from collections import Counter
 from collections.abc import Sequence
 
 from protocol.agreement import disagreement, whole
-from protocol.messages import Agreed, Beacon, Hello
+from protocol.message import Agreed
+from protocol.messages import Beacon, Hello
 from protocol.node import Effect, Warn
 
 
@@ -21,7 +22,7 @@ class SettingsAgreement:
         """Whether a message announces other settings."""
         if isinstance(message, Beacon):
             return message.settings not in (0, self._digest)
-        return bool(disagreement(self.settings, message.settings))
+        return message.digest != self._digest and bool(disagreement(self.settings, message.settings))
 
     def refuse(self, messages: Sequence[Hello | Beacon]) -> list[Effect]:
         """Count messages with other settings, and return a warning for each new sender."""

@@ -26,7 +26,7 @@ from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
 from agents.membership.peer import Peer, all_plausible, announced_by, plausible, steady
-from protocol.agreement import disagreement
+from protocol.agreement import disagreement, whole
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
@@ -43,7 +43,7 @@ class PeerTable:
         self.local = config.timing.interest == "neighbours"  # beacons make peers known, and the agent subscribes to some of them
         self.peers: dict[str, Peer] = {}  # in the order of names; local: in any order
         self.interest_set: dict[str, Peer] = {}  # the peers whose gossips are received, in the order of names; all, unless local
-        self.far = NO_GENERATORS  # local: the generators of all other peers
+        self.unsubscribed = NO_GENERATORS  # local: the generators of all other peers
         self.positions = PeerPositions(config)  # local: the positions of live peers, by the newest message of each
         self.certified = False  # local: no unknown peer can own a point that matters in this round
         self.acquainted, self._version = frozenset[str](), -1  # local: peers whose claims fit the own one; by which version of positions
@@ -52,6 +52,7 @@ class PeerTable:
         self._measures_pace = config.run.clock == "realtime"
         self._listened: deque[int] = deque(maxlen=self._silent)  # the last closed rounds in which this agent listened
         self._name, self.settings = name, config.agreed()
+        self.digest = whole(self.settings)
         self.own_sensor: AnnouncedSensor | None = None  # as it is announced
         self.inbox = RoundInbox()
         self.pace = 1  # this agent plays the ticks that this number divides
@@ -97,7 +98,7 @@ class PeerTable:
         peer = self._peer(hello.sender, hello.incarnation)
         if peer is None:
             return "incarnation"
-        differs = disagreement(self.settings, hello.settings)
+        differs = () if hello.digest == self.digest else disagreement(self.settings, hello.settings)
         if differs != peer.differs and peer.announced is None:  # a peer that agreed before stays: one wrong bit must not silence it
             self._exclude(peer, differs)
         if differs:
@@ -133,11 +134,11 @@ class PeerTable:
         * incarnation: a younger incarnation is known;
         * stranger: the sender's sensor is unknown;
         * settings: the sender's settings differ;
-        * stale: this tick or a later one of the same peer is closed;
+        * closed: the round of this tick, or of a later one of the same peer, is closed;
         * dead: it was sent before the peer's token vanished;
         * bounds: the sender's sensor cannot do what it states.
         """
-        interest_set, reasons = self.interest_set, []
+        interest_set, accepted, reasons = self.interest_set, list[Gossip](), list[str]()
         own, own_name = self.own_sensor, self._name  # in the own place, so that all agents of a process ask the same of a batch
         carried = [
             peer.announced if (peer := interest_set.get(name)) is not None else own if name == own_name else None for name in batch.senders
@@ -148,11 +149,12 @@ class PeerTable:
             reasons.append(reason)
             if reason:
                 continue
-            self.inbox.put(gossip)
+            accepted.append(gossip)
             if awaited and gossip.tick == tick:
                 awaited.discard(gossip.sender)
                 if not awaited:
                     break
+        self.inbox.put(accepted)
         return reasons
 
     def _judge(self, gossip: Gossip, fits: bool) -> str:
@@ -172,7 +174,7 @@ class PeerTable:
             return "settings" if peer.differs else "stranger"
         last = self.inbox.last.get(name)
         if last is not None and tick <= last.tick:
-            return "stale"
+            return "closed"
         if peer.left_at is not None and tick <= peer.left_at:
             return "dead"
         if not fits:
@@ -323,7 +325,7 @@ class PeerTable:
     def choose(self, table: np.ndarray, choice: Choice) -> None:
         """Make the chosen ones of N peers the interest set; a table (N or more, 6) holds their positions."""
         chosen, self.positions.needed = choice
-        positions, before, number = self.positions, self.far, len(self.positions)
+        positions, before, number = self.positions, self.unsubscribed, len(self.positions)
         if self._version != positions.version:
             self.acquainted, self._version = positions.everybody(), positions.version
             names = tuple(positions.names)
@@ -332,10 +334,10 @@ class PeerTable:
         if names is not before.everybody or chosen.tobytes() != before.chosen.tobytes():
             selected = set(compress(names, chosen.tolist()))
             if self.interest_set.keys() != selected:
-                kept = [peer for name, peer in self.interest_set.items() if name in selected]
+                staying = [peer for name, peer in self.interest_set.items() if name in selected]
                 added = [self.peers[name] for name in selected - self.interest_set.keys()]
-                self._set_interest(sorted([*kept, *added], key=attrgetter("rank")) if added else kept, added)
-        self.changed, self.far = (
+                self._set_interest(sorted([*staying, *added], key=attrgetter("rank")) if added else staying, added)
+        self.changed, self.unsubscribed = (
             False,
             UnsubscribedGenerators(table[:number].compress(~chosen, axis=0)[:, EAST : RADIUS + 1], names, chosen),
         )

@@ -148,8 +148,8 @@ class ParticlePhd(NamedTuple):
         """See `Tracker.weighted_points`."""
         return received_particles(received)
 
-    def predict(self, belief: Belief, step: Step) -> Belief:
-        """See `Tracker.predict`: all particles become copies, and move by the keyed noise of the missed ticks."""
+    def catch_up(self, belief: Belief, step: Step) -> Belief:
+        """See `Tracker.catch_up`: all particles become copies, and move by the keyed noise of the missed ticks."""
         if belief.stamp >= step.tick - 1:
             return belief
         released = _released(belief)
@@ -198,10 +198,10 @@ class ParticlePhd(NamedTuple):
         claims = end_to_end([share.claim for share in shares])
         views = [~share.view if share.owner in unknown else share.view for share in shares]
         received, sizes = join([share.particles for share in shares]), [len(share.particles.ids) for share in shares]
-        kept = self.backend.resolve_conflicts(received.states, sizes, claims, views, config.timing.overlap)
+        counts = self.backend.resolve_conflicts(received.states, sizes, claims, views, config.timing.overlap)
         copies = belief.copies.all()
         free = self.backend.orphaned(copies.states, claims, config.arena)
-        return self.backend.merge(received, kept, copies, free)
+        return self.backend.merge(received, counts, copies, free)
 
     def update(
         self, received: GossipTable | Particles, table: GossipTable, regions: Sequence[RegionInput], step: Step
@@ -212,5 +212,5 @@ class ParticlePhd(NamedTuple):
     def share(self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step) -> Belief:
         """See `Tracker.share`: the drawn particles are owned; the copies are computed when a peer falls silent."""
         copies = Copies(update.updated, Round(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
-        mine = OwnedState(region.owner, region.claim, _as_stated(update.kept, region.owner, step), diagram.view)
+        mine = OwnedState(region.owner, region.claim, _as_stated(update.resampled, region.owner, step), diagram.view)
         return Belief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)

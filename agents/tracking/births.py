@@ -70,7 +70,7 @@ def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings)
 
 
 @lru_cache(maxsize=2)
-def _prior_by_tile(
+def _prior_by_square(
     seed: int, count: int, settings: FilterSettings, arena: ArenaSettings
 ) -> tuple[Particles, dict[tuple[int, int], np.ndarray]]:
     """The prior, and the indices of its particles by (column, row) of their square of side `SQUARE`."""
@@ -89,7 +89,7 @@ def prior_around(
 
     The squares are memoised, because in virtual time all agents of a process need them.
     """
-    everywhere, squares = _prior_by_tile(seed, count, settings, arena)
+    everywhere, squares = _prior_by_square(seed, count, settings, arena)
     west, south = (max(0, int(side // SQUARE)) for side in box[:2])
     east, north = int(min(box[2], arena.width) // SQUARE), int(min(box[3], arena.height) // SQUARE)
     found = [squares.get((column, row)) for column in range(west, east + 1) for row in range(south, north + 1)]
@@ -180,7 +180,7 @@ def least_density(clutter_density: float, birth: BirthSettings) -> float:
 
 def measurement_births(
     scan: Scan,
-    per_copy: np.ndarray,
+    per_particle: np.ndarray,
     labels: np.ndarray,
     tick: int,
     seed: int,
@@ -189,24 +189,24 @@ def measurement_births(
     birth: BirthSettings,
     own_pose: PoseSettings = EXACT,
 ) -> Particles:
-    """`copies` new particles around each detection, of weight `per_copy` (M,) and with the labels (M,) of the detections.
+    """New particles around each detection, of weight `per_particle` (M,) and with the labels (M,) of the detections.
 
-    Ids and offsets from the detection are pure functions of (seed, sensor, detection number, tick, copy).
+    Ids and offsets from the detection are pure functions of (seed, sensor, detection number, tick, number of the particle).
     """
-    copies = birth.copies
-    numbers = np.repeat(scan.numbers * np.uint64(copies), copies) + np.tile(np.arange(copies, dtype=np.uint64), len(scan.numbers))
+    count = birth.measurement_particles
+    numbers = np.repeat(scan.numbers * np.uint64(count), count) + np.tile(np.arange(count, dtype=np.uint64), len(scan.numbers))
     ids = scramble(numbers, key(seed, "birth", tick, scan.salt))
-    places = np.repeat(scan.detections, copies, axis=0)
+    places = np.repeat(scan.detections, count, axis=0)
     if scan.rays is not None:
         scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), own_pose)
-        places = birth_places(ids, scan.pose, places, np.repeat(scan.rays, copies, axis=0), scan.sensor.reach, scan_noise)
+        places = birth_places(ids, scan.pose, places, np.repeat(scan.rays, count, axis=0), scan.sensor.reach, scan_noise)
     else:
         x, y = places[:, 0] + normal(scramble(ids, 1)) * noise, places[:, 1] + normal(scramble(ids, 2)) * noise
         places = np.column_stack([x, y])
     velocities = _directions(scramble(ids, 3)) * settings.speed
-    return Particles(np.column_stack([places, velocities]), np.repeat(per_copy, copies), ids, np.repeat(labels, copies))
+    return Particles(np.column_stack([places, velocities]), np.repeat(per_particle, count), ids, np.repeat(labels, count))
 
 
 def founded_labels(scan: Scan, tick: int, seed: int, birth: BirthSettings) -> np.ndarray:
-    """The labels (M,) that the detections of a scan found, each from the id of the first copy of its births."""
-    return birth_labels(scramble(scan.numbers * np.uint64(birth.copies), key(seed, "birth", tick, scan.salt)), tick)
+    """The labels (M,) that the detections of a scan found, each from the id of the first of its births."""
+    return birth_labels(scramble(scan.numbers * np.uint64(birth.measurement_particles), key(seed, "birth", tick, scan.salt)), tick)

@@ -18,7 +18,7 @@ from agents.gossip.table import GossipTable
 from agents.tracking import claims, gaussian_phd
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.extraction import Tracks, select_tracks
-from agents.tracking.gaussian_reduction import estimates, kept, merged
+from agents.tracking.gaussian_reduction import estimates, merged, reduced
 from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, pick, points, unpacked
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
@@ -63,7 +63,7 @@ class MixtureUpdate(NamedTuple):
 
     around: Mixture  # all components after all scans
     inside: Mixture  # those in the cell
-    kept: Mixture  # what is left of `inside` for the next gossip
+    reduced: Mixture  # the part of `inside` for the next gossip
     mass: float
     east: float
     north: float
@@ -96,7 +96,7 @@ def received_mixture(received: GossipTable | Mixture) -> Mixture:
 
 def draw(inside: Mixture, step: Step) -> Mixture:
     """What an owner states of the components in its cell: the heaviest, as exactly as on the wire."""
-    return unpacked(packed(kept(inside, step.config.mixture)))
+    return unpacked(packed(reduced(inside, step.config.mixture)))
 
 
 def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
@@ -145,8 +145,8 @@ class MixturePhd(NamedTuple):
         """See `Tracker.weighted_points`."""
         return points(received_mixture(received))
 
-    def predict(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
-        """See `Tracker.predict`: all components become copies, and move by the missed ticks."""
+    def catch_up(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
+        """See `Tracker.catch_up`: all components become copies, and move by the missed ticks."""
         if belief.stamp >= step.tick - 1:
             return belief
         released = _released(belief)
@@ -210,7 +210,7 @@ class MixturePhd(NamedTuple):
         if diagram.horizon < math.inf:
             others &= geometry.distances(region.polygon, means) <= diagram.horizon
         copies = in_order(pick(update.around, others))
-        mine = OwnedMixture(region.owner, region.claim, update.kept, diagram.view)
+        mine = OwnedMixture(region.owner, region.claim, update.reduced, diagram.view)
         return MixtureBelief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)
 
 

@@ -64,7 +64,7 @@ def _moved(mixture: Mixture, step: Step) -> Mixture:
     """The components after a step of constant speed whose heading turns by a normal angle: its first two moments."""
     filters, dt = step.config.filter, step.config.run.dt
     turning = filters.heading_noise**2 * dt
-    kept, mixed = math.exp(-0.5 * turning), 0.5 * (1.0 - math.exp(-2.0 * turning))
+    remaining, mixed = math.exp(-0.5 * turning), 0.5 * (1.0 - math.exp(-2.0 * turning))
     velocity, before = mixture.means[:, 2:], mixture.covariances
     second = before[:, 2:, 2:] + velocity[:, :, None] * velocity[:, None, :]
     scale = filters.speed / np.sqrt(np.maximum(second[:, 0, 0] + second[:, 1, 1], 1e-12))
@@ -72,8 +72,8 @@ def _moved(mixture: Mixture, step: Step) -> Mixture:
     turned[:, 0, 0], turned[:, 1, 1] = second[:, 1, 1], second[:, 0, 0]
     turned[:, 0, 1] = turned[:, 1, 0] = -second[:, 0, 1]
     second = ((1.0 - mixed) * second + mixed * turned) * (scale * scale)[:, None, None]
-    velocity = velocity * (kept * scale)[:, None]
-    after, cross = np.empty_like(before), before[:, :2, 2:] * (kept * scale)[:, None, None]
+    velocity = velocity * (remaining * scale)[:, None]
+    after, cross = np.empty_like(before), before[:, :2, 2:] * (remaining * scale)[:, None, None]
     after[:, 2:, 2:] = second - velocity[:, :, None] * velocity[:, None, :]
     cross = cross + dt * after[:, 2:, 2:]
     after[:, :2, 2:], after[:, 2:, :2] = cross, cross.transpose(0, 2, 1)
@@ -155,9 +155,9 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
         gained = gained + shares[:, number] / norms[number]
     born = _births(scan, noise, fresh / norms, step)
     left = missed(near, seen, gained, scan.detections, born.weights, config)
-    kept = np.ones(len(mixture.ids), dtype=bool)
-    kept[close] = (left.weights >= config.mixture.pruned) | (mean_of(seen) < 0.5)
-    parts = [pick(_put(mixture, np.flatnonzero(close), left), kept)]
+    stays = np.ones(len(mixture.ids), dtype=bool)
+    stays[close] = (left.weights >= config.mixture.pruned) | (mean_of(seen) < 0.5)
+    parts = [pick(_put(mixture, np.flatnonzero(close), left), stays)]
     return chain([*parts, *(pick(part, part.weights >= config.mixture.pruned) for part in (found, born))])
 
 

@@ -85,7 +85,7 @@ def _moments(group: Mixture, mass: float) -> tuple[np.ndarray, np.ndarray]:
     return mean, covariance
 
 
-def kept(mixture: Mixture, settings: MixtureSettings) -> Mixture:
+def reduced(mixture: Mixture, settings: MixtureSettings) -> Mixture:
     """The heaviest components, `most_components` at most and none lighter than `pruned`, scaled to the mass of all; the order stays."""
     mass = total(mixture.weights)
     if not mass > 0.0:

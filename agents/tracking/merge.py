@@ -1,6 +1,6 @@
-"""Copies of the particles of other agents: the copies kept after a round, and their merge with received particles.
+"""Copies of the particles of other agents: the copies after a round, and their merge with received particles.
 
-Rules. A received particle replaces a copy with the same id. Copies are kept only with mass, inside the arena and within the horizon.
+Rules. A received particle replaces a copy with the same id. Copies remain only with mass, inside the arena and within the horizon.
 Compiled twins: agents/compiled/merge_kernels.py.
 """
 
@@ -31,6 +31,6 @@ def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, cla
     return select(copies, copies.weights > 0.0)
 
 
-def merge(received: Particles, kept: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
-    """The `kept` received particles and the `free` copies in canonical order; a received particle replaces a copy with the same id."""
-    return canonical(join([select(received, kept), select(copies, free)]))
+def merge(received: Particles, counts: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
+    """The `counts` received particles and the `free` copies in canonical order; a received particle replaces a copy with the same id."""
+    return canonical(join([select(received, counts), select(copies, free)]))

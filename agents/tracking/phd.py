@@ -93,15 +93,15 @@ def update(
 
     For each scan with clutter density kappa: w <- w m + sum over detections z of w p_d g(z) / (kappa + p_d(z) b(z) +
     sum of w p_d g(z)), with m the factor of a miss (`missed`), g a Gaussian cut at `gate` standard deviations, and b(z) the density
-    of targets not yet represented. The term p_d b(z) becomes `copies` new particles around z.
+    of targets not yet represented. The term p_d b(z) becomes `birth.measurement_particles` new particles around z.
     """
     predicted = particles
     for scan in scans:
         founded = founded_labels(scan, tick, seed, birth)
-        corrected, per_copy, labels, given = correct(particles, predicted, scan, founded, noise, settings, birth, own_pose)
+        corrected, per_particle, labels, given = correct(particles, predicted, scan, founded, noise, settings, birth, own_pose)
         particles = Particles(particles.states, corrected, particles.ids, labels)
         if birth.measurement and len(scan.detections):
-            born = measurement_births(scan, per_copy, given, tick, seed, noise, settings, birth, own_pose)
+            born = measurement_births(scan, per_particle, given, tick, seed, noise, settings, birth, own_pose)
             particles = join([particles, born])
     return particles
 
@@ -143,7 +143,7 @@ def correct(
     born = fresh / norms
     corrected = particles.weights * missed(particles, probability, gained, scan.detections, born, settings) + gained
     labels, given = _labels_after(particles.labels, corrected, shares, norms, founded if birth.measurement else np.zeros_like(founded))
-    return corrected, born / birth.copies, labels, given
+    return corrected, born / birth.measurement_particles, labels, given
 
 
 def _labels_after(
@@ -207,8 +207,8 @@ def sample_offset(seed: int, owner: str, tick: int) -> float:
 def resample(particles: Particles, owner: str, tick: int, seed: int, settings: FilterSettings) -> Particles:
     """Equally weighted particles of the same mass: systematic resampling with one uniform keyed by (seed, owner, tick).
 
-    The first copy of a particle keeps its id, and further copies get new ids. States are rounded to the precision of the wire, so
-    that the owner holds exactly the particles of its gossip. Ids ascend. All copies keep the label.
+    The first draw of a particle keeps its id, and further draws get new ids. States are rounded to the precision of the wire, so
+    that the owner holds exactly the particles of its gossip. Ids ascend. All draws keep the label.
     """
     sums = np.add.accumulate(particles.weights)
     mass = float(sums[-1]) if len(sums) else 0.0
@@ -217,9 +217,9 @@ def resample(particles: Particles, owner: str, tick: int, seed: int, settings: F
     count = sample_size(mass, settings)
     marks = (np.arange(count) + sample_offset(seed, owner, tick)) * (mass / count)
     parents = np.minimum(np.searchsorted(sums, marks, side="right"), len(sums) - 1)
-    copies = np.arange(count) - np.searchsorted(parents, parents, side="left")
+    repeats = np.arange(count) - np.searchsorted(parents, parents, side="left")
     ids = particles.ids[parents]
-    again = copies > 0
-    ids[again] = scramble(ids[again] + copies[again].astype(np.uint64), key(seed, "split", tick))
+    again = repeats > 0
+    ids[again] = scramble(ids[again] + repeats[again].astype(np.uint64), key(seed, "split", tick))
     states = particles.states[parents].astype(WIRE).astype(float)
     return canonical(Particles(states, np.full(count, mass / count), ids, particles.labels[parents]))

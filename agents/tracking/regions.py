@@ -29,7 +29,7 @@ class RegionUpdate(NamedTuple):
 
     updated: Particles  # within the halo of the cell, after all scans
     own: Particles  # those in the cell
-    kept: Particles  # resampled from `own`
+    resampled: Particles  # drawn from `own`
     mass: float  # in the cell, expected targets
     east: float  # the mass-weighted sums of x and y in the cell, m (17)
     north: float
@@ -57,12 +57,12 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     mass, east, north = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)
     far_load, far_detected = in_view(seen, region.sensor, region.pose)
-    kept = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
+    resampled = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
     tracks = NO_TRACKS
     if claim.names:
         tracks = estimate_tracks(updated, config.extraction)
         tracks = select_tracks(tracks, claims.owned(tracks.positions, claim, config.arena))
-    return RegionUpdate(updated, own, kept, mass, east, north, near_load + far_load, near_detected + far_detected, tracks)
+    return RegionUpdate(updated, own, resampled, mass, east, north, near_load + far_load, near_detected + far_detected, tracks)
 
 
 def predict(particles: Particles, step: Step) -> Particles:

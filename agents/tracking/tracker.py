@@ -130,8 +130,8 @@ class Tracker(Protocol[B, R, U]):
     def weighted_points(self, received: R | GossipTable) -> Particles:
         """The density that counts as weighted points, for control laws that search."""
 
-    def predict(self, belief: B, step: Step) -> B:
-        """Catch up after missed rounds: the belief at the tick before `step.tick`, which claims nothing. `update` predicts the rest."""
+    def catch_up(self, belief: B, step: Step) -> B:
+        """The belief after missed rounds: that at the tick before `step.tick`, which claims nothing. `update` predicts the rest."""
 
     def hold(self, belief: B, step: Step) -> B:
         """The belief at the tick before `step.tick`, of an agent that skipped rounds: it holds its claim."""

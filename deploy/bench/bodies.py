@@ -17,7 +17,7 @@ from deploy.bench.timing import BenchRow, cpu_seconds, table
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.streams import stream
 from world.physical_bodies import PhysicalBodies
 

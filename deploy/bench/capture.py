@@ -9,8 +9,9 @@ from deploy.scenario import Scenario
 from deploy.simulation import Simulation
 from protocol import codec
 from protocol.keys import all_of, message_key, order
-from protocol.messages import Gossip, Truth
+from protocol.messages import Gossip
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
+from protocol.observer_messages import Truth
 
 
 class Captured(NamedTuple):
@@ -18,7 +19,7 @@ class Captured(NamedTuple):
 
     me: AgentContext
     last: RoundResult
-    neighbours: PeerTable
+    peer_table: PeerTable
     mine: Gossip
     heard: dict[str, Gossip]
 
@@ -62,8 +63,8 @@ def capture(scenario: Scenario, tick: int) -> list[Captured]:
     names = sorted(collector.gossips, key=order)
     rounds = []
     for name, agent in simulation.agents.items():
-        heard = {other: collector.gossips[other] for other in names if other != name and other in agent.neighbours.peers}
-        rounds.append(Captured(agent.context, lasts[name], agent.neighbours, collector.gossips[name], heard))
+        heard = {other: collector.gossips[other] for other in names if other != name and other in agent.peer_table.peers}
+        rounds.append(Captured(agent.context, lasts[name], agent.peer_table, collector.gossips[name], heard))
     return rounds
 
 

@@ -56,7 +56,7 @@ class Central:
         for member in self._team:
             self._bodies.place(member.name, start_pose(member.name, config.bodies, arena, run.seed))
         mass = scenario.filter.prior_density * arena.width * arena.height
-        self._particles = prior(self._config.dice, round(scenario.filter.particles_per_target * mass), scenario.filter, arena)
+        self._particles = prior(self._config.shared_seed, round(scenario.filter.particles_per_target * mass), scenario.filter, arena)
         self._unused = [member.facts.capability for member in self._team]
         self._corners, self._tick, self._law = rectangle(arena.width, arena.height), 0, Lloyd()
 
@@ -118,7 +118,7 @@ class Central:
         velocity, turn_rate = self._law.command(
             Situation(
                 name=member.name,
-                seed=self._config.dice,
+                seed=self._config.shared_seed,
                 tick=self._tick,
                 dt=scenario.run.dt,
                 pose=pose,

@@ -48,12 +48,12 @@ def main() -> None:
     command_line.main()
 
 
-def play(me: AgentContext, last: RoundResult, neighbours: PeerTable, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
+def play(me: AgentContext, last: RoundResult, peer_table: PeerTable, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
     """The outcome of a round in which nothing was computed."""
     config = me.config
     names = (me.name, *list(heard)[:BOUNDS])
     bounds = np.array([(*mine.cod, mine.power_radius), *([(0.0, 0.0, 1.0)] * (len(names) - 1))])
-    everybody = max(len(config.members), len(neighbours.peers) + 1)
+    everybody = max(len(config.members), len(peer_table.peers) + 1)
     count = round(PARTICLES / everybody)
     states = np.tile(np.array([*mine.cod, 1.0, 1.0]), (count, 1))
     owned = unlabelled(states, np.full(count, 1.0 / count), np.arange(1, count + 1, dtype=np.uint64))

@@ -21,8 +21,9 @@ from deploy.cli.errors import guarded
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import Simulation, rare_collections
 from protocol.measuring import places_of
-from protocol.messages import Observation, Truth
+from protocol.messages import Observation
 from protocol.node import Event, messages_of
+from protocol.observer_messages import Truth
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import BadSetting, sensor_of
 from world.score import ospa

@@ -49,7 +49,7 @@ def recorded(backend: Backend, calls: dict[str, list[Call]]) -> Backend:
 
 def read(captured: Captured) -> None:
     """Put what was said side by side."""
-    me, peers = captured.me, captured.neighbours.peers
+    me, peers = captured.me, captured.peer_table.peers
     forget()
     own = announced_sensor(me.name, me.sensor, me.config.detection.clutter)
     sensors = [own, *(peers[name].announced for name in captured.heard)]
@@ -121,19 +121,19 @@ def from_bytes(rounds: list[Captured]) -> BenchRow:
     """Milliseconds of CPU per round from the bytes of what was heard to the outcome, and how much of it goes by until all is accepted."""
     whole_times, accepted = [], []
     for captured in cold(rounds):
-        run, neighbours = captured.me.config.run.name, captured.neighbours
+        run, peer_table = captured.me.config.run.name, captured.peer_table
         arrivals = [(message_key(run, gossip), codec.encode(gossip)) for gossip in captured.heard.values()]
 
-        def accept(arrivals: list[tuple[str, bytes]] = arrivals, neighbours: PeerTable = neighbours) -> None:
+        def accept(arrivals: list[tuple[str, bytes]] = arrivals, peer_table: PeerTable = peer_table) -> None:
             forget()
-            neighbours.inbox = RoundInbox()
-            reasons = neighbours.accept(Batch([one for one in codec.decode_all(arrivals) if isinstance(one, Gossip)]))
+            peer_table.inbox = RoundInbox()
+            reasons = peer_table.accept(Batch([one for one in codec.decode_all(arrivals) if isinstance(one, Gossip)]))
             if any(reasons):
                 raise RuntimeError(f"a captured gossip was refused: {', '.join(sorted(set(reasons)))}")
 
         def round_of(captured: Captured = captured, accept: Callable[[], None] = accept) -> None:
             accept()
-            run_round(*captured._replace(heard=captured.neighbours.fresh(captured.mine.tick)))
+            run_round(*captured._replace(heard=captured.peer_table.fresh(captured.mine.tick)))
 
         accepted.append(median_seconds(accept))
         whole_times.append(median_seconds(round_of))

@@ -15,8 +15,8 @@ from deploy.bench import central
 from deploy.bench.timing import BenchRow, in_turns
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation, compiled
-from protocol.messages import Truth
 from protocol.node import Effect, Event
+from protocol.observer_messages import Truth
 
 AREA_PER_AGENT = 10000.0 / 48.0  # m^2, as team 5 has
 INSIDE = 60.0  # m from every edge of the arena: who is farther from them is counted apart
@@ -158,13 +158,13 @@ def _add(scenario: Scenario, sums: _Sums) -> None:
             marks.append((time.process_time(), simulation.bus.deliveries, simulation.bus.messages, simulation.bus.bytes))
         for agent in simulation.agents.values():
             assert isinstance(agent, Timed)
-            if SETTLED < truth.tick <= END and len(agent.neighbours.interest_set) in ALIKE:
+            if SETTLED < truth.tick <= END and len(agent.peer_table.interest_set) in ALIKE:
                 sums.alike.append(agent.spent)
             agent.spent = 0.0
         if truth.tick == END:
             x, y, _ = truth.poses.T
             far = np.minimum(np.minimum(x, y), np.minimum(scenario.arena.width - x, scenario.arena.height - y)) > INSIDE
-            sums.inside.extend(len(simulation.agents[name].neighbours.interest_set) for name in compress(truth.bodies, far.tolist()))
+            sums.inside.extend(len(simulation.agents[name].peer_table.interest_set) for name in compress(truth.bodies, far.tolist()))
 
     simulation.on_truth = mark
     simulation.run()
@@ -174,6 +174,6 @@ def _add(scenario: Scenario, sums: _Sums) -> None:
     sums.start += first - begun
     sums.spent += last - first
     sums.deliveries, sums.messages, sums.bytes = sums.deliveries + deliveries, sums.messages + messages, sums.bytes + size
-    sums.heard += sum(len(agent.neighbours.interest_set) for agent in agents)
-    sums.known += sum(len(agent.neighbours.peers) for agent in agents)
-    sums.certified += sum(agent.neighbours.certified for agent in agents)
+    sums.heard += sum(len(agent.peer_table.interest_set) for agent in agents)
+    sums.known += sum(len(agent.peer_table.peers) for agent in agents)
+    sums.certified += sum(agent.peer_table.certified for agent in agents)

@@ -11,7 +11,7 @@ from msgspec import structs
 from deploy.scenario import Scenario, resolve
 from deploy.storage.run_directory import RunDirectory, find_running
 from protocol.keys import ROOT, message_key
-from protocol.messages import Message
+from protocol.message import Message
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.settings import BadSetting, load
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from deploy.cli.listener import KeyedPayload
-from protocol.messages import Message
+from protocol.message import Message
 
 
 def fields(message: Message) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from deploy.scenario import Scenario, named
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from deploy.storage.kept_runs import link_latest, new_run_directory
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 
 
 def simulate_here(

@@ -27,7 +27,8 @@ from protocol.agreement import disagreement
 from protocol.endpoints import check_endpoints, check_files
 from protocol.fields import Malformed
 from protocol.keys import ROOT, Token, order, parse_token
-from protocol.messages import WIRE_VERSION, Agreed, Hello
+from protocol.message import WIRE_VERSION, Agreed
+from protocol.messages import Hello
 from protocol.settings import BadSetting, NetworkSettings
 
 REACH_SECONDS = 3.0  # for a connection to one seed

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 
-from protocol.messages import Vector
+from protocol.message import Vector
 from protocol.sensing import Pose
 from protocol.settings import BadSetting
 from world.config import WorldConfig

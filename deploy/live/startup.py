@@ -12,7 +12,7 @@ from agents.compiled.cache import loops_on_disk, number_of_loops
 from deploy.live.processes import Child
 from deploy.live.zygote import Zygote
 from deploy.scoring.scorer import Scorer
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 
 HOLD = 20.0  # s at most for which the last agent is held back without a new process heard by the monitor
 LOOK = 0.05  # s between two looks at the zygote while it prepares

@@ -31,7 +31,7 @@ from protocol.codec import encode
 from protocol.endpoints import check_endpoints, check_files
 from protocol.links import as_line
 from protocol.live import Driver
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting, NetworkSettings
 
 GRACE = 2.5  # s for children to end by themselves

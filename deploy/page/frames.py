@@ -16,7 +16,7 @@ import numpy as np
 from deploy.page.picture import Happening, KnownAgent, Picture, silent_after
 from deploy.scoring.scorer import Score
 from protocol.keys import order
-from protocol.messages import Estimate
+from protocol.observer_messages import Estimate
 
 LONGEST_SIDE = 128  # squares of the density grid
 FULL_DENSITY = 0.25  # expected targets per m^2 at which the grid is at 63 % of its range,

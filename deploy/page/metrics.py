@@ -10,7 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 from deploy.page.picture import KnownAgent, Picture
 from deploy.scoring.scores import Score
-from protocol.messages import Estimate
+from protocol.observer_messages import Estimate
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 STATES = ("waiting", "alive", "listening", "silent", "paused", "dead")

@@ -17,8 +17,9 @@ from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
 from protocol.keys import order
 from protocol.measuring import places_of
-from protocol.messages import Estimate, Gossip, Hello, Observation, Truth
+from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Event, Gone, Received, Rejected
+from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
 

@@ -23,7 +23,8 @@ from deploy.plots.round_figure import round_figure
 from deploy.plots.run_figures import ESTIMATE, GONE, MUTED, STYLE, pictures
 from deploy.recording.recording import Recording
 from deploy.scenario import Scenario
-from protocol.messages import Estimate, Gossip
+from protocol.messages import Gossip
+from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES, SensorModel
 from protocol.settings import BadSetting
 

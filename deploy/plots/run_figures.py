@@ -21,8 +21,8 @@ from PIL import Image, ImageColor  # comes with matplotlib
 from deploy.page.frames import density_grid
 from deploy.page.picture import Picture
 from deploy.recording.recording import Recording, event_of
-from protocol.messages import Truth
 from protocol.node import Received
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 STYLE: dict[Any, Any] = {

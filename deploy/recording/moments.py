@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 from deploy.page.picture import Picture
 from deploy.recording.recording import Recording, event_of
 from deploy.scoring.scorer import Score, Scorer
-from protocol.messages import Message, Truth
+from protocol.message import Message
 from protocol.node import Event, Received
+from protocol.observer_messages import Truth
 
 PALETTE = ("77aadd", "ee8866", "44bb99", "eedd88", "ffaabb", "99ddff", "bbcc33", "c9a4e0", "aaaa00")  # Paul Tol's "light"
 

@@ -29,8 +29,9 @@ from deploy.scoring.result import Fault
 from deploy.scoring.scorer import witness_of
 from protocol.codec import encode
 from protocol.keys import all_of, message_key, token_key
-from protocol.messages import KINDS, Truth
+from protocol.messages import KINDS
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
+from protocol.observer_messages import Truth
 
 FLUSH_SECONDS = 0.9
 CHUNK_SECONDS = 5.0  # of the world; larger chunks save nothing more

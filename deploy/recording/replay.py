@@ -18,7 +18,7 @@ from deploy.recording.recording import RecordedEntry, Recording, event_of
 from deploy.recording.rescore import rescore_slowly
 from deploy.scoring.scorer import Score, Scorer
 from protocol.keys import parse_message_key
-from protocol.messages import Message
+from protocol.message import Message
 from protocol.node import Effect, Event, Node, Received, Started, Timer
 from protocol.settings import BadSetting
 

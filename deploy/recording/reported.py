@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from deploy.recording.moments import messages
 from deploy.recording.recording import Recording
-from protocol.messages import Estimate, Truth
+from protocol.observer_messages import Estimate, Truth
 
 
 class ReportedTarget(NamedTuple):

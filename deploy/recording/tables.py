@@ -18,7 +18,8 @@ from deploy.scenario import Scenario
 from deploy.scoring.scorer import Scorer
 from protocol.geometry import polygon_area
 from protocol.measuring import places_of
-from protocol.messages import Estimate, Gossip, Truth
+from protocol.messages import Gossip
+from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import measurement_of
 from protocol.settings import sensor_of
 

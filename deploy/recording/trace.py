@@ -15,7 +15,7 @@ import numpy as np
 from deploy.installation import need_study_packages
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 KINDS = (".npz", ".parquet", ".csv")

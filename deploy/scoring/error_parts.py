@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from deploy.scenario import Scenario
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
 

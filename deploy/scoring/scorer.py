@@ -24,8 +24,9 @@ from protocol.agreement import disagreement
 from protocol.codec import encode
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
-from protocol.messages import Estimate, Gossip, Hello, Truth
+from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
+from protocol.observer_messages import Estimate, Truth
 from world.score import errors
 from world.witness import Witness
 

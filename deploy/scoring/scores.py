@@ -10,7 +10,7 @@ import shapely
 
 from deploy.scenario import Scenario
 from protocol.geometry import total_area
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
 

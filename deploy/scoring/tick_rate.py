@@ -6,7 +6,7 @@ from collections import deque
 
 from deploy.scenario import Scenario
 from deploy.scoring.status import TickRate
-from protocol.messages import Estimate
+from protocol.observer_messages import Estimate
 
 WINDOW = 5.0  # s of the clock over which the present rate is measured
 LEAST = 3.0  # s of data that a judgement needs

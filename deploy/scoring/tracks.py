@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.tracking.labels import NO_LABEL, derived_label
 from deploy.scenario import Scenario
-from protocol.messages import Estimate, Truth
+from protocol.observer_messages import Estimate, Truth
 from world.track_score import TrackTick, track_ospa, track_score
 
 WINDOW = 10.0  # s: OSPA(2) is the mean over windows of this length

@@ -18,8 +18,9 @@ from deploy.simulation import Simulation
 from deploy.verify.central_filter import CentralFilter, CentralMixture, mixture_difference, particle_difference, united
 from protocol.geometry import polygon_area
 from protocol.keys import all_of
-from protocol.messages import Command, Estimate, Gossip, Hello, Truth
+from protocol.messages import Command, Gossip, Hello
 from protocol.node import Alive, Effect, Event, Node, Received, Started, Subscribe
+from protocol.observer_messages import Estimate, Truth
 
 GENTLE = {"loss", "copies", "reorder", "freeze"}  # profiles under which the cells hardly move apart
 LOADS = {"starve", "freeze"}  # profiles in which nobody dies
@@ -109,7 +110,7 @@ class InvariantChecker:
                 f"tick {score.tick}: hole {score.hole:.4f}, overlap {score.overlap:.4f} though healed",
             )
         if set(self._kinds) <= LOADS:
-            given_up = sum(agent.neighbours.given_up for agent in self._simulation.agents.values())
+            given_up = sum(agent.peer_table.given_up for agent in self._simulation.agents.values())
             need(given_up == 0, f"{given_up} times a peer was given up though all were only late")
         if self._is_gentle:
             hole, overlap = float(np.mean([score.hole for score in scores])), float(np.mean([score.overlap for score in scores]))
@@ -136,7 +137,7 @@ class InvariantChecker:
 
     def _check_order(self, agent: Agent) -> None:
         """The newest gossip of a peer in closed rounds is never replaced by an older one of the same incarnation."""
-        own, last = (agent.name, agent.incarnation), agent.neighbours.inbox.last
+        own, last = (agent.name, agent.incarnation), agent.peer_table.inbox.last
         for name, (incarnation, tick) in self._last.get(own, {}).items():
             gossip = last.get(name)
             goes_back = gossip is not None and gossip.incarnation == incarnation and gossip.tick < tick
@@ -254,7 +255,7 @@ def check_round(agent: Agent, is_first: bool) -> None:
     arena = agent.config.arena
     need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
     need(not (is_first and outcome.belief.stamp > 0 and belief.mine.claim.names), f"{name}: a newcomer with a cell before it has listened")
-    need(len(agent.neighbours.inbox.rounds) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.neighbours.inbox.rounds)} ticks")
+    need(len(agent.peer_table.inbox.rounds) <= MOST_TICKS + 1, f"{name}: a queue of {len(agent.peer_table.inbox.rounds)} ticks")
     need(len(near.ids) <= 4 * MOST_COPIES, f"{name}: {len(near.ids)} copies")
 
 
@@ -263,9 +264,9 @@ def check_words(agent: Agent) -> None:
 
     One bad float could win every cell.
     """
-    carried = [peer.announced for peer in agent.neighbours.peers.values() if peer.announced is not None]
+    carried = [peer.announced for peer in agent.peer_table.peers.values() if peer.announced is not None]
     most = SLACK * max([agent.context.facts.capability, *(announced.facts.capability for announced in carried)])
-    for name, gossip in agent.neighbours.inbox.last.items():
+    for name, gossip in agent.peer_table.inbox.last.items():
         if gossip.tick == agent.outcome.belief.stamp:
             numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)
             need(all(map(math.isfinite, numbers)) and gossip.weight >= 0.0, f"{agent.name}: believes {numbers} of {name}")
@@ -275,9 +276,9 @@ def check_words(agent: Agent) -> None:
 
 def check_diagram(agent: Agent) -> None:
     """Every live peer that was heard in the last `SILENT_ROUNDS` rounds has a generator (rule 7)."""
-    belief, neighbours = agent.outcome.belief, agent.neighbours
-    for name, peer in neighbours.interest_set.items():
-        last = neighbours.inbox.last.get(name)
+    belief, peer_table = agent.outcome.belief, agent.peer_table
+    for name, peer in peer_table.interest_set.items():
+        last = peer_table.inbox.last.get(name)
         if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.left_at is not None:
             continue
         lately = belief.stamp - last.tick <= SILENT_ROUNDS
@@ -302,9 +303,9 @@ class Fingerprint(NamedTuple):
 
 def fingerprint(agent: Agent) -> Fingerprint:
     """The print of an agent; taking it changes nothing about how the agent keeps its gossips."""
-    neighbours = agent.neighbours
-    peers = {name: (p.incarnation, p.token, p.left_at, p.missed, p.announced is None) for name, p in neighbours.peers.items()}
-    return Fingerprint(agent.tick, id(agent.outcome), peers, held(neighbours.inbox))
+    peer_table = agent.peer_table
+    peers = {name: (p.incarnation, p.token, p.left_at, p.missed, p.announced is None) for name, p in peer_table.peers.items()}
+    return Fingerprint(agent.tick, id(agent.outcome), peers, held(peer_table.inbox))
 
 
 def held(inbox: RoundInbox) -> dict[str, tuple[object, ...]]:

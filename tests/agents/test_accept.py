@@ -10,7 +10,8 @@ from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
 from agents.membership.peer import TOLERANCE
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
-from protocol.messages import Gossip, Hello, Message, Observation
+from protocol.message import Message
+from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Batch, Gone, Started, Timer, received
 from protocol.sensing import SENSOR_CLASSES
 from tests.agents.test_peer_table import CONFIG, gossip, hear, hello, neighbours
@@ -39,7 +40,7 @@ def test_every_row_has_its_reason_and_spoils_no_other() -> None:
     rows = [
         (gossip("s1", 1), OWN),
         (gossip("s2", 1, incarnation=0), "incarnation"),
-        (gossip("s2", 0), "stale"),
+        (gossip("s2", 0), "closed"),
         (gossip("s2", 1, radius=100.0), "bounds"),
         (gossip("s9", 1), "stranger"),
         (gossip("s4", 1), "dead"),
@@ -138,7 +139,7 @@ def test_how_gossips_are_cut_into_batches_changes_nothing(seed: int) -> None:
                 event = dice.choice([Gone, Alive])("agent", other, 1)
                 assert first.handle(event, now + 2.0) == second.handle(event, now + 2.0)
             assert first.handle(Timer(), now + 9.0) == second.handle(Timer(), now + 9.0)
-            assert first.counters == second.counters and first.neighbours.peers == second.neighbours.peers
+            assert first.counters == second.counters and first.peer_table.peers == second.peer_table.peers
 
 
 def test_every_gossip_that_is_heard_passes_the_one_accept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,13 +5,16 @@ import math
 import msgspec
 import pytest
 
-from agents.agent import EXIT_FENCED, Agent
+from agents.agent import Agent
 from agents.config import AgentConfig, ControlSettings, TimingSettings
 from agents.coverage.control import ControlInput, Situation
 from agents.membership.announcements import CROWD, EARLY, SOON
+from agents.membership.membership import EXIT_FENCED
 from protocol.agreement import whole
-from protocol.messages import Beacon, Command, Estimate, Gossip, Hello, Message, Observation
+from protocol.message import Message
+from protocol.messages import Beacon, Command, Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
+from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings, RunSettings
 
@@ -171,7 +174,7 @@ def test_an_old_observation_and_an_old_world_change_nothing() -> None:
     agent.handle(see(5, incarnation=2), 1.0)
     assert agent.handle(see(5, incarnation=2), 1.1) == [] and agent.handle(see(4, incarnation=2), 1.1) == []
     assert agent.handle(see(9, incarnation=1), 1.1) == []
-    assert agent.counters["rejected.stale"] == 3 and agent.tick == 5
+    assert agent.counters["rejected.old_observation"] == 3 and agent.tick == 5
 
 
 def test_a_newcomer_listens_until_it_has_heard_everybody() -> None:
@@ -333,5 +336,5 @@ def test_a_beacon_of_other_settings_is_refused() -> None:
     )
     for settings, known in [(right ^ 2, set()), (0, {"s2"}), (right, {"s2", "s3"})]:
         agent.handle(received(msgspec.structs.replace(seen, sender="s3" if settings == right else "s2", settings=settings)), 0.1)
-        assert agent.neighbours.peers.keys() == known
+        assert agent.peer_table.peers.keys() == known
     assert agent.counters["rejected.settings"] == 1

@@ -161,7 +161,7 @@ def test_of_too_many_copies_the_lightest_are_given_up() -> None:
 def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> None:
     own, copies = particles((1, 20.0, 0.1)), particles((2, 80.0, 0.2))
     asleep = Belief(4, share("s1", own), Copies(copies), frozenset({"s1"}))
-    awake = TRACKER.predict(asleep, Step(CONFIG, 8))
+    awake = TRACKER.catch_up(asleep, Step(CONFIG, 8))
     expected = canonical(join([own, copies]))
     for tick in (5, 6, 7):
         expected = predict(expected, Step(CONFIG, tick))
@@ -171,7 +171,7 @@ def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> Non
 
 def test_who_missed_nothing_is_not_woken() -> None:
     belief = Belief(4, share("s1", NONE), Copies(NONE), frozenset({"s1"}))
-    assert TRACKER.predict(belief, Step(CONFIG, 5)) is belief
+    assert TRACKER.catch_up(belief, Step(CONFIG, 5)) is belief
 
 
 def test_at_the_start_everybody_holds_the_prior_and_nobody_owns_anything() -> None:

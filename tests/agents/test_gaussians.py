@@ -8,7 +8,7 @@ import pytest
 from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSettings
 from agents.tracking import gaussian_phd
 from agents.tracking.births import Scan
-from agents.tracking.gaussian_reduction import estimates, kept, merged
+from agents.tracking.gaussian_reduction import estimates, merged, reduced
 from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked
 from agents.tracking.step import Step
 from protocol.sensing import Pose, WedgeSensor
@@ -168,7 +168,7 @@ def test_components_far_apart_in_place_in_velocity_or_in_size_stay_two() -> None
 
 def test_light_components_are_dropped_and_the_mass_is_kept() -> None:
     mixture = chain([component(float(x), 1.0, 1.0, weight=weight, id=x) for x, weight in ((1, 0.5), (2, 1e-6), (3, 0.3), (4, 0.2))])
-    left = kept(mixture, MixtureSettings(pruned=1e-4, most_components=2))
+    left = reduced(mixture, MixtureSettings(pruned=1e-4, most_components=2))
     assert left.ids.tolist() == [1, 3]
     assert left.weights.sum() == pytest.approx(mixture.weights.sum()) and left.weights[0] / left.weights[1] == pytest.approx(5.0 / 3.0)
 

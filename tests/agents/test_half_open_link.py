@@ -9,7 +9,8 @@ from agents.membership.half_open_link import HalfOpenLinkDetector, LagDetector
 from deploy.simulation import Simulation
 from protocol.failure_detector import FIRST_REST, PATIENCE
 from protocol.fields import pack
-from protocol.messages import Gossip, Truth
+from protocol.messages import Gossip
+from protocol.observer_messages import Truth
 from tests.swarm.scene import ledger
 
 

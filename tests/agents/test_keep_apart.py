@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.coverage.keep_apart import CLEARANCE, bound, keep_apart, nearest
-from protocol.messages import Vector
+from protocol.message import Vector
 from protocol.settings import LimitSettings
 
 LIMITS = LimitSettings(speed=2.0, turn_rate=5.0, radius=0.2)

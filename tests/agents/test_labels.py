@@ -15,7 +15,8 @@ from agents.tracking.phd import resample, update
 from deploy.scoring.tracks import unique_labels
 from protocol.codec import decode, encode
 from protocol.fields import Malformed, pack, pack_labels, read_labels
-from protocol.messages import Estimate, Gossip
+from protocol.messages import Gossip
+from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
 
 FILTER = FilterSettings(vicinity=6.0)
@@ -57,7 +58,7 @@ def test_labels_of_later_ticks_are_larger_and_those_of_another_sensor_seed_or_de
 
 def test_births_beside_a_living_track_bear_its_label() -> None:
     born = seen(cloud(10.0, 10.0, 1.0, 9), (10.0, 10.0))
-    assert len(born.ids) == 50 + BIRTH.copies and set(born.labels.tolist()) == {9}
+    assert len(born.ids) == 50 + BIRTH.measurement_particles and set(born.labels.tolist()) == {9}
 
 
 def test_births_at_a_detection_that_the_track_hardly_explains_found_a_label_of_their_own() -> None:

@@ -17,7 +17,7 @@ def play(lag: Lag, ticks: range, delay: float, needs: tuple[int, ...] = (), late
             arrived, of = arrivals.pop(0)
             lag.hear(of, max(arrived, of * PERIOD))
         lag.close(tick, needs, tick * PERIOD + TIMEOUT)
-        kept.append(lag.kept)
+        kept.append(lag.current)
     return kept
 
 
@@ -71,4 +71,4 @@ def test_what_was_measured_before_a_stall_is_forgotten() -> None:
     play(lag, range(8), 1.0)
     lag.forget()
     lag.close(8, [], 4.0)
-    assert lag.need == 0 and lag.kept == 0
+    assert lag.need == 0 and lag.current == 0

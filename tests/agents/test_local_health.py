@@ -71,11 +71,11 @@ def test_silence_counts_only_in_rounds_in_which_the_agent_was_served() -> None:
     for tick in range(2, 40):  # an agent that is late in every round: its timer comes when the next observation is there
         agent.handle(see(tick), 5.0 * tick)
         agent.handle(Timer(), 5.0 * tick + 4.0)
-    assert "s2" in agent.outcome.belief.everyone and agent.neighbours.given_up == 0
+    assert "s2" in agent.outcome.belief.everyone and agent.peer_table.given_up == 0
     for tick in range(40, 90):
         agent.handle(see(tick), 200.0 + 0.5 * tick)
         agent.handle(Timer(), 200.125 + 0.5 * tick)
-    assert "s2" not in agent.outcome.belief.everyone and agent.neighbours.given_up == 1
+    assert "s2" not in agent.outcome.belief.everyone and agent.peer_table.given_up == 1
 
 
 def test_a_gossip_ends_the_doubt() -> None:
@@ -83,4 +83,4 @@ def test_a_gossip_ends_the_doubt() -> None:
     for name in names:
         agent.handle(Gone("agent", name, 1), 4.0)
     agent.handle(word(2), 4.0)
-    assert not agent.neighbours.peers["s2"].doubted and agent.neighbours.peers["s3"].doubted
+    assert not agent.peer_table.peers["s2"].doubted and agent.peer_table.peers["s3"].doubted

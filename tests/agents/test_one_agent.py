@@ -12,8 +12,10 @@ from agents.agent import Agent
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, ControlSettings, FilterSettings, PartitionSettings, TimingSettings
 from deploy.simulation import compiled
-from protocol.messages import Command, Estimate, Gossip, Message, Observation
+from protocol.message import Message
+from protocol.messages import Command, Gossip, Observation
 from protocol.node import received
+from protocol.observer_messages import Estimate
 from protocol.settings import ArenaSettings, LimitSettings, RunSettings, SensorSettings
 
 WIDTH, HEIGHT, DT = 40.0, 30.0, 0.5

@@ -10,7 +10,7 @@ def play(pace: Pace, ticks: range, busy: float, needs: list[int] | None = None, 
     kept, free = [], 0.0
     for tick in ticks:
         now = max(tick * PERIOD + lag, free)
-        if now >= (tick + 1) * PERIOD + lag and pace.kept == 1:
+        if now >= (tick + 1) * PERIOD + lag and pace.current == 1:
             continue  # an agent that plays every tick takes the newest observation only
         pace.observe(tick, now)
         if not pace.plays(tick):
@@ -19,7 +19,7 @@ def play(pace: Pace, ticks: range, busy: float, needs: list[int] | None = None, 
         pace.spend(busy)
         free = now + busy
         pace.close(needs or [])
-        kept.append(pace.kept)
+        kept.append(pace.current)
     return kept
 
 

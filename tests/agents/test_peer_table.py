@@ -162,7 +162,7 @@ def test_a_gossip_of_a_closed_round_is_stale() -> None:
     peers = neighbours("s2")
     hear(peers, gossip("s2", 3))
     peers.close(3)
-    assert hear(peers, gossip("s2", 3)) == "stale" and hear(peers, gossip("s2", 2)) == "stale"
+    assert hear(peers, gossip("s2", 3)) == "closed" and hear(peers, gossip("s2", 2)) == "closed"
 
 
 def test_a_gossip_beyond_what_its_sensor_can_do_is_refused() -> None:

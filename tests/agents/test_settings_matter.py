@@ -60,7 +60,7 @@ CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the 
     "filter.compact": True,
     "birth.background": False,
     "birth.measurement": False,
-    "birth.copies": 5,
+    "birth.measurement_particles": 5,
     "birth.radius": 1.0,
     "birth.least_density": 0.0008,
     "birth.least_share": 0.001,

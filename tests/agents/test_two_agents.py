@@ -6,8 +6,9 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
-from protocol.messages import Estimate, Gossip, Hello, Observation
+from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Started, Timer, received
+from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, RunSettings
 
@@ -52,7 +53,7 @@ def test_a_round_waits_for_a_late_word_as_long_as_the_setting_says(share: float)
         hear(agent, 0, 100.0)
         see(agent, 1, 101.0)
         agent.handle(Timer(), 101.0)  # it asks to be called back at once
-        agent._announcements.due = agent._health.due = None  # what else it would wake up for
+        agent.membership.announcements.due = agent._health.due = None  # what else it would wake up for
         assert agent.deadline() == pytest.approx(101.0 + share * period)
 
 

@@ -10,7 +10,7 @@ from deploy.scoring.error_parts import ErrorParts, Parts
 from deploy.studies.ablation import gains, lines
 from deploy.studies.design import design, plan
 from protocol.fields import pack
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from world.score import gospa, ospa
 
 

@@ -26,7 +26,7 @@ from deploy.recording.rerun_file import write_rerun
 from deploy.recording.tables import tables, write_tables
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 Run = tuple[Simulation, Recording]

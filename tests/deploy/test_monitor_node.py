@@ -11,8 +11,10 @@ from deploy.scenario import Scenario, agent_config, resolve
 from deploy.scoring.scorer import Scorer, hole_and_overlap
 from protocol.fields import pack
 from protocol.geometry import polygon_area
-from protocol.messages import Agreed, Estimate, Gossip, Hello, Truth
+from protocol.message import Agreed
+from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Gone, Received, Started, Subscribe, received
+from protocol.observer_messages import Estimate, Truth
 
 LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])
 RIGHT = np.add(LEFT, [5.0, 0.0])

@@ -12,8 +12,10 @@ from deploy.page.picture import Picture, silent_after
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
 from protocol.fields import pack
-from protocol.messages import Gossip, Hello, Message, Truth
+from protocol.message import Message
+from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Gone, Rejected, received
+from protocol.observer_messages import Truth
 
 
 def scenario(**more: object) -> Scenario:

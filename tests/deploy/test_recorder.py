@@ -22,8 +22,10 @@ from deploy.scoring.result import Fault, Result
 from deploy.simulation import Simulation
 from protocol import codec
 from protocol.keys import message_key
-from protocol.messages import KINDS, Command, Message, Truth
+from protocol.message import Message
+from protocol.messages import KINDS, Command
 from protocol.node import Alive, Gone, Received, Rejected, messages_of, received
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 ROOT = Path(__file__).resolve().parents[2]

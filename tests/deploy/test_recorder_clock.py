@@ -6,8 +6,10 @@ from deploy.recording.recorder import Recorder
 from deploy.recording.recording import Recording
 from deploy.scenario import resolve
 from protocol import codec
-from protocol.messages import Command, Message, Truth
+from protocol.message import Message
+from protocol.messages import Command
 from protocol.node import received
+from protocol.observer_messages import Truth
 
 
 def test_what_is_heard_is_stamped_with_the_worlds_time_and_with_the_walls(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from deploy.recording.recording import Recording
 from deploy.recording.replay import ReplayNode, ReplaySource
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
-from protocol.messages import Command, Message
+from protocol.message import Message
+from protocol.messages import Command
 from protocol.node import Started, Timer
 from protocol.settings import BadSetting
 

@@ -6,7 +6,7 @@ import pytest
 from deploy.scenario import Scenario, resolve
 from deploy.scoring.scores import Coverage, Score, hole_and_overlap, share_in_view, steady_part, why
 from protocol.fields import pack
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.sensing import SENSOR_CLASSES
 
 

@@ -9,7 +9,7 @@ from deploy.cli.display import tick_rate_words
 from deploy.scenario import Scenario, resolve
 from deploy.scoring.status import TickRate
 from deploy.scoring.tick_rate import TickRateMeter, asked_per_s, too_small
-from protocol.messages import Estimate
+from protocol.observer_messages import Estimate
 
 
 def scenario(**run: Any) -> Scenario:

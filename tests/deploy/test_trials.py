@@ -9,7 +9,7 @@ from agents.coverage.control import control_law
 from deploy.scenario import parse_set, resolve
 from deploy.simulation import Simulation, simulate
 from deploy.studies.trials import FLAGS, METHODS, Trial, check_method, cost, fingerprint, run_trial
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 SHORT = {"run.seconds": 5.0, "run.dt": 0.5}

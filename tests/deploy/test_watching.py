@@ -10,8 +10,9 @@ from deploy.cli.listener import LOOK, SILENCE, KeyedPayload, Listener, Rates, ex
 from deploy.cli.message_text import block, fields, plain_line
 from deploy.cli.terminal_map import swarm_map
 from protocol import codec
-from protocol.messages import Command, Truth
+from protocol.messages import Command
 from protocol.node import Alive, Rejected, Started, Stop, Subscribe, Timer, Unsubscribe, received
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 COMMAND = Command(sender="s1", incarnation=1, tick=7, velocity=(1.0, 2.0), turn_rate=0.5)

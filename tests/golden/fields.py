@@ -4,14 +4,28 @@ A rename of a message or of its fields is followed here and moves no hash: value
 """
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from protocol.messages import Command, Estimate, Gossip, Message
+from protocol.message import Message
+from protocol.messages import Command, Gossip
+from protocol.observer_messages import Estimate
 
 Values = list[Any]  # numbers, texts, arrays, or lists of them
+RECORDED_AS = {"rejected.closed": "rejected.stale", "rejected.old_observation": "rejected.stale"}  # counters renamed since the record
+
+
+def counts(counters: Mapping[str, int]) -> list[list[Any]]:
+    """The counters that are not 0, by the names of the record and in their order."""
+    found: Counter[str] = Counter()
+    for name, count in counters.items():
+        found[RECORDED_AS.get(name, name)] += count
+    return sorted([name, count] for name, count in found.items() if count)
+
+
 FIELDS: dict[str, tuple[type[Message], Callable[[Any], Iterable[Any]]]] = {
     "pose": (Gossip, lambda said: (said.pose, said.cod, said.scanned, said.listening)),
     "scan": (Gossip, lambda said: (said.detections,)),
@@ -25,7 +39,7 @@ FIELDS: dict[str, tuple[type[Message], Callable[[Any], Iterable[Any]]]] = {
     "cell": (Estimate, lambda said: (said.cell, said.neighbours, said.view)),
     "mass": (Estimate, lambda said: (said.mass, said.load, said.unused)),
     "estimates": (Estimate, lambda said: (said.targets,)),
-    "counters": (Estimate, lambda said: (sorted([name, count] for name, count in said.counters.items() if count),)),
+    "counters": (Estimate, lambda said: (counts(said.counters),)),
 }
 
 

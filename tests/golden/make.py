@@ -18,8 +18,8 @@ from pathlib import Path
 from deploy.simulation import simulate
 from tests.golden.cases import CASES, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of, ospa_scenario
 from tests.golden.fields import FIELDS, digest
-from tests.golden.kept import OSPA, read, write, write_ospa
 from tests.golden.record import Record, Said, difference, names_in, play, record_of
+from tests.golden.stored import OSPA, read, write, write_ospa
 
 ROOT = Path(__file__).resolve().parents[2]
 MOVED = """{case}: differs from the golden record first in {where}.

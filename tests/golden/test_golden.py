@@ -10,9 +10,9 @@ import pytest
 from agents.backend import PLAIN
 from tests.golden.cases import CASES, INTERESTS, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of
 from tests.golden.fields import FIELDS
-from tests.golden.kept import FOLDER, read, read_ospa
 from tests.golden.make import ROOT, check, steady_ospa
 from tests.golden.record import difference, play, record_of
+from tests.golden.stored import FOLDER, read, read_ospa
 
 QUICK = [  # some ten seconds
     "efficacy-all/lockstep/1",

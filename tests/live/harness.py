@@ -23,7 +23,7 @@ from deploy.recording.recording import Recording, event_of
 from deploy.recording.rescore import rescore
 from deploy.scoring.scorer import Score
 from deploy.storage.run_directory import find_running
-from protocol.messages import Message
+from protocol.message import Message
 from protocol.node import Alive, Event, Gone, messages_of
 from protocol.settings import BadSetting
 

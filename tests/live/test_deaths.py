@@ -6,8 +6,9 @@ import time
 
 import pytest
 
-from protocol.messages import Command, Estimate, Gossip, Observation, Truth
+from protocol.messages import Command, Gossip, Observation
 from protocol.node import Alive, Gone, messages_of
+from protocol.observer_messages import Estimate, Truth
 from tests.live.harness import PATIENT, Covey, Journal, rows
 
 pytestmark = [pytest.mark.live, pytest.mark.slow]

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.messages import Estimate, Gossip
+from protocol.messages import Gossip
+from protocol.observer_messages import Estimate
 from tests.live.harness import ROOT, Covey, Journal
 
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.alone]

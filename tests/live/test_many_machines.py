@@ -18,8 +18,8 @@ import pytest
 
 from deploy.recording.recording import Recording, event_of
 from protocol.geometry import polygon_area
-from protocol.messages import Estimate
 from protocol.node import messages_of
+from protocol.observer_messages import Estimate
 from tests.docs import Block, blocks_of
 from tests.live.harness import ROOT
 from tests.live.test_namespaces import WHY_NOT, ip

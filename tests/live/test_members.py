@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import Estimate, Gossip
+from protocol.messages import Gossip
 from protocol.node import Alive, Gone
+from protocol.observer_messages import Estimate
 from tests.live.harness import PATIENT, Covey, Journal, rows
 
 pytestmark = [pytest.mark.live, pytest.mark.slow]

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from deploy.recording.recording import Recording, event_of
-from protocol.messages import Estimate, Truth
 from protocol.node import messages_of
+from protocol.observer_messages import Estimate, Truth
 from tests.live.browser import MARKS, address, alive, bottom, happened, page, until
 from tests.live.harness import ROOT, Covey, rows
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from deploy.recording.recording import Recording, event_of
-from protocol.messages import Truth
 from protocol.node import Received, messages_of
+from protocol.observer_messages import Truth
 from tests.live.harness import BOUND, Covey
 
 pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.timeout(400)]

@@ -17,8 +17,10 @@ from deploy.scenario import resolve
 from deploy.simulation import simulate
 from protocol import codec, keys, live
 from protocol.endpoints import free_port
-from protocol.messages import Command, Gossip, Hello, Message, Truth
+from protocol.message import Message
+from protocol.messages import Command, Gossip, Hello
 from protocol.node import Alive, Effect, Event, Node, Received, Rejected, Started, Subscribe, messages_of
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting, NetworkSettings
 from tests.live.harness import Covey
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from protocol.geometry import polygon_area
-from protocol.messages import Command, Estimate, Gossip, Truth
+from protocol.messages import Command, Gossip
 from protocol.node import Gone
+from protocol.observer_messages import Estimate, Truth
 from tests.live.harness import LEDGER, MASS, PATIENT, ROOT, Covey, Journal, rows
 
 pytestmark = [pytest.mark.live, pytest.mark.slow]

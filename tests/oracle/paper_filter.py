@@ -133,7 +133,7 @@ def correct(predicted: Phd, scans: list[Scan], settings: Settings, dice: np.rand
     g is a Gaussian cut at `filter.gate` standard deviations, those of the noise and of the place that a particle stands for; the share
     p_d b of a detection becomes new particles around it.
     """
-    motion, noise, copies = settings["filter"], settings["detection"]["noise"], settings["birth"]["copies"]
+    motion, noise, copies = settings["filter"], settings["detection"]["noise"], settings["birth"]["measurement_particles"]
     sigma = math.hypot(noise, motion["roughening"] * motion["position_noise"] / motion["particles_per_target"] ** (1.0 / 6.0))
     phd = predicted
     for scan in public_order(scans):

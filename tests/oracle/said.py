@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from protocol.codec import decode
-from protocol.messages import Command, Estimate, Gossip, Observation, Truth
+from protocol.messages import Command, Gossip, Observation
+from protocol.observer_messages import Estimate, Truth
 from tests.oracle.paper_filter import NOTHING, Phd, Scan
 from tests.oracle.wedges import Wedge, wedge_of
 

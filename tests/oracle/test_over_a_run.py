@@ -29,7 +29,7 @@ SCENE: dict[str, Any] = {
     "filter.particles_per_target": 400,
     "filter.least_particles": 1,
     "birth.most_density": 0.02,
-    "birth.copies": 30,
+    "birth.measurement_particles": 30,
     "birth.background_particles": 40,
 }
 SEEDS = 30

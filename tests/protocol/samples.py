@@ -9,7 +9,9 @@ import numpy as np
 from protocol import codec
 from protocol.fields import Malformed, pack
 from protocol.keys import message_key
-from protocol.messages import Beacon, Command, Estimate, Gossip, Halt, Hello, Message, Observation, Truth
+from protocol.message import Message
+from protocol.messages import Beacon, Command, Gossip, Halt, Hello, Observation
+from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SENSOR_CLASSES
 
 REASONS = frozenset({"key", "size", "format", "version", "shape", "range", "sender"})

@@ -15,7 +15,8 @@ from agents.config import AgentConfig, BirthSettings, CapacitySettings, FilterSe
 from protocol.agreement import disagreement, whole
 from protocol.codec import decode, encode
 from protocol.fields import MAX_SETTINGS, Malformed
-from protocol.messages import Hello, Setting
+from protocol.message import Setting
+from protocol.messages import Hello
 from protocol.settings import ArenaSettings, DetectionSettings, LimitSettings, RunSettings, SensorSettings
 
 MODEL = {"R": SensorSettings(model="deploy.examples.sensors:RangeFalling")}
@@ -25,7 +26,7 @@ OTHERS = {
     "detection.clutter": AgentConfig(detection=DetectionSettings(clutter=0.2)),
     "limits.speed": AgentConfig(limits=LimitSettings(speed=3.0)),
     "filter.seed": AgentConfig(filter=FilterSettings(seed=1)),
-    "birth.copies": AgentConfig(birth=BirthSettings(copies=9)),
+    "birth.measurement_particles": AgentConfig(birth=BirthSettings(measurement_particles=9)),
     "timing.tile": AgentConfig(timing=TimingSettings(tile=36.0)),
 }
 

@@ -7,8 +7,9 @@ import pytest
 from protocol import live
 from protocol.endpoints import free_port
 from protocol.keys import all_of
-from protocol.messages import Estimate, Hello
+from protocol.messages import Hello
 from protocol.node import Alive, Effect, Event, Received, Started, Subscribe
+from protocol.observer_messages import Estimate
 from protocol.settings import NetworkSettings
 from tests.protocol.test_live import Pair, Scribe, command, until
 

@@ -9,7 +9,7 @@ import msgpack
 import pytest
 
 from protocol import codec
-from protocol.messages import Message
+from protocol.message import Message
 from tests.protocol.samples import GOSSIP, GOSSIP_BYTES, GOSSIP_KEY, HUGE, REASONS, RUN, SAMPLES, altered, reason_of
 
 

@@ -16,7 +16,7 @@ import pytest
 from protocol import codec
 from protocol.fields import Malformed, pack
 from protocol.keys import message_key
-from protocol.messages import Message
+from protocol.message import Message
 from tests.protocol.samples import GOSSIP, GOSSIP_BYTES, GOSSIP_KEY, HUGE, REASONS, RUN, SAMPLES, altered, reason_of
 
 

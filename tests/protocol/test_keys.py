@@ -21,7 +21,8 @@ from protocol.keys import (
     token_key,
     tokens_of,
 )
-from protocol.messages import KINDS, Beacon, Command, Halt, Hello, Observation, Truth
+from protocol.messages import KINDS, Beacon, Command, Halt, Hello, Observation
+from protocol.observer_messages import Truth
 
 names = st.from_regex(r"\A[A-Za-z0-9_.-]{1,64}\Z")
 incarnations = st.integers(0, 2**63 - 1)

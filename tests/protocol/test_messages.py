@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from protocol.fields import FARTHEST, Malformed, pack
-from protocol.messages import KINDS, Beacon, Command, Estimate, Gossip, Hello, Message, Observation, Truth
+from protocol.message import Message
+from protocol.messages import KINDS, Beacon, Command, Gossip, Hello, Observation
+from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SENSOR_CLASSES
 
 GOSSIP = Gossip(

@@ -144,7 +144,7 @@ def stale_tick_accepted(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
     def judge(self: PeerTable, gossip: Gossip, fits: bool) -> str:
         reason = right(self, gossip, fits)
-        return "" if reason == "stale" else reason
+        return "" if reason == "closed" else reason
 
     patch.setattr(PeerTable, "_judge", judge)
     return fuzz.play(case)

@@ -11,8 +11,9 @@ from deploy.scenario import Scenario
 from deploy.simulation import Simulation
 from deploy.verify.central_filter import CentralFilter, ParticleDifference, particle_difference, united
 from protocol.keys import all_of
-from protocol.messages import Gossip, Truth
+from protocol.messages import Gossip
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
+from protocol.observer_messages import Truth
 from protocol.virtual import Link
 from world.score import ospa
 

@@ -12,8 +12,8 @@ from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
 from protocol.keys import all_of
-from protocol.messages import Estimate
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
+from protocol.observer_messages import Estimate
 
 LATE = 8  # ticks; who wakes from a long sleep still says what it made of the last thing it was told
 BLIND = {"angle": 240.0, "radius": 8.0, "prob_detection": 1e-12}

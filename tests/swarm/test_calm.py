@@ -50,7 +50,7 @@ def test_a_newcomer_is_in_every_view_half_a_second_after_its_listening_rounds() 
     views: dict[int, set[frozenset[str]]] = {}
 
     def look(tick: int, simulation: Simulation) -> None:
-        views[tick] = {frozenset(agent.neighbours.peers) | {name} for name, agent in simulation.agents.items()}
+        views[tick] = {frozenset(agent.peer_table.peers) | {name} for name, agent in simulation.agents.items()}
 
     seen = watch(ledger(fault(5.0, "join", "s20", **{"class": "L"})), at_tick=look)
     assert "s20" not in seen.living[19] and "s20" in seen.living[23]

@@ -86,7 +86,7 @@ def test_a_slow_agent_is_waited_for_and_not_declared_dead() -> None:
     print(f"{left_out} ticks left out, {agent.counters['spared']} of them in step")
     assert ledger_is_kept(very_slow, 16.0)
     for name, other in very_slow.agents.items():
-        assert name == "s2" or other.neighbours.peers["s2"].missed < 4
+        assert name == "s2" or other.peer_table.peers["s2"].missed < 4
 
 
 def test_of_two_processes_with_one_name_the_older_stops_itself_with_code_3() -> None:
@@ -126,7 +126,7 @@ def test_a_replayed_message_changes_nothing(restart: bool) -> None:
 
     left_alone, replayed = watch(scenario), watch(scenario, at_tick=replay)
     assert len(kept) > 10 and replayed.result.transcript == left_alone.result.transcript
-    reason = "rejected.incarnation" if restart else "rejected.stale"
+    reason = "rejected.incarnation" if restart else "rejected.closed"
     assert all(agent.counters[reason] >= 17 for name, agent in replayed.agents.items() if name != "s2")
 
 

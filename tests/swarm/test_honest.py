@@ -12,7 +12,7 @@ import pytest
 from deploy.scenario import resolve
 from deploy.scoring.scores import Score
 from deploy.simulation import Simulation
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 
 SCENE = str(Path(__file__).with_name("eyes.toml"))
 SETTLED = 15.0  # s

@@ -13,8 +13,9 @@ from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
 from protocol.geometry import distances, polygon_area, polygon_centroid
 from protocol.keys import all_of
-from protocol.messages import Beacon, Estimate
+from protocol.messages import Beacon
 from protocol.node import Effect, Event, Node, Started, Subscribe, messages_of
+from protocol.observer_messages import Estimate
 from tests.swarm.scene import Listener, ledger, tracking, watch
 
 
@@ -84,7 +85,7 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
     print(f"seed {seed}")
     (_, everything), (simulation, all_the_same) = (play(large(seed, team, interest)) for interest in ("all", "neighbours"))
     assert everything == all_the_same
-    heard = [len(agent.neighbours.interest_set) for agent in simulation.agents.values()]
+    heard = [len(agent.peer_table.interest_set) for agent in simulation.agents.values()]
     assert sum(heard) < 0.6 * len(heard) * (len(heard) - 1)
 
 

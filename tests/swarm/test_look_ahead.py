@@ -24,7 +24,7 @@ START, DT = 4.0, 0.5
 
 
 def lags(simulation: Simulation) -> set[int]:
-    return {agent._rounds.lag.kept for agent in simulation.agents.values()}
+    return {agent._rounds.lag.current for agent in simulation.agents.values()}
 
 
 @pytest.mark.parametrize(("delay", "interest"), [(0.5, "all"), (0.5, "neighbours"), (1.0, "all")])

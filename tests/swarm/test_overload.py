@@ -24,7 +24,7 @@ def between(simulation: Simulation, start: float, end: float) -> list[Score]:
 
 
 def given_up(simulation: Simulation) -> int:
-    return sum(agent.neighbours.given_up for agent in simulation.agents.values())
+    return sum(agent.peer_table.given_up for agent in simulation.agents.values())
 
 
 def starved(share: float) -> FaultSettings:
@@ -55,7 +55,7 @@ def test_starved_agents_skip_in_step_keep_their_claims_and_come_back(share: floa
     spared, skipped = (sum(agent.counters[name] for agent in simulation.agents.values()) for name in ("spared", "skipped"))
     assert spared > 3 * skipped
     assert max(score.hole for score in after) < 0.01 and max(score.overlap for score in after) < 0.01
-    assert {agent.neighbours.pace for agent in simulation.agents.values()} == {1}
+    assert {agent.peer_table.pace for agent in simulation.agents.values()} == {1}
 
 
 def test_a_death_among_starved_agents_leaves_no_hole_for_long() -> None:

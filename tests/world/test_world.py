@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from protocol.agreement import agreed, common_sections
-from protocol.messages import Hello, Observation, Truth
+from protocol.messages import Hello, Observation
 from protocol.node import Alive, Gone, Rejected, Reopen, Started, Stop, Subscribe, Timer, received
+from protocol.observer_messages import Truth
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import BadSetting
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started

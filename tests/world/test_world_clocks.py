@@ -2,8 +2,9 @@
 
 import pytest
 
-from protocol.messages import Observation, Truth
+from protocol.messages import Observation
 from protocol.node import Alive, Gone, Started, Stop, Timer
+from protocol.observer_messages import Truth
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started
 from world.world import World
 

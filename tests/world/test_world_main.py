@@ -9,8 +9,8 @@ import pytest
 
 from protocol import codec
 from protocol.fields import pack
-from protocol.messages import Truth
 from protocol.node import Alive, Started, Timer
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from world.__main__ import KeptWorld, read_truth
 from world.config import WorldConfig, WorldRun

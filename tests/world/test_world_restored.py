@@ -4,8 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from protocol.messages import Observation, Truth
+from protocol.messages import Observation
 from protocol.node import Alive, Started, Timer
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from tests.world.stage import command, config, feed, hello, of_kind, started
 from world.config import WorldConfig

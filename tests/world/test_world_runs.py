@@ -5,7 +5,8 @@ import math
 import msgspec
 import pytest
 
-from protocol.messages import Command, Hello, Message, Observation
+from protocol.message import Message
+from protocol.messages import Command, Hello, Observation
 from protocol.node import Effect, Event, Node, Started, Stop, Subscribe, messages_of
 from protocol.sensing import SENSOR_CLASSES
 from protocol.virtual import VirtualBus

@@ -15,7 +15,7 @@ from deploy.cli.options import RunOptions
 from deploy.scenario import Scenario, toml_text, toml_value
 from deploy.scoring.result import Result
 from deploy.scoring.scores import Score
-from protocol.messages import Truth
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
 if TYPE_CHECKING:

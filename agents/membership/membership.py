@@ -1,0 +1,104 @@
+"""Who is there: the liveliness tokens and Hellos of others, and when this agent announces itself.
+
+Data type: `Membership`. It keeps the peer table, the failure detector and the schedule of the own Hellos up to date. It fences an agent
+that has a younger incarnation.
+"""
+
+from collections import Counter
+
+from agents.gossip import outbox
+from agents.membership.agreement import SettingsAgreement
+from agents.membership.announcements import AnnouncementSchedule
+from agents.membership.body_tokens import BodyTokens
+from agents.membership.peer_table import PeerTable
+from agents.round import AgentContext
+from protocol.failure_detector import FailureDetector
+from protocol.messages import Hello
+from protocol.node import NO_EFFECTS, Alive, Effect, Gone, Reopen, Stop
+
+EXIT_FENCED = 3
+
+
+class Membership:
+    """The tokens and Hellos that concern one agent. Times are `now` of its node, s."""
+
+    def __init__(self, context: AgentContext, incarnation: int, peer_table: PeerTable, counters: Counter[str]) -> None:
+        """`counters`: those of the agent."""
+        others, local = context.config.others(context.name), peer_table.local
+        self.failure_detector = FailureDetector(context.name, ["world"] if local else [*others, "world"])
+        self.announcements = AnnouncementSchedule(0 if local else len(others), peer_table.is_roster_alive)
+        self.agreement = SettingsAgreement(context.name, peer_table.settings, counters)
+        self.world_incarnation = 0
+        self._context, self._incarnation, self._peer_table, self._counters = context, incarnation, peer_table, counters
+        self._bodies = BodyTokens(peer_table)
+
+    def alive(self, event: Alive, now: float) -> list[Effect]:
+        """A token has appeared; the effects are those of a fence."""
+        if event.role == "agent" and event.name == self._context.name:
+            return self.fence(event.incarnation)
+        if event.role == "body":
+            self._bodies.appear(event.name, event.incarnation)
+            return []
+        if event.role == "agent":
+            self._bodies.agent_left(event.name)
+            self.failure_detector.appear(event.name, event.incarnation)
+            self._peer_table.alive(event.name, event.incarnation)
+        if event.role != "agent" or not self._peer_table.local:
+            self.announcements.peer_appeared(len(self._peer_table.peers), now)
+        return []
+
+    def gone(self, event: Gone, tick: int, *, doubted: bool) -> bool:
+        """A token has vanished in the round `tick`; whether its agent counts as gone. `doubted`: this agent was late itself."""
+        if event.role == "body":
+            return self._bodies.leave(event.name, event.incarnation, tick)
+        if event.role != "agent":
+            return False
+        self._bodies.agent_left(event.name)
+        self.failure_detector.leave(event.name, event.incarnation)
+        self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
+        return True
+
+    def take_hello(self, hello: Hello, now: float) -> list[Effect]:
+        """Take a Hello: remember the announced sensor, compare the settings, and check the session for a half-open link."""
+        if hello.sender == self._context.name:
+            return self.fence(hello.incarnation)
+        if hello.role == "agent" and self._peer_table.has_announced(hello) and self.failure_detector.greet_again(hello.sender, now):
+            return NO_EFFECTS
+        reason = self._peer_table.take_hello(hello) if hello.role == "agent" else None
+        # a refused sender still counts as heard, and the own Hello lists it
+        warnings = self.agreement.refuse([hello]) if self.agreement.differs(hello) else []
+        if reason and reason != "settings":
+            self._counters[f"rejected.{reason}"] += 1
+            return warnings
+        is_new = self.failure_detector.greet(hello.sender, now)
+        # a Hello sent when the token of a world appeared can be lost, because the world may not have subscribed yet
+        is_restarted_world = hello.role == "world" and 0 < self.world_incarnation < hello.incarnation
+        if is_new or is_restarted_world:
+            self.announcements.peer_appeared(len(self._peer_table.peers), now)
+        reason = self.failure_detector.split(hello, now) if hello.role == "agent" else ""
+        if not reason:
+            return warnings or ([] if is_new else NO_EFFECTS)
+        self._counters["reopened"] += 1
+        return [*warnings, Reopen(reason)]
+
+    def start(self, now: float) -> Hello:
+        """The first Hello of this agent; the next one is planned."""
+        self.announcements.start(now)
+        return self._hello(None)
+
+    def announce_if_due(self, now: float, *, has_observed: bool) -> list[Effect]:
+        """A Hello of this agent, if one is due. `has_observed`: an observation has come."""
+        is_early = not has_observed or self._peer_table.lacks_announcements()
+        if not self.announcements.is_due(len(self._peer_table.peers), is_early, now):
+            return []
+        return [self._hello(now if has_observed else None)]
+
+    def fence(self, incarnation: int) -> list[Effect]:
+        """Stop if another process with the same name has a younger incarnation."""
+        if incarnation > self._incarnation:
+            return [Stop(EXIT_FENCED, f"a younger incarnation {incarnation} of {self._context.name} is alive")]
+        return NO_EFFECTS
+
+    def _hello(self, now: float | None) -> Hello:
+        """The Hello of this agent at `now`; None, before the first observation: it lists all peers that ever sent a Hello and are alive."""
+        return outbox.hello(self._context, self._incarnation, self.failure_detector.heard(now), self._peer_table.settings)
