@@ -20,7 +20,7 @@ from protocol.codec import decode, encode
 from protocol.fields import Malformed
 from protocol.keys import message_key
 from protocol.live import session_config
-from protocol.messages import KINDS, WIRE_VERSION, Beacon, Command, Estimate, Gossip, Halt, Hello, Message, Observation, Truth
+from protocol.messages import KINDS, WIRE_VERSION, Beacon, BodyPose, Command, Estimate, Gossip, Halt, Hello, Message, Observation, Truth
 from protocol.sensing import WedgeSensor
 from protocol.settings import NetworkSettings
 
@@ -128,6 +128,7 @@ FULL: dict[str, Message] = {
         detections_bytes=struct.pack("<2f", 1.25, -2.5),
         obstacles_bytes=struct.pack("<2d", 3.0, 4.0),
     ),
+    "pose": BodyPose(sender="s1", incarnation=7, tick=3, pose=(1.0, 2.0, 0.5)),
     "command": Command(sender="s1", incarnation=7, tick=3, velocity=(1.5, -0.5), turn_rate=0.25),
     "estimate": Estimate(
         sender="s1",

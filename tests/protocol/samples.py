@@ -9,7 +9,7 @@ import numpy as np
 from protocol import codec
 from protocol.fields import Malformed, pack
 from protocol.keys import message_key
-from protocol.messages import Beacon, Command, Estimate, Gossip, Halt, Hello, Message, Observation, Truth
+from protocol.messages import Beacon, BodyPose, Command, Estimate, Gossip, Halt, Hello, Message, Observation, Truth
 from protocol.sensing import SENSOR_CLASSES
 
 REASONS = frozenset({"key", "size", "format", "version", "shape", "range", "sender"})
@@ -74,6 +74,7 @@ def _samples() -> list[Message]:
             pose=(1.0, 2.0, 0.3),
             detections_bytes=pack(places[:3, :2], "<f4"),
         ),
+        BodyPose(sender="s1", incarnation=9, tick=4, pose=(1.0, -1.0, 0.5)),
         Command(sender="s1", incarnation=9, tick=4, velocity=(1.0, -1.0), turn_rate=0.5),
         Estimate(
             sender="s1",
