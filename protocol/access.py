@@ -80,7 +80,7 @@ def _published(run: str, name: str) -> list[str]:
         return [one_of(run, "hello", name), all_of(run, "observation"), all_of(run, "truth")]
     if name == OPERATOR:
         return [all_of(run, "halt")]
-    return [one_of(run, kind, name) for kind in ("hello", "beacon", "gossip", "observation", "command", "estimate")]
+    return [one_of(run, kind, name) for kind in ("hello", "beacon", "gossip", "observation", "pose", "command", "estimate")]
 
 
 def _subscribed(run: str, name: str) -> list[str]:
@@ -91,7 +91,7 @@ def _subscribed(run: str, name: str) -> list[str]:
         return [all_of(run, "hello"), all_of(run, "command"), all_of(run, "halt")]
     if name == OPERATOR:
         return [all_of(run, "observation")]
-    everybodys, own = ("hello", "beacon", "gossip", "halt"), ("observation", "command", "estimate")
+    everybodys, own = ("hello", "beacon", "gossip", "pose", "halt"), ("observation", "command", "estimate")
     return [*(all_of(run, kind) for kind in everybodys), *(one_of(run, kind, name) for kind in own)]
 
 

@@ -2,7 +2,7 @@
 
     covey/<run>/hello/<agent>          covey/<run>/gossip/<agent>        covey/<run>/beacon/<column>/<row>/<agent>
     covey/<run>/observation/<agent>    covey/<run>/command/<agent>       covey/<run>/estimate/<agent>
-    covey/<run>/truth                  covey/<run>/halt
+    covey/<run>/pose/<agent>           covey/<run>/truth                 covey/<run>/halt
     covey/<run>/alive/<role>/<name>/<incarnation>   (a liveliness token)
 
 In an expression `*` stands for one part and `**` for any number of parts. <column>/<row> is the tile of the arena to which a

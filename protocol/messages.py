@@ -321,6 +321,16 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
         check_rows(OBSTACLES, self.obstacles_bytes)
 
 
+class BodyPose(Message, frozen=True, kw_only=True, dict=True, tag="pose"):
+    """From a body of its own to the other bodies: where it is at `tick`, so that their agents keep away from it."""
+
+    tick: Tick
+    pose: Triple
+
+    def check(self) -> None:
+        check_vector("pose", self.pose)
+
+
 class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
     """From an agent to the world: the motion of its body until the next tick (1)."""
 
@@ -339,12 +349,13 @@ class Halt(Message, frozen=True, kw_only=True, dict=True, tag="halt"):
     held: bool
 
 
-AnyMessage = Union[Hello, Beacon, Gossip, Observation, Command, Estimate, Truth, Halt]  # noqa: UP007 (msgspec wants the union object)
+AnyMessage = Union[Hello, Beacon, Gossip, Observation, BodyPose, Command, Estimate, Truth, Halt]  # noqa: UP007 (msgspec wants a union)
 KINDS: dict[str, type[Message]] = {
     "hello": Hello,
     "beacon": Beacon,
     "gossip": Gossip,
     "observation": Observation,
+    "pose": BodyPose,
     "command": Command,
     "estimate": Estimate,
     "truth": Truth,

@@ -21,7 +21,7 @@ from protocol.fields import Malformed
 from protocol.keys import message_key
 from protocol.live import session_config
 from protocol.message import WIRE_VERSION, Message
-from protocol.messages import KINDS, Beacon, Command, Gossip, Halt, Hello, Observation
+from protocol.messages import KINDS, Beacon, BodyPose, Command, Gossip, Halt, Hello, Observation
 from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import WedgeSensor
 from protocol.settings import NetworkSettings
@@ -130,6 +130,7 @@ FULL: dict[str, Message] = {
         detections_bytes=struct.pack("<2f", 1.25, -2.5),
         obstacles_bytes=struct.pack("<2d", 3.0, 4.0),
     ),
+    "pose": BodyPose(sender="s1", incarnation=7, tick=3, pose=(1.0, 2.0, 0.5)),
     "command": Command(sender="s1", incarnation=7, tick=3, velocity=(1.5, -0.5), turn_rate=0.25),
     "estimate": Estimate(
         sender="s1",

@@ -13,7 +13,7 @@ import math
 
 from protocol.fields import pack
 from protocol.keys import all_of, one_of
-from protocol.messages import Command, Gossip, Halt, Hello, Observation
+from protocol.messages import BodyPose, Command, Gossip, Halt, Hello, Observation
 from protocol.node import Alive, Batch, Effect, Event, Gone, Node, Received, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.observer_messages import Truth
 from protocol.sensing import Pose
@@ -24,7 +24,7 @@ from world.commands import CommandBook
 from world.config import WorldConfig
 from world.halt import Hold
 from world.platform import Physical, Platform, Simulated, build_platform, fenced
-from world.proximity import StandingBodies, around
+from world.proximity import around
 from world.roster import Roster
 from world.scene import Scene
 
@@ -62,7 +62,7 @@ class Body(Node):
         self._clock = TickClock(self._period, epoch - unix if epoch else None)
         self._count = TickCount()
         self._alive: dict[str, set[str]] = {"agent": set(), "body": {name}}  # by role: names with a token
-        self._standing = StandingBodies()
+        self._others: dict[str, Pose] = {}  # where the other bodies said last that they are
         self._ring: tuple[str, ...] = ()  # the neighbours to whom the clock listens
         self._expected, self._patience, self._strict = tuple(config.members), config.run.start_timeout, config.run.strict
         self._changed = 0.0  # when an agent came, until the start
@@ -118,7 +118,7 @@ class Body(Node):
             Subscribe(all_of(self.run, "hello")),
             Subscribe(one_of(self.run, "command", self.name)),
             Subscribe(all_of(self.run, "halt")),
-            *([Subscribe(all_of(self.run, "observation"))] if self._config.limits.radius else []),
+            *([Subscribe(all_of(self.run, "pose"))] if self._config.limits.radius else []),
         ]
 
     def _on_batch(self, batch: Batch, now: float) -> list[Effect]:
@@ -133,8 +133,8 @@ class Body(Node):
                 effects += self._hear(message, now)
             elif isinstance(message, Halt) and self.hold.take(message):
                 self._stand()
-            elif isinstance(message, Observation) and message.recipient != self.name:
-                self._standing.hear(message.recipient, message.pose)
+            elif isinstance(message, BodyPose) and message.sender != self.name:
+                self._others[message.sender] = message.pose
         return [*effects, *self._follow(now)] if batch.kind is Gossip else effects
 
     # ------------------------------------------------------------------ who is there
@@ -233,7 +233,8 @@ class Body(Node):
         self._scene.step_until(tick)
         if detections is None:
             [detections], _ = self._scene.scans({self.name: self.pose})
-        obstacles = around(self.pose, self._standing.places(self._alive["body"]), self._config) if self._config.limits.radius else None
+        has_size = self._config.limits.radius > 0.0
+        obstacles = around(self.pose, [(x, y) for x, y, _ in self._others.values()], self._config) if has_size else None
         seen = Observation(
             sender=self.name,
             incarnation=self.incarnation,
@@ -244,7 +245,8 @@ class Body(Node):
             detections_bytes=pack(detections, "<f4"),
             obstacles_bytes=pack(obstacles, "<f8") if obstacles is not None else b"",
         )
-        return [seen]
+        said = BodyPose(sender=self.name, incarnation=self.incarnation, tick=tick, pose=self.pose)
+        return [said, seen] if has_size else [seen]
 
     # ------------------------------------------------------------------ motion
 

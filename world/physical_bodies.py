@@ -22,21 +22,22 @@ from world.unicycle import twist
 STEP = 0.005  # s, of the integrator
 INNER = 4  # steps between two commands to the wheels: 20 ms
 LEAST_RADIUS, DENSITY = 0.05, 600.0  # m; kg/m^3 of the disc
-AXLE, TRACK, WHEEL, HEIGHT = 0.4, 0.6, 0.3, 0.5  # in radii: axle to middle, half of the axle, wheel, height of the disc
+AXLE, TRACK, WHEEL, HEIGHT = 0.55, 0.5, 0.3, 0.5  # in radii: axle to middle, half of the axle, wheel, height of the disc
 RESPONSE = 0.03  # s, time constant of the motors while the wheels grip
-FRICTION = 1.0  # of wheels on the floor
+FRICTION = 1.0  # of wheels on the floor, which has none of its own: MuJoCo takes the larger of two, and casters have none
 GRAVITY = 9.81  # m/s^2
 
 MODEL = """
 <mujoco>
   <option timestep="{step}" integrator="implicitfast" gravity="0 0 -{gravity}"/>
   <default>
+    <default class="floor"><geom contype="0" conaffinity="1" condim="1" friction="0 0 0"/></default>
     <default class="disc"><geom contype="2" conaffinity="2" condim="3" friction="0.3 0 0"/></default>
     <default class="wheel"><geom contype="1" conaffinity="0" condim="3" friction="{friction} 0 0"/></default>
     <default class="caster"><geom contype="1" conaffinity="0" condim="1"/></default>
     <default class="load"><geom contype="0" conaffinity="0"/></default>
   </default>
-  <worldbody><geom type="plane" size="0 0 1" contype="0" conaffinity="1"/>{robots}</worldbody>
+  <worldbody><geom class="floor" type="plane" size="0 0 1"/>{robots}</worldbody>
   <actuator>{motors}</actuator>
 </mujoco>
 """
@@ -160,7 +161,7 @@ def model_text(poses: dict[str, Pose], step: float, radius: float) -> str:
     mass, wheel = DENSITY * math.pi * radius**2 * HEIGHT * radius, WHEEL * radius  # kg, m
     small = 0.02 * mass
     sizes = {"radius": radius, "half": 0.4 * HEIGHT * radius, "wheel": wheel, "axle": AXLE * radius, "track": TRACK * radius}
-    sizes |= {"front": 0.85 * radius, "behind": 0.2 * radius, "caster": 0.1 * radius, "low": wheel - 0.12 * radius}
+    sizes |= {"front": 0.85 * radius, "behind": 0.35 * radius, "caster": 0.1 * radius, "low": wheel - 0.11 * radius}
     masses = {"disc": 0.3 * mass, "battery": 0.64 * mass, "small": small, "rotor": 0.1 * mass * wheel * wheel}
     drive = MOTOR.format(joint="{joint}", gain=repr(mass * wheel * wheel / RESPONSE), force=repr(0.4 * FRICTION * mass * GRAVITY * wheel))
     inertia = 0.5 * small * wheel * wheel

@@ -1,11 +1,11 @@
 """The proximity sensor of a body: the centres of the bodies close by, which its agent keeps away from.
 
 Every body has one where `limits.radius` is more than 0. It tells no names, and sees wrecks, strangers and bodies of silent agents alike.
-The world senses all bodies of a tick. A body process knows others by their observations, so it senses those that stand; the gossips of
-the same tick say where the others are.
+The world senses all bodies of a tick. A body process knows the others by the poses that they say, which may be a tick old; the gossips of
+the same tick say where those with an agent are. A body that falls silent stays where it was last.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,20 +24,3 @@ def around(pose: Pose, others: Sequence[Vector], config: WorldConfig) -> np.ndar
     points = np.array(others, dtype=float).reshape(-1, 2)
     offsets = points - np.array(pose[:2])
     return points[(offsets * offsets).sum(axis=1) <= sight(config) ** 2]
-
-
-class StandingBodies:
-    """The bodies that stand, as a body process hears of them; wrecks among them."""
-
-    def __init__(self) -> None:
-        self._poses: dict[str, Pose] = {}
-        self._stands: set[str] = set()
-
-    def hear(self, name: str, pose: Pose) -> None:
-        """Note where a body is."""
-        (self._stands.add if self._poses.get(name) == pose else self._stands.discard)(name)
-        self._poses[name] = pose
-
-    def places(self, alive: Collection[str]) -> list[Vector]:
-        """The centres of those that stand, or have no process any more; `alive`: the names of the bodies that have one."""
-        return [pose[:2] for name, pose in self._poses.items() if name in self._stands or name not in alive]

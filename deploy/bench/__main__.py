@@ -88,6 +88,12 @@ def _replay() -> Iterable[BenchRow]:
     return pages.replay()
 
 
+def _bodies() -> Iterable[BenchRow]:
+    from deploy.bench import bodies
+
+    return bodies.measure()
+
+
 def _overload() -> Iterable[BenchRow]:
     from deploy.bench import overload
 
@@ -108,6 +114,7 @@ BENCHES: dict[str, Callable[[], Iterable[BenchRow]]] = {
     "page": _page,
     "replay": _replay,
     "overload": _overload,
+    "bodies": _bodies,
 }
 
 

@@ -30,6 +30,7 @@ class Rules(NamedTuple):
     speed: float  # m/s
     turn_rate: float  # rad/s
     box: tuple[float, float, float, float] | None = None  # that it never leaves, m
+    sight: float = 0.0  # m within which it tells its agent of other bodies; 0: bodies are points
 
 
 class RobotBody:
@@ -40,6 +41,7 @@ class RobotBody:
         self._rules, self._incarnation, self._say, self._appear = rules, incarnation, say, appear
         self._anchor = rules.anchor
         self._words: dict[str, tuple[float, float]] = {}  # of a neighbour: when its tick 0 was by its newest gossip, and when that came
+        self._others: dict[str, Planar] = {}  # name -> where that body said last that it is
         self._alive: dict[tuple[str, str], set[int]] = {}  # role and name -> incarnations
         self._changed = 0.0
         self._pose: tuple[Placement, float] | None = None
@@ -67,6 +69,10 @@ class RobotBody:
             self._on_token(heard, now)
         elif heard.kind == "gossip" and heard.name != self._rules.agent:
             self._words[heard.name] = now - heard.fields["tick"] * self._rules.period, now
+        elif heard.kind == "pose" and heard.name != self._rules.agent:
+            x, y, heading = heard.fields["pose"]
+            if all(map(math.isfinite, (x, y, heading))):
+                self._others[heard.name] = x, y
         elif heard.kind == "command":
             self._obey(heard, now)
         elif heard.kind == "halt" and heard.incarnation > self._halt:
@@ -118,8 +124,17 @@ class RobotBody:
         self.tick = tick
         assert self._pose is not None and self._scan is not None
         seen = b"".join(struct.pack("<2f", *place) for place in self._scan[0])
-        place = {"recipient": self._rules.agent, "tick": tick, "time": tick * self._rules.dt, "pose": self._pose[0]}
-        self._say("observation", {**place, "detections": seen})
+        place = {"tick": tick, "pose": self._pose[0]}
+        if self._rules.sight:
+            self._say("pose", place)
+        told = {"recipient": self._rules.agent, "time": tick * self._rules.dt, "detections": seen, "obstacles": self._obstacles()}
+        self._say("observation", {**place, **told})
+
+    def _obstacles(self) -> bytes:
+        """The middles of the bodies close by, where they said last that they are."""
+        assert self._pose is not None
+        (here_x, here_y, _), sight = self._pose[0], self._rules.sight
+        return b"".join(struct.pack("<2d", x, y) for x, y in self._others.values() if math.hypot(x - here_x, y - here_y) <= sight)
 
     def _follow(self, now: float) -> bool:
         """Correct the clock to the majority of those who speak; whether the run has begun."""

@@ -57,7 +57,7 @@ class Bridge:
         )
         ros.subscribe(f"/{name}/odom", ODOMETRY, self._on_odometry)
         ros.subscribe(f"/{name}/detections", POSES, self._on_detections)
-        self._client.listen("gossip/*", f"command/{name}", f"estimate/{name}", "halt")
+        self._client.listen("gossip/*", f"command/{name}", f"estimate/{name}", "pose/*", "halt")
 
     def serve(self, over: threading.Event) -> int:
         """Take part until `over`; the exit code, which is 3 when a younger body has taken the name."""

@@ -129,6 +129,7 @@ def access_control(run: str, name: str, agents: tuple[str, ...]) -> Fields:
     """What a body lets in and out, by the common name of the certificate at the other end of the link; all else is denied."""
     root = f"covey/{run}"
     mine = [f"{root}/{kind}/{name}" for kind in ("observation", "command", "estimate")]
+    pose = f"{root}/pose/{name}"
     rules, policies = list[Fields](), list[Fields]()
 
     def allow(who: str, flow: str, messages: list[str], keys: list[str]) -> None:
@@ -138,13 +139,15 @@ def access_control(run: str, name: str, agents: tuple[str, ...]) -> Fields:
 
     everybody = ["monitor", "operator", *agents]
     for agent in agents:
-        says = [f"{root}/gossip/{agent}", *(mine[1:] if agent == name else [])]
+        says = [f"{root}/gossip/{agent}", f"{root}/pose/{agent}", *(mine[1:] if agent == name else [])]
         allow(agent, "ingress", ["put"], says)
+        allow(agent, "ingress", ["declare_subscriber"], [pose, *(mine[:1] if agent == name else [])])
+        allow(agent, "egress", ["put"], [pose, *(mine[:1] if agent == name else [])])
         allow(agent, "ingress", ["liveliness_token", "reply"], [f"{root}/alive/{role}/{agent}/*" for role in ("agent", "body")])
     allow("operator", "ingress", ["put"], [f"{root}/halt"])
-    for who in ("monitor", "operator", name):
-        allow(who, "ingress", ["declare_subscriber"], [f"{root}/**"] if who == "monitor" else mine[:1])
-        allow(who, "egress", ["put"], mine[:1])
+    for who, keys in (("monitor", [f"{root}/**"]), ("operator", mine[:1])):
+        allow(who, "ingress", ["declare_subscriber"], keys)
+        allow(who, "egress", ["put"], [*mine[:1], pose] if who == "monitor" else keys)
     allow("all", "ingress", ["declare_liveliness_subscriber", "liveliness_query"], [f"{root}/alive/**"])
     out = ["declare_subscriber", "liveliness_token", "reply", "declare_liveliness_subscriber", "liveliness_query"]
     allow("all", "egress", out, [f"{root}/**"])

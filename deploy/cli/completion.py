@@ -18,13 +18,14 @@ def studies(context: CompletionContext) -> list[str]:
     """The names of the studies."""
     from deploy.studies.design import STUDIES
 
-    return [*STUDIES, "robustness"]
+    return [*STUDIES, "robustness", "bodies"]
 
 
 def benches(context: CompletionContext) -> list[str]:
     """What can be measured, as the help of `covey bench` says; nothing but the benchmarks imports them."""
     return [
         *("round", "simulate", "live", "realtime", "tls", "scale", "start", "codec", "memory", "peers", "page", "replay", "overload"),
+        "bodies",
         "all",
     ]
 

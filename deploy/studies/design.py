@@ -64,7 +64,7 @@ QUICK: dict[str, dict[str, Any]] = {  # what --quick lays over a study: under 3 
 def design(name: str, quick: bool = False) -> Design:
     """The study of that name; raises BadSetting listing what there is."""
     if name not in STUDIES:
-        raise BadSetting(f"study {name!r} does not exist; known are {', '.join(STUDIES)}, robustness")
+        raise BadSetting(f"study {name!r} does not exist; known are {', '.join(STUDIES)}, robustness, bodies")
     return msgspec.structs.replace(STUDIES[name], **QUICK[name]) if quick else STUDIES[name]
 
 

@@ -132,6 +132,16 @@ def test_what_a_body_says_is_an_observation_that_the_swarm_reads() -> None:
     assert (seen.tick, seen.time, seen.pose, seen.detections.tolist()) == (2, 0.5, (1.0, 2.0, 0.5), [[3.0, 4.0]])
 
 
+def test_a_body_with_a_size_says_its_pose_and_tells_its_agent_of_those_that_did() -> None:
+    desk = Desk(sight=5.0)
+    for name, x in (("s1", 5.0), ("s2", 6.1), ("s3", 1.0), ("s4", math.nan)):
+        desk.body.hear(Heard("pose", name, {"tick": 0, "pose": (x, 2.0, 0.0)}, 7), 99.0)
+    desk.at(100.0)
+    pose, observation = desk.said
+    assert pose == {"kind": "pose", "tick": 0, "pose": (1.0, 2.0, 0.5)}
+    assert struct.unpack("<2d", observation["obstacles"]) == (5.0, 2.0)
+
+
 def test_a_command_moves_the_body_for_half_a_second_and_is_cut_to_the_limits() -> None:
     desk = Desk()
     desk.at(100.0)
@@ -244,12 +254,13 @@ def test_the_access_control_of_a_bridge_lets_in_and_out_what_that_of_a_body_of_o
         found = [rule for rule in rules["rules"] if rule["id"] in mine and message in rule["messages"] and flow in rule["flows"]]
         return any(keys.matches(expression, key) for rule in found for expression in rule["key_exprs"])
 
-    says = [f"covey/r/{kind}/{name}" for kind in ("gossip", "command", "estimate") for name in agents] + ["covey/r/halt"]
+    says = [f"covey/r/{kind}/{name}" for kind in ("gossip", "pose", "command", "estimate") for name in agents] + ["covey/r/halt"]
     for name in (*agents, "monitor", "operator", "world", "x9"):
         for key in says:
-            wanted = allowed(ours, name, "put", "ingress", key) and (key.endswith(("/s3", "halt")) or "/gossip/" in key)
+            wanted = allowed(ours, name, "put", "ingress", key) and (key.endswith(("/s3", "halt")) or "/gossip/" in key or "/pose/" in key)
             assert allowed(theirs, name, "put", "ingress", key) == wanted, (name, key)
         assert allowed(theirs, name, "put", "egress", "covey/r/observation/s3") == (name in ("s3", "monitor", "operator"))
+        assert allowed(theirs, name, "put", "egress", "covey/r/pose/s3") == allowed(ours, name, "put", "egress", "covey/r/pose/s3")
         assert not allowed(theirs, name, "put", "egress", "covey/r/gossip/s3")
         for role in ("agent", "body"):
             key = f"covey/r/alive/{role}/s2/5"

@@ -38,7 +38,7 @@ def test_a_quick_study_is_the_same_study_with_fewer_and_shorter_trials() -> None
 
 def test_what_cannot_be_run_is_refused_before_anything_runs() -> None:
     with pytest.raises(
-        BadSetting, match="study 'eficacy' does not exist; known are convergence, efficacy, heterogeneity, ablation, robustness"
+        BadSetting, match="study 'eficacy' does not exist; known are convergence, efficacy, heterogeneity, ablation, robustness, bodies"
     ):
         design("eficacy")
     with pytest.raises(BadSetting, match="--methods lloyd"):

@@ -85,7 +85,7 @@ def test_garbage_on_every_key_changes_nothing_but_a_counter(covey: Covey) -> Non
             await asyncio.sleep(0.02)
         seeds = tuple(tomllib.loads(config.read_text())["network"]["seeds"])
         session = await asyncio.to_thread(live.open_session, NetworkSettings(seeds=seeds))
-        kinds = ("hello", "beacon", "gossip", "observation", "command", "estimate")
+        kinds = ("hello", "beacon", "gossip", "observation", "pose", "command", "estimate")
         names = ("world", "s1", "s2", "s3", "s4", "s5", "s6")
         targets = [keys.one_of("covey", kind, name).replace("*", "0") for kind in kinds for name in names]
         thrown = 0

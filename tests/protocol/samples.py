@@ -10,7 +10,7 @@ from protocol import codec
 from protocol.fields import Malformed, pack
 from protocol.keys import message_key
 from protocol.message import Message
-from protocol.messages import Beacon, Command, Gossip, Halt, Hello, Observation
+from protocol.messages import Beacon, BodyPose, Command, Gossip, Halt, Hello, Observation
 from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SENSOR_CLASSES
 
@@ -76,6 +76,7 @@ def _samples() -> list[Message]:
             pose=(1.0, 2.0, 0.3),
             detections_bytes=pack(places[:3, :2], "<f4"),
         ),
+        BodyPose(sender="s1", incarnation=9, tick=4, pose=(1.0, -1.0, 0.5)),
         Command(sender="s1", incarnation=9, tick=4, velocity=(1.0, -1.0), turn_rate=0.5),
         Estimate(
             sender="s1",

@@ -7,7 +7,7 @@ from protocol.keys import OF_ALL, Token, all_of, matches, one_of, token_key
 from protocol.settings import NetworkSettings
 
 RULES = access_control("r", ("s1", "s2"))
-KINDS = ("hello", "beacon", "gossip", "observation", "command", "estimate")
+KINDS = ("hello", "beacon", "gossip", "observation", "pose", "command", "estimate")
 
 
 def allowed(name: str, message: str, flow: str, key: str) -> bool:
@@ -30,7 +30,7 @@ def heard_by(name: str) -> set[str]:
 
 
 def test_a_name_writes_its_own_keys_only() -> None:
-    assert written_by("s1") == {"hello/s1", "beacon/s1", "gossip/s1", "observation/s1", "command/s1", "estimate/s1"}
+    assert written_by("s1") == {"hello/s1", "beacon/s1", "gossip/s1", "observation/s1", "pose/s1", "command/s1", "estimate/s1"}
     assert written_by("world") == {"hello/world", "observation/s1", "observation/s2", "observation/world", "truth"}
     assert written_by("monitor") == set()
     assert written_by("operator") == {"halt"}
@@ -38,11 +38,11 @@ def test_a_name_writes_its_own_keys_only() -> None:
 
 
 def test_an_agent_is_never_sent_the_truth_or_anothers_estimate_or_observation() -> None:
-    assert heard_by("s1") == {"hello/s1", "beacon/s1", "gossip/s1", "observation/s1", "command/s1", "estimate/s1", "halt"}
-    assert heard_by("s2") == {"hello/s1", "beacon/s1", "gossip/s1", "observation/s2", "halt"}
+    assert heard_by("s1") == {"hello/s1", "beacon/s1", "gossip/s1", "observation/s1", "pose/s1", "command/s1", "estimate/s1", "halt"}
+    assert heard_by("s2") == {"hello/s1", "beacon/s1", "gossip/s1", "observation/s2", "pose/s1", "halt"}
     assert heard_by("world") == {"hello/s1", "command/s1", "halt"}
     assert heard_by("operator") == {"observation/s1", "observation/s2"}
-    assert len(heard_by("monitor")) == 9
+    assert len(heard_by("monitor")) == 10
     assert heard_by("x9") == set()
 
 

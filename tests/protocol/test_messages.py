@@ -51,9 +51,9 @@ def test_a_sound_message_of_every_kind_passes(message: Message) -> None:
     message.check()
 
 
-def test_all_eight_kinds_are_known_by_their_tag() -> None:
+def test_all_nine_kinds_are_known_by_their_tag() -> None:
     assert {kind: message_type.__struct_config__.tag for kind, message_type in KINDS.items()} == {kind: kind for kind in KINDS}
-    assert len(KINDS) == 8
+    assert len(KINDS) == 9
 
 
 def test_a_gossip_gives_its_arrays_back() -> None:

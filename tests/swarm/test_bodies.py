@@ -1,5 +1,6 @@
 """Swarms whose bodies are participants of their own, in virtual time: no node is called world."""
 
+import itertools
 import math
 import statistics
 
@@ -11,7 +12,8 @@ from deploy.scenario import Scenario, resolve
 from deploy.simulation import Simulation
 from protocol.messages import Halt
 from protocol.node import Effect, Event, Node, Started, Stop
-from tests.swarm.scene import fault
+from protocol.streams import key
+from tests.swarm.scene import fault, ledger
 from world.body import Body
 
 LEDGER = {
@@ -114,6 +116,36 @@ def test_after_the_deaths_of_two_bodies_and_an_agent_the_rest_cover_the_arena_wi
     after = poses(simulation)
     assert {name for name in after if after[name] != before[name]} == {"s1", "s3", "s4", "s6", "s8"}
     assert {body.tick for body in bodies(simulation).values()} == {tick + 12}
+
+
+PROCESSES = [f"s{number}{kind}" for number in range(1, 9) for kind in ("", ".body")]
+TRIPLES = sorted(itertools.combinations(PROCESSES, 3), key=lambda names: key(27, "triple", *names))  # all 560 of them, shuffled
+
+
+@pytest.mark.parametrize(
+    "share", [slice(0, 8), pytest.param(slice(8, None), marks=[pytest.mark.slow, pytest.mark.timeout(1800)])], ids=["some", "the rest"]
+)
+def test_after_the_deaths_of_any_three_processes_the_hole_is_closed_within_a_second_no_mass_is_lost_and_nobody_else_stops(
+    share: slice,
+) -> None:
+    given = ledger(run__seconds=8.0, bodies__host="own", control__mode="random")
+    closings, masses = [], []
+    for killed in TRIPLES[share]:
+        simulation = Simulation(given, clock="realtime", backend=FAST)
+        play(simulation, 4.0)
+        for name in killed:
+            simulation.bus.remove(name) if name.endswith(".body") else simulation.injector.kill(name)
+        tick = max(body.tick for body in bodies(simulation).values())
+        play(simulation, 2.0)
+        whole = [score.tick for score in simulation.scorer.scores if score.tick > tick and score.hole <= 1e-6]
+        later = [score.mass / 16.0 for score in simulation.scorer.scores if score.tick >= whole[0]]
+        closings.append(whole[0] - tick)
+        masses += later
+        assert whole[0] <= tick + 4 and min(later) >= 0.99 and len(whole) == len(later), killed
+        driven = {name for name, body in bodies(simulation).items() if body._obeyed_at is not None}
+        assert driven == {f"s{number}" for number in range(1, 9)} - {name.partition(".")[0] for name in killed}, killed
+        assert {body.tick for body in bodies(simulation).values()} == {tick + 8}, killed
+    print(f"{len(closings)} triples: closed after {max(closings)} ticks at most; mass {min(masses):.4f} to {max(masses):.4f}")
 
 
 @pytest.mark.parametrize("how", ["killed", "stopped"])
@@ -220,5 +252,5 @@ def test_clocks_50_ms_apart_and_messages_up_to_20_ms_late_cost_less_than_a_tenth
             simulation.bus.jump(f"{name}.body", 0.05 * (-1) ** number)
         ratios.append(simulation.run().steady_ospa / swarm("world", **{"run.seed": seed}).run().steady_ospa)
         assert all(body._clock.corrections == 0 for body in bodies(simulation).values())
-    print("ratios", sorted(round(ratio, 3) for ratio in ratios))
+    print(f"ratios {min(ratios):.4f} to {max(ratios):.4f}, median {statistics.median(ratios):.4f}")
     assert statistics.median(ratios) <= 1.1

@@ -4,9 +4,9 @@ import msgspec
 import pytest
 
 from agents.compiled.backend import FAST
-from deploy.bench.bodies import Gaps
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
+from deploy.studies.bodies import Gaps
 from tests.swarm.scene import fault
 from world.physical_bodies import PhysicalBodies
 

@@ -7,14 +7,14 @@ import msgspec
 import pytest
 
 from deploy.scenario import resolve, world_config
-from protocol.messages import Observation
-from protocol.node import Alive, Started, Timer, received
+from protocol.messages import BodyPose, Observation
+from protocol.node import Alive, Gone, Started, Subscribe, Timer, received
 from protocol.settings import BadSetting, LimitSettings
 from tests.world.stage import config, hello, of_kind, started
 from world.bodies import ROOM, check_given, start_poses
 from world.body import Body
 from world.config import BodySettings, WorldConfig
-from world.proximity import StandingBodies, around, sight
+from world.proximity import around, sight
 from world.witness import Witness
 from world.world import World
 
@@ -48,27 +48,23 @@ def test_the_wreck_of_an_agent_that_is_not_there_is_sensed() -> None:
     assert observation.obstacles.tolist() == [[13.0, 10.0]]
 
 
-def test_what_stands_or_has_no_process_is_known_to_a_body_process() -> None:
-    bodies = StandingBodies()
-    bodies.hear("s2", (1.0, 1.0, 0.0))
-    assert bodies.places({"s2"}) == [] and bodies.places(()) == [(1.0, 1.0)]
-    bodies.hear("s2", (1.0, 1.0, 0.0))
-    assert bodies.places({"s2"}) == [(1.0, 1.0)]
-    bodies.hear("s2", (1.5, 1.0, 0.0))
-    assert bodies.places({"s2"}) == []
-
-
-def test_a_body_process_tells_its_agent_of_a_body_that_stands() -> None:
+def test_a_body_process_says_where_it_is_and_tells_its_agent_of_another_one_that_did_even_when_that_is_gone() -> None:
     given = {"bodies.start": "given", "bodies.poses": {"s1": [10.0, 10.0, 0.0], "s2": [12.0, 10.0, 0.0]}, "run.clock": "realtime"}
     own = {"team.composition": "A2", "bodies.host": "own", "limits.radius": 0.3, "bodies.epoch": 100.0}
     body = Body(world_config(resolve("quick", {**own, **given})), "s1", 1, 100.0)
     body.handle(Started(), 0.0)
     body.handle(Alive("agent", "s1", 1), 0.0)
     body.handle(Alive("body", "s2", 1), 0.0)
-    for tick in (0, 1):
-        body.handle(received(Observation(sender="s2", incarnation=1, recipient="s2", tick=tick, time=0.0, pose=(12.0, 10.0, 0.0))), 0.0)
-    [observation] = [effect for effect in body.handle(Timer(), 0.0) if isinstance(effect, Observation)]
-    assert observation.obstacles.tolist() == [[12.0, 10.0]]
+    body.handle(received(BodyPose(sender="s2", incarnation=1, tick=0, pose=(12.0, 10.0, 0.0))), 0.0)
+    body.handle(Gone("body", "s2", 1), 0.0)
+    pose, observation = body.handle(Timer(), 0.0)
+    assert isinstance(pose, BodyPose) and (pose.sender, pose.tick, pose.pose) == ("s1", 0, (10.0, 10.0, 0.0))
+    assert isinstance(observation, Observation) and observation.obstacles.tolist() == [[12.0, 10.0]]
+
+
+def test_points_say_no_pose() -> None:
+    body = Body(world_config(resolve("quick", {"team.composition": "A2", "bodies.host": "own", "run.clock": "realtime"})), "s1", 1, 100.0)
+    assert "covey/covey/pose/*" not in [effect.expression for effect in body.handle(Started(), 0.0) if isinstance(effect, Subscribe)]
 
 
 def test_bodies_start_with_room_around_them_and_every_process_knows_where() -> None:

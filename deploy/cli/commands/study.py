@@ -32,13 +32,14 @@ def study(
     scheduler: str | None = None,
     json: Annotated[bool, FLAG] = False,
 ) -> int:
-    """Run a study of the paper, or the robustness study.
+    """Run a study of the paper, of robustness, or of bodies.
 
-    Name: convergence (IV-A), efficacy (IV-B, figure 4), heterogeneity (IV-C, figure 5), ablation, or robustness.
+    Name: convergence (IV-A), efficacy (IV-B, figure 4), heterogeneity (IV-C, figure 5), ablation, robustness, or bodies.
     Every method gets the same seeds. What is finished is kept: after Ctrl-C the same command goes on.
     ablation: search-and-track without each of its ingredients, and beside other methods; OSPA and GOSPA with their parts.
     robustness: OSPA around a fault (10 to 90 % killed; loss; bursts; delay; little bandwidth; partitions), against no fault and a
     fresh team of the survivors.
+    bodies: do bodies with a size touch when agents die, and what does their size cost? 200 seeds x 300 s.
 
     Parameters
     ----------
@@ -54,6 +55,7 @@ def study(
         Numbers of targets at the start, with commas.
     methods
         With commas: power, voronoi, voronoi-cod, pursuit, search-and-track, uniform-density, random, static, and those of the ablation.
+        Of bodies: points, radius, mujoco.
     faults
         Of robustness, with commas: kill, loss, bursts, delay, throttle, partition; default: all.
     triple
@@ -90,6 +92,10 @@ def study(
         return run_robustness_study(quick, trials, seed, faults, fixed, folder, workers, scheduler, json)
     if faults is not None:
         raise BadSetting(f"--faults {faults}: an option of the robustness study alone")
+    if name == "bodies":
+        from deploy.cli.bodies import run_body_study
+
+        return run_body_study(quick, design_fields(trials, seed, teams, targets, methods), options, folder, workers, scheduler, json)
     design = design_with(name, quick, design_fields(trials, seed, teams, targets, methods), options)
     if name == "ablation":
         from deploy.cli.ablation import run_ablation_study
@@ -108,7 +114,7 @@ def bench(
 ) -> int:
     """Measure this machine.
 
-    What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, overload, or all of them.
+    What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, overload, bodies, or all of them.
     --seconds: how long realtime runs each of its swarms; a minute if it is not given.
     """
     import subprocess

@@ -95,8 +95,8 @@ def study(
     from deploy.studies.trials import run_trial
 
     need_study_packages("covey.study")
-    if name == "robustness":
-        raise BadSetting("study 'robustness': run it with the command covey study robustness")
+    if name in ("robustness", "bodies"):
+        raise BadSetting(f"study {name!r}: run it with the command covey study {name}")
     joined = [None if values is None else ",".join(map(str, values)) for values in (teams, targets, methods)]
     given = design_fields(trials, seed, *joined)
     options = {**dotted_options(triple, capacity, dt, seconds, []), **(settings or {})}
