@@ -13,6 +13,7 @@ import pytest
 from world.track_score import Compared, score_of
 
 FRAMES = {"TUD-Campus": 71, "TUD-Stadtmitte": 179}
+Frame = tuple[list[int], list[int], list[list[float]]]
 NOTHING: list[list[float]] = []
 
 
@@ -89,11 +90,11 @@ def compared(ids: list[int], labels: list[int], apart: list[list[float]]) -> Com
 def test_the_examples_in_the_unit_tests_of_motmetrics_come_out() -> None:
     """`test_mota_motp`: two false, two missed, two switches among eight targets. `test_ids`: three switches among ten."""
     none = float("nan")
-    first = [([], [1, 2], NOTHING), ([1, 2], [], NOTHING), ([1, 2], [1, 2], [[1, 0.5], [0.3, 1]])]
+    first: list[Frame] = [([], [1, 2], NOTHING), ([1, 2], [], NOTHING), ([1, 2], [1, 2], [[1, 0.5], [0.3, 1]])]
     first += [([1, 2], [1, 2], [[0.2, none], [none, 0.1]]), ([1, 2], [1, 2], [[5, 1], [1, 5]]), ([], [], NOTHING)]
     found = score_of([compared(*frame) for frame in first])
     assert (found.id_switches, found.mota) == (2, pytest.approx(1.0 - 6.0 / 8.0, abs=1e-9))
-    second = [([], [], NOTHING), ([1, 2], [1, 2], [[1, 0], [0, 1]]), ([1, 2], [1, 2], [[0.4, none], [none, 0.4]])]
+    second: list[Frame] = [([], [], NOTHING), ([1, 2], [1, 2], [[1, 0], [0, 1]]), ([1, 2], [1, 2], [[0.4, none], [none, 0.4]])]
     second += [([1, 2], [1, 2], [[0, 1], [1, 0]]), ([1, 2], [2, 3], [[1, 0], [0.4, 0.7]]), ([1, 3], [2, 3], [[1, 0], [0.4, 0.7]])]
     found = score_of([compared(*frame) for frame in second])
     assert (found.id_switches, found.mota) == (3, pytest.approx(1.0 - 3.0 / 10.0, abs=1e-9))
