@@ -1,7 +1,7 @@
 """Scores of tracks: how well estimates keep the identities of targets; pure functions of what was true and reported, tick by tick.
 
-Data types: a `TrackTick` holds the targets and the estimates of a tick with their identities. A similarity is 1 - distance / cut-off, at
-least 0. An estimate can match a target from the similarity 1/2 on, that is up to half the cut-off.
+Data types: a `TrackTick` holds the targets and the estimates of a tick with their identities, a `Compared` their similarities. That of
+positions is 1 - distance / cut-off, at least 0. An estimate can match a target from the similarity 1/2 on, that is up to half the cut-off.
 
 The definitions are those of TrackEval (Luiten and others, IJCV 129, 2021), so that its numbers come out.
 """
@@ -25,6 +25,14 @@ class TrackTick(NamedTuple):
     targets: np.ndarray
     labels: np.ndarray
     estimates: np.ndarray
+
+
+class Compared(NamedTuple):
+    """A tick whose targets and estimates are compared already: ids (T,), labels (M,) and similarities (T, M) from 0 to 1."""
+
+    ids: np.ndarray
+    labels: np.ndarray
+    similar: np.ndarray
 
 
 class TrackScore(NamedTuple):
@@ -51,9 +59,19 @@ def track_score(ticks: Sequence[TrackTick], cutoff: float) -> TrackScore:
     >>> track_score([TrackTick(np.array([7]), place, np.array([label]), place) for label in (3, 3, 4, 4)], 10.0)
     TrackScore(id_switches=1, idf1=0.5, hota=0.707..., mota=0.75)
     """
-    indexed = _indexed(ticks, cutoff)
+    return score_of([compared(tick, cutoff) for tick in ticks])
+
+
+def score_of(ticks: Sequence[Compared]) -> TrackScore:
+    """All scores of a run from any similarities, such as overlaps of boxes."""
+    indexed = _indexed(ticks)
     switches, mota = _clear(indexed)
     return TrackScore(switches, _idf1(indexed), _hota(indexed), mota)
+
+
+def compared(tick: TrackTick, cutoff: float) -> Compared:
+    """A tick with the similarities of its positions."""
+    return Compared(tick.ids, tick.labels, similarity(tick.targets, tick.estimates, cutoff))
 
 
 def similarity(targets: np.ndarray, estimates: np.ndarray, cutoff: float) -> np.ndarray:
@@ -62,14 +80,14 @@ def similarity(targets: np.ndarray, estimates: np.ndarray, cutoff: float) -> np.
     return np.maximum(0.0, 1.0 - np.sqrt((offsets * offsets).sum(axis=2)) / cutoff)
 
 
-def _indexed(ticks: Sequence[TrackTick], cutoff: float) -> _Indexed:
+def _indexed(ticks: Sequence[Compared]) -> _Indexed:
     nothing = np.empty(0, dtype=np.uint64)
     ids, rows = np.unique(np.concatenate([nothing, *(tick.ids.astype(np.uint64) for tick in ticks)]), return_inverse=True)
     labels, columns = np.unique(np.concatenate([nothing, *(tick.labels.astype(np.uint64) for tick in ticks)]), return_inverse=True)
     found, row, column = [], 0, 0
     for tick in ticks:
         here = rows[row : row + len(tick.ids)], columns[column : column + len(tick.labels)]
-        found.append((*here, similarity(tick.targets, tick.estimates, cutoff)))
+        found.append((*here, tick.similar))
         row, column = row + len(tick.ids), column + len(tick.labels)
     return _Indexed(found, np.bincount(rows, minlength=len(ids)), np.bincount(columns, minlength=len(labels)))
 
@@ -140,7 +158,7 @@ def track_ospa(ticks: Sequence[TrackTick], cutoff: float) -> float:
     The distance of two tracks is the mean of min(d, cutoff) over the ticks in which one of them exists, with the cut-off where only one
     does.
     """
-    indexed = _indexed(ticks, cutoff)
+    indexed = _indexed([compared(tick, cutoff) for tick in ticks])
     shape = len(indexed.target_ticks), len(indexed.label_ticks)
     both, apart = np.zeros(shape), np.zeros(shape)
     for rows, columns, similar in indexed.ticks:

@@ -10,7 +10,8 @@ from agents.compiled.cache import cached
 from agents.compiled.particle_kernels import scramble
 
 # The constants of agents/tracking/labels.py, which a test compares.
-NO_LABEL, HASH_BITS, TICK_BITS, EXPLAINED, CLAIMED, HELD = np.uint64(0), np.uint64(29), np.uint64(24), 0.5, 0.5, 0.5
+NO_LABEL, HASH_BITS, TICK_BITS, EXPLAINED, CLAIMED = np.uint64(0), np.uint64(29), np.uint64(24), 0.02, 0.5
+HELD, OLDEST, GROWN = 0.1, 10.0, 1e-9
 _ONE, _CUT = np.uint64(1), np.uint64(35)
 
 
@@ -76,16 +77,37 @@ def label_scan(
 
 
 @njit
-def _wanted(labels: np.ndarray, weights: np.ndarray, taken: np.ndarray) -> int:
-    """Twin of `labels._wanted` for the labels of one peak: the place of the label, or -1."""
-    most, best = 0.0, -1
+def _worths(labels: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Twin of `labels._worths` for the labels of one peak."""
+    worths, most, oldest = weights.copy(), 0.0, -1
     for k in range(len(labels)):
-        if not (taken == labels[k]).any():
-            most = max(most, weights[k])
+        most = max(most, weights[k])
     for k in range(len(labels)):
-        if weights[k] >= HELD * most and (best < 0 or labels[k] < labels[best]) and not (taken == labels[k]).any():
+        if weights[k] >= HELD * most and (oldest < 0 or labels[k] < labels[oldest]):
+            oldest = k
+    if oldest >= 0:
+        worths[oldest] *= OLDEST
+    return worths
+
+
+@njit
+def _best(labels: np.ndarray, worths: np.ndarray, taken: np.ndarray) -> int:
+    """Twin of `labels._best`: the place of the label, or -1."""
+    best = -1
+    for k in range(len(labels)):
+        better = best < 0 or worths[k] > worths[best] or (worths[k] == worths[best] and labels[k] < labels[best])
+        if better and worths[k] > 0.0 and not (taken == labels[k]).any():
             best = k
     return best
+
+
+@njit
+def _place(labels: np.ndarray, start: int, end: int, label: np.uint64) -> int:
+    """The place of a label among those from `start` to `end`, or -1."""
+    for k in range(start, end):
+        if labels[k] == label:
+            return k
+    return -1
 
 
 @njit
@@ -99,6 +121,28 @@ def _derived(label: np.uint64, taken: np.ndarray) -> np.uint64:
         number += _ONE
 
 
+@njit
+def _exchanged(labels: np.ndarray, worths: np.ndarray, starts: np.ndarray, given: np.ndarray) -> bool:
+    """Twin of `labels._exchanged`."""
+    for number in range(len(given)):
+        for other in range(len(given)):
+            if other == number or given[other] == NO_LABEL:
+                continue
+            wanted = _place(labels, starts[number], starts[number + 1], given[other])
+            if wanted < 0:
+                continue
+            held = _place(labels, starts[other], starts[other + 1], given[other])
+            mine = _place(labels, starts[number], starts[number + 1], given[number])
+            part = slice(starts[other], starts[other + 1])
+            free = _best(labels[part], worths[part], given)
+            now = (worths[mine] if mine >= 0 else 0.0) + worths[held]
+            if worths[wanted] + (worths[part][free] if free >= 0 else 0.0) > now + GROWN:
+                given[number] = given[other]
+                given[other] = labels[part][free] if free >= 0 else NO_LABEL
+                return True
+    return False
+
+
 @cached
 def assign_labels(labels: np.ndarray, weights: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Twin of `labels.assign_labels`: the label of each peak (M,).
@@ -106,27 +150,29 @@ def assign_labels(labels: np.ndarray, weights: np.ndarray, starts: np.ndarray) -
     Peak number m has the labels and weights from `starts[m]` to `starts[m + 1]`.
     """
     peaks = len(starts) - 1
-    given, asked, nothing = np.zeros(peaks, np.uint64), np.empty(peaks, np.int64), np.empty(0, np.uint64)
+    given, worths, nothing = np.zeros(peaks, np.uint64), np.empty(len(labels)), np.empty(0, np.uint64)
+    for m in range(peaks):
+        part = slice(starts[m], starts[m + 1])
+        worths[part] = _worths(labels[part], weights[part])
     while True:
-        any_asked = False
+        peak, place = -1, -1
         for m in range(peaks):
-            asked[m] = -1
-            if given[m] == NO_LABEL and starts[m + 1] > starts[m]:
-                place = _wanted(labels[starts[m] : starts[m + 1]], weights[starts[m] : starts[m + 1]], given)
-                asked[m] = starts[m] + place if place >= 0 else -1
-            any_asked |= asked[m] >= 0
-        if not any_asked:
+            if given[m] != NO_LABEL:
+                continue
+            part = slice(starts[m], starts[m + 1])
+            k = _best(labels[part], worths[part], given)
+            if k < 0:
+                continue
+            k += starts[m]
+            if peak < 0 or worths[k] > worths[place] or (worths[k] == worths[place] and labels[k] < labels[place]):
+                peak, place = m, k
+        if peak < 0:
             break
-        for m in range(peaks):
-            wins = asked[m] >= 0
-            for other in range(peaks):
-                if wins and asked[other] >= 0 and other != m and labels[asked[other]] == labels[asked[m]]:
-                    more = weights[asked[other]] - weights[asked[m]]
-                    wins = more < 0.0 or (more == 0.0 and m < other)
-            if wins:
-                given[m] = labels[asked[m]]
+        given[peak] = labels[place]
+    while _exchanged(labels, worths, starts, given):
+        pass
     for m in range(peaks):
         if given[m] == NO_LABEL and starts[m + 1] > starts[m]:
             part = slice(starts[m], starts[m + 1])
-            given[m] = _derived(labels[part][_wanted(labels[part], weights[part], nothing)], given)
+            given[m] = _derived(labels[part][_best(labels[part], weights[part], nothing)], given)
     return given

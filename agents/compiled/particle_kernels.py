@@ -16,7 +16,6 @@ from numba import njit
 
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import insert
-from agents.compiled.claim_kernels import owned
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -190,18 +189,10 @@ def resample(
 
 @cached
 def take(
-    states: np.ndarray,
-    weights: np.ndarray,
-    ids: np.ndarray,
-    labels: np.ndarray,
-    generators: np.ndarray,
-    first: np.ndarray,
-    width: float,
-    height: float,
+    states: np.ndarray, weights: np.ndarray, ids: np.ndarray, labels: np.ndarray, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Twin of `regions.take`: the particles in the arena and in the cell of generator 0, in canonical order."""
+    """Twin of `regions.take`: the particles marked in `inside` (N,) bool, in canonical order."""
     chosen, count = np.empty(len(ids), np.int64), 0
-    inside = owned(states, generators, first, width, height)
     for n in range(len(ids)):
         chosen[count] = n
         count += inside[n]

@@ -18,6 +18,7 @@ from agents.compiled.correction_kernels import update
 from agents.compiled.extraction_kernels import TRACK, estimate_tracks
 from agents.compiled.label_kernels import stamp_of
 from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take
+from agents.compiled.settling_kernels import settle
 from agents.gossip.table import PARTICLES, WEIGHT
 
 BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
@@ -231,7 +232,9 @@ def _update_region(
     miss = settings[CERTAINTY], settings[MISS_BIN]
     near = near_states, near_weights, near_ids, near_labels
     states, weights, ids, labels = update(near, table, salts, detections, rays, polygon, halo, noise, miss, birth)
-    own = take(states, weights, ids, labels, generators, first, settings[WIDTH], settings[HEIGHT])
+    mine = owned(states, generators, first, settings[WIDTH], settings[HEIGHT])
+    labels = settle((states, weights, ids, labels), mine, (near_weights, near_labels), halo, stamp_of(now))
+    own = take(states, weights, ids, labels, mine)
     own_states, own_weights, own_ids, own_labels = own
     mass, east, north = first_moments(own_states, own_weights)
     near_load, near_detected = in_view(states, weights, sensor)

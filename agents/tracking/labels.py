@@ -6,7 +6,11 @@ Rules. A detection that founds a label gives it to its births, and all copies of
 (seed, sensor, tick, detection), and older labels are smaller numbers. The particles of the prior and of background births have none. Such a
 particle takes the label of the detection from which more than the share `CLAIMED` of its weight comes. A detection founds no label if a
 living label explains at least the share `EXPLAINED` of it: its births then carry that label. So births beside a living track belong to it.
+
+A label stands for one target. After the scans of a tick the owner of a cell settles the labels in it (agents/tracking/settling.py).
 """
+
+from collections.abc import Collection
 
 import numpy as np
 
@@ -14,9 +18,10 @@ from protocol.streams import scramble
 
 NO_LABEL = 0
 HASH_BITS, TICK_BITS = 29, 24  # of a label: a hash in the low bits, the tick plus one above; 2^24 ticks are 48 days at 4 Hz
-EXPLAINED = 0.5  # share of N(z) that the particles of one label must make up
+EXPLAINED = 0.02  # share of N(z) that the particles of one label must make up
 CLAIMED = 0.5  # share of a particle's weight
-HELD = 0.5  # a peak keeps the oldest label of at least this share of the weight of its heaviest label
+HELD, OLDEST = 0.1, 10.0  # in a peak the oldest label of at least this share of the heaviest weight counts so many times
+GROWN = 1e-9  # least growth of a sum of worths
 
 
 def birth_labels(hashes: np.ndarray, tick: int) -> np.ndarray:
@@ -51,35 +56,49 @@ def heaviest(labels: np.ndarray, weights: np.ndarray) -> tuple[int, float]:
 def assign_labels(peaks: list[dict[int, float]]) -> list[int]:
     """One label for each peak, no label twice; a peak is the weight of each label in it, 0 left out.
 
-    Each peak asks for the oldest free label that holds at least `HELD` of the weight of its heaviest free label. Of several peaks that ask
-    for one label the peak with the most of it gets it, the first of equals, and the others ask again. A peak without a free label takes a
-    label derived from its heaviest one; a peak without any label has none.
+    The oldest label of a peak with at least `HELD` of its heaviest weight counts `OLDEST` times. The pair of a peak and a label with the
+    largest worth comes first, then the next of the peaks and labels that are left; of equals the older label, then the first peak. A peak
+    then takes a label from another one as long as the sum of all worths grows: the other takes its best free label. A peak without a free
+    label takes a label derived from its heaviest one; a peak without any label has none.
     """
-    given, taken = [NO_LABEL] * len(peaks), set[int]()
-    open_peaks = [number for number, peak in enumerate(peaks) if peak]
-    while open_peaks:
-        asked: dict[int, int] = {}
-        for number in open_peaks:
-            wanted = _wanted(peaks[number], taken)
-            if wanted != NO_LABEL and (wanted not in asked or peaks[number][wanted] > peaks[asked[wanted]][wanted]):
-                asked[wanted] = number
-        for label, number in asked.items():
+    worths, given = [_worths(peak) for peak in peaks], [NO_LABEL] * len(peaks)
+    for value, label, number in sorted((-value, label, number) for number, worth in enumerate(worths) for label, value in worth.items()):
+        if value < 0.0 and given[number] == NO_LABEL and label not in given:
             given[number] = label
-            taken.add(label)
-        if not asked:
-            break
-        open_peaks = [number for number in open_peaks if given[number] == NO_LABEL]
-    for number in open_peaks:
-        given[number] = _derived(_wanted(peaks[number], set()), taken)
-        taken.add(given[number])
+    while _exchanged(worths, given):
+        pass
+    taken = {*given, NO_LABEL}
+    for number, peak in enumerate(peaks):
+        if given[number] == NO_LABEL and peak:
+            given[number] = _derived(_best(peak, {NO_LABEL}), taken)
+            taken.add(given[number])
     return given
 
 
-def _wanted(peak: dict[int, float], taken: set[int]) -> int:
-    """The oldest free label that holds enough of a peak; 0 if none is free."""
-    free = {label: weight for label, weight in peak.items() if label not in taken}
-    most = max(free.values(), default=0.0)
-    return min([label for label, weight in free.items() if weight >= HELD * most], default=NO_LABEL)
+def _worths(peak: dict[int, float]) -> dict[int, float]:
+    """The weights of the labels in a peak, that of the oldest important one multiplied."""
+    least = HELD * max(peak.values(), default=0.0)
+    oldest = min([label for label, weight in peak.items() if weight >= least], default=NO_LABEL)
+    return {label: weight * (OLDEST if label == oldest else 1.0) for label, weight in peak.items()}
+
+
+def _best(worth: dict[int, float], taken: Collection[int]) -> int:
+    """The label of the largest worth that is not taken, the oldest of equals; 0: none."""
+    return min([(-value, label) for label, value in worth.items() if label not in taken], default=(0.0, NO_LABEL))[1]
+
+
+def _exchanged(worths: list[dict[int, float]], given: list[int]) -> bool:
+    """Whether a peak took the label of another one, because the sum grew by more than rounding; the first such pair exchanges."""
+    for number, worth in enumerate(worths):
+        for other, label in enumerate(given):
+            if other == number or label not in worth:
+                continue
+            free = _best(worths[other], given)
+            now = worth.get(given[number], 0.0) + worths[other][label]
+            if worth[label] + worths[other].get(free, 0.0) > now + GROWN:
+                given[number], given[other] = label, free
+                return True
+    return False
 
 
 def _derived(label: int, taken: set[int]) -> int:

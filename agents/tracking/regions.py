@@ -2,8 +2,8 @@
 
 Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the result.
 
-Rules. All particles are predicted, those around the cell are corrected with all scans that reach it, and those in the cell are
-resampled. These functions are the reference; agents/compiled/region_kernels.py computes the same bits.
+Rules. All particles are predicted, those around the cell are corrected with all scans that reach it, and the labels of those in the cell
+are settled. Then they are resampled. These functions are the reference; agents/compiled/region_kernels.py computes the same bits.
 """
 
 from collections.abc import Sequence
@@ -14,10 +14,10 @@ import numpy as np
 from agents.gossip.table import GossipTable, received_particles
 from agents.tracking import claims, phd
 from agents.tracking.births import near_part
-from agents.tracking.claims import Claim
 from agents.tracking.extraction import NO_TRACKS, Tracks, estimate_tracks, select_tracks
 from agents.tracking.measuring import BEARING, model_of
 from agents.tracking.particles import Particles, canonical, join, select, total
+from agents.tracking.settling import settled
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol import geometry
@@ -53,7 +53,9 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     config, claim = step.config, region.claim
     near, seen = gate(predicted, births, region, step)
     updated = correct(near, table, region.polygon, step)
-    own = take(updated, claim, step)
+    owned = claims.owned(updated.states, claim, config.arena)
+    updated = updated._replace(labels=settled(updated, owned, near, config.filter.halo, step.tick))
+    own = canonical(select(updated, owned))
     mass, east, north = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)
     far_load, far_detected = in_view(seen, region.sensor, region.pose)
@@ -95,11 +97,6 @@ def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step:
             close.append(near_part(scan, near))
     noise = config.detection.noise
     return phd.update(particles, close, step.tick, config.filter.seed, noise, config.filter, config.birth, config.pose)
-
-
-def take(particles: Particles, claim: Claim, step: Step) -> Particles:
-    """The particles in the claimed cell, in canonical order."""
-    return canonical(select(particles, claims.owned(particles.states, claim, step.config.arena)))
 
 
 def moments(particles: Particles) -> tuple[float, float, float]:

@@ -16,10 +16,11 @@ from agents.config import AgentConfig
 from agents.gossip.table import GossipTable, announced_sensor, gossip_table
 from agents.tracking import gaussian_belief, gaussian_phd, phd
 from agents.tracking.births import background_births
-from agents.tracking.claims import NO_CLAIM, Claim
+from agents.tracking.claims import NO_CLAIM, Claim, owned
 from agents.tracking.gaussians import Mixture, chain, in_order
 from agents.tracking.particles import NONE, Particles, canonical, join, select
-from agents.tracking.regions import take
+from agents.tracking.regions import predict
+from agents.tracking.settling import settled
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config
@@ -47,7 +48,8 @@ class CentralFilter:
         everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
         [found] = self._backend.update_regions(_all(gossips, self._classes, config), self.particles, born, [everywhere], step)
         self.updated = found.updated
-        self.particles = canonical(join([_drawn(self.updated, owner, claim, step) for owner, claim in claims.items()]))
+        predicted = predict(canonical(self.particles), step)
+        self.particles = canonical(join([_drawn(self.updated, predicted, owner, claim, step) for owner, claim in claims.items()]))
 
     @property
     def mass(self) -> float:
@@ -81,9 +83,11 @@ def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: Agen
     return gossip_table(said, sensors, config)
 
 
-def _drawn(updated: Particles, owner: str, claim: Claim, step: Step) -> Particles:
-    """What an owner draws of the particles in its claim."""
-    return phd.resample(take(updated, claim, step), owner, step.tick, step.config.filter.seed, step.config.filter)
+def _drawn(updated: Particles, predicted: Particles, owner: str, claim: Claim, step: Step) -> Particles:
+    """What an owner draws of the particles in its claim, whose labels it settles before."""
+    mine, filters = owned(updated.states, claim, step.config.arena), step.config.filter
+    labels = settled(updated, mine, predicted, filters.halo, step.tick)
+    return phd.resample(canonical(select(updated._replace(labels=labels), mine)), owner, step.tick, filters.seed, filters)
 
 
 def _widely(arena: ArenaSettings) -> np.ndarray:

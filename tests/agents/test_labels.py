@@ -96,9 +96,15 @@ def test_of_two_peaks_with_one_label_the_heavier_keeps_it_and_the_other_takes_it
     assert assign_labels([{}, {5: 0.6}]) == [0, 5] and assign_labels([]) == []
 
 
-def test_an_old_label_keeps_a_peak_as_long_as_it_holds_half_of_the_weight_of_the_heaviest() -> None:
-    assert assign_labels([{900: 0.6, 5: 0.31}]) == [5]
-    assert assign_labels([{900: 0.6, 5: 0.29}]) == [900]
+def test_a_peak_gives_its_label_to_one_that_has_no_other_if_it_has_another_itself() -> None:
+    """Both ask for 5. With it the first is worth 6.0 alone; with 7 it is worth 0.5, and the second 5.9 with 5."""
+    assert assign_labels([{5: 0.6, 7: 0.5}, {5: 0.59}]) == [7, 5]
+    assert assign_labels([{5: 0.6, 7: 0.5}, {5: 0.4}]) == [5, derived_label(5, 1)]
+
+
+def test_an_old_label_keeps_a_peak_as_long_as_it_holds_a_tenth_of_the_weight_of_the_heaviest() -> None:
+    assert assign_labels([{900: 0.6, 5: 0.062}]) == [5]
+    assert assign_labels([{900: 0.6, 5: 0.058}]) == [900]
     assert assign_labels([{900: 0.4, 5: 0.4}]) == [5]
 
 
@@ -108,7 +114,7 @@ def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> 
 
 
 def test_the_compiled_rules_give_the_same_labels() -> None:
-    names = ("NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "HELD")
+    names = ("NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "HELD", "OLDEST", "GROWN")
     assert [getattr(rules, name) for name in names] == [getattr(label_kernels, name) for name in names]
     rng = np.random.default_rng(3)
     for _ in range(300):
