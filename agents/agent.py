@@ -418,7 +418,7 @@ class Agent(Node):
         """Judge the pace and the lag at the end of a tick."""
         self._pace.close([gossip.pace for gossip in self._fresh])
         self.neighbours.keep_pace(self._pace.kept)
-        self._rounds.close(self.tick, [gossip.lag for gossip in self._fresh], self._pace.kept, now)
+        self._rounds.close(self.tick, self._pace.kept, now)
         for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.neighbours.given_up)):
             if count:
                 self.counters[name] = count

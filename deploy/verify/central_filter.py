@@ -15,6 +15,7 @@ from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.gossip.table import GossipTable, announced_sensor, gossip_table
 from agents.tracking import gaussian_belief, gaussian_phd, phd
+from agents.tracking.belief import as_stated
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.gaussians import Mixture, chain, in_order
@@ -83,7 +84,8 @@ def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: Agen
 
 def _drawn(updated: Particles, owner: str, claim: Claim, step: Step) -> Particles:
     """What an owner draws of the particles in its claim."""
-    return phd.resample(take(updated, claim, step), owner, step.tick, step.config.filter.seed, step.config.filter)
+    drawn = phd.resample(take(updated, claim, step), owner, step.tick, step.config.filter.seed, step.config.filter)
+    return as_stated(drawn, owner, step)
 
 
 def _widely(arena: ArenaSettings) -> np.ndarray:
