@@ -95,7 +95,7 @@ def _draw_network(seed: int, profile: str) -> Case:
     faults = tuple(fault for kind in kinds for _ in range(int(rng.integers(1, 4))) for fault in strike(kind, rng, ""))
     scenario = _swarm(seed, is_ledger, agents, dt, rng)
     timing = msgspec.structs.replace(scenario.timing, look_ahead=(0.0, 1.0, 2.5)[int(rng.integers(3))])
-    filters = msgspec.structs.replace(scenario.filter, compact=bool(rng.random() < 0.33))
+    filters = msgspec.structs.replace(scenario.filter, compact=bool(rng.random() < 0.33) and not timing.overlap)
     run = msgspec.structs.replace(scenario.run, seconds=scenario.run.seconds + timing.look_ahead)
     scenario = msgspec.structs.replace(scenario, run=run, faults=faults + healing(), timing=timing, filter=filters)
     return Case(seed, scenario, is_ledger, kinds)
