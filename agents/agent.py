@@ -372,7 +372,7 @@ class Agent(Node):
         self._pace.close(gossip.pace for gossip in self._fresh)
         if self._pace.current != self.peer_table.pace:
             self.peer_table.keep_pace(self._pace.current)
-        self._rounds.close(self.tick, (gossip.lag for gossip in self._fresh), self._pace.current, now)
+        self._rounds.close(self.tick, self._pace.current, now)
         for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.peer_table.given_up)):
             if count:
                 self.counters[name] = count

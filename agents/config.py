@@ -37,7 +37,7 @@ class FilterSettings(Section, frozen=True, kw_only=True):
     halo: Positive = 6.0  # what is updated around the own cell, m
     certainty: Certainty = 0.999  # how sure the filter may be that a target is there: a miss is weighed against that
     vicinity: Distance = 3.0  # particles this close to each other may be one target, m
-    compact: bool = False  # particles take 6 bytes on the wire instead of 24, for links of little bandwidth
+    compact: bool = False  # particles take 6 bytes on the wire instead of 24, for links of little bandwidth; needs timing.overlap = 0
     roughening: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.4  # width of a particle, in units of Silverman's rule
 
 

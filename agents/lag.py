@@ -5,8 +5,9 @@ is late by L ticks when it comes before the end of tick k + L. The agent measure
 compare clocks.
 
 Every gossip states the lag that its sender *needs*: with it most gossips of the last ticks came in time. An agent *keeps* the
-largest lag that it or one of its peers needs. Nothing that is kept is stated, so a lag falls as soon as the need has gone. It falls at
-common ticks, so that most agents play the same rounds. In lockstep the world waits, and the lag is 0.
+largest lag that it needs or that a newest gossip states, its own included. Nothing that is kept is stated, so a lag falls as soon as the
+need has gone. When gossips come in time again, all agents read the same ones, and the lag falls in the same tick. In lockstep the world
+waits, and the lag is 0.
 
 When hardly any gossip has come at the end of a tick, the agent holds the round until the next tick. So a lag rises in the very tick in
 which the network gets slow, and no round is played with a part of the gossips.
@@ -21,7 +22,6 @@ REMEMBERED = 2.0  # s for which a late gossip is remembered
 IN_TIME = 0.95  # share of the gossips that a lag lets come in time
 HELD = 0.9  # share of the gossips that are still to come for which a round is held
 LEAST = 3  # gossips that must be missing: the silence of one peer says something about that peer
-COMMON = 1.0  # s between two ticks at which a lag may fall, at most
 
 
 class Lag:
@@ -36,9 +36,6 @@ class Lag:
         self.current = 0  # rounds are played so many ticks late
         self.most = min(MOST, math.ceil(max(0.0, longest - timeout) / period)) if measured else 0
         self._period, self._timeout = period, timeout
-        self._common = 1
-        while 2 * self._common * period <= COMMON:
-            self._common *= 2
         self._newest = -1  # tick of the newest observation
         self._opened: dict[int, float] = {}  # when the own observation of a tick came
         self._late: dict[int, list[int]] = {}  # ticks by which the gossips of a tick were late
@@ -71,16 +68,12 @@ class Lag:
         """
         return late < self.most and hopeful >= max(LEAST, HELD * expected)
 
-    def close(self, tick: int, needs: Iterable[int], now: float) -> None:
-        """A tick ends. `needs`: those that fresh gossips of peers state."""
-        if not self.most:
-            return
+    def close(self, needs: Iterable[int], now: float) -> None:
+        """A tick ends. `needs`: those that the newest gossips state, the own one included."""
         opened = [(self._opened.get(old, now), late) for old, late in self._late.items()]
         recent = [late for begin, late in opened if now - begin <= REMEMBERED + max(late) * self._period]
         self.need = _covering(sorted(chain.from_iterable(recent)))
-        wanted = min(self.most, max([self.need, *needs]))
-        if wanted > self.current or tick % self._common == 0:
-            self.current = wanted
+        self.current = min(self.most, max([self.need, *needs]))
 
     def settle(self) -> None:
         """Keep no lag: the agent plays at a slower pace, which leaves the time for late gossips."""

@@ -4,7 +4,7 @@ Data type: `LateRounds`, made of the `Lag` that says how late, and of the `Recen
 """
 
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 
 from agents.lag import Lag
@@ -76,9 +76,9 @@ class LateRounds:
             return None
         return partial(received, self.recent, self._context, opened, self.lag.most)
 
-    def close(self, tick: int, needs: Iterable[int], pace: int, now: float) -> None:
-        """A tick ends. `needs`: those that gossips state. An agent of a slower `pace` keeps no lag."""
+    def close(self, tick: int, pace: int, now: float) -> None:
+        """A tick ends. An agent of a slower `pace` keeps no lag."""
         if pace > 1:
             self.lag.settle()
-        else:
-            self.lag.close(tick, needs, now)
+        elif self.lag.most:
+            self.lag.close(self.recent.needs(tick), now)

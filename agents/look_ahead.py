@@ -68,6 +68,14 @@ class RecentTicks:
         """Whether a gossip of a peer has come that is later than `tick`."""
         return any(name in heard for other, heard in self._said.items() if other > tick)
 
+    def needs(self, tick: int) -> list[int]:
+        """The lags in ticks that the newest gossips state, the own one included. Gossips older than the longest lag do not count."""
+        newest: dict[str, int] = {}
+        for old in sorted(self._said):
+            if old >= tick - self._most:
+                newest |= {name: gossip.lag for name, (gossip, _) in self._said[old].items()}
+        return list(newest.values())
+
     def table(self, own: Gossip) -> GossipTable:
         """The gossips of a tick that have come so far, the own one included."""
         heard = self._said.get(own.tick, {})

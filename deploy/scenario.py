@@ -147,6 +147,8 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
     except BadSetting as error:
         field = "" if str(error).startswith(("team.", "sensors.")) else "members: " if scenario.members else "team.composition: "
         raise BadSetting(f"{source}: {field}{error}") from None
+    if scenario.filter.compact and scenario.timing.overlap:  # copies of a particle are known by its id
+        raise BadSetting(f"{source}: filter.compact = true: each owner numbers particles anew, so timing.overlap should be 0")
     run, network = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name), scenario.network
     if run.clock == "lockstep" and "most_per_second" not in data.get("network", {}):
         network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)

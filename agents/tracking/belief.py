@@ -119,7 +119,7 @@ def _released(belief: Belief) -> Belief:
     return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
 
 
-def _as_stated(particles: Particles, owner: str, step: Step) -> Particles:
+def as_stated(particles: Particles, owner: str, step: Step) -> Particles:
     """The owned particles at the tick of a step, as the next gossip states them."""
     if not step.config.filter.compact:
         return particles
@@ -169,7 +169,7 @@ class ParticlePhd(NamedTuple):
             particles = predict(particles, each)
         particles = select(particles, particles.weights > 0.0)
         particles = particles._replace(states=particles.states.astype(WIRE).astype(float))
-        mine = belief.mine._replace(particles=_as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
+        mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
         copies = Copies(belief.copies.near, belief.copies.round, (*belief.copies.held, *missed))
         return Belief(step.tick - 1, mine, copies, belief.everyone, belief.acquainted, held_since=belief.cut)
 
@@ -212,5 +212,5 @@ class ParticlePhd(NamedTuple):
     def share(self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step) -> Belief:
         """See `Tracker.share`: the drawn particles are owned; the copies are computed when a peer falls silent."""
         copies = Copies(update.updated, Round(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
-        mine = OwnedState(region.owner, region.claim, _as_stated(update.resampled, region.owner, step), diagram.view)
+        mine = OwnedState(region.owner, region.claim, as_stated(update.resampled, region.owner, step), diagram.view)
         return Belief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)

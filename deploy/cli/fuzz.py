@@ -5,12 +5,14 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from deploy.verify.fuzz import run
+from deploy.verify.fuzz import MIXED, PROFILES, run
 from protocol.settings import BadSetting
 
 
-def fuzz(seeds: int, first: int, jobs: int | None) -> int:
-    """Play `seeds` cases from `first` on; exit code 1 when one fails. Raises BadSetting."""
+def fuzz(seeds: int, first: int, jobs: int | None, profile: str = MIXED) -> int:
+    """Play `seeds` cases of a profile from `first` on; exit code 1 when one fails. Raises BadSetting."""
+    if profile not in (MIXED, *PROFILES):
+        raise BadSetting(f"--profile {profile}: should be one of {', '.join((MIXED, *PROFILES))}")
     if seeds < 1 or first < 0 or (jobs is not None and jobs < 1):
         raise BadSetting(f"--seeds {seeds} --first {first}: should be at least one seed from 0 on, and at least one job")
     started, console = time.perf_counter(), Console(stderr=True, highlight=False)
@@ -21,7 +23,7 @@ def fuzz(seeds: int, first: int, jobs: int | None) -> int:
         def tell(done: int, failed: int) -> None:
             progress.update(task, completed=done, description=f"seeds, {failed} failed" if failed else "seeds")
 
-        failures = run(range(first, first + seeds), jobs, tell)
+        failures = run(range(first, first + seeds), jobs, tell, profile)
     for failure in failures:
         print(failure)
     wall = time.perf_counter() - started

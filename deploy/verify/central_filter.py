@@ -15,6 +15,7 @@ from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.gossip.table import GossipTable, announced_sensor, gossip_table
 from agents.tracking import gaussian_belief, gaussian_phd, phd
+from agents.tracking.belief import as_stated
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, Claim, owned
 from agents.tracking.gaussians import Mixture, chain, in_order
@@ -87,7 +88,8 @@ def _drawn(updated: Particles, predicted: Particles, owner: str, claim: Claim, s
     """What an owner draws of the particles in its claim, whose labels it settles before."""
     mine, filters = owned(updated.states, claim, step.config.arena), step.config.filter
     labels = settled(updated, mine, predicted, filters.halo, step.tick)
-    return phd.resample(canonical(select(updated._replace(labels=labels), mine)), owner, step.tick, filters.seed, filters)
+    drawn = phd.resample(canonical(select(updated._replace(labels=labels), mine)), owner, step.tick, filters.seed, filters)
+    return as_stated(drawn, owner, step)
 
 
 def _widely(arena: ArenaSettings) -> np.ndarray:

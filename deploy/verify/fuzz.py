@@ -10,6 +10,7 @@ import os
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import msgspec
@@ -27,6 +28,12 @@ CALM_START, CHAOS, SETTLE, CALM_END = 2.0, 20.0, 5.0, 2.0  # s
 HEAL_AT = CALM_START + CHAOS
 KINDS = ("crash", "stop", "cut", "loss", "copies", "delay", "reorder", "spoilt", "clock", "slow", "twin", "join")
 LOADS = ("starve", "freeze")  # kinds of overload, drawn from a stream of their own
+MIXED = "mixed"  # the profile of all kinds
+PROFILES = {  # of a slow or bad network, played with the look-ahead and without; the first kind always strikes
+    "late": ("late", "freeze"),
+    "radio": ("jitter", "throttle"),
+    "bursts": ("bursts", "group"),
+}
 BLIND = {"angle": 240.0, "radius": 8.0, "prob_detection": 1e-12}  # sees nothing, so that no mass changes
 
 
@@ -45,14 +52,21 @@ class Failure(NamedTuple):
     seed: int
     what: str
     faults: tuple[FaultSettings, ...]
+    profile: str = MIXED
 
     def __str__(self) -> str:
-        lines = [f"seed {self.seed}: {self.what}", f"  replay: covey fuzz --seeds 1 --first {self.seed}"]
+        profile = "" if self.profile == MIXED else f" --profile {self.profile}"
+        lines = [f"seed {self.seed}: {self.what}", f"  replay: covey fuzz --seeds 1 --first {self.seed}{profile}"]
         return "\n".join(lines + [f"  {_as_text(fault)}" for fault in self.faults])
 
 
-def draw(seed: int) -> Case:
-    """The case of a seed: a swarm of 6 to 8, half of them in ledger mode; one kind of fault alone, or each with probability one half."""
+def draw(seed: int, profile: str = MIXED) -> Case:
+    """The case of a seed: a swarm of 6 to 8, half of them in ledger mode.
+
+    In the profile "mixed" one kind of fault strikes alone, or each with probability one half. The other profiles have kinds of their own.
+    """
+    if profile != MIXED:
+        return _draw_network(seed, profile)
     rng = stream(seed, "fuzz")
     is_ledger = bool(rng.random() < 0.5)
     if rng.random() < 0.4:
@@ -70,6 +84,21 @@ def draw(seed: int) -> Case:
             kinds, faults = (), ()
         kinds, faults = (*kinds, load), (*faults, *strike(load, loads, ""))
     return Case(seed, msgspec.structs.replace(scenario, faults=faults + healing()), is_ledger, kinds)
+
+
+def _draw_network(seed: int, profile: str) -> Case:
+    """The case of a seed in one of the `PROFILES`: with a look-ahead in two thirds of the cases, with small messages in a third."""
+    rng = stream(seed, f"fuzz {profile}")
+    is_ledger, agents, dt = bool(rng.random() < 0.5), int(rng.integers(6, 9)), (0.25, 0.5)[int(rng.integers(2))]
+    first, *others = PROFILES[profile]
+    kinds = (first, *(kind for kind in others if rng.random() < 0.5))
+    faults = tuple(fault for kind in kinds for _ in range(int(rng.integers(1, 4))) for fault in strike(kind, rng, ""))
+    scenario = _swarm(seed, is_ledger, agents, dt, rng)
+    timing = msgspec.structs.replace(scenario.timing, look_ahead=(0.0, 1.0, 2.5)[int(rng.integers(3))])
+    filters = msgspec.structs.replace(scenario.filter, compact=bool(rng.random() < 0.33) and not timing.overlap)
+    run = msgspec.structs.replace(scenario.run, seconds=scenario.run.seconds + timing.look_ahead)
+    scenario = msgspec.structs.replace(scenario, run=run, faults=faults + healing(), timing=timing, filter=filters)
+    return Case(seed, scenario, is_ledger, kinds)
 
 
 def _swarm(seed: int, is_ledger: bool, agents: int, dt: float, rng: np.random.Generator) -> Scenario:
@@ -112,6 +141,16 @@ def strike(kind: str, rng: np.random.Generator, guest: str) -> Iterator[FaultSet
             yield blow("duplicate", value=round(0.1 + 0.5 * dice, 3), options={"spread": 8.0 if flag else 0.3})
         case "delay":
             yield blow("delay", value=round(0.6 * dice, 3), options={"jitter": 0.3 if flag else 0.0})
+        case "late":
+            yield blow("delay", "100%" if flag else share, value=round(2.0 * dice, 3), options={"jitter": float(rng.choice([0.0, 0.3]))})
+        case "jitter":
+            yield blow("delay", "100%", value=round(0.6 * dice, 3) if flag else 0.01, options={"jitter": 0.2})
+        case "throttle":
+            yield blow("throttle", "100%", 64.0)
+        case "bursts":
+            yield blow("drop", "100%", round(0.1 + 0.3 * dice, 3), options={"burst": float(rng.integers(2, 9))})
+        case "group":
+            yield blow("pause")
         case "reorder":
             yield blow("reorder", value=round(0.1 + 0.5 * dice, 3), options={"spread": 0.4})
         case "spoilt":
@@ -136,11 +175,16 @@ def healing() -> tuple[FaultSettings, ...]:
     return tuple(FaultSettings(at=HEAL_AT, verb=verb, who="100%", value=value) for verb, value in everyone)
 
 
+def settled_at(scenario: Scenario) -> float:
+    """World time in s from which on the swarm must be one. Messages that are on their way at the healing come up to a look-ahead later."""
+    return HEAL_AT + scenario.timing.look_ahead + SETTLE
+
+
 def play(case: Case, build: Build = Agent, backend: Backend | None = None) -> str | None:
     """What a case broke, None when all is well."""
     try:
         simulation = Simulation(case.scenario, clock="realtime", build=build, backend=backend)
-        watch = InvariantChecker(simulation, HEAL_AT + SETTLE, case.is_ledger, case.kinds)
+        watch = InvariantChecker(simulation, settled_at(case.scenario), case.is_ledger, case.kinds)
         simulation.run()
         watch.finish()
     except InvariantBroken as broken:
@@ -151,14 +195,14 @@ def play(case: Case, build: Build = Agent, backend: Backend | None = None) -> st
     return None
 
 
-def check(seed: int) -> Failure | None:
+def check(seed: int, profile: str = MIXED) -> Failure | None:
     """The failure of a seed, shrunk; None when all is well."""
-    case = draw(seed)
+    case = draw(seed, profile)
     what = play(case)
     if what is None:
         return None
     smaller, what = shrink(case, what)
-    return Failure(seed, what, smaller.scenario.faults)
+    return Failure(seed, what, smaller.scenario.faults, profile)
 
 
 def shrink(case: Case, what: str, play: Callable[[Case], str | None] = play) -> tuple[Case, str]:
@@ -179,11 +223,16 @@ def shrink(case: Case, what: str, play: Callable[[Case], str | None] = play) -> 
     return case, what
 
 
-def run(seeds: Sequence[int], jobs: int | None = None, progress: Callable[[int, int], None] = lambda done, failed: None) -> list[Failure]:
+def run(
+    seeds: Sequence[int],
+    jobs: int | None = None,
+    progress: Callable[[int, int], None] = lambda done, failed: None,
+    profile: str = MIXED,
+) -> list[Failure]:
     """The failures among some seeds, on all cores; `progress` is called with (cases done, failures)."""
     failures: list[Failure] = []
     with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
-        for done, failure in enumerate(pool.map(check, seeds), start=1):
+        for done, failure in enumerate(pool.map(partial(check, profile=profile), seeds), start=1):
             failures += [failure] if failure else []
             progress(done, len(failures))
     return failures

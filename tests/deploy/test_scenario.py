@@ -152,6 +152,10 @@ def test_a_scenario_that_spells_out_its_members_is_not_asked_for_a_team(tmp_path
             {"team.composition": "3", "team.triple": "acd"},
             "team.composition: sensor class 'a' does not exist; known are A, B, C, D, E, F, G, H",
         ),
+        (
+            {"filter.compact": True, "timing.overlap": 3.0},
+            "filter.compact = true: each owner numbers particles anew, so timing.overlap should be 0",
+        ),
         ({"sensors.X.angle": 90.0, "team.composition": "3X"}, "sensors.X: a wedge needs an angle (degrees) and a radius (m)"),
     ],
     ids=str,

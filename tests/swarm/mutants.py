@@ -118,11 +118,9 @@ def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = outbox.gossip
 
-    def gossip(
-        me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, *, listening: bool, pace: int = 1
-    ) -> Gossip:
+    def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, **words: Any) -> Gossip:
         outcome.belief.stamp = observation.tick - 1
-        return right(me, incarnation, outcome, observation, listening=listening, pace=pace)
+        return right(me, incarnation, outcome, observation, **words)
 
     patch.setattr(outbox, "gossip", gossip)
     return fuzz.play(case)

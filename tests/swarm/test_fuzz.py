@@ -7,7 +7,7 @@ import pytest
 
 from deploy.scenario import FaultSettings
 from deploy.verify import fuzz
-from deploy.verify.fuzz import HEAL_AT, KINDS, LOADS, Case, Failure, draw, healing, play, shrink
+from deploy.verify.fuzz import HEAL_AT, KINDS, LOADS, PROFILES, Case, Failure, draw, healing, play, shrink
 from tests.swarm.mutants import MUTANTS, Mutant, no_dedupe_by_id
 
 KEPT = [int(line.split()[0]) for line in (Path(__file__).parent / "seeds.txt").read_text().splitlines() if not line.startswith("#")]
@@ -21,6 +21,36 @@ def test_what_once_broke_holds(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(1, 13))
 def test_the_first_dozen_seeds_hold(seed: int) -> None:
     assert play(draw(seed)) is None
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_the_first_seeds_of_slow_and_bad_networks_hold(profile: str, seed: int) -> None:
+    assert play(draw(seed, profile)) is None
+
+
+def test_a_late_swarm_is_one_filter_again_five_seconds_after_the_last_late_message() -> None:
+    """All agents are frozen for 3.2 s, and from then on messages are 1.4 s late until all is healed."""
+    blows = FaultSettings(at=11.32, verb="freeze", who="100%", value=3.16), FaultSettings(at=12.26, verb="delay", who="100%", value=1.406)
+    case = draw(4, "late")
+    timing = msgspec.structs.replace(case.scenario.timing, look_ahead=2.5)
+    run = msgspec.structs.replace(case.scenario.run, seconds=31.5)
+    scenario = msgspec.structs.replace(case.scenario, faults=(*blows, *healing()), timing=timing, run=run)
+    assert play(case._replace(scenario=scenario)) is None
+
+
+def test_the_profiles_of_slow_and_bad_networks_draw_all_of_their_kinds_with_the_look_ahead_and_without() -> None:
+    for profile, kinds in PROFILES.items():
+        cases = [draw(seed, profile) for seed in range(30)]
+        assert {kind for case in cases for kind in case.kinds} == set(kinds) and all(kinds[0] in case.kinds for case in cases)
+        assert {case.scenario.timing.look_ahead > 0.0 for case in cases} == {True, False}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("profile", PROFILES)
+def test_many_seeds_of_slow_and_bad_networks_hold(profile: str) -> None:
+    assert [str(failure) for failure in fuzz.run(range(5, 31), profile=profile)] == []
 
 
 @pytest.mark.slow

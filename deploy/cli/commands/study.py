@@ -126,11 +126,18 @@ def bench(
 
 
 @app.command(group=STUDY, help_epilogue="Example: covey fuzz --seeds 20")
-def fuzz(*, seeds: Annotated[int, WHOLE] = 300, first: Annotated[int, WHOLE] = 1, jobs: Annotated[int | None, WHOLE] = None) -> int:
+def fuzz(
+    *,
+    seeds: Annotated[int, WHOLE] = 300,
+    first: Annotated[int, WHOLE] = 1,
+    jobs: Annotated[int | None, WHOLE] = None,
+    profile: str = "mixed",
+) -> int:
     """Small swarms under faults drawn from a seed, all invariants checked.
 
     Exit code 1 when a seed fails.
+    --profile: mixed, late, radio or bursts; the last three are networks that are slow or bad.
     """
     from deploy.cli import fuzz
 
-    return fuzz.fuzz(seeds, first, jobs)
+    return fuzz.fuzz(seeds, first, jobs, profile)
