@@ -21,6 +21,8 @@ from deploy.__main__ import app
 from deploy.bench.__main__ import BENCHES
 from deploy.cli.options import RunOptions
 from deploy.scenario import FOLDER
+from deploy.studies.bodies import MODELS
+from deploy.studies.bodies import plan as plan_of_bodies
 from deploy.studies.design import design_fields, design_with, dotted_options
 from deploy.studies.trials import check_method
 from protocol.settings import BadSetting
@@ -99,8 +101,10 @@ def check_study(given: dict[str, object]) -> None:
     """Raise BadSetting where the study, its teams, its methods or its settings do not exist."""
     options = [given.get(name) for name in ("triple", "capacity", "dt", "seconds")]
     fixed = dotted_options(*options, given.get("settings") or [])  # type: ignore[arg-type]
-    if given["name"] != "robustness":
-        chosen = design_fields(*[given.get(name) for name in ("trials", "seed", "teams", "targets", "methods")])  # type: ignore[arg-type]
+    chosen = design_fields(*[given.get(name) for name in ("trials", "seed", "teams", "targets", "methods")])  # type: ignore[arg-type]
+    if given["name"] == "bodies":
+        plan_of_bodies(1, 1, 60.0, chosen.get("methods", tuple(MODELS)), fixed)
+    elif given["name"] != "robustness":
         for method in design_with(str(given["name"]), bool(given.get("quick")), chosen, fixed).methods:
             check_method(method)
 

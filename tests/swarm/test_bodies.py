@@ -142,6 +142,7 @@ def test_after_the_deaths_of_any_three_processes_the_hole_is_closed_within_a_sec
         closings.append(whole[0] - tick)
         masses += later
         assert whole[0] <= tick + 4 and min(later) >= 0.99 and len(whole) == len(later), killed
+        assert later[-1] <= 1.01, killed  # the last word of an agent without a body counts for a second, beside that of its heirs
         driven = {name for name, body in bodies(simulation).items() if body._obeyed_at is not None}
         assert driven == {f"s{number}" for number in range(1, 9)} - {name.partition(".")[0] for name in killed}, killed
         assert {body.tick for body in bodies(simulation).values()} == {tick + 8}, killed
@@ -241,6 +242,7 @@ def test_no_body_is_driven_out_of_the_fence() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_clocks_50_ms_apart_and_messages_up_to_20_ms_late_cost_less_than_a_tenth_of_the_ospa() -> None:
     """The median of ten seeds; the ratio is that to a run driven by one world, without delays."""
     ratios, everybody = [], ",".join(f"s{number}" for number in range(1, 9))

@@ -14,7 +14,7 @@ from deploy.scenario import resolve
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
 from protocol.settings import BadSetting, LimitSettings
-from world.physical_bodies import PhysicalBodies
+from world.physical_bodies import QPOS, PhysicalBodies, _yaws
 from world.platform import Physical
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,8 +22,8 @@ LIMITS = LimitSettings(speed=2.0, turn_rate=5.0, radius=0.25)
 DT = 0.25
 
 
-def robots(*places: tuple[float, float, float]) -> PhysicalBodies:
-    bodies = PhysicalBodies(DT, LIMITS)
+def robots(*places: tuple[float, float, float], dt: float = DT) -> PhysicalBodies:
+    bodies = PhysicalBodies(dt, LIMITS)
     for number, pose in enumerate(places, 1):
         bodies.place(f"s{number}", pose)
     return bodies
@@ -65,6 +65,13 @@ def test_it_goes_sideways_by_turning_while_its_turret_turns_as_commanded() -> No
     x, y, heading = bodies.poses["s1"]
     assert 2.2 < y < 3.0 and abs(x) < 0.3
     assert abs(wrap_angle(heading - 0.5 * 3.0)) < 0.15
+
+
+def test_casters_do_not_drag_so_a_robot_turns_by_a_right_angle_within_half_a_second() -> None:
+    bodies = robots((0.0, 0.0, 0.0), dt=0.02)
+    for _ in range(25):
+        bodies.move({"s1": order((0.0, 2.0))})
+    assert bodies._data.qvel[1] > 1.2 and abs(float(_yaws(bodies._data.qpos.reshape(-1, QPOS))[0]) - math.pi / 2.0) < 0.35
 
 
 def test_robots_that_nobody_keeps_apart_touch_and_do_not_pass_through_each_other() -> None:
