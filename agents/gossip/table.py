@@ -19,7 +19,7 @@ from agents.coverage.capacity import SensorFacts, sensor_facts
 from agents.tracking.births import Scan
 from agents.tracking.measuring import is_exact, kernel_variance, model_of, noise_of, spread_of
 from agents.tracking.particles import Particles
-from protocol.components import read_components
+from protocol.components import COMPONENT
 from protocol.measuring import places_of
 from protocol.messages import GOSSIP_NUMBERS, Gossip
 from protocol.once import once
@@ -243,7 +243,7 @@ class GossipTable:
     @once
     def components(self) -> np.ndarray:
         """The components of all Gaussian mixtures (N,), gossip after gossip (protocol/components.py)."""
-        return read_components(b"".join([gossip.components_bytes for gossip in self.gossips]))
+        return np.concatenate([np.empty(0, COMPONENT), *(gossip.components for gossip in self.gossips)])
 
     def scans(self) -> list[Scan]:
         """The scans of this tick, in the order of the update: by ascending p_d, then by name."""

@@ -96,7 +96,16 @@ def received_mixture(received: GossipTable | Mixture) -> Mixture:
 
 def draw(inside: Mixture, step: Step) -> Mixture:
     """What an owner states of the components in its cell: the heaviest, as exactly as on the wire."""
-    return unpacked(packed(reduced(inside, step.config.mixture)))
+    return _as_stated(reduced(inside, step.config.mixture))
+
+
+def _as_stated(mixture: Mixture) -> Mixture:
+    """The components as exactly as on the wire.
+
+    Copies are rounded as the owner rounds them. Else two parts of a swarm that do not hear each other merge and split them differently, and
+    soon hold different components.
+    """
+    return unpacked(packed(mixture))
 
 
 def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
@@ -112,7 +121,7 @@ def correct(predicted: Mixture, table: GossipTable, step: Step) -> Mixture:
 
 def _moved(mixture: Mixture, step: Step) -> Mixture:
     """The components one step later, merged where they have come close, the heaviest of them."""
-    moved = merged(in_order(gaussian_phd.predict(mixture, step)), step.config.mixture)
+    moved = _as_stated(merged(in_order(gaussian_phd.predict(mixture, step)), step.config.mixture))
     if len(moved.ids) <= MOST_COPIES:
         return moved
     return pick(moved, np.lexsort((moved.ids, -moved.weights))[:MOST_COPIES])
@@ -209,7 +218,7 @@ class MixturePhd(NamedTuple):
         others = ~claims.owned(means, region.claim, arena) & claims.in_arena(means, arena)
         if diagram.horizon < math.inf:
             others &= geometry.distances(region.polygon, means) <= diagram.horizon
-        copies = in_order(pick(update.around, others))
+        copies = _as_stated(in_order(pick(update.around, others)))
         mine = OwnedMixture(region.owner, region.claim, update.reduced, diagram.view)
         return MixtureBelief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)
 

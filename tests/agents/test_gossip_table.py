@@ -5,6 +5,7 @@ import pytest
 
 from agents.config import AgentConfig, PartitionSettings
 from agents.gossip.table import COS_HALF, REACH, GossipTable
+from protocol.components import COMPONENT
 from protocol.fields import pack
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
@@ -71,3 +72,13 @@ def test_the_same_gossips_from_other_sensors_are_another_table() -> None:
     said = [gossip("s2"), gossip("s3", cod=4.0)]
     first, second = (table(said, sensors=[SENSOR_CLASSES[each], SENSOR_CLASSES["B"]]) for each in ("A", "B"))
     assert first.table[0, REACH] == second.table[0, REACH] and first.table[0, COS_HALF] != second.table[0, COS_HALF]
+
+
+def test_a_swarm_may_state_more_components_than_a_gossip_may() -> None:
+    """The limit of 4096 is one of a gossip: 140 agents with 30 components each stay within it."""
+    rows = np.zeros(30, COMPONENT)
+    said = []
+    for number in range(140):
+        rows["id"] = np.arange(30) + 30 * number
+        said.append(gossip(f"s{number + 1}", components_bytes=rows.tobytes()))
+    assert words(*said).components["id"].tolist() == list(range(4200))
