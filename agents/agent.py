@@ -269,7 +269,7 @@ class Agent(Node):
         """Take the beacons of other agents, and plan an answer if one of them needs it."""
         if self._interest is None:
             return NO_EFFECTS
-        refused = [beacon for beacon in beacons if self.membership.agreement.differs(beacon)]
+        refused = self.membership.agreement.differing(beacons)
         warnings = self.membership.agreement.refuse(refused) if refused else NO_EFFECTS
         if not self._interest.take_beacons([beacon for beacon in beacons if beacon not in refused] if refused else beacons):
             return warnings

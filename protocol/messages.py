@@ -119,6 +119,11 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
     widest_offset: float = 0.0
     widest_radius: float = 0.0
 
+    @once
+    def numbers(self) -> bytes:
+        """Position, reach, COD and power radius, as float64; a table of positions joins those of many beacons."""
+        return _pack_position(*self.position, self.reach, *self.cod, self.power_radius)
+
     @property
     def tile(self) -> tuple[int, int]:
         """Column from the west, row from the south."""
@@ -138,6 +143,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
 GOSSIP_NUMBERS = 12  # x, y, cosine and sine of the heading, COD x and y, power radius, U, weight, detections, particles, scanned
 _pack_numbers = struct.Struct(f"<{GOSSIP_NUMBERS}d").pack
 _pack_plan = struct.Struct("<3d").pack
+_pack_position = struct.Struct("<6d").pack
 _NO_BOX = struct.pack("<4d", math.inf, math.inf, -math.inf, -math.inf)
 
 

@@ -12,6 +12,7 @@ from protocol.messages import Beacon
 Point = tuple[float, float]  # x, y, m
 POSITION_ROW = struct.Struct("<6d")
 SIZE = POSITION_ROW.size  # bytes
+_NO_RADIUS = bytes(8)
 SENSOR_X, SENSOR_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
 
 
@@ -21,8 +22,12 @@ def position_row(position: Point, reach: float, cod: Point, radius: float, diagr
 
 
 def beacon_row(beacon: Beacon, diagram: str) -> bytes:
-    """The row of the sender of a beacon."""
-    return position_row(beacon.position, beacon.reach, beacon.cod, beacon.power_radius, diagram)
+    """The row of the sender of a beacon, as of `position_row`."""
+    row = beacon.numbers
+    if diagram == "power":
+        return row
+    point = row[:16] if diagram == "voronoi" else row[24:40]
+    return row[:24] + point + _NO_RADIUS
 
 
 class UnsubscribedGenerators(NamedTuple):

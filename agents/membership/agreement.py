@@ -18,11 +18,14 @@ class SettingsAgreement:
         self._counters = counters
         self._warned: set[tuple[str, int]] = set()  # name and incarnation
 
-    def differs(self, message: Hello | Beacon) -> bool:
-        """Whether a message announces other settings."""
-        if isinstance(message, Beacon):
-            return message.settings not in (0, self._digest)
-        return message.digest != self._digest and bool(disagreement(self.settings, message.settings))
+    def differs(self, hello: Hello) -> bool:
+        """Whether a Hello announces other settings."""
+        return hello.digest != self._digest and bool(disagreement(self.settings, hello.settings))
+
+    def differing(self, beacons: Sequence[Beacon]) -> list[Beacon]:
+        """The beacons that announce other settings."""
+        agreed = 0, self._digest
+        return [beacon for beacon in beacons if beacon.settings not in agreed]
 
     def refuse(self, messages: Sequence[Hello | Beacon]) -> list[Effect]:
         """Count messages with other settings, and return a warning for each new sender."""
