@@ -86,11 +86,15 @@ class Channel:
         return self._draws.pop()
 
     def _loses(self, draw: float, condition: Condition) -> bool:
-        """Whether this message is lost; with bursts the channel alternates so that the share `drop` is lost in the long run."""
+        """Whether this message is lost; with bursts the channel alternates so that the share `drop` is lost in the long run.
+
+        A share too large for bursts of that length has longer ones.
+        """
         if condition.burst <= 1.0 or condition.drop in (0.0, 1.0):
             return draw < condition.drop
-        recovery = 1.0 / condition.burst
-        turn = recovery if self._bad else min(1.0, recovery * condition.drop / (1.0 - condition.drop))
+        odds = condition.drop / (1.0 - condition.drop)
+        recovery = min(1.0 / condition.burst, 1.0 / odds)
+        turn = recovery if self._bad else recovery * odds
         self._bad ^= draw < turn
         return self._bad
 

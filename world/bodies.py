@@ -83,7 +83,11 @@ def from_other_frame(points: np.ndarray, true: Pose, reported: Pose) -> np.ndarr
 
 
 def check_given(config: WorldConfig) -> None:
-    """Raise BadSetting unless every member has a usable pose where the scenario says that poses are given."""
+    """Raise BadSetting unless every member has a usable pose where poses are given, or if bodies of their own should err."""
+    for field in ("position_error", "heading_error"):
+        if config.bodies.host == "own" and getattr(config.bodies, field):
+            wrong = getattr(config.bodies, field)
+            raise BadSetting(f"bodies.{field} = {wrong:g}: should be 0 with bodies of their own; a world adds such errors")
     if config.bodies.start != "given":
         return
     for name in config.members:

@@ -11,6 +11,8 @@ import msgspec
 from deploy.faults.faults import Action
 from protocol.links import CLEAR, Condition, Ears, LinkConditions
 
+OWN = {"drop": ("burst",), "delay": ("jitter",), "throttle": ("queue",)}  # options of one verb alone, which end with it
+
 Direction = tuple[str, str]  # sender, receiver
 
 
@@ -69,10 +71,10 @@ class Links:
 
     def _spoil(self, action: Action) -> None:
         """Set the condition of every link from or to those meant."""
-        changes: dict[str, float] = {name: float(value) for name, value in action.options.items()}
+        changes: dict[str, float] = {name: getattr(CLEAR, name) for name in OWN.get(action.verb, ())}
+        if action.value:
+            changes.update({name: float(value) for name, value in action.options.items()})
         changes[action.verb] = action.value or 0.0
-        if action.verb == "delay" and not action.value:
-            changes["jitter"] = 0.0
         for direction in self._around(action.names):
             changed = msgspec.structs.replace(self._conditions.get(direction, CLEAR), **changes)
             if msgspec.structs.replace(changed, burst=0.0, spread=CLEAR.spread, queue=CLEAR.queue) == CLEAR:

@@ -266,7 +266,7 @@ class PageServer:
             request = msgspec.json.decode(text)
             if not isinstance(request, dict):
                 raise BadSetting("a request is a JSON object")
-            if not self._address.is_loopback and "verb" in request:
+            if not self._address.is_loopback and not request.keys().isdisjoint(("verb", "drag")):
                 raise BadSetting("this page only shows: it can be reached from other machines")
             answer = {"type": "answer", "ok": True, "text": await self.source.ask(request)}
         except (BadSetting, msgspec.DecodeError) as error:

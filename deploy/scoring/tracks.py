@@ -22,7 +22,7 @@ class TrackLog:
     def __init__(self, scenario: Scenario) -> None:
         self.ticks: list[TrackTick] = []
         self._cutoff = scenario.study.cutoff
-        self._window = max(1, round(WINDOW / (scenario.run.dt * scenario.timing.estimate_every)))
+        self._window = max(1, round(WINDOW / scenario.run.dt))
 
     def see(self, truth: Truth, estimates: Sequence[Estimate], positions: np.ndarray) -> None:
         """Take a scored tick; `positions` (M, 2) are those of all estimates, m."""

@@ -52,6 +52,15 @@ def look(watcher: InterestManager, tick: int, x: float) -> list[Effect]:
     return about_s2(watcher.reselect(HOME, beacon("s1", tick, 10.0), tick))
 
 
+def test_a_beacon_of_a_peer_that_was_given_up_is_a_return() -> None:
+    peers = PeerTable(CONFIG, "s1")
+    assert peers.take_beacon(beacon("s2", 0, 30.0))
+    assert not peers.take_beacon(beacon("s2", 1, 30.0))
+    peers.peers["s2"].missed, peers.changed = CONFIG.rounds_of_silence, False
+    assert peers.take_beacon(beacon("s2", 9, 30.0))
+    assert (peers.peers["s2"].missed, peers.changed) == (0, True)
+
+
 def test_how_far_the_widest_sensor_reaches_is_passed_on_from_beacon_to_beacon() -> None:
     watcher = lookout()
     watcher.take_beacon(msgspec.structs.replace(beacon("s2", 0, 30.0), widest_reach=25.0, widest_offset=7.0, widest_radius=20.0))

@@ -3,6 +3,7 @@
 from deploy.faults.faults import Action, Schedule
 from deploy.faults.links import Links, describe
 from deploy.scenario import FaultSettings
+from protocol.links import Condition
 
 TEAM = ["s1", "s2", "s3", "s4"]
 
@@ -64,6 +65,14 @@ def test_the_jitter_of_a_delay_ends_with_the_delay() -> None:
             links.act(action)
         found.append(dict(links.reception("b").conditions))
     assert found[0] and not found[1]
+
+
+def test_bursts_end_with_the_losses_though_another_fault_goes_on() -> None:
+    links = Links(1, ["a", "b"])
+    links.act(Action("drop", ["a"], 0.3, {"burst": 8.0}))
+    links.act(Action("delay", ["a"], 0.1))
+    links.act(Action("drop", ["a"], 0.0))
+    assert links.reception("b").conditions["a"] == Condition(delay=0.1)
 
 
 def test_a_newcomer_is_cut_off_like_all_others() -> None:

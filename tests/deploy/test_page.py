@@ -189,8 +189,9 @@ def test_a_page_that_others_can_reach_only_shows() -> None:
         async with served(source, address) as (_, _, session), session.ws_connect(near) as ws:
             assert (await ws.receive_json(timeout=20.0))["verbs"] == []
             await frame_of(ws)
-            await ws.send_json({"verb": "kill", "who": "s1"})
-            assert "only shows" in (await ws.receive_json(timeout=20.0))["text"]
+            for request in ({"verb": "kill", "who": "s1"}, {"drag": 1, "to": [1, 1]}):
+                await ws.send_json(request)
+                assert "only shows" in (await ws.receive_json(timeout=20.0))["text"]
         assert source.asked == []
 
     asyncio.run(scene())

@@ -4,8 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, resolve
 from deploy.scoring.scorer import Scorer
+from deploy.scoring.tracks import TrackLog
+from deploy.simulation import Simulation
 from protocol.messages import Gossip
 from protocol.node import received
 from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, scenario, started, truth
@@ -64,6 +66,19 @@ def test_who_has_been_silent_for_longer_than_it_stays_a_generator_is_not_scored(
             scorer.handle(estimate("b", tick, RIGHT, LATE), 0.0)
     estimated = [score.estimated for score in scorer.scores]
     assert estimated[:8] == [2] * 5 + [1] * 3
+
+
+def test_between_rare_estimates_the_last_ones_count() -> None:
+    simulation = Simulation(resolve("quick", {"run.seconds": 10.0, "timing.estimate_every": 10}))
+    simulation.run()
+    scores = simulation.scorer.scores
+    assert len(scores) == 40 and max(score.hole for score in scores) < 1e-6
+    assert all(len({score.estimated for score in scores[start : start + 10]}) == 1 for start in range(0, 40, 10))
+
+
+def test_tracks_are_compared_over_ten_seconds_however_rare_estimates_are() -> None:
+    windows = [TrackLog(resolve("quick", {"timing.estimate_every": every}))._window for every in (1, 4)]
+    assert windows == [40, 40]
 
 
 def test_a_tick_is_scored_with_the_estimates_of_that_tick_though_later_ones_are_there(scenario: Scenario) -> None:

@@ -67,6 +67,18 @@ def test_a_share_of_the_messages_comes_twice_and_a_share_is_overtaken() -> None:
     assert all(0.0 <= found[1][0] < 0.2 for found in copies if len(found) == 2)
 
 
+@pytest.mark.parametrize("slow", [Condition(delay=2.0, duplicate=0.5), Condition(throttle=0.004, duplicate=0.5, queue=1e9)])
+def test_a_second_copy_is_as_late_as_the_first(slow: Condition) -> None:
+    pairs = [found for found in arrivals(slow, number=200) if len(found) == 2]
+    assert pairs and all(first[0] >= 1.9 and first[0] <= second[0] < first[0] + slow.spread for first, second in pairs)
+
+
+def test_a_share_too_large_for_short_bursts_is_lost_all_the_same() -> None:
+    for drop, burst in ((0.9, 4.0), (0.95, 1.5)):
+        lost = np.array([not copies for copies in arrivals(Condition(drop=drop, burst=burst), number=40000)])
+        assert abs(lost.mean() - drop) < 0.02
+
+
 def test_a_spoilt_message_differs_in_one_bit_or_holds_eight_bytes_of_ones() -> None:
     payload = bytes(range(100, 120))
     arrived = {copies[0][1] for copies in (Channel(seed, "a", "b").copies(payload, Condition(flip=1.0), 0.0) for seed in range(4000))}

@@ -101,3 +101,9 @@ def test_a_given_pose_must_be_finite() -> None:
     config = WorldConfig(members={"s1": "A"}, bodies=BodySettings(start="given", poses={"s1": (1.0, math.nan, 0.0)}))
     with pytest.raises(BadSetting, match=r"bodies\.poses\.s1 = \[1\.0, nan, 0\.0\]"):
         check_given(config)
+
+
+def test_errors_of_poses_are_refused_for_bodies_of_their_own() -> None:
+    settings = WorldConfig(bodies=BodySettings(host="own", heading_error=0.1))
+    with pytest.raises(BadSetting, match=r"bodies\.heading_error = 0\.1: should be 0 with bodies of their own"):
+        check_given(settings)

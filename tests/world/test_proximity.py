@@ -35,6 +35,18 @@ def test_a_body_senses_the_middle_of_another_one_in_sight() -> None:
     assert seen(stage(9.1)) == {"s1": [], "s2": []}
 
 
+def test_who_is_told_a_wrong_pose_is_told_of_obstacles_where_they_are_from_there() -> None:
+    settings = stage(2.0)
+    wrong = msgspec.structs.replace(settings.bodies, position_error=0.3, heading_error=0.05)
+    _, effects = started(msgspec.structs.replace(settings, bodies=wrong))
+    told = {observation.recipient: observation for observation in of_kind(Observation, effects)}
+    for name, ahead in (("s1", 0.0), ("s2", math.pi - 1.0)):
+        (x, y, heading), [[east, north]] = told[name].pose, told[name].obstacles.tolist()
+        assert math.hypot(east - x, north - y) == pytest.approx(2.0, abs=1e-5)
+        assert math.remainder(math.atan2(north - y, east - x) - heading - ahead, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-5)
+        assert (x, y) != {"s1": (10.0, 10.0), "s2": (12.0, 10.0)}[name]
+
+
 def test_points_sense_nothing() -> None:
     assert seen(stage(1.0, radius=0.0)) == {"s1": [], "s2": []}
 
