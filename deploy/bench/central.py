@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.backend import Backend
-from agents.compiled import extraction_kernels, particle_kernels
+from agents.compiled import claim_kernels, extraction_kernels, particle_kernels
 from agents.coverage.capacity import SensorFacts, place, power_radius, unused_capacity
 from agents.coverage.cells import Cell
 from agents.coverage.control import Lloyd, Situation
@@ -72,7 +72,8 @@ class Central:
         cells = backend.cut_cells(range(len(radii)), points, radii, self._corners)
         for index, (member, cell) in enumerate(zip(self._team, cells)):
             claim = _claim(cell, points, radii)
-            own = Particles(*particle_kernels.take(*updated, claim.generators, claim.first, scenario.arena.width, scenario.arena.height))
+            mine = claim_kernels.owned(updated.states, claim.generators, claim.first, scenario.arena.width, scenario.arena.height)
+            own = Particles(*particle_kernels.take(*updated, mine))
             commands[member.name] = self._command(member, cell, own)
             owned.append(_drawn(own, member.name, step))
             self._unused[index] = self._capacity(member, updated)

@@ -8,7 +8,15 @@ import pytest
 
 FOLDER = Path(__file__).parent
 MODULES = sorted(path.name for path in FOLDER.glob("*.py") if not path.name.startswith("test_") and path.name != "recorded.py")
-ALLOWED = {"numpy", "scipy", "shapely", "protocol.messages", "protocol.codec", *(f"tests.oracle.{name[:-3]}" for name in MODULES)}
+ALLOWED = {
+    "numpy",
+    "scipy",
+    "shapely",
+    "protocol.messages",
+    "protocol.observer_messages",
+    "protocol.codec",
+    *(f"tests.oracle.{name[:-3]}" for name in MODULES),
+}
 
 
 def foreign(text: str) -> list[str]:

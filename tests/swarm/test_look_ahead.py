@@ -9,6 +9,7 @@ from agents.tracking.belief import share_of
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, in_arena
 from agents.tracking.particles import Particles, canonical, join, select
+from agents.tracking.regions import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config
@@ -77,9 +78,10 @@ def replayed(scenario: Scenario, owned: Particles, ticks: list[dict[str, Gossip]
             announced_sensor(gossip.sender, sensor_of(config, scenario.members[gossip.sender]), config.detection.clutter) for gossip in said
         ]
         everywhere = RegionInput("", 0, sensors[0].sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
+        predicted = predict(canonical(owned), step)
         updated = backend.update_regions(gossip_table(said, sensors, config), owned, born, [everywhere], step)[0].updated
         owned = select(updated, in_arena(updated.states, config.arena))  # a tick ends with what is in the arena
-    parts = [_drawn(owned, name, share_of(gossip).claim, step) for name, gossip in claims.items()]
+    parts = [_drawn(owned, predicted, name, share_of(gossip).claim, step) for name, gossip in claims.items()]
     return canonical(join(parts))
 
 
