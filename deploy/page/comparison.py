@@ -128,14 +128,13 @@ class ComparisonSource:
                 self._clock += min(now - last, FRAME_PERIOD) * self.speed
             last = now
             if self.playing and (self.tick + 1) * self._dt <= self._clock:
-                await self.play(self.tick + 1)
+                self.play(self.tick + 1)
             await asyncio.sleep(0.01)
 
-    async def play(self, tick: int) -> None:
-        """Bring both sides to a tick."""
+    def play(self, tick: int) -> None:
+        """Bring both sides to a tick at once, so that no frame is drawn while one of them is ahead."""
         for side in self.sides:
             side.play(tick)
-            await asyncio.sleep(0.0)
 
     def _tell(self, kind: str, told: EventReport) -> None:
         self.picture.note("told", told.who, f"{kind}: {told.text}", told.time)

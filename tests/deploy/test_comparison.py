@@ -18,7 +18,7 @@ from protocol.settings import BadSetting
 
 def played(ticks: int = 12, **settings: Any) -> ComparisonSource:
     source = ComparisonSource(resolve("quick", {"run.seconds": 20.0, **settings}), ("power", "voronoi"))
-    asyncio.run(source.play(ticks))
+    source.play(ticks)
     return source
 
 
@@ -48,7 +48,7 @@ def test_the_left_side_is_the_run_that_is_simulated_alone() -> None:
 def test_a_kill_is_a_kill_on_both_sides_and_stands_on_the_time_line() -> None:
     source = played()
     assert asyncio.run(source.ask({"verb": "kill", "who": "s2"})) == "s2 is killed on both sides"
-    asyncio.run(source.play(15))
+    source.play(15)
     assert [side.picture.agents["s2"].state for side in source.sides] == ["dead", "dead"]
     assert ("asked", "s2") in [(one.kind, one.who) for one in source.picture.happenings]
     for wrong in ({"verb": "pause", "who": "s1"}, {"verb": "kill", "who": "s99"}, {}):
@@ -60,7 +60,7 @@ def test_a_dragged_target_is_there_on_both_sides_and_moves_on_from_there() -> No
     source = played(**{"targets.speed": 0.1})
     number = int(source.picture.truth.ids[0])  # type: ignore[union-attr]
     asyncio.run(source.ask({"drag": number, "to": [3.0, 4.0]}))
-    asyncio.run(source.play(14))
+    source.play(14)
     for side in source.sides:
         truth = side.picture.truth
         assert truth is not None
