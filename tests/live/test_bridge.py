@@ -72,7 +72,7 @@ def test_a_body_that_is_driven_by_odometry_and_cmd_vel_alone_takes_part_in_a_liv
     begun = replaced["swarm"]["tick"]
     until(file, lambda data: data["cells"] > 4 and data["targets"] > 4 and math.dist(data["pose"][:2], (3.0, 2.0)) > 1.0)
     covey.wait(lambda data: data["swarm"]["tick"] >= begun + 24)
-    found = covey.wait(lambda data: data["swarm"]["ospa"] < 1.0)["swarm"]["tick"]  # all three targets; when depends on where the search begins
+    found = covey.wait(lambda data: data["swarm"]["ospa"] < 1.0)["swarm"]["tick"]  # when depends on the search
     covey.wait(lambda data: data["swarm"]["tick"] >= found + 12)
     assert partner.poll() is None and bridge.poll() is None, (bridge.stderr, partner.stderr)
 
