@@ -53,13 +53,18 @@ def screen(page: Any, east: float, north: float) -> tuple[float, float]:
 
 def test_hints_say_what_a_figure_and_an_agent_are_by_pointer_and_by_keyboard(url: str, page: Any) -> None:
     still(page, url)
-    page.hover("#figure-OSPA")
+    x, y = page.evaluate("(() => { const b = document.querySelector('#figure-OSPA').getBoundingClientRect(); return [b.left, b.top]; })()")
+    at = round(x) + 4, round(y) + 4
+    page.mouse.move(*at)
     until(page, f"({HINT}).includes('How far the estimates are from the true targets')")
     page.focus("#figure-GOSPA")
     page.keyboard.press("Tab")
     until(page, f"({HINT}).startsWith('Targets') && document.activeElement.getAttribute('aria-describedby') === 'hint'")
     page.keyboard.press("Escape")
     until(page, f"({HINT}) === ''")
+    again = f"{{bubbles: true, pointerType: 'mouse', clientX: {at[0]}, clientY: {at[1]}}}"  # as browsers say it when the layout has changed
+    page.evaluate(f"document.querySelector('#figure-OSPA').dispatchEvent(new PointerEvent('pointerover', {again})) && null")
+    assert page.evaluate(HINT) == "", "a figure that is drawn anew under a resting pointer does not say it all again"
     east, north, _ = page.evaluate("covey.frame.agents[0].pose")
     page.mouse.move(*screen(page, east, north))
     until(page, f"({HINT}).startsWith('s1') && ({HINT}).includes('Its neighbours: s')")

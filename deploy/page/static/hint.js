@@ -6,8 +6,12 @@ export class Hint {
   constructor(box) {
     this.box = box;
     this.about = null; // the element it describes
+    this.pointer = ""; // where it was last
     const of = (event) => event.target.closest && event.target.closest("[data-hint]");
-    addEventListener("pointerover", (event) => { if (event.pointerType !== "touch") this.over(of(event)); });
+    // A thing that is drawn anew under a resting pointer is no new wish: a hint that was closed stays closed.
+    const moved = ({ clientX, clientY }) => this.pointer !== (this.pointer = `${clientX} ${clientY}`);
+    addEventListener("pointermove", moved);
+    addEventListener("pointerover", (event) => { if (moved(event) && event.pointerType !== "touch") this.over(of(event)); });
     addEventListener("focusin", (event) => { const thing = of(event); if (thing && thing.matches(":focus-visible")) this.over(thing); });
     addEventListener("focusout", () => this.hide());
     addEventListener("click", (event) => { const thing = of(event); if (thing) this.over(thing); else if (this.about) this.hide(); });
