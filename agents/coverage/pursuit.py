@@ -88,12 +88,12 @@ def _goal(situation: Situation, ages: np.ndarray) -> tuple[float, float] | None:
 
 
 def _lead(place: tuple[float, float], goal: tuple[float, float], offset: float, situation: Situation) -> tuple[float, float]:
-    """The velocity in m/s that brings the distance from `place` to the goal closest to `offset` m within one step."""
+    """The velocity in m/s that brings the distance from `place` to the goal closest to `offset` m by the next command."""
     dx, dy = goal[0] - place[0], goal[1] - place[1]
     apart = math.hypot(dx, dy)
     if apart == 0.0:
         return 0.0, 0.0
-    speed = max(-situation.limits.speed, min(situation.limits.speed, (apart - offset) / situation.dt))
+    speed = max(-situation.limits.speed, min(situation.limits.speed, (apart - offset) / (situation.dt * situation.ticks)))
     return speed * dx / apart, speed * dy / apart
 
 
@@ -106,7 +106,7 @@ def _best_turn(situation: Situation, ages: np.ndarray, place: tuple[float, float
         return None
     points = particles.states[near, :2]
     values = particles.weights[near] * (LEAST + 1.0 - np.exp(-ages[near] / FORGOTTEN))
-    most = min(math.pi, situation.limits.turn_rate * situation.dt)
+    most = min(math.pi, situation.limits.turn_rate * situation.dt * situation.ticks)
     turns = sorted(np.linspace(-most, most, HEADINGS).tolist(), key=abs)  # the least turn first, so that it wins ties
     held = [float(situation.sensor.probability(points, (*place, heading + turn)) @ values) for turn in turns]
     best = max(range(HEADINGS), key=held.__getitem__)

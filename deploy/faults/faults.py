@@ -15,7 +15,7 @@ The words are the same in a scenario's [[faults]], on the command line, in a sim
     throttle             every link carries `value` kbit/s, one message after the other; what would wait longer than options.queue s is lost
     duplicate, reorder   a share comes twice; is held back and overtaken (options.spread s at most)
     flip                 a share has one wrong bit
-    heal                 all links are clear again
+    heal                 the selected are no longer cut off; without a selection all links are clear again
 """
 
 import re
@@ -191,5 +191,5 @@ class Schedule:
         if verb == "join":
             return [who or f"guest{index}"]
         if verb in LINK_VERBS and not who:
-            return list(candidates)
+            return [] if verb == "heal" else list(candidates)
         return choose(who, candidates, known, stream(self.seed, "faults", index))

@@ -34,7 +34,10 @@ class Links:
 
     def act(self, action: Action) -> None:
         """Carry out a link verb."""
-        if action.verb == "heal":
+        if action.verb == "heal" and action.names:  # the end of their partition: losses and delays go on
+            ended = set(self._around(action.names))
+            self._cut, self._torn = self._cut - ended, self._torn - ended
+        elif action.verb == "heal":
             self._cut, self._torn, self._conditions = set(), set(), {}
         elif action.verb == "partition":
             cut = self._partition(action.names, str(action.options.get("kind", "both")))
@@ -94,7 +97,7 @@ def describe(action: Action) -> str:
     """What a link verb has done, in one line."""
     who = ", ".join(action.names)
     if action.verb == "heal":
-        return "all links are clear again"
+        return f"{who}: no longer cut off" if who else "all links are clear again"
     if action.verb == "partition":
         kind = {"one-way": "nobody hears", "bridge": "cut off but for one bridge:"}.get(str(action.options.get("kind")), "cut off")
         return f"{kind} {who}"

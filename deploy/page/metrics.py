@@ -75,8 +75,10 @@ def _swarm(picture: Picture) -> Iterator[Family]:
 def _scores(score: Score | None) -> Iterator[Family]:
     if score is None:
         return
-    yield Family("ospa_meters", "gauge", "OSPA distance of estimates and targets (cutoff 10 m, order 1).", [({}, score.ospa)])
-    yield Family("gospa_meters", "gauge", "GOSPA distance of estimates and targets (cutoff 10 m, order 1, alpha 2).", [({}, score.gospa)])
+    yield Family("ospa_meters", "gauge", "OSPA distance of estimates and targets (order 1, cut-off study.cutoff).", [({}, score.ospa)])
+    yield Family(
+        "gospa_meters", "gauge", "GOSPA distance of estimates and targets (order 1, alpha 2, cut-off study.cutoff).", [({}, score.gospa)]
+    )
     yield Family("targets", "gauge", "True targets.", [({}, score.targets)])
     yield Family("targets_in_view", "gauge", "True targets in some field of view.", [({}, score.in_view)])
     yield Family("targets_estimated", "gauge", "Targets that the agents report.", [({}, score.estimated)])

@@ -16,8 +16,6 @@ from protocol.observer_messages import Truth
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
 
-CUTOFF = 10.0  # m, that of `scores.ospa`
-
 
 class Parts(NamedTuple):
     """The parts of the OSPA or the GOSPA of a tick, m."""
@@ -34,6 +32,7 @@ class ErrorParts:
     def __init__(self, scenario: Scenario) -> None:
         self.parts: list[Parts] = []
         self.gospa_parts: list[Parts] = []
+        self._cutoff = scenario.study.cutoff
         self._seen: set[int] = set()
         self._sensors: dict[str, SensorModel] = {name: sensor_of(scenario, kind) for name, kind in scenario.members.items()}
 
@@ -41,14 +40,14 @@ class ErrorParts:
         """Take the truth of a tick and the estimates (M, 2) of all agents, m."""
         visible, ids = self._in_view(truth), truth.ids.tolist()
         known = np.array([one in self._seen for one in ids], dtype=bool)
-        costs, number, most = target_costs(truth.targets, estimates), len(ids), max(1, len(ids), len(estimates))
-        groups, found = (~visible & ~known, ~visible & known, visible), costs < CUTOFF
+        costs, number, most = target_costs(truth.targets, estimates, self._cutoff), len(ids), max(1, len(ids), len(estimates))
+        groups, found = (~visible & ~known, ~visible & known, visible), costs < self._cutoff
         never, lost, seen = (float(costs[rows].sum()) for rows in groups)
-        false = CUTOFF * max(0, len(estimates) - number)
+        false = self._cutoff * max(0, len(estimates) - number)
         self.parts.append(Parts(never / most, lost / most, seen / most, false / most))
-        halves = np.where(found, costs, 0.5 * CUTOFF)  # of a pair at the cut-off, the other half is a false estimate
+        halves = np.where(found, costs, 0.5 * self._cutoff)  # of a pair at the cut-off, the other half is a false estimate
         never, lost, seen = (float(halves[rows].sum()) for rows in groups)
-        self.gospa_parts.append(Parts(never, lost, seen, 0.5 * CUTOFF * float(len(estimates) - found.sum())))
+        self.gospa_parts.append(Parts(never, lost, seen, 0.5 * self._cutoff * float(len(estimates) - found.sum())))
         self._seen.update(one for one, sees in zip(ids, visible.tolist()) if sees)
 
     def mean(self) -> Parts:
@@ -73,11 +72,11 @@ def _means(parts: list[Parts]) -> Parts:
     return Parts(*np.mean(parts, axis=0).tolist()) if parts else Parts(0.0, 0.0, 0.0, 0.0)
 
 
-def target_costs(truth: np.ndarray, estimates: np.ndarray) -> np.ndarray:
-    """What each target (T, 2) costs in the best assignment to the estimates (M, 2), m: its distance, at most `CUTOFF`; (T,)."""
-    costs = np.full(len(truth), CUTOFF)
+def target_costs(truth: np.ndarray, estimates: np.ndarray, cutoff: float) -> np.ndarray:
+    """What each target (T, 2) costs in the best assignment to the estimates (M, 2), m: its distance, at most `cutoff` m; (T,)."""
+    costs = np.full(len(truth), cutoff)
     if len(truth) and len(estimates):
-        apart = np.minimum(np.hypot(truth[:, 0, None] - estimates[:, 0], truth[:, 1, None] - estimates[:, 1]), CUTOFF)
+        apart = np.minimum(np.hypot(truth[:, 0, None] - estimates[:, 0], truth[:, 1, None] - estimates[:, 1]), cutoff)
         rows, columns = linear_sum_assignment(apart)
         costs[rows] = apart[rows, columns]
     return costs

@@ -8,7 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig, ControlSettings
-from agents.coverage.control import LAWS, STAND, ControlInput, Lloyd, RandomWalk, Situation, Static, UniformDensity, approach, control_law
+from agents.coverage.control import (
+    LAWS,
+    STAND,
+    ControlInput,
+    ControlLaw,
+    Lloyd,
+    RandomWalk,
+    Situation,
+    Static,
+    UniformDensity,
+    approach,
+    control_law,
+)
 from agents.tracking.particles import NONE
 from protocol.geometry import EMPTY, rectangle, wrap_angle
 from protocol.sensing import SENSOR_CLASSES, Pose
@@ -60,6 +72,17 @@ class NoLaw:
 def test_a_goal_within_one_step_is_reached_by_the_driven_point() -> None:
     velocity, _ = approach(situation(driven=(10.0, 20.0)), (10.6, 19.2))
     assert velocity == pytest.approx((1.2, -1.6))  # 1 m in 0.5 s is the limit of 2 m/s
+
+
+@pytest.mark.parametrize("law", [Lloyd(), UniformDensity()])
+def test_who_commands_every_fourth_tick_is_there_and_turned_at_the_fourth(law: ControlLaw) -> None:
+    """The goal lies .3 m north of the driven point and of the sensor: to be reached in 4 steps of .5 s, and no sooner."""
+    goal = (50.0, 30.0)
+    start = (goal[0], goal[1] - 0.3)
+    here = situation(centroid=goal, pose=(*start, 0.0), driven=start, cell=rectangle(100.0, 60.0))._replace(ticks=4)
+    velocity, turn = law.command(here)
+    assert velocity == pytest.approx((0.0, 0.3 / (4 * 0.5)))
+    assert turn == pytest.approx(0.5 * math.pi / (4 * 0.5))
 
 
 def test_a_goal_farther_away_is_approached_at_the_limit() -> None:

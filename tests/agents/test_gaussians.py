@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSettings
+from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSettings, PoseSettings
 from agents.tracking import gaussian_phd
 from agents.tracking.births import Scan
 from agents.tracking.gaussian_reduction import estimates, merged, reduced
 from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked
 from agents.tracking.step import Step
-from protocol.sensing import Pose, WedgeSensor
+from protocol.sensing import Measurement, Pose, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 
 ARENA = ArenaSettings(width=40.0, height=40.0)
@@ -101,6 +101,19 @@ def test_one_detection_corrects_one_component_as_a_kalman_filter_does() -> None:
     assert found.covariances[heaviest, :2, :2] == pytest.approx(np.diag([0.75, 0.75]))
     assert found.weights[heaviest] == pytest.approx(1.0)  # no clutter and no births: the detection is this target
     assert len(found.ids) == 1  # and nothing is left of the missed one
+
+
+def test_the_noise_of_ranges_and_bearings_lies_along_and_across_the_ray() -> None:
+    """Against draws of the sensor: a target 10 m away at 45 degrees, sigma .1 m and .05 rad, the own heading unsure by .03 rad."""
+    sensor = WedgeSensor(2.0 * math.pi, 20.0, 0.9, Measurement("range-bearing", bearing_noise=0.05, range_noise=0.1))
+    ray = np.array([[math.sqrt(0.5), math.sqrt(0.5), 10.0, 0.0]])
+    one = scan([(20.0 + 10.0 * math.sqrt(0.5), 20.0 + 10.0 * math.sqrt(0.5))], sensor=sensor)._replace(rays=ray)
+    rng = np.random.default_rng(8)
+    far, angle = 10.0 + rng.normal(0.0, 0.1, 200_000), 0.25 * math.pi + rng.normal(0.0, math.hypot(0.05, 0.03), 200_000)
+    drawn = np.cov(np.array([far * np.cos(angle), far * np.sin(angle)]))
+    exact = AgentConfig(pose=PoseSettings(heading_noise=0.03))
+    assert gaussian_phd.measured_covariances(one, exact)[0] == pytest.approx(drawn, abs=0.005)
+    assert drawn[0, 1] < -0.15
 
 
 def test_a_detection_shares_its_weight_among_two_components_and_the_clutter() -> None:

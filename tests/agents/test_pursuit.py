@@ -50,6 +50,14 @@ def test_it_is_a_law_that_scenarios_name() -> None:
     assert type(control_law(AgentConfig(control=ControlSettings(mode="pursuit")))) is Pursuit
 
 
+def test_who_commands_every_fourth_tick_arrives_at_the_fourth() -> None:
+    """Mass 5 m to the left: the COD needs a move and a quarter turn, both within four ticks, and then it lies on the mass."""
+    (vx, vy), turn = Pursuit().command(situation(particles((50.0, 55.0, 1.0)))._replace(ticks=4))
+    x, y, heading = 50.0 + 4 * 0.5 * vx, 50.0 + 4 * 0.5 * vy, 4 * 0.5 * turn
+    assert math.hypot(x - 50.0, y - 55.0) == pytest.approx(COD_AHEAD)
+    assert heading == pytest.approx(math.pi / 2.0, abs=math.pi / 8.0)
+
+
 def test_it_turns_to_the_mass_that_its_footprint_can_hold() -> None:
     """Mass at 90 degrees to the left, 5 m away: within reach of one step at 5 rad/s."""
     _, turn = Pursuit().command(situation(particles((50.0, 55.0, 1.0))))

@@ -46,6 +46,13 @@ def test_the_parts_of_the_ospa_add_up_and_tell_why_a_target_is_missed() -> None:
     assert parts.mean() == pytest.approx(Parts(2.5, 0.5, 0.25, 10.0 / 6))
 
 
+def test_the_parts_are_capped_at_the_cut_off_of_the_study() -> None:
+    parts = ErrorParts(resolve("convergence", {"team.composition": "A1", "study.cutoff": 4.0}))
+    parts.see(truth(0, (25.0, 20.0), (5.0, 5.0)), np.array([[25.0, 21.0]]))
+    assert parts.parts[0] == pytest.approx((4.0 / 2, 0.0, 1.0 / 2, 0.0))
+    assert parts.gospa_parts[0] == pytest.approx((2.0, 0.0, 1.0, 0.0))
+
+
 def test_the_gain_is_that_of_the_means_and_equal_pairs_leave_no_doubt() -> None:
     assert gains(np.array([[1.0, 2.0], [3.0, 4.0]]))[0] == pytest.approx(1.0 - 2.0 / 3.0)
     assert gains(np.array([[1.0, 2.0]] * 3)) == pytest.approx((0.5, 0.5, 0.5))

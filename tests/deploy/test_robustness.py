@@ -63,6 +63,12 @@ def test_a_line_compares_with_the_same_seed_without_the_fault_and_after_deaths_w
     assert (killed["reference"], killed["ratio"]) == (3.0, 1.0)
 
 
+def test_a_line_counts_the_recovery_of_a_partition_from_its_heal_and_that_of_a_loss_from_the_fault() -> None:
+    disturbed = [1.0] * 40 + [4.0] * 15 + [1.0] * 45
+    assert line(row("partition", 12.0, disturbed), 1.0)["recovery_s"] == 3.0
+    assert line(row("loss", 0.3, disturbed), 1.0)["recovery_s"] == 15.0
+
+
 def test_recovery_is_the_first_time_from_which_five_seconds_are_good_in_the_mean() -> None:
     times = np.arange(100.0) - 40.0
     found = Curve(times, np.where(times < 0.0, 1.0, np.where(times < 12.0, 4.0, 1.0)))

@@ -1,9 +1,11 @@
 """Bad links between real processes: cut and healed from another terminal, spoilt by a scenario, and out of reach unless it allows them."""
 
+import statistics
+
 import pytest
 
 from deploy.recording.recording import Recording
-from tests.live.harness import Covey, Journal
+from tests.live.harness import Covey, Journal, rows
 
 pytestmark = pytest.mark.live
 ALLOWED = ("--set", "network.link_faults=true")
@@ -15,6 +17,12 @@ def test_a_partition_covers_the_arena_twice_and_heals_to_one_claim_per_place(cov
     code, said, _ = covey.run("partition", "s1,s2,s3")
     assert (code, said) == (0, "cut off s1, s2, s3\n")
     apart = covey.wait(lambda data: data["swarm"]["overlap"] > 0.99 and data["swarm"]["hole"] <= 1e-6)
+    assert covey.run("kill", "s1")[0] == 0 == covey.run("restart", "s1")[0]
+    covey.wait(lambda data: not rows(data)["s1"]["cell"])
+    back = covey.wait(lambda data: rows(data)["s1"]["cell"])["swarm"]["tick"]
+    looks = [covey.wait(lambda data, at=back + 8 + look: data["swarm"]["tick"] >= at) for look in range(9)]  # type: ignore[misc]
+    assert statistics.median(look["swarm"]["overlap"] for look in looks) > 0.99, "who comes back is cut off too"
+    apart = looks[-1]
     assert covey.run("heal")[1] == "all links are clear again\n"
     tick = covey.status()["swarm"]["tick"]
     whole = covey.wait(

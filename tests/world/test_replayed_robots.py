@@ -102,6 +102,16 @@ def test_a_frame_goes_into_the_nearest_tick_and_never_two_into_one() -> None:
     assert {tick: len(scan) for tick, scan in found.items()} == {1: 2, 2: 1, 3: 1}
 
 
+def test_a_replay_from_the_middle_of_a_recording_states_each_measurement_from_where_the_robot_was_then() -> None:
+    """A robot at .2 m/s; a landmark 3 m ahead of it, .1 s after second 600, which is the first of the replay."""
+    robot = ReplayedBody(
+        np.array([0.0, 1000.0]), np.array([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]]), np.array([600.1]), [np.array([[3.0, 0.0]])]
+    )
+    found = scans_by_tick(robot, dt=0.25, start=600.0, ticks=50)
+    assert list(found) == [0]
+    assert found[0][0] == pytest.approx([3.0 + 0.2 * 0.1, 0.0], abs=1e-6)
+
+
 def test_the_motion_of_the_robot_between_frame_and_tick_is_taken_out() -> None:
     stated = from_other_pose(np.array([[2.0, 0.5]]), (1.0, 1.0, 0.0), (1.0 + 2.0 * math.cos(0.5), 1.0, 0.5 * math.pi))
     assert stated[0] == pytest.approx([2.0 * math.sin(0.5), 0.0], abs=1e-12)
