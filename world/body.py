@@ -70,7 +70,7 @@ class Body(Node):
         self._waiting = False  # lockstep: for the command of this tick
         self._not_before = 0.0  # lockstep: when the tick may end
         self._due: float | None = None
-        self._obeyed_at: float | None = None  # when the command came that drives the platform; None: it stands
+        self._driven_until: float | None = None  # when the command that drives the platform ends; None: it stands
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event and return what to do; an error stops the platform before it ends the process."""
@@ -91,8 +91,7 @@ class Body(Node):
 
     def deadline(self) -> float | None:
         """When the next tick is due, or the body is to stand."""
-        times = [self._due, None if self._obeyed_at is None else self._obeyed_at + self._hold_seconds]
-        return min((time for time in times if time is not None), default=None)
+        return min((time for time in (self._due, self._driven_until) if time is not None), default=None)
 
     def _handle(self, event: Event, now: float) -> list[Effect]:
         match event:
@@ -206,7 +205,7 @@ class Body(Node):
         return self._open(tick, now) if tick > self.tick else []
 
     def _on_time(self, now: float) -> list[Effect]:
-        if self._obeyed_at is not None and now >= self._obeyed_at + self._hold_seconds:
+        if self._driven_until is not None and now >= self._driven_until:
             self._stand()
         if self._due is None or now < self._due:
             return []
@@ -256,10 +255,17 @@ class Body(Node):
             self.ignored_commands += 1
             return []
         self._roster.note_spoken(command.sender, command.incarnation)
-        if not self.hold.holds:
+        end = self._end_of(command, now)
+        if not self.hold.holds and end > now:
             self._drive(command)
-            self._obeyed_at = now
+            self._driven_until = end
         return self._end_of_wait(now) if self._waiting else []
+
+    def _end_of(self, command: Command, now: float) -> float:
+        """Until when a command drives the body. Where bodies have a size it ends two ticks after its own: it knows no later places of others."""
+        end = now + self._hold_seconds
+        has_size = self._config.limits.radius > 0.0 and not self._lockstep
+        return min(end, self._clock.due(command.tick + 2)) if has_size else end
 
     def _end_of_wait(self, now: float) -> list[Effect]:
         self._waiting = False
@@ -275,7 +281,7 @@ class Body(Node):
         self.platform.drive(velocity, command.turn_rate)
 
     def _stand(self) -> None:
-        self._obeyed_at = None
+        self._driven_until = None
         self.platform.stop()
 
     def _stop(self, code: int, reason: str) -> list[Effect]:

@@ -42,6 +42,7 @@ def test_after_warming_up_no_fault_makes_anybody_compile() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly  # two compilations of everything; the first start of continuous integration is one too
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core compiles by itself")
 def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:

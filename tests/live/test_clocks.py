@@ -96,6 +96,7 @@ def test_wall_clocks_that_jump_by_288_s_back_and_forth_in_the_middle_of_a_run_ch
         assert abs(json.loads(log.read_text().splitlines()[-1])["time"] - time.time()) > JUMP - 100.0, Path(log).name
 
 
+@pytest.mark.nightly
 @pytest.mark.alone  # it compares ticks with the time at which they were said
 def test_bodies_keep_their_ticks_when_clocks_step_by_a_second_and_one_that_starts_with_a_wrong_clock_is_set_right(covey: Covey) -> None:
     """Half of the clocks step by 1 s forth and half of them back; then two bodies are killed and started again by the wrong clocks."""

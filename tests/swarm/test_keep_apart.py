@@ -50,6 +50,15 @@ def test_laws_that_ask_for_the_same_place_do_not_bring_bodies_together() -> None
     assert least_gap(crowd(**{"control.mode": "random"}), (6.0, "s1")) >= 2.0 * RADIUS
 
 
+@pytest.mark.parametrize("host", ["world", "own"])
+@pytest.mark.parametrize("share", [0.6, 0.15])
+def test_the_late_commands_of_starved_agents_bring_no_two_bodies_together(host: str, share: float) -> None:
+    """A command is for the places of its tick: who drives on it when it comes drives to where another one is now."""
+    given = resolve("quick", {**CROWD, "team.composition": "A8", "run.seconds": 15.0, "control.mode": "random", "bodies.host": host})
+    starved = msgspec.structs.replace(given, faults=(fault(2.0, "starve", "100%", share),))
+    assert least_gap(Simulation(starved, clock="realtime", backend=FAST)) >= 2.0 * RADIUS
+
+
 def test_robots_of_mass_do_not_touch_either_and_a_run_repeats_to_the_last_bit() -> None:
     transcripts = []
     for _ in range(2):
