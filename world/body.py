@@ -262,7 +262,7 @@ class Body(Node):
         return self._end_of_wait(now) if self._waiting else []
 
     def _end_of(self, command: Command, now: float) -> float:
-        """Until when a command drives the body. Where bodies have a size it ends two ticks after its own: it knows no later places of others."""
+        """Until when a command drives the body: with a size two ticks after its own, for it knows no later places of others."""
         end = now + self._hold_seconds
         has_size = self._config.limits.radius > 0.0 and not self._lockstep
         return min(end, self._clock.due(command.tick + 2)) if has_size else end
