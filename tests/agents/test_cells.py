@@ -34,7 +34,7 @@ def areas(points: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 def half_plane_cell(index: int, points: np.ndarray, radii: np.ndarray) -> shapely.Geometry:
     """The oracle: the arena cut by one large polygon for each other generator."""
-    cell = shapely.Polygon(ARENA)
+    cell, cut_at = shapely.Polygon(ARENA), set()
     for other in range(len(points)):
         offset = points[other] - points[index]
         span = float(np.hypot(*offset))
@@ -49,6 +49,9 @@ def half_plane_cell(index: int, points: np.ndarray, radii: np.ndarray) -> shapel
         away = (span**2 + radii[index] ** 2 - radii[other] ** 2) / (2.0 * span)
         foot = points[index] + normal * np.clip(away, -1e3, 1e3)  # farther than that it cuts all or nothing
         near, far = 1e4 * along, -2e4 * normal
+        if (border := (*foot, *normal)) in cut_at:
+            continue  # where a border is cut twice GEOS may leave nothing
+        cut_at.add(border)
         cell = cell & shapely.Polygon([foot - near, foot + near, foot + near + far, foot - near + far])
     return cell
 
@@ -83,6 +86,7 @@ def test_every_place_belongs_to_one_claim_alone_that_of_the_least_power_distance
 
 @given(to_the_millimetre)
 @example([(0.0, 0.0, 0.0)] * 3 + [(0.0, 0.002, 0.0), (0.0, 0.0, 9.0)])
+@example([(0.0, 0.0, 0.0), (33.0, 31.061, 0.0), (12.0, -8.5, 0.0), (33.0, 31.061, 0.0)])
 @few
 def test_cells_equal_the_intersection_of_half_planes(rows: list[tuple[float, float, float]]) -> None:
     points, radii = split(rows)

@@ -105,7 +105,7 @@ def test_a_cut_between_agents_and_its_end_stand_on_the_time_line_of_a_replay(tmp
     replay = ReplaySource(Recording(tmp_path / "a.mcap"))
     replay.scan(60.0)
     told = [(one.kind, one.time, one.text) for one in replay.picture.happenings if one.kind in ("partition", "heal", "lost")]
-    assert told == [("partition", 3.0, "cut off s1, s2"), ("lost", 4.0, "s6 is gone"), ("heal", 5.0, "all links are clear again")]
+    assert told == [("partition", 3.0, "cut off s1, s2"), ("lost", 4.0, "s6 is gone"), ("heal", 5.0, "s1, s2: no longer cut off")]
 
 
 @pytest.mark.parametrize("request_", [{"seek": "x"}, {"seek": -1}, {"speed": 0}, {"speed": True}, {"verb": "kill"}, {}])

@@ -112,6 +112,16 @@ def test_a_replay_from_the_middle_of_a_recording_states_each_measurement_from_wh
     assert found[0][0] == pytest.approx([3.0 + 0.2 * 0.1, 0.0], abs=1e-6)
 
 
+def test_the_scans_of_a_replay_begin_where_the_replay_begins(tmp_path: Path) -> None:
+    """Of the frames at .05, .3, .. 1.55 s those from 1.05 s on, at most one a tick."""
+    original(tmp_path)
+    given = {"recorded.data": str(tmp_path), "recorded.start": 1.0, "run.seconds": 0.75, "run.dt": 0.25, "recorded.origin": [0.0, 0.0]}
+    config = world_config(resolve("mrclam", given))
+    detector, names = sources_of(config).detector, list(config.members)
+    scans = [detector.scans([], [], names, np.empty((0, 2)), np.empty(0), tick, None) for tick in range(4)]  # type: ignore[arg-type]
+    assert [[len(scan) for scan in tick] for tick in scans] == [[1] * 5] * 3 + [[0] * 5]
+
+
 def test_the_motion_of_the_robot_between_frame_and_tick_is_taken_out() -> None:
     stated = from_other_pose(np.array([[2.0, 0.5]]), (1.0, 1.0, 0.0), (1.0 + 2.0 * math.cos(0.5), 1.0, 0.5 * math.pi))
     assert stated[0] == pytest.approx([2.0 * math.sin(0.5), 0.0], abs=1e-12)
