@@ -115,7 +115,7 @@ def test_a_replay_from_the_middle_of_a_recording_states_each_measurement_from_wh
 def test_the_scans_of_a_replay_begin_where_the_replay_begins(tmp_path: Path) -> None:
     """Of the frames at .05, .3, .. 1.55 s those from 1.05 s on, at most one a tick."""
     original(tmp_path)
-    given = {"recorded.data": str(tmp_path), "recorded.start": 1.0, "run.seconds": 0.75, "run.dt": 0.25, "recorded.origin": [0.0, 0.0]}
+    given = {"recorded.data": str(tmp_path), "recorded.start": 1.0, "run.seconds": 1.0, "run.dt": 0.25, "recorded.origin": [0.0, 0.0]}
     config = world_config(resolve("mrclam", given))
     detector, names = sources_of(config).detector, list(config.members)
     scans = [detector.scans([], [], names, np.empty((0, 2)), np.empty(0), tick, None) for tick in range(4)]  # type: ignore[arg-type]
