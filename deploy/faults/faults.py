@@ -15,7 +15,7 @@ The words are the same in a scenario's [[faults]], on the command line, in a sim
     throttle             every link carries `value` kbit/s, one message after the other; what would wait longer than options.queue s is lost
     duplicate, reorder   a share comes twice; is held back and overtaken (options.spread s at most)
     flip                 a share has one wrong bit
-    heal                 the selected are no longer cut off; without a selection all links are clear again
+    heal                 all links are clear again (options.only_cut = true: the selected are no longer cut off, losses and delays go on)
 """
 
 import re
@@ -36,13 +36,18 @@ LIVE_VERBS = ("kill", "pause", "resume", "restart", *LINK_VERBS)  # the others n
 SYNONYMS = {"loss": "drop"}
 SHARES = ("drop", "duplicate", "reorder", "flip", "starve")  # whose value is a share of the messages, or of the time
 NEED_VALUE = (*SHARES, "delay", "throttle", "slow", "freeze", "jump")
-INVERSE = {"kill": "restart", "pause": "resume", "partition": "heal"}  # what ends a fault that lasts `seconds`
+INVERSE: dict[str, tuple[str, dict[str, Any]]] = {  # what ends a fault that lasts `seconds`
+    "kill": ("restart", {}),
+    "pause": ("resume", {}),
+    "partition": ("heal", {"only_cut": True}),
+}
 ENDED_BY_ZERO = (*SHARES, "delay", "throttle", "slow")
 OPTIONS: dict[str, dict[str, type]] = {  # what a fault may say beside its value
     "kill": {"silent": bool},
     "join": {"class": str},
     "jump": {"back": bool},
     "partition": {"kind": str, "tokens": bool},
+    "heal": {"only_cut": bool},
     "drop": {"burst": float},
     "delay": {"jitter": float},
     "throttle": {"queue": float},
@@ -181,7 +186,8 @@ class Schedule:
                 continue
             actions.append(Action(verb, names, fault.value, fault.options))
             if fault.seconds is not None and verb in INVERSE:
-                self._ends.append((fault.at + fault.seconds, Action(INVERSE[verb], names)))
+                inverse, options = INVERSE[verb]
+                self._ends.append((fault.at + fault.seconds, Action(inverse, names, None, options)))
             elif fault.seconds is not None and verb in ENDED_BY_ZERO:
                 self._ends.append((fault.at + fault.seconds, Action(verb, names, 0.0)))
         return actions
@@ -191,5 +197,5 @@ class Schedule:
         if verb == "join":
             return [who or f"guest{index}"]
         if verb in LINK_VERBS and not who:
-            return [] if verb == "heal" else list(candidates)
+            return list(candidates)
         return choose(who, candidates, known, stream(self.seed, "faults", index))

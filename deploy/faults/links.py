@@ -34,7 +34,7 @@ class Links:
 
     def act(self, action: Action) -> None:
         """Carry out a link verb."""
-        if action.verb == "heal" and action.names:  # the end of their partition: losses and delays go on
+        if action.verb == "heal" and action.options.get("only_cut"):
             ended = set(self._around(action.names))
             self._cut, self._torn = self._cut - ended, self._torn - ended
         elif action.verb == "heal":
@@ -97,7 +97,7 @@ def describe(action: Action) -> str:
     """What a link verb has done, in one line."""
     who = ", ".join(action.names)
     if action.verb == "heal":
-        return f"{who}: no longer cut off" if who else "all links are clear again"
+        return f"{who}: no longer cut off" if action.options.get("only_cut") else "all links are clear again"
     if action.verb == "partition":
         kind = {"one-way": "nobody hears", "bridge": "cut off but for one bridge:"}.get(str(action.options.get("kind")), "cut off")
         return f"{kind} {who}"

@@ -320,7 +320,7 @@ class Supervisor:
         check_fault(fault, "", [*self.scenario.members], live=True, link_faults=self.scenario.network.link_faults)
         states = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}
         candidates = self._agents(states.get(verb, "running"))
-        names = choose(who, candidates, list(self.children), self._rng) if who else [] if verb == "heal" else candidates
+        names = choose(who, candidates, list(self.children), self._rng) if who else candidates
         return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}
 
     def _act(self, action: Action) -> str:

@@ -118,4 +118,4 @@ def test_link_faults_end_with_a_share_of_zero_and_a_partition_heals() -> None:
     schedule = Schedule(1, faults)
     heard = [schedule.due(float(time), TEAM[:2], [], TEAM) for time in range(5)]
     assert heard[1] == [Action("drop", TEAM[:2], 0.2)] and heard[3] == [Action("drop", TEAM[:2], 0.0)]
-    assert heard[2] == [Action("partition", ["s1"])] and heard[4] == [Action("heal", ["s1"])]
+    assert heard[2] == [Action("partition", ["s1"])] and heard[4] == [Action("heal", ["s1"], None, {"only_cut": True})]

@@ -14,7 +14,7 @@ def test_healing_clears_cuts_and_conditions_alike() -> None:
     links.act(Action("delay", NAMES, 0.5))
     assert links.carry("s2", "s1", "key", b"word", 0.0) == [] == links.carry("s2", "s3", "key", b"word", 0.0)
     assert links.torn("s1", "s2")
-    links.act(Action("heal", []))
+    links.act(Action("heal", NAMES))
     for sender in NAMES:
         for receiver in NAMES:
             if sender != receiver:
@@ -27,15 +27,15 @@ def test_the_end_of_a_partition_leaves_a_loss_and_another_cut_as_they_are() -> N
     links.act(Action("drop", ["s2", "s3"], 0.5))
     links.act(Action("partition", ["s1"]))
     links.act(Action("partition", ["s4"]))
-    links.act(Action("heal", ["s1"]))
+    links.act(Action("heal", ["s1"], None, {"only_cut": True}))
     assert not links.torn("s1", "s2") and links.torn("s4", "s2")
     assert links.reception("s2").cut == ("s4",)
     assert links.reception("s2").conditions["s3"].drop == 0.5
-    assert describe(Action("heal", ["s1"])) == "s1: no longer cut off"
+    assert describe(Action("heal", ["s1"], None, {"only_cut": True})) == "s1: no longer cut off"
 
 
-def test_a_healing_without_names_is_one_of_everything_and_one_of_a_partition_that_lasts_is_of_its_names() -> None:
+def test_a_healing_is_of_everything_and_the_end_of_a_partition_is_of_its_cut() -> None:
     faults = (FaultSettings(at=0.0, verb="partition", who="s1", seconds=2.0), FaultSettings(at=3.0, verb="heal"))
     schedule = Schedule(1, faults)
     said = [schedule.due(float(time), NAMES, [], NAMES) for time in range(4)]
-    assert said[2] == [Action("heal", ["s1"])] and said[3] == [Action("heal", [])]
+    assert said[2] == [Action("heal", ["s1"], None, {"only_cut": True})] and said[3] == [Action("heal", NAMES)]

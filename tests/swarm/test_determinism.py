@@ -14,7 +14,7 @@ from deploy.simulation import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 
 ROOT = Path(__file__).resolve().parents[2]
-ROUGH = (fault(1.0, "drop", "100%", 0.2), fault(2.0, "kill", "25%", seconds=2.0), fault(4.0, "partition", "3", seconds=2.0))
+ROUGH = (fault(1.0, "drop", "100%", 0.2, seconds=5.0), fault(2.0, "kill", "25%", seconds=2.0), fault(4.0, "partition", "3", seconds=2.0))
 
 
 def transcript(**options: object) -> str:
