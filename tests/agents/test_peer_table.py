@@ -234,3 +234,15 @@ def test_a_peer_that_comes_back_with_the_right_settings_is_a_peer_again() -> Non
     peers.gone("s3", 1, 3)
     peers.alive("s3", 2)
     assert peers.take_hello(hello("s3", 2)) is None and list(peers.interest_set) == ["s2", "s3"]
+
+
+def test_who_plays_every_second_tick_waits_for_as_many_rounds_of_silence_as_the_setting_says() -> None:
+    timing = msgspec.structs.replace(CONFIG.timing, silent_rounds=6)
+    peers = PeerTable(msgspec.structs.replace(CONFIG, timing=timing), "s1")
+    peers.alive("s2", 1)
+    peers.keep_pace(2)
+    found = []
+    for _ in range(6):
+        peers._count_silent({"s2"})
+        found.append(peers.given_up)
+    assert found == [0, 0, 0, 0, 0, 1]
