@@ -114,7 +114,7 @@ def bench(
 ) -> int:
     """Measure this machine.
 
-    What: round, simulate, live, realtime, scale, start, codec, memory, peers, page, replay, overload, bodies, or all of them.
+    What: round, simulate, live, realtime, tls, scale, start, codec, memory, peers, page, replay, overload, bodies, or all of them.
     --seconds: how long realtime runs each of its swarms; a minute if it is not given.
     """
     import subprocess
