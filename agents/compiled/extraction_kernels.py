@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from agents.compiled.cache import cached
-from agents.compiled.label_kernels import NO_LABEL, add, assign_labels
+from agents.compiled.label_kernels import NO_LABEL, add, name_peaks
 
 TRACK = 8  # columns of an estimate: x, y in m, then those of `extraction.Tracks.details`
 
@@ -56,9 +56,12 @@ def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
 
 @cached
 def estimate_tracks(
-    states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size: float, threshold: float, beside: float
+    states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size: float, threshold: float, beside: float, stamp: np.uint64
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `extraction.estimate_tracks`: estimates (M, TRACK), heaviest first, and their labels; bins of side `size` m."""
+    """Twin of `extraction.estimate_tracks`: estimates (M, TRACK), heaviest first, and their labels.
+
+    Bins have the side `size` m. `stamp` holds the bits of the tick (`label_kernels.stamp_of`).
+    """
     left = low = np.int64(1 << 60)
     right = high = -left
     for n in range(len(weights)):
@@ -109,11 +112,13 @@ def estimate_tracks(
             if abs(rows[peak] - row) <= 4 and abs(columns[peak] - column) <= 4:
                 mass = block(masses, rows[peak], columns[peak])
                 blocks[peak] = mass if mass >= beside else 0.0
-    return found[:targets], _describe(states, weights, labels, size, cores[:targets], found)
+    return found[:targets], _describe(states, weights, labels, size, cores[:targets], found, stamp)
 
 
 @cached
-def _describe(states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size: float, cores: np.ndarray, found: np.ndarray) -> np.ndarray:
+def _describe(
+    states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size: float, cores: np.ndarray, found: np.ndarray, stamp: np.uint64
+) -> np.ndarray:
     """Twin of `extraction._described`: write velocities and covariances of estimates with these cores, and return their labels."""
     columns, rows = np.floor(states[:, 0] / size), np.floor(states[:, 1] / size)
     known, sums, starts, number = np.empty(64, np.uint64), np.empty(64), np.zeros(len(cores) + 1, np.int64), 0
@@ -138,4 +143,4 @@ def _describe(states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size:
         number = starts[peak + 1] = first + count
         for column, moment in enumerate((vx, vy, xx, xy, yy)):
             found[peak, 2 + column] = moment / mass
-    return assign_labels(known, sums, starts)
+    return name_peaks(known, sums, starts, found, (states, weights, labels), stamp)

@@ -11,7 +11,7 @@ from agents.compiled.particle_kernels import scramble
 
 # The constants of agents/tracking/labels.py, which a test compares.
 NO_LABEL, HASH_BITS, TICK_BITS, EXPLAINED, CLAIMED = np.uint64(0), np.uint64(29), np.uint64(24), 0.02, 0.5
-HELD, OLDEST, GROWN = 0.1, 10.0, 1e-9
+YOUNG, BESIDE, FAINT, ALONE = 4, 5.0, 0.02, 3.0
 _ONE, _CUT = np.uint64(1), np.uint64(35)
 
 
@@ -77,37 +77,14 @@ def label_scan(
 
 
 @njit
-def _worths(labels: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Twin of `labels._worths` for the labels of one peak."""
-    worths, most, oldest = weights.copy(), 0.0, -1
-    for k in range(len(labels)):
-        most = max(most, weights[k])
-    for k in range(len(labels)):
-        if weights[k] >= HELD * most and (oldest < 0 or labels[k] < labels[oldest]):
-            oldest = k
-    if oldest >= 0:
-        worths[oldest] *= OLDEST
-    return worths
-
-
-@njit
-def _best(labels: np.ndarray, worths: np.ndarray, taken: np.ndarray) -> int:
-    """Twin of `labels._best`: the place of the label, or -1."""
+def _best(labels: np.ndarray, weights: np.ndarray, taken: np.ndarray) -> int:
+    """The place of the label with the largest weight that is not taken, the oldest of equals; -1: none."""
     best = -1
     for k in range(len(labels)):
-        better = best < 0 or worths[k] > worths[best] or (worths[k] == worths[best] and labels[k] < labels[best])
-        if better and worths[k] > 0.0 and not (taken == labels[k]).any():
+        better = best < 0 or weights[k] > weights[best] or (weights[k] == weights[best] and labels[k] < labels[best])
+        if better and not (taken == labels[k]).any():
             best = k
     return best
-
-
-@njit
-def _place(labels: np.ndarray, start: int, end: int, label: np.uint64) -> int:
-    """The place of a label among those from `start` to `end`, or -1."""
-    for k in range(start, end):
-        if labels[k] == label:
-            return k
-    return -1
 
 
 @njit
@@ -122,57 +99,101 @@ def _derived(label: np.uint64, taken: np.ndarray) -> np.uint64:
 
 
 @njit
-def _exchanged(labels: np.ndarray, worths: np.ndarray, starts: np.ndarray, given: np.ndarray) -> bool:
-    """Twin of `labels._exchanged`."""
-    for number in range(len(given)):
-        for other in range(len(given)):
-            if other == number or given[other] == NO_LABEL:
-                continue
-            wanted = _place(labels, starts[number], starts[number + 1], given[other])
-            if wanted < 0:
-                continue
-            held = _place(labels, starts[other], starts[other + 1], given[other])
-            mine = _place(labels, starts[number], starts[number + 1], given[number])
-            part = slice(starts[other], starts[other + 1])
-            free = _best(labels[part], worths[part], given)
-            now = (worths[mine] if mine >= 0 else 0.0) + worths[held]
-            if worths[wanted] + (worths[part][free] if free >= 0 else 0.0) > now + GROWN:
-                given[number] = given[other]
-                given[other] = labels[part][free] if free >= 0 else NO_LABEL
-                return True
-    return False
+def _middles(states: np.ndarray, weights: np.ndarray, labels: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `labels.middles` for the labels that are not given: the labels (L,) and their mean positions (L, 2)."""
+    known, sums, number = np.empty(16, np.uint64), np.empty((16, 3)), 0
+    for n in range(len(labels)):
+        if labels[n] == NO_LABEL or (given == labels[n]).any():
+            continue
+        k = 0
+        while k < number and known[k] != labels[n]:
+            k += 1
+        if k == len(known):
+            known, sums = np.concatenate((known, np.empty_like(known))), np.concatenate((sums, np.empty_like(sums)))
+        if k == number:
+            known[k], sums[k], number = labels[n], 0.0, number + 1
+        sums[k, 0] += weights[n]
+        sums[k, 1] += weights[n] * states[n, 0]
+        sums[k, 2] += weights[n] * states[n, 1]
+    heavy = sums[:number, 0] >= FAINT
+    known, sums = known[:number][heavy], sums[:number][heavy]
+    return known, sums[:, 1:] / sums[:, :1]
+
+
+@njit
+def _beside(x: float, y: float, known: np.ndarray, middles: np.ndarray, given: np.ndarray) -> np.uint64:
+    """Twin of `labels._beside` for the labels that are not given."""
+    found, least = NO_LABEL, BESIDE * BESIDE
+    for k in range(len(known)):
+        dx, dy = middles[k, 0] - x, middles[k, 1] - y
+        apart = dx * dx + dy * dy
+        nearer = apart < least or (apart == least and found != NO_LABEL and known[k] < found)
+        if nearer and not (given == known[k]).any():
+            found, least = known[k], apart
+    return found
 
 
 @cached
-def assign_labels(labels: np.ndarray, weights: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Twin of `labels.assign_labels`: the label of each peak (M,).
+def name_peaks(
+    labels: np.ndarray, weights: np.ndarray, starts: np.ndarray, places: np.ndarray, particles: tuple, stamp: np.uint64
+) -> np.ndarray:
+    """Twin of `labels.name_peaks`: the label of each peak (M,).
 
-    Peak number m has the labels and weights from `starts[m]` to `starts[m + 1]`.
+    Peak number m at `places[m]` has the labels and weights from `starts[m]` to `starts[m + 1]`. `particles` are the states, weights and
+    labels (N,) of all particles, and `stamp` holds the bits of the tick (`stamp_of`).
     """
-    peaks = len(starts) - 1
-    given, worths, nothing = np.zeros(peaks, np.uint64), np.empty(len(labels)), np.empty(0, np.uint64)
-    for m in range(peaks):
-        part = slice(starts[m], starts[m + 1])
-        worths[part] = _worths(labels[part], weights[part])
+    peaks, waits = len(starts) - 1, False
+    given, nothing, open_to = np.zeros(peaks, np.uint64), np.empty(0, np.uint64), np.empty(peaks, np.bool_)
     while True:
         peak, place = -1, -1
         for m in range(peaks):
             if given[m] != NO_LABEL:
                 continue
             part = slice(starts[m], starts[m + 1])
-            k = _best(labels[part], worths[part], given)
+            k = _best(labels[part], weights[part], given)
             if k < 0:
                 continue
             k += starts[m]
-            if peak < 0 or worths[k] > worths[place] or (worths[k] == worths[place] and labels[k] < labels[place]):
+            if peak < 0 or weights[k] > weights[place] or (weights[k] == weights[place] and labels[k] < labels[place]):
                 peak, place = m, k
         if peak < 0:
             break
         given[peak] = labels[place]
-    while _exchanged(labels, worths, starts, given):
-        pass
+    for m in range(peaks):
+        age = ((stamp >> HASH_BITS) + (_ONE << TICK_BITS) - (given[m] >> HASH_BITS)) % (_ONE << TICK_BITS)
+        open_to[m] = given[m] == NO_LABEL or age <= np.uint64(YOUNG)
+        waits |= open_to[m]
+    if waits:
+        known, middles = _middles(particles[0], particles[1], particles[2], given)
+        for m in range(peaks):
+            if open_to[m]:
+                label = _beside(places[m, 0], places[m, 1], known, middles, given)
+                if label != NO_LABEL and (given[m] == NO_LABEL or label < given[m]):
+                    given[m] = label
     for m in range(peaks):
         if given[m] == NO_LABEL and starts[m + 1] > starts[m]:
             part = slice(starts[m], starts[m + 1])
             given[m] = _derived(labels[part][_best(labels[part], weights[part], nothing)], given)
     return given
+
+
+@cached
+def rename(labels: np.ndarray, states: np.ndarray, owned: np.ndarray, places: np.ndarray, names: np.ndarray) -> None:
+    """Twin of `labels.renamed`: write the new labels of the particles (N,)."""
+    alone = names != NO_LABEL
+    for m in range(len(names)):
+        for other in range(len(names)):
+            dx, dy = places[m, 0] - places[other, 0], places[m, 1] - places[other, 1]
+            alone[m] &= other == m or dx * dx + dy * dy > ALONE * ALONE
+    if not alone.any():
+        return
+    for n in range(len(labels)):
+        if not owned[n] or labels[n] == NO_LABEL or not (names == labels[n]).any():
+            continue
+        nearest, least = 0, np.inf
+        for m in range(len(names)):
+            dx, dy = states[n, 0] - places[m, 0], states[n, 1] - places[m, 1]
+            if dx * dx + dy * dy < least:
+                nearest, least = m, dx * dx + dy * dy
+        if alone[nearest] and least <= ALONE * ALONE:
+            labels[n] = names[nearest]

@@ -16,9 +16,8 @@ from agents.compiled.cell_kernels import around, near
 from agents.compiled.claim_kernels import owned
 from agents.compiled.correction_kernels import update
 from agents.compiled.extraction_kernels import TRACK, estimate_tracks
-from agents.compiled.label_kernels import stamp_of
+from agents.compiled.label_kernels import rename, stamp_of
 from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take
-from agents.compiled.settling_kernels import settle
 from agents.gossip.table import PARTICLES, WEIGHT
 
 BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
@@ -233,7 +232,12 @@ def _update_region(
     near = near_states, near_weights, near_ids, near_labels
     states, weights, ids, labels = update(near, table, salts, detections, rays, polygon, halo, noise, miss, birth)
     mine = owned(states, generators, first, settings[WIDTH], settings[HEIGHT])
-    labels = settle((states, weights, ids, labels), mine, (near_weights, near_labels), halo, stamp_of(now))
+    targets, names = np.empty((0, TRACK)), np.empty(0, np.uint64)
+    if len(generators) > 0 and len(weights) > 0:
+        targets, names = estimate_tracks(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE], stamp_of(now))
+        rename(labels, states, mine, targets, names)
+        inside = owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])
+        targets, names = targets[inside], names[inside]
     own = take(states, weights, ids, labels, mine)
     own_states, own_weights, own_ids, own_labels = own
     mass, east, north = first_moments(own_states, own_weights)
@@ -246,11 +250,6 @@ def _update_region(
         resampled = resample(own_states, own_weights, own_ids, own_labels, mass, count, offset, scramble(now, keys[SPLIT]))
         drawn_states, drawn_ids, drawn_labels = resampled
         each = mass / count
-    targets, names = np.empty((0, TRACK)), np.empty(0, np.uint64)
-    if len(generators) > 0 and len(weights) > 0:
-        targets, names = estimate_tracks(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE])
-        inside = owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])
-        targets, names = targets[inside], names[inside]
     drawn = drawn_states, np.full(len(drawn_ids), each), drawn_ids, drawn_labels
     sums = mass, east, north, near_load + far_load, near_detected + far_detected
     return (states, weights, ids, labels), own, drawn, sums, targets, names

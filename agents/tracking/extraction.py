@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.config import ExtractionSettings
-from agents.tracking.labels import NO_LABEL, assign_labels
+from agents.tracking.labels import NO_LABEL, middles, name_peaks
 from agents.tracking.particles import Particles, squared_distances, total
 
 NEAR = 3.0  # m around an estimate, in which particles are taken for its target
@@ -43,13 +43,13 @@ def estimate_targets(particles: Particles, settings: ExtractionSettings = Extrac
     return estimate_tracks(particles, settings).positions
 
 
-def estimate_tracks(particles: Particles, settings: ExtractionSettings = ExtractionSettings()) -> Tracks:
-    """Estimated targets, heaviest first.
+def estimate_tracks(particles: Particles, settings: ExtractionSettings = ExtractionSettings(), tick: int = 0) -> Tracks:
+    """Estimated targets of a tick, heaviest first.
 
     Masses are binned. The heaviest 5 x 5 block is a peak while it holds at least `threshold` expected targets. Its estimate is the
     mean of its heaviest 3 x 3 block, the core. One expected target is then removed from the block, the core first. What is left within
-    4 bins of it is no peak below `beside`: part of a target that was half out of view. Velocity, covariance and label come from the
-    particles in the core.
+    4 bins of it is no peak below `beside`: part of a target that was half out of view. Velocity, covariance and the weights of the labels
+    come from the particles in the core. `labels.name_peaks` makes one label of them.
     """
     if not len(particles.weights):
         return NO_TRACKS
@@ -71,7 +71,7 @@ def estimate_tracks(particles: Particles, settings: ExtractionSettings = Extract
         row, column = divmod(int(blocks.argmax()), shape[1])
         if blocks[row, column] < settings.threshold:
             positions = np.array(found).reshape(-1, 2)
-            return _described(positions, existence, cores, particles, rows - low, columns - left)
+            return _described(positions, existence, cores, particles, (rows - low, columns - left), tick)
         core = _heaviest_core(masses, row, column)
         mass = _window_sum(masses, *core, 1)
         cores.append(core)
@@ -86,9 +86,15 @@ def estimate_tracks(particles: Particles, settings: ExtractionSettings = Extract
 
 
 def _described(
-    positions: np.ndarray, existence: list[float], cores: list[tuple[int, int]], particles: Particles, rows: np.ndarray, columns: np.ndarray
+    positions: np.ndarray,
+    existence: list[float],
+    cores: list[tuple[int, int]],
+    particles: Particles,
+    bins: tuple[np.ndarray, np.ndarray],
+    tick: int,
 ) -> Tracks:
-    """Estimates with velocity, covariance and label; `rows` and `columns` (N,) are the bins of the particles."""
+    """Estimates with velocity, covariance and label; `bins` are the rows and columns (N,) of the particles."""
+    rows, columns = bins
     details, peaks = np.empty((len(cores), DETAILS)), list[dict[int, float]]()
     for number, (row, column) in enumerate(cores):
         near = np.flatnonzero((np.abs(rows - row) <= 1) & (np.abs(columns - column) <= 1) & (particles.weights > 0.0))
@@ -100,7 +106,8 @@ def _described(
         known, places = np.unique(labels, return_inverse=True)
         sums = np.bincount(places, weights, len(known))
         peaks.append({label: weight for label, weight in zip(known.tolist(), sums.tolist()) if label != NO_LABEL})
-    return Tracks(positions, details, np.array(assign_labels(peaks), dtype=np.uint64))
+    names = name_peaks(peaks, positions, middles(particles), tick)
+    return Tracks(positions, details, np.array(names, dtype=np.uint64))
 
 
 def foreseen(targets: np.ndarray, particles: Particles, seconds: float) -> np.ndarray:

@@ -7,21 +7,23 @@ Rules. A detection that founds a label gives it to its births, and all copies of
 particle takes the label of the detection from which more than the share `CLAIMED` of its weight comes. A detection founds no label if a
 living label explains at least the share `EXPLAINED` of it: its births then carry that label. So births beside a living track belong to it.
 
-A label stands for one target. After the scans of a tick the owner of a cell settles the labels in it (agents/tracking/settling.py).
+A label stands for one target, so an estimate and a label go together one to one (`name_peaks`). Afterwards the owner of a cell renames
+particles in it that bear the name of another estimate (`renamed`). Its gossip states the result. Weights and states never change.
 """
-
-from collections.abc import Collection
 
 import numpy as np
 
+from agents.tracking.particles import Particles, squared_distances
 from protocol.streams import scramble
 
 NO_LABEL = 0
 HASH_BITS, TICK_BITS = 29, 24  # of a label: a hash in the low bits, the tick plus one above; 2^24 ticks are 48 days at 4 Hz
 EXPLAINED = 0.02  # share of N(z) that the particles of one label must make up
 CLAIMED = 0.5  # share of a particle's weight
-HELD, OLDEST = 0.1, 10.0  # in a peak the oldest label of at least this share of the heaviest weight counts so many times
-GROWN = 1e-9  # least growth of a sum of worths
+YOUNG = 4  # ticks after which a label is no longer young
+BESIDE = 5.0  # m between a peak and the mean of the label that it takes although none of its particles bear it
+FAINT = 0.02  # mass below which a label is not taken so, expected targets
+ALONE = 3.0  # m around a peak without another peak, in which its particles are renamed
 
 
 def birth_labels(hashes: np.ndarray, tick: int) -> np.ndarray:
@@ -53,52 +55,77 @@ def heaviest(labels: np.ndarray, weights: np.ndarray) -> tuple[int, float]:
     return int(known[first]), float(sums[first])
 
 
-def assign_labels(peaks: list[dict[int, float]]) -> list[int]:
+def middles(particles: Particles) -> dict[int, tuple[float, float]]:
+    """The mean position in m of the particles of each label that has a mass of at least `FAINT`."""
+    known, places = np.unique(particles.labels, return_inverse=True)
+    masses, east, north = (
+        np.bincount(places, particles.weights * factors, len(known)) for factors in (1.0, particles.states[:, 0], particles.states[:, 1])
+    )
+    rows = np.flatnonzero((masses >= FAINT) & (known != NO_LABEL))
+    return {int(known[row]): (float(east[row] / masses[row]), float(north[row] / masses[row])) for row in rows}
+
+
+def name_peaks(peaks: list[dict[int, float]], places: np.ndarray, known: dict[int, tuple[float, float]], tick: int) -> list[int]:
     """One label for each peak, no label twice; a peak is the weight of each label in it, 0 left out.
 
-    The oldest label of a peak with at least `HELD` of its heaviest weight counts `OLDEST` times. The pair of a peak and a label with the
-    largest worth comes first, then the next of the peaks and labels that are left; of equals the older label, then the first peak. A peak
-    then takes a label from another one as long as the sum of all worths grows: the other takes its best free label. A peak without a free
-    label takes a label derived from its heaviest one; a peak without any label has none.
+    `places` (M, 2) are the peaks and `known` the `middles` of the labels around, m. The pair of a peak and a label with the largest weight
+    comes first, then the next of the peaks and labels that are left; of equals the older label, then the first peak. A peak that is left
+    then takes the nearest label without a peak within `BESIDE`. So does a peak whose label is young, if the other label is older: most
+    peaks of young labels are clutter beside a target that was missed. A peak that is still left takes a label derived from its heaviest
+    one, and a peak without any label has none.
     """
-    worths, given = [_worths(peak) for peak in peaks], [NO_LABEL] * len(peaks)
-    for value, label, number in sorted((-value, label, number) for number, worth in enumerate(worths) for label, value in worth.items()):
-        if value < 0.0 and given[number] == NO_LABEL and label not in given:
+    given = [NO_LABEL] * len(peaks)
+    for _, label, number in sorted((-weight, label, number) for number, peak in enumerate(peaks) for label, weight in peak.items()):
+        if given[number] == NO_LABEL and label not in given:
             given[number] = label
-    while _exchanged(worths, given):
-        pass
+    free = {label: middle for label, middle in known.items() if label not in given}
+    for number, place in enumerate(places):
+        if given[number] == NO_LABEL or is_young(given[number], tick):
+            label = _beside(place, free)
+            if label != NO_LABEL and (given[number] == NO_LABEL or label < given[number]):
+                given[number] = label
+                del free[label]
     taken = {*given, NO_LABEL}
     for number, peak in enumerate(peaks):
         if given[number] == NO_LABEL and peak:
-            given[number] = _derived(_best(peak, {NO_LABEL}), taken)
+            given[number] = _derived(min((-weight, label) for label, weight in peak.items())[1], taken)
             taken.add(given[number])
     return given
 
 
-def _worths(peak: dict[int, float]) -> dict[int, float]:
-    """The weights of the labels in a peak, that of the oldest important one multiplied."""
-    least = HELD * max(peak.values(), default=0.0)
-    oldest = min([label for label, weight in peak.items() if weight >= least], default=NO_LABEL)
-    return {label: weight * (OLDEST if label == oldest else 1.0) for label, weight in peak.items()}
+def is_young(label: int, tick: int) -> bool:
+    """Whether a label was founded at most `YOUNG` ticks before a tick."""
+    return (tick + 1 - (label >> HASH_BITS)) % (1 << TICK_BITS) <= YOUNG
 
 
-def _best(worth: dict[int, float], taken: Collection[int]) -> int:
-    """The label of the largest worth that is not taken, the oldest of equals; 0: none."""
-    return min([(-value, label) for label, value in worth.items() if label not in taken], default=(0.0, NO_LABEL))[1]
+def _beside(place: np.ndarray, free: dict[int, tuple[float, float]]) -> int:
+    """The label whose middle is nearest to a place, at most `BESIDE` away, the oldest of equals; 0: none."""
+    found, least = NO_LABEL, BESIDE * BESIDE
+    for label, (x, y) in sorted(free.items()):
+        dx, dy = x - place[0], y - place[1]
+        apart = dx * dx + dy * dy
+        if apart < least:
+            found, least = label, apart
+    return found
 
 
-def _exchanged(worths: list[dict[int, float]], given: list[int]) -> bool:
-    """Whether a peak took the label of another one, because the sum grew by more than rounding; the first such pair exchanges."""
-    for number, worth in enumerate(worths):
-        for other, label in enumerate(given):
-            if other == number or label not in worth:
-                continue
-            free = _best(worths[other], given)
-            now = worth.get(given[number], 0.0) + worths[other][label]
-            if worth[label] + worths[other].get(free, 0.0) > now + GROWN:
-                given[number], given[other] = label, free
-                return True
-    return False
+def renamed(particles: Particles, owned: np.ndarray, places: np.ndarray, names: np.ndarray) -> np.ndarray:
+    """The labels (N,) of particles after the owner of those marked in `owned` (N,) has renamed some of them.
+
+    `places` (M, 2) in m and `names` (M,) are all estimates in and around the cell. Two targets that meet exchange particles, and when
+    they part, each keeps some of the other's label. So a particle within `ALONE` m of its nearest estimate takes the name of that one if
+    it bears the name of another, and if no other estimate is within `ALONE` m of that one.
+    """
+    labels = particles.labels.copy()
+    if not len(names) or not len(labels):
+        return labels
+    between, away = squared_distances(places, places), squared_distances(particles.states, places)
+    np.fill_diagonal(between, np.inf)
+    alone, nearest = (between.min(axis=1) > ALONE * ALONE) & (names != NO_LABEL), away.argmin(axis=1)
+    wrong = (labels != NO_LABEL) & np.isin(labels, names) & (labels != names[nearest])
+    chosen = owned & wrong & alone[nearest] & (away.min(axis=1) <= ALONE * ALONE)
+    labels[chosen] = names[nearest[chosen]]
+    return labels
 
 
 def _derived(label: int, taken: set[int]) -> int:

@@ -2,8 +2,8 @@
 
 Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the result.
 
-Rules. All particles are predicted, those around the cell are corrected with all scans that reach it, and the labels of those in the cell
-are settled. Then they are resampled. These functions are the reference; agents/compiled/region_kernels.py computes the same bits.
+Rules. All particles are predicted, and those around the cell are corrected with all scans that reach it. Targets are estimated, and some
+particles in the cell are renamed after them. Then those in the cell are resampled. These functions are the reference; agents/compiled/region_kernels.py computes the same bits.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ from agents.gossip.table import GossipTable, received_particles
 from agents.tracking import claims, phd
 from agents.tracking.births import near_part
 from agents.tracking.extraction import NO_TRACKS, Tracks, estimate_tracks, select_tracks
+from agents.tracking.labels import renamed
 from agents.tracking.measuring import BEARING, model_of
 from agents.tracking.particles import Particles, canonical, join, select, total
-from agents.tracking.settling import settled
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol import geometry
@@ -54,16 +54,16 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     near, seen = gate(predicted, births, region, step)
     updated = correct(near, table, region.polygon, step)
     owned = claims.owned(updated.states, claim, config.arena)
-    updated = updated._replace(labels=settled(updated, owned, near, config.filter.halo, step.tick))
+    tracks = NO_TRACKS
+    if claim.names:
+        tracks = estimate_tracks(updated, config.extraction, step.tick)
+        updated = updated._replace(labels=renamed(updated, owned, tracks.positions, tracks.labels))
+        tracks = select_tracks(tracks, claims.owned(tracks.positions, claim, config.arena))
     own = canonical(select(updated, owned))
     mass, east, north = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)
     far_load, far_detected = in_view(seen, region.sensor, region.pose)
     resampled = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
-    tracks = NO_TRACKS
-    if claim.names:
-        tracks = estimate_tracks(updated, config.extraction)
-        tracks = select_tracks(tracks, claims.owned(tracks.positions, claim, config.arena))
     return RegionUpdate(updated, own, resampled, mass, east, north, near_load + far_load, near_detected + far_detected, tracks)
 
 

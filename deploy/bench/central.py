@@ -8,6 +8,7 @@ import numpy as np
 
 from agents.backend import Backend
 from agents.compiled import claim_kernels, extraction_kernels, particle_kernels
+from agents.compiled.label_kernels import stamp_of
 from agents.coverage.capacity import SensorFacts, place, power_radius, unused_capacity
 from agents.coverage.cells import Cell
 from agents.coverage.control import Lloyd, Situation
@@ -80,7 +81,7 @@ class Central:
         self._particles = join(owned) if owned else NONE
         settings = scenario.extraction
         estimates = extraction_kernels.estimate_tracks(
-            updated.states, updated.weights, updated.labels, settings.bin, settings.threshold, settings.beside
+            updated.states, updated.weights, updated.labels, settings.bin, settings.threshold, settings.beside, stamp_of(np.uint64(self._tick))
         )[0][:, :2]
         score, _ = errors(self._targets.positions, estimates)
         self._bodies.move(commands)

@@ -30,6 +30,7 @@ from tests.agents.gossip_table import table as table_of
 
 fast = pytest.importorskip("agents.compiled.backend")
 from agents.compiled import claim_kernels, extraction_kernels  # noqa: E402
+from agents.compiled.label_kernels import stamp_of  # noqa: E402
 from agents.compiled import particle_kernels as kernels  # noqa: E402
 
 FAST = fast.FAST
@@ -220,12 +221,12 @@ def test_estimate_targets(seed: int, count: int, weight: float, size: float, thr
     if crowded:
         particles.states[:, :2] *= 0.1
     for beside in (0.0, 1.5 * threshold):
-        plain = estimate_tracks(particles, ExtractionSettings(bin=size, threshold=threshold, beside=beside))
+        plain = estimate_tracks(particles, ExtractionSettings(bin=size, threshold=threshold, beside=beside), tick=7)
         if not count:
             assert bits(plain) == bits(NO_TRACKS)
             continue
         states, weights, _, labels = particles
-        found, names = extraction_kernels.estimate_tracks(states, weights, labels, size, threshold, beside)
+        found, names = extraction_kernels.estimate_tracks(states, weights, labels, size, threshold, beside, stamp_of(np.uint64(7)))
         assert bits(plain) == bits((found[:, :2], found[:, 2:], names))
 
 

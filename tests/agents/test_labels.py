@@ -9,8 +9,8 @@ from agents.config import BirthSettings, FilterSettings
 from agents.tracking import labels as rules
 from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_tracks
-from agents.tracking.labels import assign_labels, birth_labels, derived_label, heaviest
-from agents.tracking.particles import NONE, Particles
+from agents.tracking.labels import birth_labels, derived_label, heaviest, middles, name_peaks, renamed
+from agents.tracking.particles import NONE, Particles, join
 from agents.tracking.phd import resample, update
 from deploy.scoring.tracks import unique_labels
 from protocol.codec import decode, encode
@@ -89,23 +89,68 @@ def test_an_estimate_reports_the_label_the_velocity_the_covariance_and_the_exist
     assert found.details[0, 2] == pytest.approx(spread, abs=1e-12) and abs(found.details[0, 3]) < 0.01
 
 
+TICK = 9
+OLD, YOUNG, NEWER = 5, 3 + (TICK << 29), 7 + (TICK + 1 << 29)  # founded long before tick 9, one tick before it, and in it
+
+
+def named(*peaks: dict[int, float], known: dict[int, tuple[float, float]] | None = None, tick: int = TICK + 100) -> list[int]:
+    """The names of peaks at (0, 0), (10, 0), (20, 0), ..."""
+    return name_peaks(list(peaks), np.column_stack([10.0 * np.arange(len(peaks)), np.zeros(len(peaks))]), known or {}, tick)
+
+
 def test_of_two_peaks_with_one_label_the_heavier_keeps_it_and_the_other_takes_its_next_or_a_derived_one() -> None:
-    assert assign_labels([{5: 0.6, 7: 0.4}, {5: 0.9}]) == [7, 5]
-    assert assign_labels([{5: 0.6}, {5: 0.9}]) == [derived_label(5, 1), 5]
-    assert assign_labels([{5: 0.6}, {5: 0.6}, {5: 0.6}]) == [5, derived_label(5, 1), derived_label(5, 2)]
-    assert assign_labels([{}, {5: 0.6}]) == [0, 5] and assign_labels([]) == []
+    assert named({5: 0.6, 7: 0.4}, {5: 0.9}) == [7, 5]
+    assert named({5: 0.6}, {5: 0.9}) == [derived_label(5, 1), 5]
+    assert named({5: 0.6}, {5: 0.6}, {5: 0.6}) == [5, derived_label(5, 1), derived_label(5, 2)]
+    assert named({}, {5: 0.6}) == [0, 5] and named() == []
+    assert named({900: 0.4, 5: 0.4}) == [5]
 
 
-def test_a_peak_gives_its_label_to_one_that_has_no_other_if_it_has_another_itself() -> None:
-    """Both ask for 5. With it the first is worth 6.0 alone; with 7 it is worth 0.5, and the second 5.9 with 5."""
-    assert assign_labels([{5: 0.6, 7: 0.5}, {5: 0.59}]) == [7, 5]
-    assert assign_labels([{5: 0.6, 7: 0.5}, {5: 0.4}]) == [5, derived_label(5, 1)]
+def test_a_peak_without_a_free_label_takes_the_nearest_one_within_5_m_that_has_no_peak() -> None:
+    """Label 7 has particles beside the first peak but none in it."""
+    assert named({5: 0.6}, {5: 0.9}, known={5: (9.0, 0.0), 7: (3.0, 3.9), 8: (4.0, 3.0), 9: (0.0, 4.95)}) == [7, 5]
+    assert named({5: 0.6}, {5: 0.9}, known={7: (3.0, 4.1)}) == [derived_label(5, 1), 5]
+    assert named({}, {}, known={7: (6.0, 0.0), 8: (4.0, 0.0)}) == [8, 7]
+    assert named({}, known={8: (3.0, 0.0), 7: (0.0, 3.0)}) == [7]
 
 
-def test_an_old_label_keeps_a_peak_as_long_as_it_holds_a_tenth_of_the_weight_of_the_heaviest() -> None:
-    assert assign_labels([{900: 0.6, 5: 0.062}]) == [5]
-    assert assign_labels([{900: 0.6, 5: 0.058}]) == [900]
-    assert assign_labels([{900: 0.4, 5: 0.4}]) == [5]
+def test_a_peak_whose_label_was_founded_within_4_ticks_takes_an_older_one_beside_it_that_has_no_peak() -> None:
+    assert named({YOUNG: 0.6}, known={OLD: (3.0, 0.0)}, tick=TICK + 3) == [OLD]
+    assert named({YOUNG: 0.6}, known={OLD: (3.0, 0.0)}, tick=TICK + 4) == [YOUNG]
+    assert named({YOUNG: 0.6}, known={NEWER: (3.0, 0.0)}, tick=TICK) == [YOUNG]
+    assert named({YOUNG: 0.6}, {OLD: 0.6}, known={OLD: (3.0, 0.0)}, tick=TICK) == [YOUNG, OLD]
+
+
+def test_the_middle_of_a_label_is_the_mean_of_its_particles_and_a_faint_label_has_none() -> None:
+    two = join([cloud(4.0, 5.0, 0.6, 5), cloud(8.0, 5.0, 0.2, 5, first=100), cloud(9.0, 9.0, 0.019, 7), cloud(3.0, 3.0, 0.5, 0)])
+    assert list(middles(two)) == [5] and middles(two)[5] == pytest.approx((5.0, 5.0), abs=0.01) and not middles(NONE)
+
+
+def after(particles: Particles, *estimates: tuple[float, float, int]) -> list[int]:
+    """The labels, each once, of clouds of 50 particles after their owner has renamed them: x, y and label of each estimate."""
+    places, names = np.array([place[:2] for place in estimates]), np.array([name for _, _, name in estimates], np.uint64)
+    labels = renamed(particles, np.ones(len(particles.ids), bool), places.reshape(-1, 2), names)
+    assert all(len(set(part.tolist())) == 1 for part in labels.reshape(-1, 50))
+    return [int(label) for label in labels[::50]]
+
+
+def test_a_particle_that_bears_the_name_of_another_estimate_takes_that_of_the_one_that_it_is_near() -> None:
+    both = join([cloud(5.0, 5.0, 0.3, 5), cloud(5.0, 5.0, 0.7, 7, first=100), cloud(8.5, 5.0, 1.0, 5, first=200)])
+    assert after(both, (5.0, 5.0, 7), (8.5, 5.0, 5)) == [7, 7, 5]
+    assert after(both, (5.0, 5.0, 7)) == [5, 7, 5]  # label 5 has no estimate: its target may be here too
+    assert after(both, (5.0, 5.0, 7), (7.9, 5.0, 5)) == [5, 7, 5]  # the estimates are within 3 m: the targets may still be one heap
+    assert after(both, (5.0, 5.0, 7), (8.5, 5.0, 5), (8.5, 7.0, 9)) == [7, 7, 5]
+    assert after(both, (5.0, 8.3, 7), (8.5, 8.3, 5)) == [5, 7, 5]  # no particle is within 3 m of an estimate
+    assert after(both) == [5, 7, 5] and len(renamed(NONE, np.zeros(0, bool), np.zeros((1, 2)), np.ones(1, np.uint64))) == 0
+    unknown = cloud(5.0, 5.0, 1.0, 0)
+    assert after(unknown, (5.0, 5.0, 7), (15.0, 5.0, 0)) == [0]
+
+
+def test_an_owner_renames_particles_in_its_own_cell_alone() -> None:
+    both = join([cloud(5.0, 5.0, 1.0, 5), cloud(9.0, 5.0, 1.0, 5, first=100)])
+    places, names = np.array([(5.0, 5.0), (9.0, 5.0)]), np.array([7, 5], np.uint64)
+    assert (renamed(both, np.arange(100) < 10, places, names) == np.where(np.arange(100) < 10, 7, 5)).all()
+    assert (both.labels == 5).all()
 
 
 def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> None:
@@ -114,16 +159,28 @@ def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> 
 
 
 def test_the_compiled_rules_give_the_same_labels() -> None:
-    names = ("NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "HELD", "OLDEST", "GROWN")
+    names = "NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "YOUNG", "BESIDE", "FAINT", "ALONE"
     assert [getattr(rules, name) for name in names] == [getattr(label_kernels, name) for name in names]
-    rng = np.random.default_rng(3)
-    for _ in range(300):
+    rng, beside = np.random.default_rng(3), 0
+    choices = np.array([0, 5, 6, 7, YOUNG, YOUNG + 2, NEWER], np.uint64)
+    for _ in range(400):
         peaks = [dict(zip(rng.permutation(6)[: rng.integers(4)].tolist(), rng.integers(1, 5, 4).tolist())) for _ in range(rng.integers(5))]
-        peaks = [{label + 1: weight / 4.0 for label, weight in peak.items()} for peak in peaks]
+        peaks = [{int(choices[1 + label]): weight / 4.0 for label, weight in peak.items()} for peak in peaks]
         labels = np.array([label for peak in peaks for label in peak], dtype=np.uint64)
         weights = np.array([weight for peak in peaks for weight in peak.values()], dtype=float)
         starts = np.cumsum([0, *map(len, peaks)])
-        assert assign_labels(peaks) == label_kernels.assign_labels(labels, weights, starts).tolist()
+        places, number, tick = rng.integers(0, 9, (len(peaks), 2)).astype(float), int(rng.integers(0, 40)), TICK + int(rng.integers(0, 8))
+        states = np.column_stack([rng.integers(0, 9, (number, 2)), np.zeros((number, 2))]).astype(float)
+        ids = np.arange(number, dtype=np.uint64)
+        every = Particles(states, rng.random(number) * 0.1, ids, choices[rng.integers(0, 7, number)])
+        stamp = label_kernels.stamp_of(np.uint64(tick))
+        plain = name_peaks(peaks, places, middles(every), tick)
+        assert plain == label_kernels.name_peaks(labels, weights, starts, places, (states, every.weights, every.labels), stamp).tolist()
+        beside += plain != name_peaks(peaks, places, {}, tick)
+        owned, given, compiled = rng.random(number) < 0.7, np.array(plain, np.uint64), every.labels.copy()
+        label_kernels.rename(compiled, states, owned, places, given)
+        assert (renamed(every, owned, places, given) == compiled).all() and (compiled == every.labels)[~owned].all()
+    assert beside > 100
     bits = np.array([2**63 + 12345678901], dtype=np.uint64)
     assert int(birth_labels(bits, 9)[0]) == int(label_kernels.birth_label(bits[0], label_kernels.stamp_of(np.uint64(9))))
 
