@@ -11,7 +11,7 @@ from agents.compiled.particle_kernels import scramble
 
 # The constants of agents/tracking/labels.py, which a test compares.
 NO_LABEL, HASH_BITS, TICK_BITS, EXPLAINED, CLAIMED = np.uint64(0), np.uint64(29), np.uint64(24), 0.02, 0.5
-YOUNG, BESIDE, FAINT, ALONE = 4, 5.0, 0.02, 3.0
+YOUNG, BESIDE, FAINT, ALONE, HERE, AROUND, HOME = 4, 5.0, 0.02, 3.0, 2.5, 6.0, 0.5
 _ONE, _CUT = np.uint64(1), np.uint64(35)
 
 
@@ -178,22 +178,54 @@ def name_peaks(
 
 
 @cached
-def rename(labels: np.ndarray, states: np.ndarray, owned: np.ndarray, places: np.ndarray, names: np.ndarray) -> None:
-    """Twin of `labels.renamed`: write the new labels of the particles (N,)."""
-    alone = names != NO_LABEL
-    for m in range(len(names)):
-        for other in range(len(names)):
-            dx, dy = places[m, 0] - places[other, 0], places[m, 1] - places[other, 1]
-            alone[m] &= other == m or dx * dx + dy * dy > ALONE * ALONE
-    if not alone.any():
-        return
-    for n in range(len(labels)):
-        if not owned[n] or labels[n] == NO_LABEL or not (names == labels[n]).any():
+def rename(updated: tuple, owned: np.ndarray, predicted: tuple, places: np.ndarray) -> np.ndarray:
+    """Twin of `labels.renamed`: `updated` is states, weights and labels, `predicted` the weights and labels of the first rows."""
+    states, weights, labels = updated
+    new, count = labels.copy(), len(predicted[1])
+    known, masses = np.empty(len(labels), np.uint64), np.empty((len(labels), 2))
+    for m in range(len(places)):
+        alone, number, x, y = True, 0, places[m, 0], places[m, 1]
+        for other in range(len(places)):
+            dx, dy = places[other, 0] - x, places[other, 1] - y
+            alone &= other == m or dx * dx + dy * dy > ALONE * ALONE
+        if not alone:
             continue
-        nearest, least = 0, np.inf
-        for m in range(len(names)):
-            dx, dy = states[n, 0] - places[m, 0], states[n, 1] - places[m, 1]
-            if dx * dx + dy * dy < least:
-                nearest, least = m, dx * dx + dy * dy
-        if alone[nearest] and least <= ALONE * ALONE:
-            labels[n] = names[nearest]
+        for n in range(len(labels)):
+            dx, dy = states[n, 0] - x, states[n, 1] - y
+            is_here = owned[n] and labels[n] != NO_LABEL and dx * dx + dy * dy <= HERE * HERE
+            if is_here and _place(known, number, labels[n]) < 0:
+                known[number], masses[number], number = labels[n], 0.0, number + 1
+        for n in range(len(labels) if number > 0 else 0):
+            dx, dy = states[n, 0] - x, states[n, 1] - y
+            apart = dx * dx + dy * dy
+            if apart <= AROUND * AROUND and (owned[n] or n < count):
+                k = _place(known, number, labels[n] if owned[n] else predicted[1][n])
+                if k >= 0:
+                    masses[k, 0 if apart <= HERE * HERE else 1] += weights[n] if owned[n] else predicted[0][n]
+        strange, home, heaviest = masses[:number, 1] > masses[:number, 0], -1, -1
+        for k in range(number):
+            strange[k] &= masses[k, 1] >= HOME
+            if heaviest < 0 or masses[k, 0] > masses[heaviest, 0] or (masses[k, 0] == masses[heaviest, 0] and known[k] < known[heaviest]):
+                heaviest = k
+            better = home < 0 or masses[k, 0] > masses[home, 0] or (masses[k, 0] == masses[home, 0] and known[k] < known[home])
+            if not strange[k] and better:
+                home = k
+        if not strange.any():
+            continue
+        label = known[home] if home >= 0 else _derived(known[heaviest], new[:0])
+        for n in range(len(labels)):
+            dx, dy = states[n, 0] - x, states[n, 1] - y
+            if owned[n] and dx * dx + dy * dy <= HERE * HERE:
+                k = _place(known, number, labels[n])
+                if k >= 0 and strange[k]:
+                    new[n] = label
+    return new
+
+
+@njit
+def _place(known: np.ndarray, number: int, label: np.uint64) -> int:
+    """The place of a label among the first `number`, or -1."""
+    for k in range(number):
+        if known[k] == label:
+            return k
+    return -1

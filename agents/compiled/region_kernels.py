@@ -235,9 +235,9 @@ def _update_region(
     targets, names = np.empty((0, TRACK)), np.empty(0, np.uint64)
     if len(generators) > 0 and len(weights) > 0:
         targets, names = estimate_tracks(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE], stamp_of(now))
-        rename(labels, states, mine, targets, names)
         inside = owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])
         targets, names = targets[inside], names[inside]
+        labels = rename((states, weights, labels), mine, (near_weights, near_labels), targets)
     own = take(states, weights, ids, labels, mine)
     own_states, own_weights, own_ids, own_labels = own
     mass, east, north = first_moments(own_states, own_weights)

@@ -7,13 +7,15 @@ Rules. A detection that founds a label gives it to its births, and all copies of
 particle takes the label of the detection from which more than the share `CLAIMED` of its weight comes. A detection founds no label if a
 living label explains at least the share `EXPLAINED` of it: its births then carry that label. So births beside a living track belong to it.
 
-A label stands for one target, so an estimate and a label go together one to one (`name_peaks`). Afterwards the owner of a cell renames
-particles in it that bear the name of another estimate (`renamed`). Its gossip states the result. Weights and states never change.
+A label stands for one target, so estimates and labels go together one to one (`name_peaks`). Two targets that meet exchange particles,
+and when they part, each keeps some of the other's label. The owner of a cell then renames these particles in it (`renamed`), and its gossip
+states the result. It reads the particles in its cell after all scans, and around it the stated particles as predicted: both have the same
+bits in every filter. Weights and states never change.
 """
 
 import numpy as np
 
-from agents.tracking.particles import Particles, squared_distances
+from agents.tracking.particles import Particles, squared_distances, total
 from protocol.streams import scramble
 
 NO_LABEL = 0
@@ -23,7 +25,9 @@ CLAIMED = 0.5  # share of a particle's weight
 YOUNG = 4  # ticks after which a label is no longer young
 BESIDE = 5.0  # m between a peak and the mean of the label that it takes although none of its particles bear it
 FAINT = 0.02  # mass below which a label is not taken so, expected targets
-ALONE = 3.0  # m around a peak without another peak, in which its particles are renamed
+ALONE = 3.0  # m around an estimate without another estimate
+HERE, AROUND = 2.5, 6.0  # m around an estimate: its particles are nearer than the first, those around it nearer than the second
+HOME = 0.5  # mass that a label must have around an estimate to be a stranger there, expected targets
 
 
 def birth_labels(hashes: np.ndarray, tick: int) -> np.ndarray:
@@ -109,22 +113,31 @@ def _beside(place: np.ndarray, free: dict[int, tuple[float, float]]) -> int:
     return found
 
 
-def renamed(particles: Particles, owned: np.ndarray, places: np.ndarray, names: np.ndarray) -> np.ndarray:
-    """The labels (N,) of particles after the owner of those marked in `owned` (N,) has renamed some of them.
+def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places: np.ndarray) -> np.ndarray:
+    """The labels (N,) of `updated` after the owner of the particles marked in `owned` (N,) has renamed some of them.
 
-    `places` (M, 2) in m and `names` (M,) are all estimates in and around the cell. Two targets that meet exchange particles, and when
-    they part, each keeps some of the other's label. So a particle within `ALONE` m of its nearest estimate takes the name of that one if
-    it bears the name of another, and if no other estimate is within `ALONE` m of that one.
+    `predicted` are the first rows of `updated` before the scans, and `places` (M, 2) the estimates in the cell, m. A label is a stranger at
+    an estimate if it has more mass around than here, and at least `HOME`. Where an estimate is alone, the owned particles of strangers
+    take the heaviest label here that is none. If all are strangers, they take a label derived from the heaviest.
     """
-    labels = particles.labels.copy()
-    if not len(names) or not len(labels):
+    labels, count = updated.labels.copy(), len(predicted.ids)
+    if not len(places) or not len(labels):
         return labels
-    between, away = squared_distances(places, places), squared_distances(particles.states, places)
+    weights, before = np.where(owned, updated.weights, 0.0), updated.labels.copy()
+    weights[:count] = np.where(owned[:count], weights[:count], predicted.weights)
+    before[:count] = np.where(owned[:count], before[:count], predicted.labels)
+    between, away = squared_distances(places, places), squared_distances(updated.states, places)
     np.fill_diagonal(between, np.inf)
-    alone, nearest = (between.min(axis=1) > ALONE * ALONE) & (names != NO_LABEL), away.argmin(axis=1)
-    wrong = (labels != NO_LABEL) & np.isin(labels, names) & (labels != names[nearest])
-    chosen = owned & wrong & alone[nearest] & (away.min(axis=1) <= ALONE * ALONE)
-    labels[chosen] = names[nearest[chosen]]
+    for number in np.flatnonzero(between.min(axis=1) > ALONE * ALONE):
+        here, near = away[:, number] <= HERE * HERE, away[:, number] <= AROUND * AROUND
+        known = np.unique(before[here & owned & (before != NO_LABEL)])
+        masses = [(total(weights[here & (before == label)]), total(weights[near & ~here & (before == label)])) for label in known]
+        strange = np.array([around > inside and around >= HOME for inside, around in masses], dtype=bool)
+        if not strange.any():
+            continue
+        at_home = [(-inside, int(label)) for (inside, _), label, is_strange in zip(masses, known, strange) if not is_strange]
+        label = min(at_home)[1] if at_home else derived_label(min((-inside, int(label)) for (inside, _), label in zip(masses, known))[1], 1)
+        labels[here & owned & np.isin(before, known[strange])] = label
     return labels
 
 

@@ -3,7 +3,8 @@
 Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the result.
 
 Rules. All particles are predicted, and those around the cell are corrected with all scans that reach it. Targets are estimated, and some
-particles in the cell are renamed after them. Then those in the cell are resampled. These functions are the reference; agents/compiled/region_kernels.py computes the same bits.
+particles around those in the cell are renamed. Then those in the cell are resampled. These functions are the reference;
+agents/compiled/region_kernels.py computes the same bits.
 """
 
 from collections.abc import Sequence
@@ -57,8 +58,8 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     tracks = NO_TRACKS
     if claim.names:
         tracks = estimate_tracks(updated, config.extraction, step.tick)
-        updated = updated._replace(labels=renamed(updated, owned, tracks.positions, tracks.labels))
         tracks = select_tracks(tracks, claims.owned(tracks.positions, claim, config.arena))
+        updated = updated._replace(labels=renamed(updated, owned, near, tracks.positions))
     own = canonical(select(updated, owned))
     mass, east, north = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)

@@ -81,7 +81,13 @@ class Central:
         self._particles = join(owned) if owned else NONE
         settings = scenario.extraction
         estimates = extraction_kernels.estimate_tracks(
-            updated.states, updated.weights, updated.labels, settings.bin, settings.threshold, settings.beside, stamp_of(np.uint64(self._tick))
+            updated.states,
+            updated.weights,
+            updated.labels,
+            settings.bin,
+            settings.threshold,
+            settings.beside,
+            stamp_of(np.uint64(self._tick)),
         )[0][:, :2]
         score, _ = errors(self._targets.positions, estimates)
         self._bodies.move(commands)

@@ -18,10 +18,11 @@ from agents.tracking import gaussian_belief, gaussian_phd, phd
 from agents.tracking.belief import as_stated
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, Claim, owned
+from agents.tracking.extraction import estimate_tracks
 from agents.tracking.gaussians import Mixture, chain, in_order
+from agents.tracking.labels import renamed
 from agents.tracking.particles import NONE, Particles, canonical, join, select
 from agents.tracking.regions import predict
-from agents.tracking.settling import settled
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config
@@ -50,7 +51,9 @@ class CentralFilter:
         [found] = self._backend.update_regions(_all(gossips, self._classes, config), self.particles, born, [everywhere], step)
         self.updated = found.updated
         predicted = predict(canonical(self.particles), step)
-        self.particles = canonical(join([_drawn(self.updated, predicted, owner, claim, step) for owner, claim in claims.items()]))
+        places = estimate_tracks(self.updated, config.extraction).positions
+        drawn = [_drawn(self.updated, predicted, places, owner, claim, step) for owner, claim in claims.items()]
+        self.particles = canonical(join(drawn))
 
     @property
     def mass(self) -> float:
@@ -84,10 +87,11 @@ def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: Agen
     return gossip_table(said, sensors, config)
 
 
-def _drawn(updated: Particles, predicted: Particles, owner: str, claim: Claim, step: Step) -> Particles:
-    """What an owner draws of the particles in its claim, whose labels it settles before."""
-    mine, filters = owned(updated.states, claim, step.config.arena), step.config.filter
-    labels = settled(updated, mine, predicted, filters.halo, step.tick)
+def _drawn(updated: Particles, predicted: Particles, places: np.ndarray, owner: str, claim: Claim, step: Step) -> Particles:
+    """What an owner draws of the particles in its claim, some of which it renames before; `places` (M, 2) are all estimates, m."""
+    arena, filters = step.config.arena, step.config.filter
+    mine = owned(updated.states, claim, arena)
+    labels = renamed(updated, mine, predicted, places[owned(places, claim, arena)])
     drawn = phd.resample(canonical(select(updated._replace(labels=labels), mine)), owner, step.tick, filters.seed, filters)
     return as_stated(drawn, owner, step)
 

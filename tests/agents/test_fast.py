@@ -30,8 +30,8 @@ from tests.agents.gossip_table import table as table_of
 
 fast = pytest.importorskip("agents.compiled.backend")
 from agents.compiled import claim_kernels, extraction_kernels  # noqa: E402
-from agents.compiled.label_kernels import stamp_of  # noqa: E402
 from agents.compiled import particle_kernels as kernels  # noqa: E402
+from agents.compiled.label_kernels import stamp_of  # noqa: E402
 
 FAST = fast.FAST
 SIDE = 40.0

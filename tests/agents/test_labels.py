@@ -126,31 +126,34 @@ def test_the_middle_of_a_label_is_the_mean_of_its_particles_and_a_faint_label_ha
     assert list(middles(two)) == [5] and middles(two)[5] == pytest.approx((5.0, 5.0), abs=0.01) and not middles(NONE)
 
 
-def after(particles: Particles, *estimates: tuple[float, float, int]) -> list[int]:
-    """The labels, each once, of clouds of 50 particles after their owner has renamed them: x, y and label of each estimate."""
-    places, names = np.array([place[:2] for place in estimates]), np.array([name for _, _, name in estimates], np.uint64)
-    labels = renamed(particles, np.ones(len(particles.ids), bool), places.reshape(-1, 2), names)
-    assert all(len(set(part.tolist())) == 1 for part in labels.reshape(-1, 50))
-    return [int(label) for label in labels[::50]]
+def after(*clouds: Particles, estimates: list[tuple[float, float]], outside: Particles = NONE) -> list[int]:
+    """The label of each cloud of 50 particles in a cell after renaming; those `outside` lie in another cell."""
+    everything = join([outside, *clouds])
+    labels = renamed(everything, np.arange(len(everything.ids)) >= len(outside.ids), outside, np.array(estimates).reshape(-1, 2))
+    assert (labels[: len(outside.ids)] == outside.labels).all()
+    parts = labels[len(outside.ids) :].reshape(-1, 50)
+    assert (parts == parts[:, :1]).all()
+    return [int(part[0]) for part in parts]
 
 
-def test_a_particle_that_bears_the_name_of_another_estimate_takes_that_of_the_one_that_it_is_near() -> None:
-    both = join([cloud(5.0, 5.0, 0.3, 5), cloud(5.0, 5.0, 0.7, 7, first=100), cloud(8.5, 5.0, 1.0, 5, first=200)])
-    assert after(both, (5.0, 5.0, 7), (8.5, 5.0, 5)) == [7, 7, 5]
-    assert after(both, (5.0, 5.0, 7)) == [5, 7, 5]  # label 5 has no estimate: its target may be here too
-    assert after(both, (5.0, 5.0, 7), (7.9, 5.0, 5)) == [5, 7, 5]  # the estimates are within 3 m: the targets may still be one heap
-    assert after(both, (5.0, 5.0, 7), (8.5, 5.0, 5), (8.5, 7.0, 9)) == [7, 7, 5]
-    assert after(both, (5.0, 8.3, 7), (8.5, 8.3, 5)) == [5, 7, 5]  # no particle is within 3 m of an estimate
-    assert after(both) == [5, 7, 5] and len(renamed(NONE, np.zeros(0, bool), np.zeros((1, 2)), np.ones(1, np.uint64))) == 0
-    unknown = cloud(5.0, 5.0, 1.0, 0)
-    assert after(unknown, (5.0, 5.0, 7), (15.0, 5.0, 0)) == [0]
+def test_when_two_targets_part_the_particles_that_bear_the_label_of_the_other_one_are_renamed() -> None:
+    """At the first estimate 0.3 of label 5 and 0.7 of label 7, at the second 0.9 of label 5."""
+    mixed = cloud(5.0, 5.0, 0.3, 5), cloud(5.0, 5.0, 0.7, 7), cloud(9.0, 5.0, 0.9, 5)
+    both = [(5.0, 5.0), (9.0, 5.0)]
+    assert after(*mixed, estimates=both) == [7, 7, 5]
+    assert after(*mixed[:2], estimates=both[:1], outside=mixed[2]) == [7, 7]  # the other target is in another cell
+    assert after(*mixed, estimates=[*both, (5.0, 7.9)]) == [5, 7, 5]  # another estimate within 3 m
+    assert after(*mixed[:2], estimates=both[:1]) == [5, 7]  # its own target may be here too
+    assert after(*mixed[:2], cloud(11.5, 5.0, 0.9, 5), estimates=both[:1]) == [5, 7, 5]  # 6.5 m away
+    assert after(*mixed[:2], cloud(9.0, 5.0, 0.4, 5), estimates=both) == [5, 7, 5]  # too little there
+    assert after(*mixed, estimates=[]) == [5, 7, 5] and after(estimates=both) == []
 
 
-def test_an_owner_renames_particles_in_its_own_cell_alone() -> None:
-    both = join([cloud(5.0, 5.0, 1.0, 5), cloud(9.0, 5.0, 1.0, 5, first=100)])
-    places, names = np.array([(5.0, 5.0), (9.0, 5.0)]), np.array([7, 5], np.uint64)
-    assert (renamed(both, np.arange(100) < 10, places, names) == np.where(np.arange(100) < 10, 7, 5)).all()
-    assert (both.labels == 5).all()
+def test_of_two_targets_with_one_label_the_lighter_one_gets_a_derived_label() -> None:
+    assert after(cloud(5.0, 5.0, 0.9, 5), cloud(9.0, 5.0, 1.0, 5), estimates=[(5.0, 5.0), (9.0, 5.0)]) == [derived_label(5, 1), 5]
+    assert after(cloud(5.0, 5.0, 0.9, 5), estimates=[(5.0, 5.0)], outside=cloud(9.0, 5.0, 1.0, 5)) == [derived_label(5, 1)]
+    assert after(cloud(5.0, 5.0, 1.0, 5), estimates=[(5.0, 5.0)], outside=cloud(9.0, 5.0, 0.9, 5)) == [5]
+    assert after(cloud(5.0, 5.0, 0.3, 0), cloud(9.0, 5.0, 0.9, 0), estimates=[(5.0, 5.0)]) == [0, 0]
 
 
 def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> None:
@@ -159,9 +162,9 @@ def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> 
 
 
 def test_the_compiled_rules_give_the_same_labels() -> None:
-    names = "NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "YOUNG", "BESIDE", "FAINT", "ALONE"
+    names = "NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "YOUNG", "BESIDE", "FAINT", "ALONE", "HERE", "AROUND", "HOME"
     assert [getattr(rules, name) for name in names] == [getattr(label_kernels, name) for name in names]
-    rng, beside = np.random.default_rng(3), 0
+    rng, beside, moved = np.random.default_rng(3), 0, 0
     choices = np.array([0, 5, 6, 7, YOUNG, YOUNG + 2, NEWER], np.uint64)
     for _ in range(400):
         peaks = [dict(zip(rng.permutation(6)[: rng.integers(4)].tolist(), rng.integers(1, 5, 4).tolist())) for _ in range(rng.integers(5))]
@@ -172,15 +175,18 @@ def test_the_compiled_rules_give_the_same_labels() -> None:
         places, number, tick = rng.integers(0, 9, (len(peaks), 2)).astype(float), int(rng.integers(0, 40)), TICK + int(rng.integers(0, 8))
         states = np.column_stack([rng.integers(0, 9, (number, 2)), np.zeros((number, 2))]).astype(float)
         ids = np.arange(number, dtype=np.uint64)
-        every = Particles(states, rng.random(number) * 0.1, ids, choices[rng.integers(0, 7, number)])
+        every = Particles(states, rng.random(number) * 0.3, ids, choices[rng.integers(0, 7, number)])
         stamp = label_kernels.stamp_of(np.uint64(tick))
         plain = name_peaks(peaks, places, middles(every), tick)
         assert plain == label_kernels.name_peaks(labels, weights, starts, places, (states, every.weights, every.labels), stamp).tolist()
         beside += plain != name_peaks(peaks, places, {}, tick)
-        owned, given, compiled = rng.random(number) < 0.7, np.array(plain, np.uint64), every.labels.copy()
-        label_kernels.rename(compiled, states, owned, places, given)
-        assert (renamed(every, owned, places, given) == compiled).all() and (compiled == every.labels)[~owned].all()
-    assert beside > 100
+        owned, known = rng.random(number) < 0.7, int(rng.integers(0, number + 1))
+        before = Particles(states[:known], rng.random(known) * 0.3, ids[:known], choices[rng.integers(0, 7, known)])
+        new = renamed(every, owned, before, places)
+        compiled = label_kernels.rename((states, every.weights, every.labels), owned, (before.weights, before.labels), places)
+        assert (new == compiled).all() and (new == every.labels)[~owned].all()
+        moved += int((new != every.labels).sum())
+    assert beside > 100 and moved > 100
     bits = np.array([2**63 + 12345678901], dtype=np.uint64)
     assert int(birth_labels(bits, 9)[0]) == int(label_kernels.birth_label(bits[0], label_kernels.stamp_of(np.uint64(9))))
 
