@@ -66,9 +66,9 @@ class BirthSettings(Section, frozen=True, kw_only=True):
     measurement: bool = True
     measurement_particles: ParticleCount = 10  # per detection, if `measurement`
     radius: Distance = 4.0  # the local density is read within this distance, m
-    least_density: Density = 1.0e-5  # the density is at least this, per m^2,
-    least_share: NotNegative = 0.25  # and at least this share of the clutter density, but not of more than twice the most
-    most_density: Density = 0.001  # and at most this, per m^2
+    least_density: Density = 1.0e-5  # the density is at least this, per m^2
+    least_share: NotNegative = 0.25  # and at least this share of the clutter density, but not of more than twice `most_density`
+    most_density: Density = 0.001  # the density is at most this, per m^2
 
     @property
     def on_border(self) -> int:
