@@ -129,7 +129,7 @@ def _missed(
 
 @cached
 def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray) -> None:
-    """Write p_d of the points of a wedge, a row of `GossipTable.table`, into `probabilities` (N,); without branches, for several at once."""
+    """Write p_d of points of a wedge, a row of `GossipTable.table`, into `probabilities` (N,); without branches, for several at once."""
     sensor_x, sensor_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
     near, far = sensor[6], sensor[19]
     slope = (far - near) / sensor[4]

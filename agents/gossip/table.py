@@ -61,9 +61,7 @@ class AnnouncedSensor(NamedTuple):
 
     sensor: SensorModel
     facts: SensorFacts
-    columns: (
-        bytes  # its part of a row, the columns of `_SENSOR_COLUMNS`: lengths in m, angles in rad, clutter density per m^2
-    )
+    columns: bytes  # its part of a row, the columns of `_SENSOR_COLUMNS`: lengths in m, angles in rad, clutter density per m^2
 
 
 def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
