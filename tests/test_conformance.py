@@ -379,6 +379,19 @@ def test_the_limits_of_a_wedge_are_those_of_the_page(row: Row) -> None:
     )
 
 
+def test_a_probability_at_the_far_edge_is_read_as_the_page_says() -> None:
+    """It may be missing, lies in (0, `prob_detection`], and is the one at `radius`; halfway there is the mean of both."""
+
+    def hello(far: float) -> dict[str, Any]:
+        return {**plain("hello"), "sensor": {**plain("hello")["sensor"], "prob_detection_far": far}}
+
+    assert "The map may also hold `prob_detection_far`, more than 0 to `prob_detection`" in PAGE
+    assert [refusal("hello", hello(far)) for far in (0.1, 0.9, 0.0, math.nextafter(0.9, 1.0), math.nan)] == [None, None, *["format"] * 3]
+    assert "prob_detection_far" not in plain("hello")["sensor"]
+    said = Hello(sender="s1", incarnation=7, sensor=WedgeSensor(1.5, 8.0, 0.9, None, 0.25))
+    assert msgpack.unpackb(encode(said))["sensor"] == {**plain("hello")["sensor"], "prob_detection_far": 0.25}
+
+
 def test_the_limits_of_settings_are_those_of_the_page() -> None:
     row = next(row for row in FIELDS["hello"] if row.field == "settings")
     most, value_size, largest = (float(number) for number in re.findall(r"\d[\de+]*", row.limits))
