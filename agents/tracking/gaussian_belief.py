@@ -19,7 +19,7 @@ from agents.tracking import claims, gaussian_phd
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.extraction import Tracks, select_tracks
 from agents.tracking.gaussian_reduction import estimates, limited, merged
-from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, pick, points, unpacked
+from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, pick, points, unpacked, within
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, RegionInput, Said
@@ -110,11 +110,14 @@ def _moved(mixture: Mixture, step: Step) -> Mixture:
 
 
 def _tidied(mixture: Mixture, step: Step) -> Mixture:
-    """The components in canonical order, merged where they have come close, and rounded as on the wire.
+    """The components in canonical order, merged where they have come close, without light ones, and rounded as on the wire.
 
+    A scan moves means, but no target out of the arena: what lies beyond the border would belong to no cell.
     Two parts of a swarm that do not hear each other should hold the same components of what neither sees. So no cell enters here.
     """
-    return unpacked(packed(in_order(merged(in_order(mixture), step.config.mixture))))
+    inside = within(in_order(mixture), step.config.arena)
+    whole = in_order(merged(inside, step.config.mixture))
+    return unpacked(packed(pick(whole, whole.weights >= step.config.mixture.pruned)))
 
 
 def _released(belief: MixtureBelief) -> MixtureBelief:

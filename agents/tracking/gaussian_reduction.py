@@ -99,8 +99,9 @@ def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks
     """Estimated targets, heaviest first, and the mixture with the labels that they found.
 
     The heaviest component and those within `radius` m of it are a peak while they hold at least `threshold` expected targets; a peak
-    of more is that number of targets, rounded. Components wider than `radius` show no place. Labels are those of `labels.assign_labels`.
-    Where a peak finds no free label its heaviest one is split: its components in the peak take the new one.
+    of more is that number of targets, rounded. Of two labels in a peak that each hold as much, each is a peak. Components wider than
+    `radius` show no place. Labels are those of `labels.assign_labels`.
+    A label stands for one target: where a peak of one target finds no free label, the components of its heaviest one take a new one.
     """
     wide = variances(mixture) > radius * radius
     left, found = np.where(wide, 0.0, mixture.weights), list[tuple[float, ...]]()
@@ -110,6 +111,9 @@ def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks
             continue
         apart = mixture.means[:, :2] - mixture.means[heaviest, :2]
         near = np.flatnonzero((apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] <= radius * radius) & (left > 0.0))
+        mine = near[mixture.labels[near] == mixture.labels[heaviest]]
+        if min(total(left[mine]), total(left[near]) - total(left[mine])) >= threshold:
+            near = mine
         mass = total(left[near])
         if mass < threshold:
             continue
@@ -118,7 +122,7 @@ def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks
         number = max(1, math.floor(mass + 1.0 - threshold))
         found += [(*mean.tolist(), covariance[0, 0], covariance[0, 1], covariance[1, 1], min(1.0, mass / number))] * number
         votes += [weight_by_label(peak.labels, peak.weights)] * number
-        members += [near] * number
+        members += [near if number == 1 else near[:0]] * number
         left[near] = 0.0
     rows, given = np.array(found).reshape(-1, 2 + DETAILS), assign_labels(votes)
     labels = mixture.labels.copy()

@@ -14,6 +14,7 @@ import numpy as np
 from agents.tracking import particles
 from agents.tracking.particles import Particles, canonical
 from protocol.components import COMPONENT
+from protocol.settings import ArenaSettings
 from protocol.streams import scramble
 
 LEAST_VARIANCE = 1.0e-8  # of each axis given the ones before, m^2 or m^2/s^2
@@ -55,6 +56,16 @@ def in_order(mixture: Mixture) -> Mixture:
     """The same components in ascending order of id, the first of equal ids only."""
     _, first = np.unique(mixture.ids, return_index=True)
     return pick(mixture, first)
+
+
+def within(mixture: Mixture, arena: ArenaSettings) -> Mixture:
+    """The components with their means in the arena, those outside on its border; the border is rounded inwards as on the wire."""
+    sides = np.array([arena.width, arena.height])
+    rounded = sides.astype(np.float32)
+    border = np.where(rounded > sides, np.nextafter(rounded, np.float32(0.0)), rounded)
+    means = mixture.means.copy()
+    means[:, :2] = np.clip(means[:, :2], 0.0, border)
+    return mixture._replace(means=means)
 
 
 def factors(covariances: np.ndarray) -> np.ndarray:

@@ -9,10 +9,10 @@ from agents.backend import PLAIN
 from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSettings, PoseSettings
 from agents.tracking import gaussian_belief, gaussian_phd
 from agents.tracking.births import Scan
-from agents.tracking.claims import Claim, make_claim
+from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.gaussian_belief import MixtureBelief, MixturePhd, OwnedMixture
 from agents.tracking.gaussian_reduction import estimates, limited, merged
-from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked
+from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked, within
 from agents.tracking.step import Step
 from protocol.sensing import Measurement, Pose, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
@@ -250,7 +250,7 @@ def halves(border: float) -> list[Claim]:
 
 def test_what_the_agents_hold_together_does_not_depend_on_their_cells() -> None:
     """40 components in one cell, or divided between two."""
-    parts = [component(4.0 + 8.0 * (n % 5), 2.5 + 5.0 * (n // 5), 1.0, weight=1e-5 * n + 1e-5, id=n) for n in range(40)]
+    parts = [component(4.0 + 8.0 * (n % 5), 2.5 + 5.0 * (n // 5), 1.0, weight=1e-3 * n + 1e-3, id=n) for n in range(40)]
     whole = chain(parts)
     for border in (20.0, 34.9, 39.0):
         taken = [gaussian_belief.take(whole, claim, Step(config(), 3)) for claim in halves(border)]
@@ -268,6 +268,24 @@ def test_an_agent_that_skipped_rounds_moves_its_components_and_its_copies_as_one
     assert [len(one.mine.mixture.ids) for one in held] == [1, 0] and [len(one.copies.ids) for one in held] == [0, 1]
     assert all(np.array_equal(one, other) for one, other in zip(held[0].mine.mixture, held[1].copies))
     assert held[0].mine.mixture.weights == pytest.approx([0.5]) and held[0].cut == 3
+
+
+def after(mixture: Mixture, settings: AgentConfig = config()) -> Mixture:
+    """The mixture one step later, when nothing is heard."""
+    belief = MixtureBelief(3, OwnedMixture("a", NO_CLAIM, EMPTY, 0), mixture)
+    return MixturePhd(PLAIN).catch_up(belief, Step(settings, 5)).copies
+
+
+def test_light_components_are_dropped_in_view_or_not() -> None:
+    assert after(chain([component(10.0, 10.0, 1.0, weight=2e-4), component(30.0, 10.0, 1.0, weight=0.5e-4, id=2)])).ids.tolist() == [1]
+
+
+def test_a_detection_beyond_the_border_is_a_target_at_the_border() -> None:
+    """Else it would belong to no cell. The border of 33.3 m is rounded inwards, as it lies between two numbers of the wire."""
+    arena = ArenaSettings(width=33.3, height=40.0)
+    moved = within(chain([component(-0.2, 20.0, 1.0), component(33.5, 41.0, 1.0)]), arena)
+    assert moved.means[0, :2].tolist() == [0.0, 20.0] and moved.means[1, 1] == 40.0
+    assert 33.3 - 4e-6 < float(np.float32(moved.means[1, 0])) <= 33.3
 
 
 # ---------------------------------------------------------------------- rows and points
@@ -294,6 +312,15 @@ def test_the_nodes_have_the_mean_and_but_for_the_kernel_the_covariance_of_their_
     assert mean_of(places.T).tolist() == pytest.approx([10.0, 10.0])
     assert mean_of(np.array([apart[:, 0] ** 2, apart[:, 0] * apart[:, 1], apart[:, 1] ** 2])) == pytest.approx([3.2, 0.8, 1.6])
     assert points(one).weights.sum() == pytest.approx(1.0)
+
+
+def test_two_labels_of_a_target_each_are_two_places_however_close() -> None:
+    close = chain([component(10.0, 5.0, 0.1, weight=0.9, label=7), component(11.0, 5.0, 0.1, weight=0.8, id=2, label=8)])
+    tracks, mixture = estimates(close, 0.5, 2.0)
+    assert tracks.positions[:, 0].tolist() == [10.0, 11.0] and tracks.labels.tolist() == [7, 8] and mixture.labels.tolist() == [7, 8]
+    heavy = chain([component(10.0, 5.0, 0.1, weight=1.8, label=7)])
+    tracks, mixture = estimates(heavy, 0.5, 2.0)
+    assert tracks.labels[0] == 7 and tracks.labels[1] not in (0, 7) and mixture.labels.tolist() == [7]
 
 
 def test_order_is_by_id_and_equal_ids_count_once() -> None:
