@@ -111,7 +111,7 @@ FULL: dict[str, Message] = {
         weight=0.25,
         states_bytes=struct.pack("<8f", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
         ids_bytes=struct.pack("<2Q", 5, 2**64 - 1),
-        components_bytes=struct.pack("<5f10eQ", 0.5, *range(4), *range(10), 6),
+        components_bytes=struct.pack("<5f10e2Q", 0.5, *range(4), *range(10), 6, 2**53 - 1),
         labels_bytes=struct.pack("<2Q", 3, 2**53 - 1),
         label_numbers_bytes=b"\1\0",
         goal=(3.5, -4.5),
@@ -346,9 +346,9 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         assert most is not None and refusal(kind, {**plain(kind), row.field: bytes(size * (int(most[1]) + 1))}) == "size"
         assert refusal(kind, {**plain(kind), row.field: row_bytes[:-1]}) == "shape"
         assert refusal(kind, {**plain(kind), row.field: row_bytes * 2}) == "range"  # ids that do not ascend
-        for wrong in ((-0.5, 0.0, 0.0), (math.nan, 0.0, 0.0), (0.5, 2.0e6, 0.0), (0.5, math.nan, 0.0), (0.5, 0.0, math.inf)):
-            weight, mean, factor = wrong
-            bad = struct.pack("<5f10eQ", weight, *[mean] * 4, *[factor] * 10, 6)
+        wrongs = ((-0.5, 0.0, 0.0, 0), (math.nan, 0.0, 0.0, 0), (0.5, 2.0e6, 0.0, 0), (0.5, math.nan, 0.0, 0), (0.5, 0.0, math.inf, 0))
+        for weight, mean, factor, label in (*wrongs, (0.5, 0.0, 0.0, 2**53)):
+            bad = struct.pack("<5f10e2Q", weight, *[mean] * 4, *[factor] * 10, 6, label)
             assert refusal(kind, {**plain(kind), row.field: bad}) == "range"
     elif row.type == "bytes":
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in (b"\1", b"\1\2", b"\1\0\0", bytes(16385))] == ["shape"] * 4
