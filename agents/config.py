@@ -47,7 +47,7 @@ class MixtureSettings(Section, frozen=True, kw_only=True):
     spread: Distance = 6.0  # largest standard deviation of a place, m; wider components are split
     merged: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 3.0  # components this close are merged, squared standard deviations
     pruned: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 1.0e-4  # components of less weight are dropped, expected targets
-    most_components: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 30  # per owner
+    most_components: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 1000  # per owner; a limit against growth without bound
 
 
 class PoseSettings(Section, frozen=True, kw_only=True):
@@ -66,9 +66,9 @@ class BirthSettings(Section, frozen=True, kw_only=True):
     measurement: bool = True
     measurement_particles: ParticleCount = 10  # per detection, if `measurement`
     radius: Distance = 4.0  # the local density is read within this distance, m
-    least_density: Density = 1.0e-5  # the density is at least this, per m^2,
-    least_share: NotNegative = 0.25  # and at least this share of the clutter density, but not of more than twice the most
-    most_density: Density = 0.001  # and at most this, per m^2
+    least_density: Density = 1.0e-5  # the density is at least this, per m^2
+    least_share: NotNegative = 0.25  # and at least this share of the clutter density, but not of more than twice `most_density`
+    most_density: Density = 0.001  # the density is at most this, per m^2
 
     @property
     def on_border(self) -> int:
@@ -114,9 +114,9 @@ class SearchSettings(Section, frozen=True, kw_only=True):
 class ExtractionSettings(Section, frozen=True, kw_only=True):
     """[extraction] how targets are read off the PHD."""
 
-    bin: Annotated[float, msgspec.Meta(ge=0.01, le=1000.0)] = 1.0  # m
-    threshold: Positive = 0.5  # mass of a 5 x 5 peak, expected targets
-    beside: NotNegative = 0.0  # mass of a peak within 4 bins of an earlier one, if that is more
+    bin: Annotated[float, msgspec.Meta(ge=0.01, le=1000.0)] = 1.0  # m. Under search-and-track 0.7
+    threshold: Positive = 0.5  # mass of a 5 x 5 peak, expected targets. Under search-and-track 0.3
+    beside: NotNegative = 0.0  # mass of a peak within 4 bins of an earlier one, if that is more. Under search-and-track 0.7
 
 
 class TimingSettings(Section, frozen=True, kw_only=True):

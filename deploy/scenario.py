@@ -15,6 +15,7 @@ from world.config import BodySettings, RecordedSettings, TargetSettings, WorldCo
 from world.sources import recording_of
 
 LOCKSTEP_HASTE = 5  # times the messages a second that are no flood: nothing holds the world up there, and one agent alone does 700 ticks/s
+SEARCH_EXTRACTION = {"bin": 0.7, "threshold": 0.3, "beside": 0.7}  # what goes with search-and-track where the scenario says nothing
 FOLDER = Path(__file__).parent / "scenarios"
 ORACLE = "oracle"  # a control mode that only simulations have (`oracle.Oracle`)
 PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4": (5, 20, 15), "5": (6, 24, 18)}
@@ -152,10 +153,14 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
     run, network = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name), scenario.network
     if run.clock == "lockstep" and "most_per_second" not in data.get("network", {}):
         network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)
+    extraction, said = scenario.extraction, data.get("extraction", {})
+    if scenario.control.mode == "search-and-track":
+        follows = {field: value for field, value in SEARCH_EXTRACTION.items() if field not in said}
+        extraction = msgspec.structs.replace(extraction, **follows)
     recorded = scenario.recorded
     if recorded.data:  # another process reads it, from another folder
         recorded = msgspec.structs.replace(recorded, data=str((find(name).parent / recorded.data).absolute()))
-    return msgspec.structs.replace(scenario, members=members, run=run, network=network, recorded=recorded)
+    return msgspec.structs.replace(scenario, members=members, run=run, network=network, recorded=recorded, extraction=extraction)
 
 
 def named(scenario: Scenario, run: str) -> Scenario:

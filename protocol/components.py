@@ -1,15 +1,15 @@
-"""The components of a Gaussian mixture on the wire: rows of 48 bytes, without padding.
+"""The components of a Gaussian mixture on the wire: rows of 56 bytes, without padding.
 
-A row holds the weight, the mean, the lower Cholesky factor of the covariance row by row, and the id. A factor of any finite numbers
-gives a covariance, so that rounding it to 16 bits breaks none. Lengths in m, times in s.
+A row holds the weight, the mean, the lower Cholesky factor of the covariance row by row, the id and the label. A factor of any finite
+numbers gives a covariance, so that rounding it to 16 bits breaks none. Lengths in m, times in s.
 """
 
 import numpy as np
 
-from protocol.fields import FARTHEST, Malformed
+from protocol.fields import FARTHEST, LARGEST_LABEL, Malformed
 
 MAX_COMPONENTS = 4096
-COMPONENT = np.dtype([("weight", "<f4"), ("mean", "<f4", 4), ("factor", "<f2", 10), ("id", "<u8")])
+COMPONENT = np.dtype([("weight", "<f4"), ("mean", "<f4", 4), ("factor", "<f2", 10), ("id", "<u8"), ("label", "<u8")])
 
 
 def read_components(data: bytes) -> np.ndarray:
@@ -23,7 +23,7 @@ def read_components(data: bytes) -> np.ndarray:
 
 
 def check_components(data: bytes) -> None:
-    """Refuse numbers that are not finite or beyond `FARTHEST`, negative weights, and ids that do not ascend."""
+    """Refuse numbers that are not finite or beyond `FARTHEST`, negative weights, ids that do not ascend, and labels that are too large."""
     rows = read_components(data)
     if not bool(np.all(np.abs(rows["mean"]) <= FARTHEST) and np.all(np.isfinite(rows["factor"]))):
         raise Malformed("range", f"components: every number should be finite, and a mean within +-{FARTHEST:g}")
@@ -31,3 +31,5 @@ def check_components(data: bytes) -> None:
         raise Malformed("range", f"components: every weight should be from 0 to {FARTHEST:g}")
     if bool(np.any(rows["id"][1:] <= rows["id"][:-1])):
         raise Malformed("range", "components: ids should be strictly ascending")
+    if bool(np.any(rows["label"] > LARGEST_LABEL)):
+        raise Malformed("range", f"components: every label should be at most {LARGEST_LABEL}")

@@ -43,8 +43,9 @@ _SLIT = 1e-9  # rad
 
 
 class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
-    """A wedge of `angle` rad and `radius` m, centred on the heading, with constant detection probability (21), figure 2.
+    """A wedge of `angle` rad and `radius` m, centred on the heading (21), figure 2.
 
+    The detection probability is constant, or falls linearly from `prob_detection` at the sensor to `prob_detection_far` at `radius`.
     `measures` is None for a sensor that measures positions.
     """
 
@@ -52,6 +53,7 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
     radius: float
     prob_detection: float
     measures: Measurement | None = None
+    prob_detection_far: float | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.angle <= 2.0 * math.pi:
@@ -60,6 +62,9 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
             raise ValueError(f"radius = {self.radius}: the radius of a sensor lies in (0, 1e6] m")
         if not 0.0 < self.prob_detection <= 1.0:
             raise ValueError(f"prob_detection = {self.prob_detection}: a detection probability lies in (0, 1]")
+        if self.prob_detection_far is not None and not 0.0 < self.prob_detection_far <= self.prob_detection:
+            right = f"it lies in (0, prob_detection = {self.prob_detection}]"
+            raise ValueError(f"prob_detection_far = {self.prob_detection_far}: {right}")
 
     @property
     def reach(self) -> float:
@@ -74,13 +79,18 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
         """Cosine of half the viewing angle; below -1 for a full disc, so that rounding excludes no point."""
         return math.cos(self.angle / 2.0) if self.angle < 2.0 * math.pi else -2.0
 
+    @property
+    def far_probability(self) -> float:
+        """p_d at the far edge."""
+        return self.prob_detection if self.prob_detection_far is None else self.prob_detection_far
+
     def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
         """p_d inside the wedge, 0 outside, of points (N, 2): (N,)."""
         dx, dy = points[:, 0] - pose[0], points[:, 1] - pose[1]
-        range2 = dx * dx + dy * dy
-        ahead = dx * math.cos(pose[2]) + dy * math.sin(pose[2])
-        inside = (range2 <= self.radius * self.radius) & (ahead >= self.cos_half_angle * np.sqrt(range2))
-        return np.where(inside, self.prob_detection, 0.0)
+        distance = np.sqrt(range2 := dx * dx + dy * dy)
+        ahead, near, far = dx * math.cos(pose[2]) + dy * math.sin(pose[2]), self.prob_detection, self.far_probability
+        inside = (range2 <= self.radius * self.radius) & (ahead >= self.cos_half_angle * distance)
+        return np.where(inside, np.maximum(near + (far - near) / self.radius * distance, far), 0.0)
 
     def footprint(self, pose: Pose) -> np.ndarray:
         """The outline with an arc point about every 5 degrees (V, 2).
@@ -97,15 +107,15 @@ def wedge_probabilities(sensors: Sequence[WedgeSensor], poses: Sequence[Pose], w
     """p_d (P,) of the points (P, 2), each for the sensor of its index in `who` (P,); the bits are those of `probability`."""
     facts = np.array(
         [
-            (x, y, math.cos(heading), math.sin(heading), one.radius * one.radius, one.cos_half_angle, one.prob_detection)
+            (x, y, math.cos(heading), math.sin(heading), one.radius, one.cos_half_angle, one.prob_detection, one.far_probability)
             for one, (x, y, heading) in zip(sensors, poses)
         ]
     )
-    x, y, cos, sin, radius2, cos_half, prob = facts.reshape(-1, 7)[who].T
+    x, y, cos, sin, radius, cos_half, near, far = facts.reshape(-1, 8)[who].T
     dx, dy = points[:, 0] - x, points[:, 1] - y
-    range2 = dx * dx + dy * dy
-    inside = (range2 <= radius2) & (dx * cos + dy * sin >= cos_half * np.sqrt(range2))
-    return np.where(inside, prob, 0.0)
+    distance = np.sqrt(range2 := dx * dx + dy * dy)
+    inside = (range2 <= radius * radius) & (dx * cos + dy * sin >= cos_half * distance)
+    return np.where(inside, np.maximum(near + (far - near) / radius * distance, far), 0.0)
 
 
 def measurement_of(sensor: SensorModel) -> Measurement | None:

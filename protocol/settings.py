@@ -84,7 +84,8 @@ class SensorSettings(Section, frozen=True, kw_only=True):
 
     angle: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None  # viewing angle, degrees
     radius: Annotated[float, msgspec.Meta(gt=0.0, le=5.0e5)] | None = None  # m
-    prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # else that of the paper, or 1
+    prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # at the sensor; else that of the paper, or 1
+    prob_detection_far: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # at the radius, linear between; else no fall
     measures: Literal["position", "range-bearing", "bearing"] = "position"  # of a wedge; positions have the noise of [detection]
     range_noise: NotNegative = 0.0  # standard deviation of a range, m
     bearing_noise: Annotated[float, msgspec.Meta(ge=0.0, le=45.0)] = 0.0  # standard deviation of a bearing, degrees
@@ -101,7 +102,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
             angle = paper.angle if self.angle is None else math.radians(self.angle)
             radius = paper.radius if self.radius is None else self.radius
             prob_detection = paper.prob_detection if self.prob_detection is None else self.prob_detection
-            return WedgeSensor(angle, radius, prob_detection, self._measurement())
+            return WedgeSensor(angle, radius, prob_detection, self._measurement(), self.prob_detection_far)
         try:
             sensor = load_named(self.model)(**self.parameters)
         except TypeError as error:

@@ -4,6 +4,7 @@ python -m tests.reference    writes them
 """
 
 import inspect
+import math
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,8 +14,9 @@ from deploy.__main__ import app
 from deploy.cli.template import SectionRows, sections
 from deploy.page.metrics import PageFigures, SwarmCollector
 from deploy.page.picture import Picture
-from deploy.scenario import resolve
+from deploy.scenario import TeamSettings, resolve, team_counts
 from deploy.scoring.scores import NO_SCORE
+from protocol.sensing import SENSOR_CLASSES
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "reference"
 MADE = "This page is made from the code by `python -m tests.reference`."
@@ -38,7 +40,27 @@ def settings() -> str:
 A setting that you leave out has its default. On the command line `--set section.name=value` changes it.
 A wrong value is one line that names file, field, value, and what would be right.
 """
-    return "\n".join([head, *map(_section, sections())])
+    return "\n".join([head, *map(_section, sections()), _paper_classes()])
+
+
+def _paper_classes() -> str:
+    """The sensor classes and teams of the paper."""
+    lines = ["## Sensor classes of the paper", "", "Table I. A section `[sensors.A]` changes what it states.", ""]
+    lines += ["| class | angle, degrees | radius, m | p_d |", "|---|---|---|---|"]
+    for name, wedge in SENSOR_CLASSES.items():
+        lines.append(f"| `{name}` | {math.degrees(wedge.angle):.0f} | {wedge.radius:g} | {wedge.prob_detection:g} |")
+    lines += [
+        "",
+        "## Teams of the paper",
+        "",
+        "Table II. Teams 2 to 5 consist of the three classes of `team.triple`. A composition of your own is `20E+4H` or `A2,B6`.",
+        "",
+    ]
+    lines += ["| `team.composition` | agents |", "|---|---|"]
+    for number in map(str, range(1, 9)):
+        counts = team_counts(TeamSettings(composition=number))
+        lines.append(f"| `{number}` | {', '.join(f'{count} {name}' for name, count in counts.items())} |")
+    return "\n".join([*lines, ""])
 
 
 def _section(section: SectionRows) -> str:

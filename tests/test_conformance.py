@@ -111,7 +111,7 @@ FULL: dict[str, Message] = {
         weight=0.25,
         states_bytes=struct.pack("<8f", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
         ids_bytes=struct.pack("<2Q", 5, 2**64 - 1),
-        components_bytes=struct.pack("<5f10eQ", 0.5, *range(4), *range(10), 6),
+        components_bytes=struct.pack("<5f10e2Q", 0.5, *range(4), *range(10), 6, 2**53 - 1),
         labels_bytes=struct.pack("<2Q", 3, 2**53 - 1),
         label_numbers_bytes=b"\1\0",
         goal=(3.5, -4.5),
@@ -346,9 +346,9 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         assert most is not None and refusal(kind, {**plain(kind), row.field: bytes(size * (int(most[1]) + 1))}) == "size"
         assert refusal(kind, {**plain(kind), row.field: row_bytes[:-1]}) == "shape"
         assert refusal(kind, {**plain(kind), row.field: row_bytes * 2}) == "range"  # ids that do not ascend
-        for wrong in ((-0.5, 0.0, 0.0), (math.nan, 0.0, 0.0), (0.5, 2.0e6, 0.0), (0.5, math.nan, 0.0), (0.5, 0.0, math.inf)):
-            weight, mean, factor = wrong
-            bad = struct.pack("<5f10eQ", weight, *[mean] * 4, *[factor] * 10, 6)
+        wrongs = ((-0.5, 0.0, 0.0, 0), (math.nan, 0.0, 0.0, 0), (0.5, 2.0e6, 0.0, 0), (0.5, math.nan, 0.0, 0), (0.5, 0.0, math.inf, 0))
+        for weight, mean, factor, label in (*wrongs, (0.5, 0.0, 0.0, 2**53)):
+            bad = struct.pack("<5f10e2Q", weight, *[mean] * 4, *[factor] * 10, 6, label)
             assert refusal(kind, {**plain(kind), row.field: bad}) == "range"
     elif row.type == "bytes":
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in (b"\1", b"\1\2", b"\1\0\0", bytes(16385))] == ["shape"] * 4
@@ -377,6 +377,19 @@ def test_the_limits_of_a_wedge_are_those_of_the_page(row: Row) -> None:
         )
         == "format"
     )
+
+
+def test_a_probability_at_the_far_edge_is_read_as_the_page_says() -> None:
+    """It may be missing, lies in (0, `prob_detection`], and is the one at `radius`; halfway there is the mean of both."""
+
+    def hello(far: float) -> dict[str, Any]:
+        return {**plain("hello"), "sensor": {**plain("hello")["sensor"], "prob_detection_far": far}}
+
+    assert "The map may also hold `prob_detection_far`, more than 0 to `prob_detection`" in PAGE
+    assert [refusal("hello", hello(far)) for far in (0.1, 0.9, 0.0, math.nextafter(0.9, 1.0), math.nan)] == [None, None, *["format"] * 3]
+    assert "prob_detection_far" not in plain("hello")["sensor"]
+    said = Hello(sender="s1", incarnation=7, sensor=WedgeSensor(1.5, 8.0, 0.9, None, 0.25))
+    assert msgpack.unpackb(encode(said))["sensor"] == {**plain("hello")["sensor"], "prob_detection_far": 0.25}
 
 
 def test_the_limits_of_settings_are_those_of_the_page() -> None:

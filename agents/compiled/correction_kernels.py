@@ -69,7 +69,7 @@ def _birth_densities(points: np.ndarray, sums: np.ndarray, kappa: float, nearby:
 
 @njit
 def _raster(x: np.ndarray, y: np.ndarray, detections: np.ndarray, spreads: np.ndarray, side: float) -> tuple:
-    """The grid of bins of `side` m for `_missed`: its first column, its first row, masses, explained masses and factors.
+    """The grid of bins of `side` m for `_missed`: its first column, its first row, masses, explained masses, their rests and shares.
 
     It covers the particles, the detections, and births within `spreads` (M,) m of the detections.
     """
@@ -80,10 +80,10 @@ def _raster(x: np.ndarray, y: np.ndarray, detections: np.ndarray, spreads: np.nd
         px, py, spread = detections[m, 0], detections[m, 1], spreads[m]
         west, south, east, north = min(west, px - spread), min(south, py - spread), max(east, px + spread), max(north, py + spread)
     if west > east:
-        return 0, 0, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))
+        return 0, 0, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))
     left, low = np.int64(math.floor(west / side)) - 2, np.int64(math.floor(south / side)) - 2
     shape = np.int64(math.floor(north / side)) - low + 3, np.int64(math.floor(east / side)) - left + 3
-    return left, low, np.zeros(shape), np.zeros(shape), np.full(shape, -1.0)
+    return left, low, np.zeros(shape), np.zeros(shape), np.full(shape, -1.0), np.empty(shape)
 
 
 @cached
@@ -91,8 +91,7 @@ def _missed(
     x: np.ndarray,
     y: np.ndarray,
     weights: np.ndarray,
-    seen: np.ndarray,
-    probability: float,
+    probabilities: np.ndarray,
     gained: np.ndarray,
     points: np.ndarray,
     born: np.ndarray,
@@ -101,41 +100,45 @@ def _missed(
 ) -> None:
     """Twin of `phd.missed`: multiply weights by their factors; the raster is restored for the next scan."""
     certainty, side = miss
-    left, low, masses, explained, factors = raster
+    left, low, masses, explained, rests, shares = raster
     columns, rows = np.empty(len(x), np.int64), np.empty(len(x), np.int64)
     for n in range(len(x)):
         columns[n], rows[n] = np.int64(math.floor(x[n] / side)) - left, np.int64(math.floor(y[n] / side)) - low
     for n in range(len(x)):
-        if seen[n]:
+        if probabilities[n] > 0.0:
             masses[rows[n], columns[n]] += weights[n]
             explained[rows[n], columns[n]] += gained[n]
     for m in range(len(points)):
         column, row = np.int64(math.floor(points[m, 0] / side)) - left, np.int64(math.floor(points[m, 1] / side)) - low
         explained[row, column] += born[m]
     for n in range(len(x)):
-        if seen[n]:
-            row, column = rows[n], columns[n]
-            if factors[row, column] < 0.0:
+        if probabilities[n] > 0.0:
+            row, column, probability = rows[n], columns[n], probabilities[n]
+            if rests[row, column] < 0.0:
                 mass = block(masses, row, column)
-                rest = max(mass - block(explained, row, column), 0.0)
-                odds = (1.0 - probability) / (1.0 - probability * min(rest, certainty))
-                factors[row, column] = rest / (mass if mass > 0.0 else 1.0) * odds
-            weights[n] = weights[n] * factors[row, column]
+                rests[row, column] = max(mass - block(explained, row, column), 0.0)
+                shares[row, column] = rests[row, column] / (mass if mass > 0.0 else 1.0)
+            odds = (1.0 - probability) / (1.0 - probability * min(rests[row, column], certainty))
+            weights[n] = weights[n] * (shares[row, column] * odds)
     for n in range(len(x)):
-        masses[rows[n], columns[n]], explained[rows[n], columns[n]], factors[rows[n], columns[n]] = 0.0, 0.0, -1.0
+        masses[rows[n], columns[n]], explained[rows[n], columns[n]], rests[rows[n], columns[n]] = 0.0, 0.0, -1.0
     for m in range(len(points)):
         column, row = np.int64(math.floor(points[m, 0] / side)) - left, np.int64(math.floor(points[m, 1] / side)) - low
         explained[row, column] = 0.0
 
 
 @cached
-def _mark_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, seen: np.ndarray) -> None:
-    """Write into `seen` (N,) True for the points in a wedge, a row of `GossipTable.table`; without branches, for several at once."""
+def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray) -> None:
+    """Write p_d of points of a wedge, a row of `GossipTable.table`, into `probabilities` (N,); without branches, for several at once."""
     sensor_x, sensor_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
+    near, far = sensor[6], sensor[19]
+    slope = (far - near) / sensor[4]
     for n in range(len(x)):
         dx, dy = x[n] - sensor_x, y[n] - sensor_y
         range2 = dx * dx + dy * dy
-        seen[n] = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2))
+        apart = math.sqrt(range2)
+        seen = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * apart)
+        probabilities[n] = max(near + slope * apart, far) if seen else 0.0
 
 
 @cached
@@ -143,8 +146,7 @@ def _pairs(
     x: np.ndarray,
     y: np.ndarray,
     weights: np.ndarray,
-    seen: np.ndarray,
-    probability: float,
+    probabilities: np.ndarray,
     detections: np.ndarray,
     gate2: float,
     found: tuple,
@@ -161,11 +163,11 @@ def _pairs(
         for n in range(number):
             dx, dy = x[n] - at_x, y[n] - at_y
             apart[n] = dx * dx + dy * dy
-            hits[n] = seen[n] & (apart[n] <= gate2)
+            hits[n] = (probabilities[n] > 0.0) & (apart[n] <= gate2)
         if pairs + number > len(rows):
             return -1
         for n in range(number):  # the next pair overwrites a miss
-            rows[pairs], columns[pairs], squares[pairs], shares[pairs] = n, m, apart[n], weights[n] * probability
+            rows[pairs], columns[pairs], squares[pairs], shares[pairs] = n, m, apart[n], weights[n] * probabilities[n]
             pairs += hits[n]
     return pairs
 
@@ -267,7 +269,7 @@ def update(
     capacity = count + (close * each if on else 0)
     new_states, new_weights, new_ids, new_labels = blank(capacity)
     new_states[:count], new_weights[:count], new_ids[:count], new_labels[:count] = states, weights, ids, labels
-    x, y, seen = np.empty(capacity), np.empty(capacity), np.empty(capacity, np.bool_)
+    x, y, probabilities = np.empty(capacity), np.empty(capacity), np.empty(capacity)
     x[:count], y[:count] = states[:, 0], states[:, 1]
     detections, densities, spreads = np.empty((close, 2)), np.zeros(close), np.full(close, _FARTHEST * noise)
     rays = np.empty((close, all_rays.shape[1]))
@@ -281,20 +283,20 @@ def update(
     raster = _raster(x[:count], y[:count], detections, spreads, miss[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
-        _mark_view(x[:count], y[:count], sensor, seen)
+        _view(x[:count], y[:count], sensor, probabilities)
         point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel, place2, turn2)
         pairs = -1
         while pairs < 0:
             if has_rays:
-                pairs = ray_pairs(x[:count], y[:count], seen, sensor, points, point_rays, scan_noise, gate, found)
+                pairs = ray_pairs(x[:count], y[:count], probabilities, sensor, points, point_rays, scan_noise, gate, found)
             else:
-                pairs = _pairs(x[:count], y[:count], new_weights, seen, sensor[6], points, gate2, found)
+                pairs = _pairs(x[:count], y[:count], new_weights, probabilities, points, gate2, found)
             if pairs < 0:
                 found = _pair_buffers(4 * len(found[0]))
         rows, columns, squares, shares = found
         if has_rays:
             for p in range(pairs):
-                shares[p] = new_weights[rows[p]] * sensor[6] * (exp_minus(squares[p] * 0.5) * shares[p])
+                shares[p] = new_weights[rows[p]] * probabilities[rows[p]] * (exp_minus(squares[p] * 0.5) * shares[p])
         else:
             _likelihoods(squares[:pairs], shares[:pairs], likelihood_noise)
         norms = np.zeros(len(points))
@@ -314,7 +316,7 @@ def update(
         gained[:count] = 0.0
         for p in range(pairs):
             gained[rows[p]] += shares[p] / norms[columns[p]]
-        _missed(x[:count], y[:count], new_weights, seen, sensor[6], gained, points, born, miss, raster)
+        _missed(x[:count], y[:count], new_weights, probabilities, gained, points, born, miss, raster)
         for n in range(count):
             new_weights[n] += gained[n]
         salt, given = scramble(salts[sensors[s]], births_key), np.zeros(len(points), np.uint64)

@@ -57,7 +57,7 @@ def _density(x: float, y: float, sensor: np.ndarray, point: np.ndarray, ray: np.
 def pairs(
     x: np.ndarray,
     y: np.ndarray,
-    seen: np.ndarray,
+    probabilities: np.ndarray,
     sensor: np.ndarray,
     points: np.ndarray,
     rays: np.ndarray,
@@ -75,7 +75,7 @@ def pairs(
         if count + number > len(rows):
             return -1
         for n in range(number):
-            if seen[n]:
+            if probabilities[n] > 0.0:
                 squared, peak = _density(x[n], y[n], sensor, points[m], rays[m], noise)
                 if squared <= gate * gate:
                     rows[count], columns[count], squares[count], peaks[count] = n, m, squared, peak

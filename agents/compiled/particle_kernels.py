@@ -132,11 +132,12 @@ def _merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 @njit
 def wedge(x: float, y: float, sensor: np.ndarray) -> float:
-    """p_d of a wedge at a point; `sensor` is a row of `GossipTable.table`, or its first seven columns."""
+    """Twin of `WedgeSensor.probability` for one point; `sensor` is a row of `GossipTable.table`."""
     dx, dy = x - sensor[0], y - sensor[1]
     range2 = dx * dx + dy * dy
-    seen = (range2 <= sensor[4] * sensor[4]) & (dx * sensor[2] + dy * sensor[3] >= sensor[5] * math.sqrt(range2))
-    return sensor[6] if seen else 0.0
+    apart, near, far = math.sqrt(range2), sensor[6], sensor[19]
+    seen = (range2 <= sensor[4] * sensor[4]) & (dx * sensor[2] + dy * sensor[3] >= sensor[5] * apart)
+    return max(near + (far - near) / sensor[4] * apart, far) if seen else 0.0
 
 
 @cached

@@ -31,8 +31,10 @@ def sensor_facts(sensor: SensorModel) -> SensorFacts:
     Raises ValueError if the detection probability is 0 at all points of the quadrature.
     """
     if isinstance(sensor, WedgeSensor):
-        half = sensor.angle / 2.0
-        return SensorFacts(sensor.prob_detection * sensor.area, (2.0 * sensor.radius * math.sin(half) / (3.0 * half), 0.0))
+        half, fall = sensor.angle / 2.0, sensor.far_probability / sensor.prob_detection
+        mean, outwards = (1.0 + 2.0 * fall) / 3.0, 0.75 * (1.0 + 3.0 * fall) / (1.0 + 2.0 * fall)  # both 1 for a constant p_d
+        cod = 2.0 * sensor.radius * math.sin(half) / (3.0 * half) * outwards
+        return SensorFacts(sensor.prob_detection * sensor.area * mean, (cod, 0.0))
     step = 2.0 * sensor.reach / _GRID
     ticks = (np.arange(_GRID) + 0.5) * step - sensor.reach
     points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)

@@ -45,18 +45,18 @@ class Intent(NamedTuple):
 class Situation(NamedTuple):
     """The input of a control law."""
 
-    name: str
-    seed: int
-    tick: int
-    dt: float
-    pose: Pose
+    name: str  # of the agent
+    seed: int  # that all agents share
+    tick: int  # of the round
+    dt: float  # length of a tick, s
+    pose: Pose  # x, y, heading of the own body, m, rad
     driven: tuple[float, float]  # the point to drive to the centroid, m: the COD, or the position for plain Voronoi cells
     cell: np.ndarray  # (V, 2) m, empty when the agent has no cell
     centroid: tuple[float, float] | None  # m (17): of the PHD in the cell, of its area without mass, None without a cell
     particles: Particles  # in the cell
-    sensor: SensorModel
-    limits: LimitSettings
-    heading: str  # "centroid" or "literal"
+    sensor: SensorModel  # the own one
+    limits: LimitSettings  # `speed` in m/s, `turn_rate` in rad/s
+    heading: str  # "centroid" or "literal", the setting `control.heading`
     arena: tuple[float, float]  # width, height, m
     fields: tuple[tuple[SensorModel, Pose], ...] = ()  # sensors around the cell that scanned; for laws with `uses_fields = True`
     generators: np.ndarray = EMPTY  # (N, 2) m, of the diagram

@@ -26,7 +26,7 @@ from protocol.once import once
 from protocol.sensing import SensorModel, WedgeSensor, measurement_of
 from protocol.streams import key
 
-COLUMNS = 19
+COLUMNS = 20
 (
     X,
     Y,
@@ -47,11 +47,12 @@ COLUMNS = 19
     MODEL,
     RANGE_NOISE,
     BEARING_NOISE,
+    FAR_PROB,
 ) = range(COLUMNS)
 SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
-_SENSOR = struct.Struct("<5dQ3d")
-_SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE]
+_SENSOR = struct.Struct("<5dQ4d")
+_SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE, FAR_PROB]
 _MOST_ANNOUNCED = 20000
 
 
@@ -60,9 +61,7 @@ class AnnouncedSensor(NamedTuple):
 
     sensor: SensorModel
     facts: SensorFacts
-    columns: (
-        bytes  # its part of a row: reach m, cosine of the half angle, p_d, clutter density per m^2, kind of scan, key of the name, model
-    )
+    columns: bytes  # its part of a row, the columns of `_SENSOR_COLUMNS`: lengths in m, angles in rad, clutter density per m^2
 
 
 def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
@@ -73,12 +72,11 @@ def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> Announce
 @lru_cache(maxsize=_MOST_ANNOUNCED)
 def _announced(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
     """`announced_sensor`, a pure memo."""
-    half, probability, kind = 0.0, 0.0, OTHER
+    half, near, far, kind = 0.0, 0.0, 0.0, OTHER
     if isinstance(sensor, WedgeSensor):
-        half, probability, kind = sensor.cos_half_angle, sensor.prob_detection, WEDGE
-    packed = _SENSOR.pack(
-        sensor.reach, half, probability, clutter / sensor.area, kind, key("sensor", name), *model_of(measurement_of(sensor))
-    )
+        half, near, far, kind = sensor.cos_half_angle, sensor.prob_detection, sensor.far_probability, WEDGE
+    measures = model_of(measurement_of(sensor))
+    packed = _SENSOR.pack(sensor.reach, half, near, clutter / sensor.area, kind, key("sensor", name), *measures, far)
     return AnnouncedSensor(sensor, _facts(sensor), packed)  # type: ignore[arg-type]
 
 

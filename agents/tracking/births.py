@@ -16,7 +16,7 @@ from agents.config import BirthSettings, FilterSettings, PoseSettings
 from agents.tracking.labels import birth_labels
 from agents.tracking.measuring import BEARING, birth_places, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances, unlabelled
-from protocol.sensing import Pose, SensorModel, WedgeSensor, measurement_of
+from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble, uniform
 
@@ -36,11 +36,6 @@ class Scan(NamedTuple):
     numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
     rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None for exact positions
-
-
-def sensor_row(sensor: WedgeSensor, pose: Pose) -> tuple[float, ...]:
-    """A posed wedge as a row for the kernels: x, y, cos and sin of the heading, radius, cos of half the angle, p_d."""
-    return pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), sensor.radius, sensor.cos_half_angle, sensor.prob_detection
 
 
 def near_part(scan: Scan, close: np.ndarray) -> Scan:

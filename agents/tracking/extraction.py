@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.config import ExtractionSettings
-from agents.tracking.labels import NO_LABEL, middles, name_peaks
+from agents.tracking.labels import middles, name_peaks, weight_by_label
 from agents.tracking.particles import Particles, squared_distances, total
 
 NEAR = 3.0  # m around an estimate, in which particles are taken for its target
@@ -103,9 +103,7 @@ def _described(
         dx, dy = states[:, 0] - x, states[:, 1] - y
         terms = states[:, 2], states[:, 3], dx * dx, dx * dy, dy * dy
         details[number] = (*(total(weights * term) / mass + 0.0 for term in terms), existence[number])  # no zero is negative
-        known, places = np.unique(labels, return_inverse=True)
-        sums = np.bincount(places, weights, len(known))
-        peaks.append({label: weight for label, weight in zip(known.tolist(), sums.tolist()) if label != NO_LABEL})
+        peaks.append(weight_by_label(labels, weights))
     names = name_peaks(peaks, positions, middles(particles), tick)
     return Tracks(positions, details, np.array(names, dtype=np.uint64))
 

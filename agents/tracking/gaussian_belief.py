@@ -18,8 +18,8 @@ from agents.gossip.table import GossipTable
 from agents.tracking import claims, gaussian_phd
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.extraction import Tracks, select_tracks
-from agents.tracking.gaussian_reduction import estimates, merged, reduced
-from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, pick, points, unpacked
+from agents.tracking.gaussian_reduction import estimates, limited, merged
+from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, pick, points, unpacked, within
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, RegionInput, Said
@@ -29,7 +29,6 @@ from protocol.messages import Gossip
 
 NEAR = 3.0  # m around an estimate, in which components are taken for its target
 SHARPNESS = 2.0  # bins around a component that are one peak
-MOST_COPIES = 1000
 
 
 class OwnedMixture(NamedTuple):
@@ -62,8 +61,7 @@ class MixtureUpdate(NamedTuple):
     """The result of a round for one owner."""
 
     around: Mixture  # all components after all scans
-    inside: Mixture  # those in the cell
-    reduced: Mixture  # the part of `inside` for the next gossip
+    inside: Mixture  # those in the cell, for the next gossip
     mass: float
     east: float
     north: float
@@ -94,37 +92,32 @@ def received_mixture(received: GossipTable | Mixture) -> Mixture:
     return unpacked(received.components) if isinstance(received, GossipTable) else received
 
 
-def draw(inside: Mixture, step: Step) -> Mixture:
-    """What an owner states of the components in its cell: the heaviest, as exactly as on the wire."""
-    return _as_stated(reduced(inside, step.config.mixture))
-
-
-def _as_stated(mixture: Mixture) -> Mixture:
-    """The components as exactly as on the wire.
-
-    Copies are rounded as the owner rounds them. Else two parts of a swarm that do not hear each other merge and split them differently, and
-    soon hold different components.
-    """
-    return unpacked(packed(mixture))
-
-
 def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
-    """The components in the claimed cell, in canonical order."""
-    return in_order(pick(mixture, claims.owned(mixture.means, claim, step.config.arena)))
+    """What an owner states: the components in its cell, the heaviest if they exceed `mixture.most_components`."""
+    return limited(pick(mixture, claims.owned(mixture.means, claim, step.config.arena)), step.config.mixture.most_components)
 
 
-def correct(predicted: Mixture, table: GossipTable, step: Step) -> Mixture:
-    """The PHD after all scans of a table, background births included."""
-    born = chain([predicted, gaussian_phd.newcomers(step)])
-    return merged(gaussian_phd.correct(born, table.scans(), step), step.config.mixture)
+def correct(received: Mixture, table: GossipTable, step: Step) -> tuple[Tracks, Mixture]:
+    """The estimates and the PHD one step later, after all scans of a table, background births included; in canonical order."""
+    born = chain([gaussian_phd.predict(in_order(received), step), gaussian_phd.newcomers(step)])
+    corrected, settings = _tidied(gaussian_phd.correct(born, table.scans(), step), step), step.config.extraction
+    return estimates(corrected, settings.threshold, SHARPNESS * settings.bin)
 
 
 def _moved(mixture: Mixture, step: Step) -> Mixture:
-    """The components one step later, merged where they have come close, the heaviest of them."""
-    moved = _as_stated(merged(in_order(gaussian_phd.predict(mixture, step)), step.config.mixture))
-    if len(moved.ids) <= MOST_COPIES:
-        return moved
-    return pick(moved, np.lexsort((moved.ids, -moved.weights))[:MOST_COPIES])
+    """The components one step later, when nothing is heard."""
+    return _tidied(gaussian_phd.predict(mixture, step), step)
+
+
+def _tidied(mixture: Mixture, step: Step) -> Mixture:
+    """The components in canonical order, merged where they have come close, without light ones, and rounded as on the wire.
+
+    A scan moves means, but no target out of the arena: what lies beyond the border would belong to no cell.
+    Two parts of a swarm that do not hear each other should hold the same components of what neither sees. So no cell enters here.
+    """
+    inside = within(in_order(mixture), step.config.arena)
+    whole = in_order(merged(inside, step.config.mixture))
+    return unpacked(packed(pick(whole, whole.weights >= step.config.mixture.pruned)))
 
 
 def _released(belief: MixtureBelief) -> MixtureBelief:
@@ -165,12 +158,12 @@ class MixturePhd(NamedTuple):
         return replace(released, stamp=step.tick - 1, copies=copies)
 
     def hold(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
-        """See `Tracker.hold`: all components move by the missed ticks; the owned ones are rounded as on the wire."""
-        mixture, copies = belief.mine.mixture, belief.copies
+        """See `Tracker.hold`: all components move by the missed ticks, and those in the held claim are owned."""
+        moved = _released(belief).copies
         for tick in range(belief.stamp + 1, step.tick):
-            missed = step._replace(tick=tick)
-            mixture, copies = _moved(mixture, missed), _moved(copies, missed)
-        mine = belief.mine._replace(mixture=draw(in_order(mixture), step))
+            moved = _moved(moved, step._replace(tick=tick))
+        mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step))
+        copies = pick(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
         return MixtureBelief(step.tick - 1, mine, copies, belief.everyone, belief.acquainted, held_since=belief.cut)
 
     def foresee(self, belief: MixtureBelief, targets: np.ndarray, seconds: float) -> np.ndarray:
@@ -206,8 +199,7 @@ class MixturePhd(NamedTuple):
         self, received: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step
     ) -> list[MixtureUpdate]:
         """See `Tracker.update`."""
-        corrected = correct(gaussian_phd.predict(in_order(received_mixture(received)), step), table, step)
-        peaks = estimates(corrected, step.config.extraction.threshold, SHARPNESS * step.config.extraction.bin)
+        peaks, corrected = correct(received_mixture(received), table, step)
         return [_region_of(corrected, peaks, region, step) for region in regions]
 
     def share(
@@ -218,9 +210,8 @@ class MixturePhd(NamedTuple):
         others = ~claims.owned(means, region.claim, arena) & claims.in_arena(means, arena)
         if diagram.horizon < math.inf:
             others &= geometry.distances(region.polygon, means) <= diagram.horizon
-        copies = _as_stated(in_order(pick(update.around, others)))
-        mine = OwnedMixture(region.owner, region.claim, update.reduced, diagram.view)
-        return MixtureBelief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)
+        mine = OwnedMixture(region.owner, region.claim, update.inside, diagram.view)
+        return MixtureBelief(step.tick, mine, pick(update.around, others), diagram.everyone, diagram.acquainted)
 
 
 def _region_of(corrected: Mixture, peaks: Tracks, region: RegionInput, step: Step) -> MixtureUpdate:
@@ -229,7 +220,7 @@ def _region_of(corrected: Mixture, peaks: Tracks, region: RegionInput, step: Ste
     load, detected = _in_view(corrected, region)
     tracks = select_tracks(peaks, claims.owned(peaks.positions, region.claim, step.config.arena))
     mass, east, north = (total(inside.weights * column) for column in (1.0, inside.means[:, 0], inside.means[:, 1]))
-    return MixtureUpdate(corrected, inside, draw(inside, step), mass, east, north, load, detected, tracks)
+    return MixtureUpdate(corrected, inside, mass, east, north, load, detected, tracks)
 
 
 def _in_view(mixture: Mixture, region: RegionInput) -> tuple[float, float]:

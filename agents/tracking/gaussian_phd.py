@@ -13,7 +13,8 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.tracking.births import Scan, background_births, least_density, survival_probability
 from agents.tracking.claims import in_arena
-from agents.tracking.gaussians import EMPTY, KERNEL, SHARES, Mixture, chain, mean_of, nodes, pick, variances
+from agents.tracking.gaussians import EMPTY, KERNEL, SHARES, Mixture, chain, mean_of, nodes, pick, unlabelled, variances
+from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
 from agents.tracking.measuring import BEARING, model_of, noise_of
 from agents.tracking.particles import column_sums
 from agents.tracking.phd import exp_minus
@@ -37,7 +38,7 @@ def prior(config: AgentConfig) -> Mixture:
     ids = scramble(np.arange(len(places), dtype=np.uint64), key(filters.seed, "prior"))
     order = np.argsort(ids)
     covariances = _covariances(len(ids), deviation**2, 0.5 * filters.speed**2)
-    return Mixture(weights, np.column_stack([places, np.zeros_like(places)])[order], covariances, ids[order])
+    return unlabelled(weights, np.column_stack([places, np.zeros_like(places)])[order], covariances, ids[order])
 
 
 def _covariances(count: int, place: float, velocity: float) -> np.ndarray:
@@ -52,7 +53,7 @@ def newcomers(step: Step) -> Mixture:
     if not len(born.ids):
         return EMPTY
     covariances = _covariances(len(born.ids), (0.5 * config.mixture.spread) ** 2, 0.25 * config.filter.speed**2)
-    return Mixture(born.weights, born.states, covariances, born.ids)
+    return unlabelled(born.weights, born.states, covariances, born.ids)
 
 
 def predict(mixture: Mixture, step: Step) -> Mixture:
@@ -81,7 +82,7 @@ def _moved(mixture: Mixture, step: Step) -> Mixture:
     after[:, 0, 0] += filters.position_noise**2
     after[:, 1, 1] += filters.position_noise**2
     means = np.concatenate([mixture.means[:, :2] + dt * velocity, velocity], axis=1)
-    return Mixture(mixture.weights * survival_probability(dt, filters), means, after, mixture.ids)
+    return Mixture(mixture.weights * survival_probability(dt, filters), means, after, mixture.ids, mixture.labels)
 
 
 def _split(mixture: Mixture, step: Step) -> Mixture:
@@ -98,9 +99,9 @@ def _split(mixture: Mixture, step: Step) -> Mixture:
     length = np.where(length > 0.0, length, 1.0) * np.sqrt(variance)
     shift = APART * (halves.covariances[:, :, 0] * (east / length)[:, None] + halves.covariances[:, :, 1] * (north / length)[:, None])
     covariances = halves.covariances - shift[:, :, None] * shift[:, None, :]
-    first = Mixture(0.5 * halves.weights, halves.means + shift, covariances, halves.ids)
+    first = halves._replace(weights=0.5 * halves.weights, means=halves.means + shift, covariances=covariances)
     again = scramble(halves.ids, key(step.config.filter.seed, "split", step.tick))
-    return chain([_put(mixture, wide, first), Mixture(first.weights, halves.means - shift, covariances, again)])
+    return chain([_put(mixture, wide, first), first._replace(means=halves.means - shift, ids=again)])
 
 
 def _put(mixture: Mixture, rows: np.ndarray, others: Mixture) -> Mixture:
@@ -135,7 +136,8 @@ def correct(mixture: Mixture, scans: Sequence[Scan], step: Step) -> Mixture:
 def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     """The PHD after one scan.
 
-    The components in view as missed ones, then one for each pair of component and detection within the gate, then the births.
+    The components in view as missed ones, then one for each pair of component and detection within the gate, then the births. Pairs keep
+    the label of their component, or take that of their detection if it has none.
     """
     config = step.config
     x, y, _ = scan.pose
@@ -149,11 +151,13 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     fresh = scan.sensor.probability(scan.detections, scan.pose) * birth_density(scan, config)
     norms = scan.clutter_density + fresh + column_sums(shares)
     norms = np.where(norms > 0.0, norms, 1.0)
-    found = found._replace(weights=likelihood / norms[columns])
+    born = _births(scan, noise, fresh / norms, step)
+    given = given_labels(near.labels, shares, norms, born.labels)
+    labels = np.where(found.labels == NO_LABEL, given[columns], found.labels)
+    found, born = found._replace(weights=likelihood / norms[columns], labels=labels), born._replace(labels=given)
     gained = np.zeros(len(near.ids))
     for number in range(len(norms)):
         gained = gained + shares[:, number] / norms[number]
-    born = _births(scan, noise, fresh / norms, step)
     left = missed(near, seen, gained, scan.detections, born.weights, config)
     stays = np.ones(len(mixture.ids), dtype=bool)
     stays[close] = (left.weights >= config.mixture.pruned) | (mean_of(seen) < 0.5)
@@ -200,7 +204,7 @@ def _detected(mixture: Mixture, scan: Scan, noise: np.ndarray, step: Step) -> tu
     probability = scan.sensor.probability(means[:, :2], scan.pose)
     likelihood = exp_minus(0.5 * squared) / (2.0 * math.pi * np.sqrt(volume))
     salt = scramble(scan.numbers[columns], key(filters.seed, "detected", step.tick, scan.salt))
-    found = Mixture(mixture.weights[rows], means, covariances, scramble(mixture.ids[rows], salt))
+    found = Mixture(mixture.weights[rows], means, covariances, scramble(mixture.ids[rows], salt), mixture.labels[rows])
     return rows, columns, found, mixture.weights[rows] * probability * likelihood
 
 
@@ -210,11 +214,13 @@ def birth_density(scan: Scan, config: AgentConfig) -> float:
 
 
 def _births(scan: Scan, noise: np.ndarray, weights: np.ndarray, step: Step) -> Mixture:
-    """A component at each detection with the noise of the sensor and an unknown heading."""
+    """A component at each detection with the noise of the sensor, an unknown heading and a label that it founds."""
     covariances = _covariances(len(weights), 0.0, 0.5 * step.config.filter.speed**2)
     covariances[:, :2, :2] = noise
     means = np.concatenate([scan.detections, np.zeros_like(scan.detections)], axis=1)
-    return Mixture(weights, means, covariances, scramble(scan.numbers, key(step.config.filter.seed, "birth", step.tick, scan.salt)))
+    ids = scramble(scan.numbers, key(step.config.filter.seed, "birth", step.tick, scan.salt))
+    founds = step.config.birth.measurement
+    return Mixture(weights, means, covariances, ids, birth_labels(ids, step.tick) if founds else np.zeros_like(ids))
 
 
 def missed(

@@ -9,19 +9,20 @@ import numpy as np
 
 from agents.config import MixtureSettings
 from agents.tracking.extraction import DETAILS, Tracks
-from agents.tracking.gaussians import EMPTY, Mixture, chain, pick, variances
+from agents.tracking.gaussians import Mixture, chain, pick, variances
+from agents.tracking.labels import name_peaks, weight_by_label
 from agents.tracking.particles import total
 
 ALIKE = 9.0  # a component merges with one of at most this many times its variance
 
 
 def merged(mixture: Mixture, settings: MixtureSettings) -> Mixture:
-    """The mixture in which components close to a heavier one are merged with it; a merged component has the id of the heaviest.
+    """The mixture in which components close to a heavier one are merged with it, and have its id and label.
 
     Close means: each mean lies within `settings.merged` squared standard deviations of the other component, and the variances of the
     places differ by a factor of at most `ALIKE`. A merged place is no wider than `settings.spread`.
     """
-    order = np.lexsort((mixture.ids, -mixture.weights))
+    order = np.lexsort((mixture.ids, -mixture.weights.astype(np.float32)))  # as on the wire: a difference of one bit must not grow
     partners = _close_pairs(mixture, settings.merged)
     taken, found = np.zeros(len(order), dtype=bool), list[Mixture]()
     alone = []
@@ -67,11 +68,11 @@ def _squared(vectors: np.ndarray, matrices: np.ndarray) -> np.ndarray:
 
 
 def _as_one(mixture: Mixture, rows: list[int]) -> Mixture:
-    """The one component with mass, mean and covariance of several; its id is that of the first."""
+    """The one component with mass, mean and covariance of several; id and label are those of the first."""
     group = pick(mixture, np.array(rows))
     mass = total(group.weights)
     mean, covariance = _moments(group, mass)
-    return Mixture(np.array([mass]), mean[None], covariance[None], group.ids[:1])
+    return Mixture(np.array([mass]), mean[None], covariance[None], group.ids[:1], group.labels[:1])
 
 
 def _moments(group: Mixture, mass: float) -> tuple[np.ndarray, np.ndarray]:
@@ -85,37 +86,48 @@ def _moments(group: Mixture, mass: float) -> tuple[np.ndarray, np.ndarray]:
     return mean, covariance
 
 
-def reduced(mixture: Mixture, settings: MixtureSettings) -> Mixture:
-    """The heaviest components, `most_components` at most and none lighter than `pruned`, scaled to the mass of all; the order stays."""
-    mass = total(mixture.weights)
-    if not mass > 0.0:
-        return EMPTY
-    heaviest = np.lexsort((mixture.ids, -mixture.weights))[: settings.most_components]
-    heavy = heaviest[mixture.weights[heaviest] >= settings.pruned]
-    found = pick(mixture, np.sort(heavy if len(heavy) else heaviest[:1]))
-    return found._replace(weights=found.weights * (mass / total(found.weights)))
+def limited(mixture: Mixture, most: int) -> Mixture:
+    """The `most` heaviest components, scaled to the mass of all; the order stays."""
+    if len(mixture.ids) <= most:
+        return mixture
+    heaviest = np.sort(np.lexsort((mixture.ids, -mixture.weights))[:most])
+    found = pick(mixture, heaviest)
+    return found._replace(weights=found.weights * (total(mixture.weights) / total(found.weights)))
 
 
-def estimates(mixture: Mixture, threshold: float, radius: float) -> Tracks:
-    """Estimated targets, heaviest first, without labels.
+def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks, Mixture]:
+    """Estimated targets, heaviest first, and the mixture with the labels that they found.
 
     The heaviest component and those within `radius` m of it are a peak while they hold at least `threshold` expected targets; a peak
-    of more is that number of targets, rounded. Components wider than `radius` show no place.
+    of more is that number of targets, rounded. Of two labels in a peak that each hold as much, each is a peak. Components wider than
+    `radius` show no place. Labels are those of `labels.name_peaks`.
+    A label stands for one target: where a peak of one target finds no free label, the components of its heaviest one take a new one.
     """
-    narrow = pick(mixture, variances(mixture) <= radius * radius)
-    left, found = narrow.weights.copy(), list[tuple[float, ...]]()
-    for heaviest in np.lexsort((narrow.ids, -narrow.weights)).tolist():
+    wide = variances(mixture) > radius * radius
+    left, found = np.where(wide, 0.0, mixture.weights), list[tuple[float, ...]]()
+    members, votes = list[np.ndarray](), list[dict[int, float]]()
+    for heaviest in np.lexsort((mixture.ids, -left)).tolist():
         if left[heaviest] <= 0.0:
             continue
-        apart = narrow.means[:, :2] - narrow.means[heaviest, :2]
-        near = (apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] <= radius * radius) & (left > 0.0)
+        apart = mixture.means[:, :2] - mixture.means[heaviest, :2]
+        near = np.flatnonzero((apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] <= radius * radius) & (left > 0.0))
+        mine = near[mixture.labels[near] == mixture.labels[heaviest]]
+        if min(total(left[mine]), total(left[near]) - total(left[mine])) >= threshold:
+            near = mine
         mass = total(left[near])
         if mass < threshold:
             continue
-        peak = pick(narrow, near)._replace(weights=left[near])
+        peak = pick(mixture, near)
         mean, covariance = _moments(peak, mass)
         number = max(1, math.floor(mass + 1.0 - threshold))
         found += [(*mean.tolist(), covariance[0, 0], covariance[0, 1], covariance[1, 1], min(1.0, mass / number))] * number
+        votes += [weight_by_label(peak.labels, peak.weights)] * number
+        members += [near if number == 1 else near[:0]] * number
         left[near] = 0.0
     rows = np.array(found).reshape(-1, 2 + DETAILS)
-    return Tracks(rows[:, :2], rows[:, 2:], np.zeros(len(rows), dtype=np.uint64))
+    given = name_peaks(votes, rows[:, :2], {}, tick=0)  # no label without a peak is taken, so no tick matters
+    labels = mixture.labels.copy()
+    for near, vote, label in zip(members, votes, given):
+        if vote and label not in vote:
+            labels[near[labels[near] == max(vote, key=lambda one: (vote[one], -one))]] = label
+    return Tracks(rows[:, :2], rows[:, 2:], np.array(given, dtype=np.uint64)), mixture._replace(labels=labels)

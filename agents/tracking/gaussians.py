@@ -11,8 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.tracking.particles import Particles, canonical, unlabelled
+from agents.tracking import particles
+from agents.tracking.particles import Particles, canonical
 from protocol.components import COMPONENT
+from protocol.settings import ArenaSettings
 from protocol.streams import scramble
 
 LEAST_VARIANCE = 1.0e-8  # of each axis given the ones before, m^2 or m^2/s^2
@@ -23,15 +25,21 @@ LOWER = [(row, column) for row in range(4) for column in range(row + 1)]  # the 
 
 
 class Mixture(NamedTuple):
-    """Weights (N,): expected targets; means (N, 4): x, y in m and vx, vy in m/s; covariances (N, 4, 4); ids (N,) uint64."""
+    """Weights (N,): expected targets; means (N, 4): x, y in m and vx, vy in m/s; covariances (N, 4, 4); ids and labels (N,) uint64."""
 
     weights: np.ndarray
     means: np.ndarray
     covariances: np.ndarray
     ids: np.ndarray
+    labels: np.ndarray  # 0: none (agents/tracking/labels.py)
 
 
-EMPTY = Mixture(np.empty(0), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0, dtype=np.uint64))
+EMPTY = Mixture(np.empty(0), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0, dtype=np.uint64), np.empty(0, dtype=np.uint64))
+
+
+def unlabelled(weights: np.ndarray, means: np.ndarray, covariances: np.ndarray, ids: np.ndarray) -> Mixture:
+    """Components without labels."""
+    return Mixture(weights, means, covariances, ids, np.zeros(len(ids), dtype=np.uint64))
 
 
 def chain(parts: list[Mixture]) -> Mixture:
@@ -50,6 +58,16 @@ def in_order(mixture: Mixture) -> Mixture:
     return pick(mixture, first)
 
 
+def within(mixture: Mixture, arena: ArenaSettings) -> Mixture:
+    """The components with their means in the arena, those outside on its border; the border is rounded inwards as on the wire."""
+    sides = np.array([arena.width, arena.height])
+    rounded = sides.astype(np.float32)
+    border = np.where(rounded > sides, np.nextafter(rounded, np.float32(0.0)), rounded)
+    means = mixture.means.copy()
+    means[:, :2] = np.clip(means[:, :2], 0.0, border)
+    return mixture._replace(means=means)
+
+
 def factors(covariances: np.ndarray) -> np.ndarray:
     """The lower Cholesky factors (N, 4, 4); a variance that rounding has made too small becomes `LEAST_VARIANCE`."""
     found = np.zeros_like(covariances)
@@ -64,7 +82,7 @@ def factors(covariances: np.ndarray) -> np.ndarray:
 def packed(mixture: Mixture) -> np.ndarray:
     """The rows (N,) of `COMPONENT` that state a mixture on the wire."""
     rows, factor = np.empty(len(mixture.ids), COMPONENT), factors(mixture.covariances)
-    rows["weight"], rows["mean"], rows["id"] = mixture.weights, mixture.means, mixture.ids
+    rows["weight"], rows["mean"], rows["id"], rows["label"] = mixture.weights, mixture.means, mixture.ids, mixture.labels
     for number, (row, column) in enumerate(LOWER):
         rows["factor"][:, number] = factor[:, row, column]
     return rows
@@ -80,7 +98,8 @@ def unpacked(rows: np.ndarray) -> Mixture:
         for before in range(column + 1):
             covariances[:, row, column] += factor[:, row, before] * factor[:, column, before]
         covariances[:, column, row] = covariances[:, row, column]
-    return Mixture(rows["weight"].astype(float), rows["mean"].astype(float), covariances, rows["id"].astype(np.uint64))
+    weights, means = rows["weight"].astype(float), rows["mean"].astype(float)
+    return Mixture(weights, means, covariances, rows["id"].astype(np.uint64), rows["label"].astype(np.uint64))
 
 
 def nodes(mixture: Mixture) -> np.ndarray:
@@ -108,7 +127,7 @@ def points(mixture: Mixture) -> Particles:
     states = np.repeat(mixture.means, size, axis=0)
     states[:, :2] = nodes(mixture).reshape(-1, 2)
     ids = scramble(np.repeat(mixture.ids, size), np.tile(np.arange(size, dtype=np.uint64), count)) if count else mixture.ids
-    return canonical(unlabelled(states, (mixture.weights[:, None] * SHARES[None, :]).reshape(-1), ids))
+    return canonical(particles.unlabelled(states, (mixture.weights[:, None] * SHARES[None, :]).reshape(-1), ids))
 
 
 def variances(mixture: Mixture) -> np.ndarray:

@@ -45,6 +45,13 @@ def derived_label(label: int, number: int) -> int:
     return label >> HASH_BITS << HASH_BITS | word >> (64 - HASH_BITS) | 1
 
 
+def weight_by_label(labels: np.ndarray, weights: np.ndarray) -> dict[int, float]:
+    """The weight of each label other than 0, added up in the order of the rows."""
+    known, places = np.unique(labels, return_inverse=True)
+    sums = np.bincount(places, weights, len(known))
+    return {label: weight for label, weight in zip(known.tolist(), sums.tolist()) if label != NO_LABEL}
+
+
 def heaviest(labels: np.ndarray, weights: np.ndarray) -> tuple[int, float]:
     """The label other than 0 with the most weight, the smallest of equals, and its weight; (0, 0.0) if there is none.
 
@@ -67,6 +74,20 @@ def middles(particles: Particles) -> dict[int, tuple[float, float]]:
     )
     rows = np.flatnonzero((masses >= FAINT) & (known != NO_LABEL))
     return {int(known[row]): (float(east[row] / masses[row]), float(north[row] / masses[row])) for row in rows}
+
+
+def given_labels(labels: np.ndarray, shares: np.ndarray, norms: np.ndarray, founded: np.ndarray) -> np.ndarray:
+    """The labels (M,) that detections give: of a living label that explains them, or the `founded` ones (M,).
+
+    `labels` (N,) are those of what the PHD is made of, `shares` (N, M) the terms w p_d g(z) of it, and `norms` (M,) the sums N(z).
+    """
+    given = founded.copy()
+    for number in range(len(norms)):
+        rows = np.flatnonzero(shares[:, number])
+        label, weight = heaviest(labels[rows], shares[rows, number])
+        if label != NO_LABEL and weight >= EXPLAINED * norms[number]:
+            given[number] = label
+    return given
 
 
 def name_peaks(peaks: list[dict[int, float]], places: np.ndarray, known: dict[int, tuple[float, float]], tick: int) -> list[int]:

@@ -14,7 +14,7 @@ import numpy as np
 from agents.config import BirthSettings, FilterSettings, PoseSettings
 from agents.tracking.births import EXACT, Scan, birth_density, founded_labels, measurement_births, survival_probability
 from agents.tracking.extraction import block_sums, estimate_targets
-from agents.tracking.labels import CLAIMED, EXPLAINED, NO_LABEL, heaviest
+from agents.tracking.labels import CLAIMED, NO_LABEL, given_labels
 from agents.tracking.measuring import densities, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, join, squared_distances
 from protocol.sensing import measurement_of
@@ -153,12 +153,9 @@ def _labels_after(
 
     `shares` (N, M) are the terms w p_d g(z) of the particles with new `weights` (N,), and `norms` (M,) the sums N(z).
     """
-    after, given = labels.copy(), founded.copy()
+    after, given = labels.copy(), given_labels(labels, shares, norms, founded)
     for number in range(len(norms)):
         rows = np.flatnonzero(shares[:, number])
-        label, weight = heaviest(labels[rows], shares[rows, number])
-        if label != NO_LABEL and weight >= EXPLAINED * norms[number]:
-            given[number] = label
         after[rows[(labels[rows] == NO_LABEL) & (shares[rows, number] / norms[number] > CLAIMED * weights[rows])]] = given[number]
     return after, given
 

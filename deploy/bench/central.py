@@ -14,7 +14,7 @@ from agents.coverage.cells import Cell
 from agents.coverage.control import Lloyd, Situation
 from agents.gossip.table import AnnouncedSensor, GossipTable, announced_sensor
 from agents.tracking import phd
-from agents.tracking.births import prior, sensor_row
+from agents.tracking.births import prior
 from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.particles import NONE, Particles, join
 from agents.tracking.step import Step
@@ -77,7 +77,7 @@ class Central:
             own = Particles(*particle_kernels.take(*updated, mine))
             commands[member.name] = self._command(member, cell, own)
             owned.append(_drawn(own, member.name, step))
-            self._unused[index] = self._capacity(member, updated)
+            self._unused[index] = self._capacity(member, updated, words.table[index])
         self._particles = join(owned) if owned else NONE
         settings = scenario.extraction
         estimates = extraction_kernels.estimate_tracks(
@@ -115,9 +115,8 @@ class Central:
         ]
         return GossipTable(said, [member.announced_sensor for member in self._team], "power")
 
-    def _capacity(self, member: Member, updated: Particles) -> float:
-        eye: np.ndarray = np.array(sensor_row(member.sensor, self._bodies.poses[member.name]))  # type: ignore[arg-type]
-        load, detected = particle_kernels.in_view(updated.states, updated.weights, eye)
+    def _capacity(self, member: Member, updated: Particles, row: np.ndarray) -> float:
+        load, detected = particle_kernels.in_view(updated.states, updated.weights, row)
         return unused_capacity(member.facts.capability, detected, load, self._scenario.capacity)
 
     def _command(self, member: Member, cell: Cell, own: Particles) -> Command:

@@ -1,7 +1,8 @@
 """Stone Soup's GM-PHD filter beside the swarm on the same recorded scans: `python -m deploy.bench.recorded_scans FOLDER [--seconds S]`.
 
 FOLDER is a copy of the MRCLAM data set. Both sides get every scan of `covey simulate mrclam`, its pose and its ranges and bearings, and the
-same settings: detection probability, noise, clutter, survival. Both estimates are scored with the same OSPA and cut-off.
+same settings: noise, clutter, survival. Stone Soup's updater knows one detection probability: the mean over the footprint, if not given.
+Both estimates are scored with the same OSPA and cut-off.
 
 Stone Soup's updater knows no field of view. Here it gets one: only components whose mean lies in view of a scan are corrected with it. A
 component that moves little stands for a landmark as well as for a robot. Births lie at the detections of the same robot's scan before.
@@ -13,10 +14,12 @@ import json
 import math
 import sys
 from datetime import datetime, timedelta
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from agents.coverage.capacity import detecting_capability
 from deploy.cli.errors import guarded
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import Simulation, rare_collections
@@ -29,6 +32,7 @@ from protocol.settings import BadSetting, sensor_of
 from world.score import ospa
 
 SETTLED = 300.0  # s after which the means begin
+EDGES = (0.0, 60.0, 150.0, 300.0, 450.0, 600.0, 750.0, 901.0)  # s, of the periods that are told one by one
 BIRTH_WEIGHT = 0.02  # of a birth at each detection of the scan before
 BIRTH_NOISE = 0.2  # of a birth on each axis, m
 PRUNED, MERGED, MOST = 1e-3, 4.0, 120  # weight, squared distance, number of components
@@ -170,16 +174,17 @@ class GaussianMixturePhd:
         return np.array([place for place, times in heavy for _ in range(max(1, times))]).reshape(-1, 2)
 
 
-def compare(folder: str, seconds: float | None, prob_detection: float | None = None) -> dict[str, float]:
+def compare(folder: str, seconds: float | None, prob_detection: float | None = None) -> dict[str, Any]:
     """Mean OSPA in m and mean |expected number - true number| of both sides after `SETTLED` s, or after half of a shorter run.
 
-    `prob_detection`: of their filter; None: that of the scenario, as ours.
+    `prob_detection`: of their filter; None: the mean of ours over the footprint. The means of each period between `EDGES` come as well.
     """
     options: dict[str, Any] = {"recorded.data": folder, **({"run.seconds": seconds} if seconds else {})}
     scenario = resolve("mrclam", options)
     sensor = sensor_of(scenario, next(iter(scenario.members.values())))
     assert isinstance(sensor, WedgeSensor)
-    played, theirs = play(scenario), GaussianMixturePhd(scenario, sensor, prob_detection or sensor.prob_detection)
+    mean = detecting_capability(sensor) / sensor.area
+    played, theirs = play(scenario), GaussianMixturePhd(scenario, sensor, prob_detection or mean)
     by_tick: dict[int, list[RecordedScan]] = {}
     for scan in played.scans:
         by_tick.setdefault(scan.tick, []).append(scan)
@@ -190,14 +195,21 @@ def compare(folder: str, seconds: float | None, prob_detection: float | None = N
         count.append(abs(theirs.expected - len(truth.targets)))
     begin = round(min(SETTLED, scenario.run.seconds / 2.0) / scenario.run.dt)
     targets = [len(truth.targets) for truth in played.truths]
+    errors = [abs(mass - true) for mass, true in zip(played.expected, targets)]
+    rows = np.column_stack([played.ospa, apart, errors, count])
+    marks = [min(round(edge / scenario.run.dt), len(rows)) for edge in EDGES]
+    names = ("ours_ospa", "theirs_ospa", "ours_cardinality_error", "theirs_cardinality_error")
+    periods = [
+        {"from": edge, **dict(zip(names, rows[first:last].mean(axis=0).tolist()))}
+        for edge, (first, last) in zip(EDGES, pairwise(marks))
+        if last > first
+    ]
     return {
         "seconds": scenario.run.seconds,
         "scans_with_detections": sum(1 for scan in played.scans if len(scan.detections)),
         "detections": sum(len(scan.detections) for scan in played.scans),
-        "ours_ospa": float(np.mean(played.ospa[begin:])),
-        "theirs_ospa": float(np.mean(apart[begin:])),
-        "ours_cardinality_error": float(np.mean([abs(mass - true) for mass, true in zip(played.expected[begin:], targets[begin:])])),
-        "theirs_cardinality_error": float(np.mean(count[begin:])),
+        **dict(zip(names, rows[begin:].mean(axis=0).tolist())),
+        "periods": periods,
     }
 
 
@@ -206,7 +218,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", help="a copy of the MRCLAM data set")
     parser.add_argument("--seconds", type=float, default=None, help="only so much of it")
-    parser.add_argument("--their-prob-detection", type=float, default=None, help="of Stone Soup's filter; else as ours")
+    parser.add_argument("--their-prob-detection", type=float, default=None, help="of Stone Soup's filter; else the mean of ours")
     given = parser.parse_args()
     try:
         import stonesoup  # noqa: F401

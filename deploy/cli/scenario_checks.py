@@ -11,7 +11,7 @@ from agents.coverage.capacity import sensor_facts
 from agents.coverage.control import CheckedLaw, Situation, control_law
 from agents.tracking.births import prior_size
 from agents.tracking.particles import unlabelled
-from deploy.faults.faults import check_fault
+from deploy.faults.faults import LINK_VERBS, check_fault
 from deploy.scenario import ORACLE, FaultSettings, Scenario, check_names, recording_remarks, spelled_out, world_config
 from protocol.endpoints import check_endpoints
 from protocol.geometry import rectangle
@@ -25,6 +25,7 @@ from world.targets import CheckedMotion, build_motion
 
 MOST_PRIOR = 1_000_000  # particles that an agent starts with
 MOST_BINS = 20_000_000  # of the grid on which an agent looks for targets
+WAITED_FOR = {"delay", "slow"}  # faults whose effect is lateness
 TEAM = {"team", "members", "sensors"}  # sections that are right or wrong together
 
 
@@ -65,6 +66,18 @@ def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _told("recorded", lambda: _try_recording(scenario))
     for number, fault in enumerate(scenario.faults):
         yield from _told("faults", lambda where=f"faults[{number}].", fault=fault: _try_fault(scenario, fault, where))  # type: ignore[misc]
+
+
+def faults_without_effect(scenario: Scenario) -> str:
+    """A line about faults that change nothing in a simulation in lockstep; empty if there are none."""
+    found = ", ".join(sorted({fault.verb for fault in scenario.faults} & WAITED_FOR))
+    return f"no effect in a simulation without --rate 1, because the world waits: {found}" if found else ""
+
+
+def faults_on_links(scenario: Scenario) -> str:
+    """A line about faults that real processes would refuse, because `network.link_faults` is missing; empty if there are none."""
+    found = ", ".join(sorted({fault.verb for fault in scenario.faults} & set(LINK_VERBS)))
+    return f"real processes need network.link_faults = true for {found}" if found and not scenario.network.link_faults else ""
 
 
 def check_costs(scenario: Scenario) -> None:

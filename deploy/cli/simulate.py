@@ -10,6 +10,7 @@ from typing import Literal
 from rich.console import Console
 
 from deploy.cli.display import show_result
+from deploy.cli.scenario_checks import faults_without_effect
 from deploy.live.warmup import announce
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
@@ -57,6 +58,8 @@ def _simulate(
     simulation = Simulation(scenario, clock=clock)
     series = Trace(simulation)
     console = Console(stderr=True, highlight=False)
+    if clock == "lockstep" and (remark := faults_without_effect(scenario)):
+        console.print(f"covey: {remark}", markup=False, soft_wrap=True)
     simulation.scorer.on_report = lambda told: console.print(f"[{told.time:.1f} s] {told.text}", markup=False, soft_wrap=True)
     if path is not None:
         Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))

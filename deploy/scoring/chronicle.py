@@ -66,7 +66,7 @@ class Loss:
         """Look at the next tick; the sentence once it is due."""
         if view.tick <= self.tick:
             return None
-        if self.closed is None and view.hole <= CLOSED:
+        if self.closed is None and view.hole <= CLOSED and self.name not in view.cells:
             self.closed, self.settled = view.tick - self.tick, view.time + SETTLE
             self.heirs = shares(self.cell, view.cells)
         if self.closed is None:
@@ -145,6 +145,10 @@ class Chronicle:
                 one.verb = "was silent"
         self._open = [one for one in self._open if not (isinstance(one, Return) and one.name == name)]
         self._open.append(Return(name, tick))
+
+    def resume(self, name: str) -> None:
+        """A paused agent goes on: nothing is reported if nobody has taken its cell."""
+        self._open = [one for one in self._open if not (isinstance(one, Loss) and one.name == name and one.closed is None)]
 
     def cut(self, verb: str, tick: int) -> None:
         """Links have been cut, or all are clear again."""

@@ -16,18 +16,15 @@ class _Death:
 
 
 class Deaths:
-    """Takes lost tokens and the hole of every tick. An agent that was paused on request has not died when its token is lost."""
+    """Takes deaths and the hole of every tick. An agent in `paused`, on request, has not died when its token is lost."""
 
     def __init__(self) -> None:
         self.paused: set[str] = set()
         self._deaths: list[_Death] = []
 
-    def lose(self, name: str, tick: int, time: float, now: float) -> str:
-        """Note that an agent's token is lost at a tick and world time, s; `died` or `is paused`."""
-        if name in self.paused:
-            return "is paused"
+    def lose(self, name: str, tick: int, time: float, now: float) -> None:
+        """Note that an agent died at a tick and world time, s."""
         self._deaths.append(_Death(name, tick, time, now))
-        return "died"
 
     def regain(self, name: str) -> None:
         """An agent is back in the same process: its last death was none."""

@@ -188,8 +188,9 @@ class Scorer(Node):
         if self._finished or self.truth is None:
             return
         self._gone_at[name] = self.truth.time, incarnation
-        tick, time = self.truth.tick, self.truth.time
-        self._chronicle.lose(name, self.deaths.lose(name, tick, time, now), tick, time)
+        if name not in self.deaths.paused:  # a pause was told when it began
+            self.deaths.lose(name, self.truth.tick, self.truth.time, now)
+            self._chronicle.lose(name, "died", self.truth.tick, self.truth.time)
 
     def _gain(self, name: str, incarnation: int) -> None:
         is_new = name not in self._alive
@@ -287,18 +288,28 @@ class Scorer(Node):
         self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text, who))
         names = [name for name in who.split(",") if name]
         if verb == "pause":
-            self.deaths.paused |= set(names)
+            self._begin_pause(names)
         elif verb in ("resume", "kill", "restart"):
             self._end_pause(verb, names, now)
         elif verb in ("partition", "heal") and self.truth is not None:
             self._chronicle.cut(verb, self.truth.tick)
         self.on_fault(self.faults[-1])
 
+    def _begin_pause(self, names: list[str]) -> None:
+        """These agents are paused; the others take their cells when they have been silent for some rounds."""
+        for name in names:
+            self.deaths.paused.add(name)
+            self.tick_rate.excuse(name)
+            if name in self._alive and self.truth is not None and not self._finished:
+                self._chronicle.lose(name, "is paused", self.truth.tick, self.truth.time)
+
     def _end_pause(self, verb: str, names: list[str], now: float) -> None:
         """End the pauses of these agents. A killed one whose token is already lost counts as dead now."""
         for name in names:
             was_paused = name in self.deaths.paused
             self.deaths.paused.discard(name)
+            if verb == "resume":
+                self._chronicle.resume(name)
             if was_paused and verb != "resume" and name not in self._alive and self.truth is not None and not self._finished:
                 self.deaths.lose(name, self.truth.tick, self.truth.time, now)
 

@@ -46,6 +46,7 @@ class TickRateMeter:
         self._first: tuple[float, int] | None = None
         self._counts: dict[tuple[str, int], tuple[int, int, int, int]] = {}  # rounds, skipped, late, spared by name and incarnation
         self._paces: dict[str, int] = {}
+        self._excused: set[str] = set()  # agents that were paused on request
         self._stalls: dict[str, tuple[int, float]] = {}  # ms of all stalls of an agent so far, and when the last one showed
 
     def tick(self, now: float, tick: int) -> None:
@@ -68,6 +69,10 @@ class TickRateMeter:
     def forget(self, name: str) -> None:
         """An agent has gone: its pace holds nobody up any more."""
         self._paces.pop(name, None)
+
+    def excuse(self, name: str) -> None:
+        """An agent is paused on request: the rounds that it skips say nothing about the machine."""
+        self._excused.add(name)
 
     @property
     def rounds(self) -> int:
@@ -98,7 +103,9 @@ class TickRateMeter:
 
     def _advice(self, found: TickRate) -> str:
         """A line when rounds are skipped or ticks fall behind; empty in lockstep, where a slow machine takes longer and loses nothing."""
-        run, share = self._scenario.run, found.skipped / max(1, found.rounds + found.skipped)
+        counts = [count for (name, _), count in self._counts.items() if name not in self._excused]
+        rounds, skipped = (sum(count[column] for count in counts) for column in (0, 1))
+        run, share = self._scenario.run, skipped / max(1, rounds + skipped)
         if run.clock != "realtime" or self._first is None or self._ticks[-1][0] - self._first[0] < LEAST:
             return ""
         speed = 1.0 if found.ticks_per_s is None or self._asked is None else min(1.0, found.ticks_per_s / self._asked)

@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from deploy.scenario import Scenario, resolve
+from deploy.scenario import SEARCH_EXTRACTION, Scenario, resolve
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
@@ -52,13 +52,7 @@ FLAGS = {  # options of `covey simulate`
     "run.dt": "--dt",
     "run.seconds": "--seconds",
 }
-SEARCH_AND_TRACK: dict[str, Any] = {  # with the extraction that goes with it
-    "partition.kind": "power",
-    "control.mode": "search-and-track",
-    "extraction.bin": 0.7,
-    "extraction.threshold": 0.3,
-    "extraction.beside": 0.7,
-}
+SEARCH_AND_TRACK: dict[str, Any] = {"partition.kind": "power", "control.mode": "search-and-track"}
 ABLATIONS: dict[str, dict[str, Any]] = {  # search-and-track without one of its ingredients
     "no-search": {"search.weight": 1.0, "search.inflow": 0.003},
     "no-sharing": {"search.sharing": 0.0},
@@ -72,7 +66,11 @@ ABLATIONS: dict[str, dict[str, Any]] = {  # search-and-track without one of its 
 }
 METHODS: dict[str, dict[str, Any]] = {
     "power": {"partition.kind": "power"},
-    "power-extraction": {**SEARCH_AND_TRACK, "control.mode": "lloyd"},  # what the extraction alone gains
+    "power-extraction": {  # what the extraction of search-and-track alone gains
+        "partition.kind": "power",
+        "control.mode": "lloyd",
+        **{f"extraction.{field}": value for field, value in SEARCH_EXTRACTION.items()},
+    },
     "voronoi": {"partition.kind": "voronoi"},
     "voronoi-cod": {"partition.kind": "voronoi-cod"},
     "pursuit": {"partition.kind": "power", "control.mode": "pursuit", "extraction.threshold": 0.4},

@@ -14,7 +14,7 @@ import numpy as np
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.gossip.table import GossipTable, announced_sensor, gossip_table
-from agents.tracking import gaussian_belief, gaussian_phd, phd
+from agents.tracking import gaussian_belief, phd
 from agents.tracking.belief import as_stated
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, Claim, owned
@@ -73,10 +73,8 @@ class CentralMixture:
         """One tick on, as `CentralFilter.play`: what is kept of the components in each of the `claims`."""
         self.stamp += 1
         step, table = Step(self.config, self.stamp), _all(gossips, self._classes, self.config)
-        predicted = gaussian_phd.predict(in_order(self.mixture), step)
-        self.updated = gaussian_belief.correct(predicted, table, step)
-        kept = [gaussian_belief.draw(gaussian_belief.take(self.updated, claim, step), step) for claim in claims.values()]
-        self.mixture = in_order(chain(kept))
+        _, self.updated = gaussian_belief.correct(self.mixture, table, step)
+        self.mixture = in_order(chain([gaussian_belief.take(self.updated, claim, step) for claim in claims.values()]))
 
 
 def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: AgentConfig) -> GossipTable:
@@ -130,8 +128,8 @@ def particle_difference(one: Particles, other: Particles) -> ParticleDifference:
 
 
 def mixture_difference(one: Mixture, other: Mixture) -> float:
-    """The largest difference of a weight, mean or covariance; infinite when an id is in one alone. Both by ascending id."""
-    if not np.array_equal(one.ids, other.ids):
+    """The largest difference of a weight, mean or covariance; infinite when ids or labels differ. Both by ascending id."""
+    if not (np.array_equal(one.ids, other.ids) and np.array_equal(one.labels, other.labels)):
         return math.inf
     return max([float(np.abs(first - second).max(initial=0.0)) for first, second in zip(one[:3], other[:3])])
 

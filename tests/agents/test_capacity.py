@@ -55,9 +55,12 @@ def test_capability_of_the_classes_of_table_one(name: str, area: float, radius: 
     assert power_radius(capability) == pytest.approx(radius, abs=0.006)
 
 
+@pytest.mark.parametrize("fall", [None, 0.6, 0.1, 1e-9])
 @pytest.mark.parametrize("name", SENSOR_CLASSES)
-def test_quadrature_agrees_with_the_closed_form_of_a_wedge(name: str) -> None:
-    exact, rough = sensor_facts(SENSOR_CLASSES[name]), sensor_facts(AsStranger(SENSOR_CLASSES[name]))
+def test_quadrature_agrees_with_the_closed_form_of_a_wedge(name: str, fall: float | None) -> None:
+    paper = SENSOR_CLASSES[name]
+    sensor = WedgeSensor(paper.angle, paper.radius, paper.prob_detection, None, fall)
+    exact, rough = sensor_facts(sensor), sensor_facts(AsStranger(sensor))
     assert rough.capability == pytest.approx(exact.capability, rel=1e-3)
     assert rough.cod_offset == pytest.approx(exact.cod_offset, abs=1e-3 * SENSOR_CLASSES[name].radius)
 
@@ -66,6 +69,12 @@ def test_capability_of_a_probability_that_falls_with_the_range() -> None:
     facts = sensor_facts(Cone())
     assert facts.capability == pytest.approx(math.pi * 36.0 / 3.0, rel=1e-4)
     assert facts.cod_offset == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_a_wedge_whose_probability_falls_to_nothing_is_a_cone() -> None:
+    assert detecting_capability(WedgeSensor(2.0 * math.pi, 6.0, 1.0, None, 1e-12)) == pytest.approx(detecting_capability(Cone()), rel=1e-4)
+    half = WedgeSensor(math.pi, 4.0, 0.5, None, 1e-12)  # the integral of x (1 - r / 4) over the half disc is 2 * 4^3 / 12
+    assert centroid_of_detection(half, (0.0, 0.0, 0.0)) == pytest.approx([(2.0 * 4.0**3 / 12.0) / (math.pi * 4.0**2 / 6.0), 0.0])
 
 
 def test_a_sensor_that_sees_nothing_is_refused() -> None:

@@ -23,7 +23,7 @@ from agents.tracking.tracker import RegionInput
 from protocol.fields import pack, pack_labels
 from protocol.geometry import EMPTY, distances, rectangle
 from protocol.messages import Gossip
-from protocol.sensing import SENSOR_CLASSES, Pose
+from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 from protocol.streams import scramble
 from tests.agents.gossip_table import table as table_of
@@ -38,6 +38,7 @@ SIDE = 40.0
 ARENA, BOX = ArenaSettings(width=SIDE, height=SIDE), rectangle(SIDE, SIDE)
 seeds = st.integers(0, 2**32 - 1)
 some = settings(max_examples=60)
+SENSORS = (*SENSOR_CLASSES.values(), WedgeSensor(math.radians(200.0), 12.0, 0.9, None, 0.1))  # the last sees less far away
 
 
 def bits(value: Any) -> Any:
@@ -83,11 +84,11 @@ def diagram(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarra
 
 
 def words(rng: np.random.Generator, particles: Particles, width: float = math.inf) -> GossipTable:
-    """Up to five scans of the paper's sensors, detections near particles and elsewhere; each says some of the particles, those in a strip
+    """Up to five scans of `SENSORS`, detections near particles and elsewhere; each says some of the particles, those in a strip
     of some width, m."""
     said, sensors = [], []
     for number in range(int(rng.integers(0, 6))):
-        sensor = SENSOR_CLASSES["ABCDEFGH"[int(rng.integers(8))]]
+        sensor = SENSORS[int(rng.integers(len(SENSORS)))]
         count = int(rng.integers(0, 6))
         detections = rng.random((count, 2)) * SIDE
         if count and len(particles.ids):

@@ -5,11 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from agents.backend import PLAIN
 from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSettings, PoseSettings
-from agents.tracking import gaussian_phd
+from agents.tracking import gaussian_belief, gaussian_phd
 from agents.tracking.births import Scan
-from agents.tracking.gaussian_reduction import estimates, merged, reduced
-from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked
+from agents.tracking.claims import NO_CLAIM, Claim, make_claim
+from agents.tracking.gaussian_belief import MixtureBelief, MixturePhd, OwnedMixture
+from agents.tracking.gaussian_reduction import estimates, limited, merged
+from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked, within
 from agents.tracking.step import Step
 from protocol.sensing import Measurement, Pose, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
@@ -24,10 +27,12 @@ def config(filters: FilterSettings = STRAIGHT, birth: BirthSettings = NO_BIRTH) 
     return AgentConfig(run=RunSettings(dt=0.5), arena=ARENA, filter=filters, birth=birth, detection=DetectionSettings(noise=1.0))
 
 
-def component(x: float, y: float, place: float, weight: float = 1.0, velocity: tuple[float, float] = (2.0, 0.0), id: int = 1) -> Mixture:
+def component(
+    x: float, y: float, place: float, weight: float = 1.0, velocity: tuple[float, float] = (2.0, 0.0), id: int = 1, label: int = 0
+) -> Mixture:
     """One component with the variance `place` m^2 on each axis and a sure velocity."""
-    covariance = np.diag([place, place, 1e-6, 1e-6])[None]
-    return Mixture(np.array([weight]), np.array([[x, y, *velocity]]), covariance, np.array([id], dtype=np.uint64))
+    covariance, numbers = np.diag([place, place, 1e-6, 1e-6])[None], (np.array([number], dtype=np.uint64) for number in (id, label))
+    return Mixture(np.array([weight]), np.array([[x, y, *velocity]]), covariance, *numbers)
 
 
 def scan(detections: list[tuple[float, float]], pose: Pose = (20.0, 20.0, 0.0), clutter: float = 0.0, sensor: WedgeSensor = DISC) -> Scan:
@@ -179,9 +184,16 @@ def test_components_far_apart_in_place_in_velocity_or_in_size_stay_two() -> None
         assert len(merged(chain([first, other]), MixtureSettings()).ids) == 2
 
 
-def test_light_components_are_dropped_and_the_mass_is_kept() -> None:
+def test_a_difference_below_the_precision_of_the_wire_does_not_decide_what_merges() -> None:
+    places = [(10.0, 1), (11.5, 2), (13.0, 3)]
+    even, uneven = ([component(x, 5.0, 1.0, weight=0.5 + grown * id, id=id) for x, id in places] for grown in (0.0, 1e-12))
+    found = [in_order(merged(chain(parts), MixtureSettings())).means[:, 0] for parts in (even, uneven)]
+    assert len(found[0]) == 2 and found[1] == pytest.approx(found[0])
+
+
+def test_of_too_many_components_the_heaviest_are_kept_with_the_mass_of_all() -> None:
     mixture = chain([component(float(x), 1.0, 1.0, weight=weight, id=x) for x, weight in ((1, 0.5), (2, 1e-6), (3, 0.3), (4, 0.2))])
-    left = reduced(mixture, MixtureSettings(pruned=1e-4, most_components=2))
+    left = limited(mixture, 2)
     assert left.ids.tolist() == [1, 3]
     assert left.weights.sum() == pytest.approx(mixture.weights.sum()) and left.weights[0] / left.weights[1] == pytest.approx(5.0 / 3.0)
 
@@ -189,20 +201,106 @@ def test_light_components_are_dropped_and_the_mass_is_kept() -> None:
 def test_an_estimate_is_a_peak_of_at_least_the_threshold_and_two_targets_are_two() -> None:
     parts = [(10.0, 0.3, 1), (10.5, 0.3, 2), (20.0, 0.4, 3), (30.0, 1.8, 4)]
     mixture = chain([component(x, 5.0, 0.1, weight=weight, id=number) for x, weight, number in parts])
-    assert estimates(mixture, 0.5, 2.0).positions == pytest.approx(np.array([[30.0, 5.0], [30.0, 5.0], [10.25, 5.0]]))
+    assert estimates(mixture, 0.5, 2.0)[0].positions == pytest.approx(np.array([[30.0, 5.0], [30.0, 5.0], [10.25, 5.0]]))
+
+
+# ---------------------------------------------------------------------- labels
+
+
+def test_a_detection_of_something_new_founds_a_label_and_one_beside_a_track_bears_the_label_of_the_track() -> None:
+    track = component(20.0, 20.0, 1.0, weight=0.9, label=77)
+    step = Step(config(birth=BirthSettings(background=False)), 3)
+    found = gaussian_phd.correct(track, [scan([(20.5, 20.0), (27.0, 20.0)], clutter=0.001)], step)
+    beside = found.means[:, 0] < 25.0
+    assert found.labels[beside].tolist() == [77, 77, 77]  # as missed, as detected, and a birth
+    (founded,) = found.labels[~beside].tolist()
+    assert founded >> 29 == 4 and founded & 1 == 1  # the tick plus one
+
+
+def test_a_component_without_a_label_takes_that_of_its_detection() -> None:
+    found = gaussian_phd.correct(component(20.0, 20.0, 1.0), [scan([(20.5, 20.0)])], Step(config(birth=BirthSettings(background=False)), 3))
+    heaviest = int(found.weights.argmax())
+    assert len(found.ids) >= 1 and found.labels[heaviest] >> np.uint64(29) == 4
+
+
+def test_moving_and_splitting_keep_labels_and_a_merged_component_has_that_of_the_heavier_one() -> None:
+    wide = component(20.0, 20.0, 40.0, label=77)
+    assert gaussian_phd.predict(wide, Step(config(), 3)).labels.tolist() == [77, 77]
+    two = chain([component(10.0, 10.0, 1.0, weight=0.3, label=5), component(10.5, 10.0, 1.0, weight=0.1, id=2, label=3)])
+    assert merged(two, MixtureSettings()).labels.tolist() == [5]
+
+
+def test_no_two_estimates_have_one_label_and_the_components_of_the_second_take_the_new_one() -> None:
+    places = [(10.0, 0.9, 1), (20.0, 0.8, 2), (20.4, 0.1, 3), (30.0, 0.7, 4)]
+    parts = [component(x, 5.0, 0.1, weight=weight, id=number, label=9 if x < 25.0 else 0) for x, weight, number in places]
+    tracks, mixture = estimates(chain(parts), 0.5, 2.0)
+    first, second, third = tracks.labels.tolist()
+    assert first == 9 and second not in (0, 9) and third == 0
+    assert mixture.labels.tolist() == [9, second, second, 0]
+
+
+# ---------------------------------------------------------------------- the belief of an agent
+
+
+def halves(border: float) -> list[Claim]:
+    """The claims of two agents that share the arena, with a border at x = `border` m."""
+    places = np.array([[border - 5.0, 20.0, 1.0], [border + 5.0, 20.0, 1.0]])
+    return [make_claim(names, places[rows], ((0, names[0]), (0, names[1]))) for names, rows in ((("a", "b"), [0, 1]), (("b", "a"), [1, 0]))]
+
+
+def test_what_the_agents_hold_together_does_not_depend_on_their_cells() -> None:
+    """40 components in one cell, or divided between two."""
+    parts = [component(4.0 + 8.0 * (n % 5), 2.5 + 5.0 * (n // 5), 1.0, weight=1e-3 * n + 1e-3, id=n) for n in range(40)]
+    whole = chain(parts)
+    for border in (20.0, 34.9, 39.0):
+        taken = [gaussian_belief.take(whole, claim, Step(config(), 3)) for claim in halves(border)]
+        together = in_order(chain(taken))
+        assert all(np.array_equal(one, other) for one, other in zip(together, whole))
+
+
+def test_an_agent_that_skipped_rounds_moves_its_components_and_its_copies_as_one_mixture() -> None:
+    """Two components at the border merge, on whichever side each of them was."""
+    close = [component(19.9, 20.0, 1.0, weight=0.3, velocity=(0.0, 2.0)), component(20.3, 20.0, 1.0, weight=0.2, velocity=(0.0, 2.0), id=2)]
+    step, tracker, held = Step(config(), 6), MixturePhd(PLAIN), []
+    for number, claim in enumerate(halves(20.1)):
+        mine = OwnedMixture(claim.names[0], claim, close[number], 1)
+        held.append(tracker.hold(MixtureBelief(3, mine, close[1 - number], frozenset("ab")), step))
+    assert [len(one.mine.mixture.ids) for one in held] == [1, 0] and [len(one.copies.ids) for one in held] == [0, 1]
+    assert all(np.array_equal(one, other) for one, other in zip(held[0].mine.mixture, held[1].copies))
+    assert held[0].mine.mixture.weights == pytest.approx([0.5]) and held[0].cut == 3
+
+
+def after(mixture: Mixture, settings: AgentConfig = config()) -> Mixture:
+    """The mixture one step later, when nothing is heard."""
+    belief = MixtureBelief(3, OwnedMixture("a", NO_CLAIM, EMPTY, 0), mixture)
+    return MixturePhd(PLAIN).catch_up(belief, Step(settings, 5)).copies
+
+
+def test_light_components_are_dropped_in_view_or_not() -> None:
+    assert after(chain([component(10.0, 10.0, 1.0, weight=2e-4), component(30.0, 10.0, 1.0, weight=0.5e-4, id=2)])).ids.tolist() == [1]
+
+
+def test_a_detection_beyond_the_border_is_a_target_at_the_border() -> None:
+    """Else it would belong to no cell. The border of 33.3 m is rounded inwards, as it lies between two numbers of the wire."""
+    arena = ArenaSettings(width=33.3, height=40.0)
+    moved = within(chain([component(-0.2, 20.0, 1.0), component(33.5, 41.0, 1.0)]), arena)
+    assert moved.means[0, :2].tolist() == [0.0, 20.0] and moved.means[1, 1] == 40.0
+    assert 33.3 - 4e-6 < float(np.float32(moved.means[1, 0])) <= 33.3
 
 
 # ---------------------------------------------------------------------- rows and points
 
 
-def test_what_is_said_is_48_bytes_a_component_and_what_is_read_is_said_again_bit_for_bit() -> None:
+def test_what_is_said_is_56_bytes_a_component_and_what_is_read_is_said_again_bit_for_bit() -> None:
     rng = np.random.default_rng(3)
     factor = np.tril(rng.normal(size=(20, 4, 4)))
-    mixture = Mixture(rng.random(20), rng.normal(size=(20, 4)) * 50.0, factor @ factor.transpose(0, 2, 1), np.arange(20, dtype=np.uint64))
-    assert len(packed(mixture).tobytes()) == 20 * 48
+    numbers = np.arange(20, dtype=np.uint64), np.arange(2**53 - 20, 2**53, dtype=np.uint64)
+    mixture = Mixture(rng.random(20), rng.normal(size=(20, 4)) * 50.0, factor @ factor.transpose(0, 2, 1), *numbers)
+    assert len(packed(mixture).tobytes()) == 20 * 56
     read = unpacked(packed(mixture))
     assert read.covariances == pytest.approx(mixture.covariances, rel=5e-3, abs=5e-3)
     assert read.means == pytest.approx(mixture.means, rel=1e-6)
+    assert np.array_equal(read.ids, mixture.ids) and np.array_equal(read.labels, mixture.labels)
     assert np.all(np.linalg.eigvalsh(read.covariances) >= -1e-12)
 
 
@@ -214,6 +312,15 @@ def test_the_nodes_have_the_mean_and_but_for_the_kernel_the_covariance_of_their_
     assert mean_of(places.T).tolist() == pytest.approx([10.0, 10.0])
     assert mean_of(np.array([apart[:, 0] ** 2, apart[:, 0] * apart[:, 1], apart[:, 1] ** 2])) == pytest.approx([3.2, 0.8, 1.6])
     assert points(one).weights.sum() == pytest.approx(1.0)
+
+
+def test_two_labels_of_a_target_each_are_two_places_however_close() -> None:
+    close = chain([component(10.0, 5.0, 0.1, weight=0.9, label=7), component(11.0, 5.0, 0.1, weight=0.8, id=2, label=8)])
+    tracks, mixture = estimates(close, 0.5, 2.0)
+    assert tracks.positions[:, 0].tolist() == [10.0, 11.0] and tracks.labels.tolist() == [7, 8] and mixture.labels.tolist() == [7, 8]
+    heavy = chain([component(10.0, 5.0, 0.1, weight=1.8, label=7)])
+    tracks, mixture = estimates(heavy, 0.5, 2.0)
+    assert tracks.labels[0] == 7 and tracks.labels[1] not in (0, 7) and mixture.labels.tolist() == [7]
 
 
 def test_order_is_by_id_and_equal_ids_count_once() -> None:

@@ -33,9 +33,9 @@ def rays_of(points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["range-bearing", "bearing"])
-@pytest.mark.parametrize("pose", [{}, {"pose.position_noise": 0.1, "pose.heading_noise": 0.03}])
-def test_a_mixed_team_walks_the_same_trajectory_with_both_backends(kind: str, pose: dict[str, float]) -> None:
-    options = team(kind) | pose
+@pytest.mark.parametrize("others", [{}, {"pose.position_noise": 0.1, "pose.heading_noise": 0.03}, {"sensors.P.prob_detection_far": 0.2}])
+def test_a_mixed_team_walks_the_same_trajectory_with_both_backends(kind: str, others: dict[str, float]) -> None:
+    options = team(kind) | others
     assert (
         Simulation(resolve("efficacy", options)).run().transcript
         == Simulation(resolve("efficacy", options), backend=PLAIN).run().transcript

@@ -71,10 +71,14 @@ def test_a_gaussian_prior_is_corrected_as_the_closed_form_says() -> None:
     assert variance == pytest.approx(second, rel=1e-4)
 
 
-def test_particles_agree_with_a_dense_grid_filter() -> None:
-    """Two scans, one with a miss and a false detection: the mass in each square of 4 m, by random particles and by a grid of 0.1 m."""
+@pytest.mark.parametrize("far", [0.9, 0.1])
+def test_particles_agree_with_a_dense_grid_filter(far: float) -> None:
+    """Two scans, one with a miss and a false detection: the mass in each square of 4 m, by random particles and by a grid of 0.1 m.
+
+    The second sensor detects with a probability of 0.9 that stays or falls with the distance.
+    """
     rng, density = np.random.default_rng(3), 0.002
-    wedge = WedgeSensor(math.pi / 2.0, 12.0, 0.9)
+    wedge = WedgeSensor(math.pi / 2.0, 12.0, 0.9, None, far)
     scans = [scan([(22.1, 21.9), (26.2, 25.8)]), scan([(22.0, 22.2)], (14.0, 20.0, 0.3), wedge)]
     axis = (np.arange(400) + 0.5) * 0.1
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -82,7 +86,8 @@ def test_particles_agree_with_a_dense_grid_filter() -> None:
     for one in scans:
         apart = grid - one.pose[:2]
         ranges, bearings = np.hypot(*apart.T), np.arctan2(apart[:, 1], apart[:, 0]) - one.pose[2]
-        probability = one.sensor.prob_detection * ((ranges <= one.sensor.reach) & (np.abs(bearings) <= one.sensor.angle / 2.0))
+        falling = one.sensor.prob_detection + (one.sensor.far_probability - one.sensor.prob_detection) * ranges / one.sensor.reach
+        probability = falling * ((ranges <= one.sensor.reach) & (np.abs(bearings) <= one.sensor.angle / 2.0))
         corrected = np.zeros_like(phd)
         for detection in one.detections:
             share = phd * probability * np.exp(-0.5 * ((grid - detection) ** 2).sum(axis=1) / NOISE**2) / (2.0 * math.pi * NOISE**2)

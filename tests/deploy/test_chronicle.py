@@ -90,6 +90,20 @@ def test_what_is_open_at_the_end_of_the_run_is_told_then() -> None:
     assert chronicle.finish() == []
 
 
+def test_a_paused_agent_is_told_when_others_have_its_cell_and_one_that_goes_on_before_is_not() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE))
+    chronicle.lose("s2", "is paused", 100, 25.0)
+    told = play(chronicle, [view(tick, BEFORE) for tick in range(101, 105)])  # its last claim still counts
+    told += play(chronicle, [view(tick, AFTER) for tick in range(105, 116)])
+    assert [one.text for one in told] == ["s2 is paused at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 5 ticks; no target lost"]
+    chronicle.see(view(116, BEFORE))
+    chronicle.lose("s2", "is paused", 116, 29.0)
+    chronicle.see(view(117, BEFORE))
+    chronicle.resume("s2")
+    assert play(chronicle, [view(tick, BEFORE) for tick in range(118, 190)]) == []
+
+
 def test_a_return_is_told_when_the_agent_owns_a_cell_and_overtakes_what_was_open_about_it() -> None:
     chronicle = Chronicle()
     chronicle.see(view(99, BEFORE))

@@ -1,9 +1,11 @@
 """Who is meant, and when it happens."""
 
+import msgspec
 import pytest
 
+from deploy.cli.scenario_checks import faults_on_links, faults_without_effect
 from deploy.faults.faults import REFUSED, Action, Schedule, check_faults, choose
-from deploy.scenario import FaultSettings
+from deploy.scenario import FaultSettings, resolve
 from protocol.settings import BadSetting
 from protocol.streams import stream
 
@@ -119,3 +121,12 @@ def test_link_faults_end_with_a_share_of_zero_and_a_partition_heals() -> None:
     heard = [schedule.due(float(time), TEAM[:2], [], TEAM) for time in range(5)]
     assert heard[1] == [Action("drop", TEAM[:2], 0.2)] and heard[3] == [Action("drop", TEAM[:2], 0.0)]
     assert heard[2] == [Action("partition", ["s1"])] and heard[4] == [Action("heal", ["s1"], None, {"only_cut": True})]
+
+
+def test_faults_that_change_nothing_here_are_said_in_a_line() -> None:
+    faults = tuple(FaultSettings(at=1.0, verb=verb, who="s1", value=0.5) for verb in ("slow", "delay", "kill"))
+    scenario = msgspec.structs.replace(resolve("quick"), faults=faults)
+    assert faults_without_effect(scenario) == "no effect in a simulation without --rate 1, because the world waits: delay, slow"
+    assert faults_on_links(scenario) == "real processes need network.link_faults = true for delay"
+    linked = msgspec.structs.replace(scenario, network=msgspec.structs.replace(scenario.network, link_faults=True))
+    assert faults_on_links(linked) == faults_without_effect(resolve("quick")) == faults_on_links(resolve("quick")) == ""

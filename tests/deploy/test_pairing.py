@@ -2,6 +2,8 @@
 
 import pytest
 
+from agents.config import ExtractionSettings
+from deploy.scenario import resolve
 from deploy.studies import trials
 from deploy.studies.trials import ABLATIONS, METHODS, Trial
 
@@ -57,3 +59,14 @@ def test_an_ablation_is_search_and_track_but_for_its_ingredient(method: str) -> 
     changed = {name for name in without if without[name] != whole.get(name)}
     assert changed == set(ABLATIONS[method])
     assert trial(method).resolve().control.mode == "search-and-track"
+
+
+def test_search_and_track_brings_its_extraction_unless_the_scenario_says_another() -> None:
+    names = ("bin", "threshold", "beside")
+    found = {mode: resolve("efficacy", {"control.mode": mode}).extraction for mode in ("search-and-track", "lloyd")}
+    assert [getattr(found["search-and-track"], name) for name in names] == [0.7, 0.3, 0.7]
+    assert found["lloyd"] == resolve("efficacy").extraction == ExtractionSettings()
+    told = resolve("efficacy", {"control.mode": "search-and-track", "extraction.bin": 1.2}).extraction
+    assert [getattr(told, name) for name in names] == [1.2, 0.3, 0.7]
+    assert trial("power-extraction").resolve().extraction == found["search-and-track"]
+    assert trial("paper-extraction").resolve().extraction == found["lloyd"]

@@ -67,6 +67,16 @@ def test_a_machine_that_keeps_up_gets_no_advice_and_one_that_does_not_gets_a_rat
     assert "(50 % of the ticks come): take --rate 1 or less" in slow.now().advice
 
 
+def test_the_rounds_that_a_paused_agent_skips_are_counted_and_give_no_advice() -> None:
+    meter = TickRateMeter(scenario(clock="realtime", rate=2.0))
+    run_at(meter, 8.0, 10.0, skipped=0)
+    meter.excuse("s2")
+    meter.count(told("s2", 1, {"rounds": 20, "skipped": 60}))
+    assert (meter.now().skipped, meter.now().advice) == (60, "")
+    meter.count(told("s3", 1, {"rounds": 20, "skipped": 60}))
+    assert "are skipped): take --rate" in meter.now().advice
+
+
 def test_there_is_no_advice_in_the_first_seconds_nor_in_lockstep() -> None:
     early = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(early, 8.0, 2.0, skipped=100)

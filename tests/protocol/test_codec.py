@@ -106,6 +106,7 @@ def test_a_wedge_that_cannot_be_built_is_refused_as_format() -> None:
         {"angle": 7.0, "radius": 8.0, "prob_detection": 0.9},
         {"angle": 1.0, "radius": math.inf, "prob_detection": 0.9},
         {"angle": math.nan, "radius": 1.0, "prob_detection": 1.0},
+        {"angle": 1.0, "radius": 1.0, "prob_detection": 0.5, "prob_detection_far": 0.6},
     ):
         assert reason_of(key, altered(key, payload, sensor=sensor)) == "format"
 

@@ -41,6 +41,25 @@ def test_probability_is_constant_inside_the_polar_wedge_and_zero_outside(
         assert sensor.probability(polar(pose, bearing, distance), pose).tolist() == [sensor.prob_detection if inside else 0.0]
 
 
+def test_a_probability_that_falls_with_the_distance_is_linear_between_the_sensor_and_its_radius() -> None:
+    falling = WedgeSensor(math.pi / 2.0, 10.0, 0.8, None, 0.2)
+    points = np.array([[0.0, 0.0], [2.5, 0.0], [0.0, 5.0], [3.0, -4.0], [10.0, 0.0], [10.01, 0.0]])
+    assert falling.probability(points, (0.0, 0.0, 0.0)) == pytest.approx([0.8, 0.65, 0.0, 0.0, 0.2, 0.0], abs=1e-12)
+    assert falling.probability(points, (0.0, 0.0, -0.9)) == pytest.approx([0.8, 0.0, 0.0, 0.5, 0.0, 0.0], abs=1e-12)
+
+
+@given(wedges, poses, st.floats(1e-12, 1.0), st.floats(-math.pi, math.pi), st.floats(0.0, 1.0))
+def test_a_falling_probability_stays_between_its_two_ends(
+    sensor: WedgeSensor, pose: tuple[float, float, float], share: float, bearing: float, part: float
+) -> None:
+    far = share * sensor.prob_detection
+    falling = WedgeSensor(sensor.angle, sensor.radius, sensor.prob_detection, None, far)
+    points = np.vstack([polar(pose, bearing, part * sensor.radius), polar(pose, 0.0, part * sensor.radius)])
+    constant, found = sensor.probability(points, pose), falling.probability(points, pose)
+    assert ((found > 0.0) == (constant > 0.0)).all()
+    assert (found[found > 0.0] >= far).all() and (found <= sensor.prob_detection).all()
+
+
 @given(st.floats(-10.0, 10.0), st.floats(0.01, 9.99), st.floats(-math.pi, math.pi))
 @example(0.3, 5.0, math.pi)
 def test_a_full_disc_sees_in_every_direction_straight_behind_included(heading: float, distance: float, bearing: float) -> None:
@@ -103,3 +122,9 @@ def test_a_wedge_fulfils_the_sensor_contract() -> None:
 def test_a_wedge_with_an_impossible_number_cannot_be_built(numbers: tuple[float, float, float], field: str) -> None:
     with pytest.raises(ValueError, match=field):
         WedgeSensor(*numbers)
+
+
+@pytest.mark.parametrize("far", [0.0, -0.1, 0.51, math.nan])
+def test_a_probability_at_the_far_edge_above_that_at_the_sensor_or_of_zero_is_refused(far: float) -> None:
+    with pytest.raises(ValueError, match=rf"prob_detection_far = {far}: it lies in \(0, prob_detection = 0\.5\]"):
+        WedgeSensor(1.0, 1.0, 0.5, None, far)

@@ -167,6 +167,7 @@ def test_a_sensor_of_the_scenario_comes_before_one_of_the_paper() -> None:
         ({"prob_detection": 0.5}, WedgeSensor(math.radians(240.0), 8.0, 0.5)),
         ({"radius": 12.0}, WedgeSensor(math.radians(240.0), 12.0, 0.99)),
         ({"angle": 90.0}, WedgeSensor(math.pi / 2.0, 8.0, 0.99)),
+        ({"prob_detection_far": 0.3}, WedgeSensor(math.radians(240.0), 8.0, 0.99, None, 0.3)),
     ],
 )
 def test_what_a_class_of_the_paper_is_not_given_is_that_of_the_paper(given: dict[str, float], sensor: WedgeSensor) -> None:

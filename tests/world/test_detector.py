@@ -15,6 +15,7 @@ from world.detector import Detector, clutter_points, count_in_view, poisson_tabl
 NO_EFFECTS = DetectionSettings(noise=0.25, clutter=0.0)
 SEED = 11
 DISC = WedgeSensor(2.0 * math.pi, 10.0, 1.0)
+FALLING = WedgeSensor(2.0 * math.pi, 20.0, 0.9, None, 0.1)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -42,7 +43,7 @@ def test_wedges_together_see_what_each_sees_alone(seed: int) -> None:
         probability, footprint = DISC.probability, DISC.footprint
 
     rng = np.random.default_rng(seed)
-    sensors: list[SensorModel] = [SENSOR_CLASSES[name] for name in "ABCDEFGH" * 5]
+    sensors: list[SensorModel] = [FALLING, *(SENSOR_CLASSES[name] for name in "ABCDEFGH" * 5)][:40]
     poses = [(x, y, turn) for x, y, turn in (rng.random((40, 3)) * [100.0, 100.0, 6.0]).tolist()]
     positions = rng.random((60, 2)) * 100.0
     for some in (sensors, [*sensors[:20], Other(), *sensors[21:]]):
