@@ -87,7 +87,11 @@ def test_a_zygote_that_takes_longer_than_the_start_line_gives_a_complete_swarm(c
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("moments", "loops"), [((0.4, 2.5), ()), pytest.param(MOMENTS, LOOPS, marks=pytest.mark.slow)], ids=["two", "ten"])
+@pytest.mark.parametrize(
+    ("moments", "loops"),
+    [((0.4, 2.5), ()), pytest.param(MOMENTS, LOOPS, marks=[pytest.mark.slow, pytest.mark.nightly])],
+    ids=["two", "ten"],
+)
 def test_ctrl_c_ends_a_start_at_any_moment(covey: Covey, moments: tuple[float, ...], loops: tuple[int, ...]) -> None:
     when = [(moment, 0) for moment in moments] + [(0.0, loop) for loop in loops]
     for number, (moment, loop) in enumerate(when):

@@ -51,7 +51,7 @@ def test_nobody_survives_a_supervisor_that_is_killed_while_it_starts_or_runs_and
 @pytest.mark.slow
 @pytest.mark.alone
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("number", [10, pytest.param(100, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [5, pytest.param(100, marks=pytest.mark.nightly)])
 def test_many_killed_supervisors_leave_no_orphan(covey: Covey, number: int) -> None:
     dice = random.Random(1)
     took = sorted(kill_supervisor(covey, dice.uniform(0.0, 5.0)) for _ in range(number))

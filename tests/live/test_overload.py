@@ -26,7 +26,9 @@ def send(number: signal.Signals, pids: set[int]) -> None:
             os.kill(pid, number)
 
 
-@pytest.mark.parametrize("words", [(), ("--set", "network.lease=2")], ids=["lease as set", "lease shorter"])
+@pytest.mark.parametrize(
+    "words", [pytest.param((), marks=pytest.mark.nightly), ("--set", "network.lease=2")], ids=["lease as set", "lease shorter"]
+)
 def test_a_freeze_of_all_processes_makes_nobody_dead(covey: Covey, words: tuple[str, ...]) -> None:
     covey.start("up", "ledger.toml", "--rate", "1", "--seconds", "1000", "--record", *words)
     covey.wait(lambda data: data["swarm"]["tick"] >= 20)

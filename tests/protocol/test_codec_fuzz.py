@@ -195,6 +195,7 @@ def test_nothing_but_malformed_leaves_the_decoder_in_20_000_mutated_messages() -
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_nothing_but_malformed_leaves_the_decoder_in_a_million_mutated_messages_and_memory_stays_flat() -> None:

@@ -83,6 +83,7 @@ def test_a_bad_eye_takes_nothing_from_a_good_one_whichever_has_the_later_name() 
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.timeout(900)
 def test_eight_eyes_that_miss_three_in_ten_have_half_the_error_of_one() -> None:
     """The ratio is 0.494 with sixteen seeds; its 95 % interval is 0.464 to 0.524 (docs/evidence/paper.md)."""
