@@ -218,10 +218,11 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed:
     """The own cell; `NO_CELL` while the agent listens."""
     if context.name not in generator_table.names:
         return NO_CELL
-    points, radii = generator_table.points, generator_table.radii
     if len(unsubscribed.generators):
         generators = np.concatenate([generator_table.generators, unsubscribed.generators])
         points, radii = generators[:, :2].copy(), generators[:, 2].copy()
+    else:
+        points, radii = generator_table.points, generator_table.radii
     return context.backend.cut_cells([generator_table.names.index(context.name)], points, radii, context.arena)[0]
 
 

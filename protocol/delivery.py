@@ -90,8 +90,7 @@ class BusEndpoint:
             return box[0].events
         items = []
         for run in box:  # most runs hold one message, of another sender
-            if len(run.items) > 1 or run.senders[0] is not self:
-                items += run.items if self not in run.senders else run.without(self)
+            items += run.without(self) if self in run.senders else run.items
         return [*in_batches(items)]
 
     def catch_up(self) -> list[Event]:
