@@ -272,7 +272,8 @@ class PeerTable:
 
     def is_roster_alive(self) -> bool:
         """Whether the tokens of all others of the roster are up; local: always, as no other agent is awaited."""
-        return self.local or all(name in self.peers and self.peers[name].token for name in self._config.others(self._name))
+        others = self._config.others(self._name)
+        return self.local or (len(self.peers) >= len(others) and all(name in self.peers and self.peers[name].token for name in others))
 
     def lacks_announcements(self) -> bool:
         """Whether the sensor of a live peer is still unknown."""

@@ -51,6 +51,15 @@ def test_the_first_that_asks_computes_its_region_alone_and_the_others_share_all(
     assert len(shared.updates) == 3
 
 
+def test_in_the_tick_after_a_shared_round_the_first_that_asks_computes_all_regions() -> None:
+    config = AgentConfig()
+    assert asked(words("s1", "s2"), config, 1) is None and asked(words("s1", "s2"), config, 2) is None
+    table = words("s1", "s2")
+    assert asked(table, config, 3) is None and asked(table, config, 3) is not None
+    assert asked(words("s1", "s2"), AgentConfig(), 4) is None and asked(words("s1", "s2"), config, 5) is None
+    assert asked(words("s1", "s2"), config, 4) is not None
+
+
 def test_the_same_gossips_in_another_table_are_asked_for_anew() -> None:
     table, config = words("s1", "s2"), AgentConfig()
     others = [GossipTable(table.gossips, table.sensors, table.diagram) for _ in range(3)]
