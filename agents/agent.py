@@ -16,7 +16,6 @@ from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.coverage.keep_apart import keep_apart
 from agents.gossip import outbox
-from agents.gossip.table import announced_sensor
 from agents.interest.manager import InterestManager
 from agents.late_rounds import LateRounds
 from agents.look_ahead import OpenRound, look_ahead
@@ -50,7 +49,6 @@ class Agent(Node):
         self.peer_table = PeerTable(config, name)
         self.tick = -1  # of the newest observation; -1: none has come
         self.context = context_of(config, name, self.sensor_class, backend)
-        self.peer_table.own_sensor = announced_sensor(name, self.context.sensor, config.detection.clutter)
         self.local = self.peer_table.local
         self.sees_all_tokens = not self.local
         self._interest = InterestManager(self.context, self.peer_table, incarnation) if self.local else None
@@ -107,14 +105,10 @@ class Agent(Node):
             return self._on_gossips(batch, now)
         if batch.kind is Beacon:
             return self._on_beacons([message for message in batch.messages if message.sender != self.name], now)
-        effects: list[Effect] = NO_EFFECTS
-        for message in batch.messages:
-            if isinstance(message, Hello):
-                more = self.membership.take_hello(message, now)
-            else:
-                more = self._on_observation(message, now) if isinstance(message, Observation) else NO_EFFECTS
-            effects = more if effects is NO_EFFECTS else [*effects, *more]
-        return effects
+        if batch.kind is Hello:
+            return self.membership.take_hellos(batch.messages, now)
+        observed = [self._on_observation(message, now) for message in batch.messages if isinstance(message, Observation)]
+        return observed[0] if len(observed) == 1 else [effect for effects in observed for effect in effects]
 
     def _expressions(self) -> list[str]:
         """The key expressions to which the agent subscribes at the start."""
@@ -242,10 +236,10 @@ class Agent(Node):
         """
         tick = self.tick if self._rounds.due is None else self._rounds.due
         reasons = self.peer_table.accept(batch, start, tick, self._awaited if self._gossip is not None else None)
-        accepted = [gossip for gossip, reason in zip(batch.messages[start:], reasons) if reason == ACCEPTED]
-        if len(accepted) < len(reasons):
-            refused = [reason for reason in reasons if reason not in (ACCEPTED, OWN, UNASKED)]
-            self.counters.update([f"rejected.{reason}" for reason in refused])
+        accepted = [gossip for gossip, reason in zip(batch.messages[start:], reasons) if not reason]
+        for reason in dict.fromkeys(reasons):
+            if reason not in (ACCEPTED, OWN, UNASKED):
+                self.counters[f"rejected.{reason}"] += reasons.count(reason)
         if accepted:
             self.counters["heard"] += len(accepted)
             self._rounds.hear(accepted, self.peer_table.interest_set, now)

@@ -6,6 +6,7 @@ Data type: `LateRounds`, made of the `Lag` that says how late, and of the `Recen
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
 
 from agents.lag import Lag
 from agents.look_ahead import OpenRound, RecentTicks, received
@@ -72,7 +73,7 @@ class LateRounds:
 
     def replay(self, opened: OpenRound, fresh: Mapping[str, Gossip]) -> Replay | None:
         """The function that computes the density before a round, if gossips state older ones; None: they state that of the tick before."""
-        if not opened.gossip.behind and not any(gossip.behind for gossip in fresh.values()):
+        if not opened.gossip.behind and not any(map(attrgetter("behind"), fresh.values())):
             return None
         return partial(received, self.recent, self._context, opened, self.lag.most)
 

@@ -6,7 +6,7 @@ how targets are tracked.
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from agents.coverage.capacity import SensorFacts, power_radius, sensor_facts, un
 from agents.coverage.cells import NO_CELL, Cell
 from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings, control_law
 from agents.coverage.search_and_track import SearchAndTrack
-from agents.gossip.table import REACH, GossipTable, announced_sensor, gossip_table
+from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_sensor, gossip_table
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer_table import LOCAL_VIEW, PeerTable
 from agents.shared_round import claim_of, shared_round
@@ -178,16 +178,16 @@ def _surroundings(
 
 def _with_own(context: AgentContext, peer_table: PeerTable, fresh: dict[str, Gossip], own: Gossip) -> GossipTable:
     """The gossips in the order of names, the own one in its place."""
-    gossips = list(fresh.values())
-    gossips.insert(bisect_left(list(fresh), order(own.sender), key=order), own)
-    return _table(context, peer_table, gossips)
+    gossips, sensors, place = [*fresh.values()], _sensors(peer_table, fresh), bisect_left([*fresh], order(own.sender), key=order)
+    gossips.insert(place, own)
+    sensors.insert(place, announced_sensor(context.name, context.sensor, context.config.detection.clutter))
+    return gossip_table(gossips, sensors, context.config)
 
 
-def _table(context: AgentContext, peer_table: PeerTable, gossips: list[Gossip]) -> GossipTable:
-    """The gossips side by side, with the sensors that their senders announced."""
-    interest_set, own_sensor = peer_table.interest_set, announced_sensor(context.name, context.sensor, context.config.detection.clutter)
-    sensors = [own_sensor if gossip.sender == context.name else interest_set[gossip.sender].announced for gossip in gossips]
-    return gossip_table(gossips, sensors, context.config)  # type: ignore[arg-type]  # every accepted sender has announced a sensor
+def _sensors(peer_table: PeerTable, names: Iterable[str]) -> list[AnnouncedSensor]:
+    """The sensors that these peers announced."""
+    interest_set = peer_table.interest_set
+    return [interest_set[name].announced for name in names]  # type: ignore[misc]  # every accepted sender has announced a sensor
 
 
 def _generator_table(
@@ -197,7 +197,9 @@ def _generator_table(
     if len(fresh) == len(peer_table.interest_set) and not table.listening:
         return table
     latest = peer_table.generators(own.tick, fresh)
-    return _table(context, peer_table, list(latest.values())) if own.listening else _with_own(context, peer_table, latest, own)
+    if not own.listening:
+        return _with_own(context, peer_table, latest, own)
+    return gossip_table([*latest.values()], _sensors(peer_table, latest), context.config)
 
 
 def _view(peer_table: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
@@ -216,10 +218,11 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed:
     """The own cell; `NO_CELL` while the agent listens."""
     if context.name not in generator_table.names:
         return NO_CELL
-    points, radii = generator_table.points, generator_table.radii
     if len(unsubscribed.generators):
         generators = np.concatenate([generator_table.generators, unsubscribed.generators])
         points, radii = generators[:, :2].copy(), generators[:, 2].copy()
+    else:
+        points, radii = generator_table.points, generator_table.radii
     return context.backend.cut_cells([generator_table.names.index(context.name)], points, radii, context.arena)[0]
 
 

@@ -1,10 +1,11 @@
 """What all agents with the same table of gossips compute alike: the cells, the claims and the update of every region.
 
 The first agent that asks computes its own region alone: in a process of its own it is the only one. A second request for the same table
-object shows that several agents share a process. Then all regions are computed in one call, and the table keeps them. The bits are the
-same either way.
+object shows that several agents share a process. Then all regions are computed in one call, and the table keeps them. In the next tick the
+first request computes them. The bits are the same either way.
 """
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.step import Step
 from agents.tracking.tracker import AnyTracker, RegionInput, Update
 
+_SHARED: deque[Step] = deque(maxlen=1)  # of the last shared round: the agents that shared it will share the next one
 ASKED = "asked"  # one agent has asked for the table, or several are certain to ask
 
 
@@ -30,18 +32,20 @@ class SharedRound(NamedTuple):
 
 
 def shared_round(table: GossipTable, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound | None:
-    """The shared round of a table, computed on the second request.
+    """The shared round of a table, computed on the second request, or on the first one if that of the tick before was shared.
 
-    None for the first request, where agents hear neighbours only, and while a sender listens.
+    None for another first request, where agents hear neighbours only, and while a sender listens.
     """
     if step.config.timing.interest != "all" or table.listening:
         return None
     known, table.shared = table.shared, table.shared or ASKED
     if isinstance(known, SharedRound) and known.step.config is step.config and known.step.tick == step.tick and known.tracker == tracker:
         return known
-    if known is not None:
-        table.shared = _computed(table, backend, tracker, step, arena)
-    return table.shared if known is not None else None
+    if known is None and not (_SHARED and _SHARED[0].config is step.config and _SHARED[0].tick == step.tick - 1):
+        return None
+    _SHARED.append(step)
+    table.shared = _computed(table, backend, tracker, step, arena)
+    return table.shared
 
 
 def _computed(table: GossipTable, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound:

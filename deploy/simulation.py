@@ -108,6 +108,8 @@ class Simulation:
     @property
     def done(self) -> bool:
         """Whether the world, or every body that is left, has ended the run."""
+        if not self.bus.stopped:
+            return False
         names = world_names(self.scenario)
         return not set(names).intersection(self.bus.nodes()) and any(name in self.bus.stopped for name in names)
 

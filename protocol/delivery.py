@@ -13,11 +13,12 @@ from protocol.keys import token_key
 from protocol.message import Message
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Effect, Event, Node, Received
+from protocol.observer_messages import Estimate
 from protocol.once import once
 from protocol.reception import Decoded, in_batches, read_all
 
 Item = Decoded | Event  # a decoded message, or the event that the bytes were rejected
-TO_MANY = (Gossip, Beacon, Hello)  # kinds that wait in the receivers' boxes until the instant holds no other event
+BOXED = (Gossip, Beacon, Hello, Estimate)  # kinds that wait in the receivers' boxes until the instant holds no other event
 
 
 class MessageRun:
@@ -89,8 +90,7 @@ class BusEndpoint:
             return box[0].events
         items = []
         for run in box:  # most runs hold one message, of another sender
-            if len(run.items) > 1 or run.senders[0] is not self:
-                items += run.items if self not in run.senders else run.without(self)
+            items += run.without(self) if self in run.senders else run.items
         return [*in_batches(items)]
 
     def catch_up(self) -> list[Event]:

@@ -215,6 +215,16 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         return _pack_numbers(x, y, *ahead, east, north, self.power_radius, self.unused, self.weight, *counts, self.scanned)
 
     @once
+    def stated_area(self) -> float:
+        """The larger one of U and of the area of a disc with the power radius, m^2."""
+        return max(self.unused, math.pi * self.power_radius**2)
+
+    @once
+    def cod_distance(self) -> float:
+        """The distance of the centroid of detection from the sensor, m."""
+        return math.dist(self.cod, self.pose[:2])
+
+    @once
     def plan(self) -> bytes:
         """The goal, or the place of the sensor without one, and its load, as float64."""
         x, y = self.goal if self.goal is not None else self.pose[:2]

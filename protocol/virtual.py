@@ -1,7 +1,7 @@
 """The virtual driver: many nodes in one process and in virtual time, on a bus of events.
 
-Events of one instant are delivered in the order of their creation. Gossips, beacons and Hellos come after all other events, and each
-receiver takes its own in batches. Time advances only when no event of the instant is left. Each message is encoded and decoded
+Events of one instant are delivered in the order of their creation. Gossips, beacons, Hellos and estimates come after all other events,
+and each receiver takes its own in batches. Time advances only when no event of the instant is left. Each message is encoded and decoded
 once, as real bytes. A `Link` may drop, delay, copy or corrupt them per receiver. Nodes can be stopped, slowed down, started twice under
 one name, and given clocks that jump.
 """
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import codec
-from protocol.delivery import TO_MANY, BusEndpoint, Delivery, Item, MessageRun, is_observation, place_of
+from protocol.delivery import BOXED, BusEndpoint, Delivery, Item, MessageRun, is_observation, place_of
 from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.message import Message
 from protocol.messages import Command, Gossip
@@ -184,8 +184,8 @@ class VirtualBus:
         return True
 
     def _deliver(self, delivery: Delivery) -> None:
-        """Hand a message to all its listeners; those of kinds in `TO_MANY` go into their boxes."""
-        if delivery.kind not in TO_MANY:
+        """Hand a message to all its listeners; those of kinds in `BOXED` go into their boxes."""
+        if delivery.kind not in BOXED:
             [item] = read_all([(delivery.key, delivery.payload)])
             event = event_of(item)
             for endpoint in delivery.listeners:

@@ -229,7 +229,8 @@ def _tracks(tracks: np.ndarray, names: np.ndarray) -> Tracks:
 
 def _rows(whole: tuple[np.ndarray, ...], start: int, end: int) -> Particles:
     """The particles from `start` to `end`."""
-    return Particles(*(part[start:end] for part in whole))
+    states, weights, ids, labels = whole
+    return Particles(states[start:end], weights[start:end], ids[start:end], labels[start:end])
 
 
 def _end_to_end(arrays: list[np.ndarray]) -> np.ndarray:

@@ -93,43 +93,49 @@ def _missed(
     weights: np.ndarray,
     probabilities: np.ndarray,
     gained: np.ndarray,
+    seen: np.ndarray,
     points: np.ndarray,
     born: np.ndarray,
     miss: tuple,
     raster: tuple,
 ) -> None:
-    """Twin of `phd.missed`: multiply weights by their factors; the raster is restored for the next scan."""
+    """Twin of `phd.missed`: multiply the weights of the rows in view, `seen`, by their factors.
+
+    The raster is restored for the next scan.
+    """
     certainty, side = miss
     left, low, masses, explained, rests, shares = raster
-    columns, rows = np.empty(len(x), np.int64), np.empty(len(x), np.int64)
-    for n in range(len(x)):
-        columns[n], rows[n] = np.int64(math.floor(x[n] / side)) - left, np.int64(math.floor(y[n] / side)) - low
-    for n in range(len(x)):
-        if probabilities[n] > 0.0:
-            masses[rows[n], columns[n]] += weights[n]
-            explained[rows[n], columns[n]] += gained[n]
+    columns, rows = np.empty(len(seen), np.int64), np.empty(len(seen), np.int64)
+    for k in range(len(seen)):
+        n = seen[k]
+        columns[k], rows[k] = np.int64(math.floor(x[n] / side)) - left, np.int64(math.floor(y[n] / side)) - low
+        masses[rows[k], columns[k]] += weights[n]
+        explained[rows[k], columns[k]] += gained[n]
     for m in range(len(points)):
         column, row = np.int64(math.floor(points[m, 0] / side)) - left, np.int64(math.floor(points[m, 1] / side)) - low
         explained[row, column] += born[m]
-    for n in range(len(x)):
-        if probabilities[n] > 0.0:
-            row, column, probability = rows[n], columns[n], probabilities[n]
-            if rests[row, column] < 0.0:
-                mass = block(masses, row, column)
-                rests[row, column] = max(mass - block(explained, row, column), 0.0)
-                shares[row, column] = rests[row, column] / (mass if mass > 0.0 else 1.0)
-            odds = (1.0 - probability) / (1.0 - probability * min(rests[row, column], certainty))
-            weights[n] = weights[n] * (shares[row, column] * odds)
-    for n in range(len(x)):
-        masses[rows[n], columns[n]], explained[rows[n], columns[n]], rests[rows[n], columns[n]] = 0.0, 0.0, -1.0
+    for k in range(len(seen)):
+        row, column, n = rows[k], columns[k], seen[k]
+        probability = probabilities[n]
+        if rests[row, column] < 0.0:
+            mass = block(masses, row, column)
+            rests[row, column] = max(mass - block(explained, row, column), 0.0)
+            shares[row, column] = rests[row, column] / (mass if mass > 0.0 else 1.0)
+        odds = (1.0 - probability) / (1.0 - probability * min(rests[row, column], certainty))
+        weights[n] = weights[n] * (shares[row, column] * odds)
+    for k in range(len(seen)):
+        masses[rows[k], columns[k]], explained[rows[k], columns[k]], rests[rows[k], columns[k]] = 0.0, 0.0, -1.0
     for m in range(len(points)):
         column, row = np.int64(math.floor(points[m, 0] / side)) - left, np.int64(math.floor(points[m, 1] / side)) - low
         explained[row, column] = 0.0
 
 
 @cached
-def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray) -> None:
-    """Write p_d of points of a wedge, a row of `GossipTable.table`, into `probabilities` (N,); without branches, for several at once."""
+def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray, seen: np.ndarray) -> int:
+    """Write p_d of points of a wedge, a row of `GossipTable.table`, into `probabilities` (N,), and the rows with p_d > 0 into `seen`.
+
+    Returns the number of these rows. The first loop has no branches, for several points at once.
+    """
     sensor_x, sensor_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
     near, far = sensor[6], sensor[19]
     slope = (far - near) / sensor[4]
@@ -137,8 +143,13 @@ def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.nd
         dx, dy = x[n] - sensor_x, y[n] - sensor_y
         range2 = dx * dx + dy * dy
         apart = math.sqrt(range2)
-        seen = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * apart)
-        probabilities[n] = max(near + slope * apart, far) if seen else 0.0
+        inside = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * apart)
+        probabilities[n] = max(near + slope * apart, far) if inside else 0.0
+    number = 0
+    for n in range(len(x)):
+        seen[number] = n
+        number += probabilities[n] > 0.0
+    return number
 
 
 @cached
@@ -151,24 +162,23 @@ def _pairs(
     gate2: float,
     found: tuple,
 ) -> int:
-    """The number of pairs of a particle in view and a detection within its gate, or -1 if `found` may be too small.
+    """The number of pairs of a particle, all of them in view, and a detection within its gate, or -1 if `found` may be too small.
 
     Each pair is written into `found`: row of the particle, number of the detection, squared distance in m^2, weight times p_d.
     """
     rows, columns, squares, shares = found
     number, pairs = len(x), 0
-    apart, hits = np.empty(number), np.empty(number, np.bool_)
+    apart = np.empty(number)
     for m in range(len(detections)):
         at_x, at_y = detections[m, 0], detections[m, 1]
         for n in range(number):
             dx, dy = x[n] - at_x, y[n] - at_y
             apart[n] = dx * dx + dy * dy
-            hits[n] = (probabilities[n] > 0.0) & (apart[n] <= gate2)
         if pairs + number > len(rows):
             return -1
         for n in range(number):  # the next pair overwrites a miss
             rows[pairs], columns[pairs], squares[pairs], shares[pairs] = n, m, apart[n], weights[n] * probabilities[n]
-            pairs += hits[n]
+            pairs += apart[n] <= gate2
     return pairs
 
 
@@ -279,28 +289,32 @@ def update(
             spreads[m] = rays[m, 3]
     if on:
         densities = _nearby(x[:count], y[:count], weights, detections, radius)
-    found, gained = _pair_buffers(2 * count + 256), np.empty(capacity)
+    found, gained, in_view = _pair_buffers(2 * count + 256), np.empty(capacity), np.empty(capacity + 1, np.int64)
     raster = _raster(x[:count], y[:count], detections, spreads, miss[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
-        _view(x[:count], y[:count], sensor, probabilities)
+        seen = in_view[: _view(x[:count], y[:count], sensor, probabilities, in_view)]
+        if len(seen) + len(points) == 0:
+            continue
+        seen_x, seen_y, seen_weights, seen_probabilities = x[seen], y[seen], new_weights[seen], probabilities[seen]
         point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel, place2, turn2)
         pairs = -1
         while pairs < 0:
             if has_rays:
-                pairs = ray_pairs(x[:count], y[:count], probabilities, sensor, points, point_rays, scan_noise, gate, found)
+                pairs = ray_pairs(seen_x, seen_y, seen_probabilities, sensor, points, point_rays, scan_noise, gate, found)
             else:
-                pairs = _pairs(x[:count], y[:count], new_weights, probabilities, points, gate2, found)
+                pairs = _pairs(seen_x, seen_y, seen_weights, seen_probabilities, points, gate2, found)
             if pairs < 0:
                 found = _pair_buffers(4 * len(found[0]))
         rows, columns, squares, shares = found
         if has_rays:
             for p in range(pairs):
-                shares[p] = new_weights[rows[p]] * probabilities[rows[p]] * (exp_minus(squares[p] * 0.5) * shares[p])
+                shares[p] = seen_weights[rows[p]] * seen_probabilities[rows[p]] * (exp_minus(squares[p] * 0.5) * shares[p])
         else:
             _likelihoods(squares[:pairs], shares[:pairs], likelihood_noise)
         norms = np.zeros(len(points))
         for p in range(pairs):
+            rows[p] = seen[rows[p]]
             norms[columns[p]] += shares[p]
         born = densities[starts[s] : starts[s + 1]]
         if on:
@@ -313,11 +327,11 @@ def update(
             norm = sensor[7] + fresh + norms[m]
             norms[m] = norm if norm > 0.0 else 1.0
             born[m] = fresh / norms[m]
-        gained[:count] = 0.0
+        gained[seen] = 0.0
         for p in range(pairs):
             gained[rows[p]] += shares[p] / norms[columns[p]]
-        _missed(x[:count], y[:count], new_weights, probabilities, gained, points, born, miss, raster)
-        for n in range(count):
+        _missed(x, y, new_weights, probabilities, gained, seen, points, born, miss, raster)
+        for n in seen:
             new_weights[n] += gained[n]
         salt, given = scramble(salts[sensors[s]], births_key), np.zeros(len(points), np.uint64)
         if on:

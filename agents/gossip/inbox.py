@@ -18,11 +18,12 @@ class RoundInbox:
         """Keep accepted gossips. Beyond `MOST_TICKS` ticks the oldest is dropped."""
         rounds = self.rounds
         for gossip in gossips:
-            if gossip.tick not in rounds:
-                rounds[gossip.tick] = {}
-            rounds[gossip.tick][gossip.sender] = gossip
-            if len(rounds) > MOST_TICKS:
-                del rounds[min(rounds)]
+            kept = rounds.get(gossip.tick)
+            if kept is None:
+                kept = rounds[gossip.tick] = {}
+                if len(rounds) > MOST_TICKS:
+                    del rounds[min(rounds)]
+            kept[gossip.sender] = gossip
 
     def of(self, tick: int) -> dict[str, Gossip]:
         """The gossips of a tick, by name; not to be changed."""

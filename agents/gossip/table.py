@@ -54,6 +54,7 @@ SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a w
 _SENSOR = struct.Struct("<5dQ4d")
 _SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE, FAR_PROB]
 _MOST_ANNOUNCED = 20000
+TOLERANCE = 1.0 + 1e-9  # factor by which a gossip may exceed what its sender's sensor can do: rounding of another implementation
 
 
 class AnnouncedSensor(NamedTuple):
@@ -62,6 +63,8 @@ class AnnouncedSensor(NamedTuple):
     sensor: SensorModel
     facts: SensorFacts
     columns: bytes  # its part of a row, the columns of `_SENSOR_COLUMNS`: lengths in m, angles in rad, clutter density per m^2
+    most_area: float  # of a gossip's `stated_area`, m^2: D with `TOLERANCE`
+    most_distance: float  # of a gossip's `cod_distance`, m: the reach with `TOLERANCE`
 
 
 def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
@@ -77,7 +80,8 @@ def _announced(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSenso
         half, near, far, kind = sensor.cos_half_angle, sensor.prob_detection, sensor.far_probability, WEDGE
     measures = model_of(measurement_of(sensor))
     packed = _SENSOR.pack(sensor.reach, half, near, clutter / sensor.area, kind, key("sensor", name), *measures, far)
-    return AnnouncedSensor(sensor, _facts(sensor), packed)  # type: ignore[arg-type]
+    facts = _facts(sensor)  # type: ignore[arg-type]
+    return AnnouncedSensor(sensor, facts, packed, facts.capability * TOLERANCE, sensor.reach * TOLERANCE)
 
 
 @lru_cache(maxsize=1024)
@@ -268,7 +272,7 @@ _RECENT: deque[GossipTable] = deque(maxlen=2)  # a pure memo: in a simulation al
 def gossip_table(gossips: list[Gossip], sensors: list[AnnouncedSensor], config: AgentConfig) -> GossipTable:
     """The table of some gossips and the sensors of their senders. Equal arguments give a table of one of the last two calls."""
     diagram = config.partition.kind
-    for known in _RECENT:
+    for known in reversed(_RECENT):
         if known.diagram == diagram and known.sensors == sensors and known.gossips == gossips:
             return known
     table = GossipTable(gossips, sensors, diagram, config)

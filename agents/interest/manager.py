@@ -144,6 +144,7 @@ class InterestManager:
         """Take beacons of other agents; whether one of them should be answered."""
         asking, widest = False, self._ground.bounds
         for beacon in beacons:
+            asking |= beacon.asks
             if beacon.widest_reach > widest.reach or beacon.widest_offset > widest.offset or beacon.widest_radius > widest.radius:
                 self._learn_bounds(beacon)
         for beacon in self._peer_table.positions.note_all(beacons, self._peer_table.peers):

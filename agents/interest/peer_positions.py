@@ -1,7 +1,7 @@
 """The positions of peers, as they state them in beacons and gossips, for an agent that hears neighbours only."""
 
 from agents.config import AgentConfig
-from agents.interest.position_table import PositionTable, beacon_row, position_row
+from agents.interest.position_table import PositionTable, beacon_row, gossip_row
 from agents.interest.tiles import Rectangle
 from agents.membership.peer import Peer
 from protocol.messages import Beacon, Gossip
@@ -29,7 +29,6 @@ class PeerPositions(PositionTable):
             peer = peers.get(beacon.sender)
             if (
                 peer is None
-                or beacon.asks
                 or peer.beacon is None
                 or peer.left_at is not None
                 or peer.missed >= silent
@@ -59,8 +58,7 @@ class PeerPositions(PositionTable):
         for name, gossip in gossips.items():
             peer = peers.get(name)
             if peer is not None and peer.announced is not None and (steady or self._counts(peer)):
-                reach = peer.announced.sensor.reach
-                found.append((name, gossip.tick, position_row(gossip.pose[:2], reach, gossip.cod, gossip.power_radius, self._diagram)))
+                found.append((name, gossip.tick, gossip_row(gossip, peer.announced, self._diagram)))
         self.put_all(found)
 
     def _counts(self, peer: Peer) -> bool:

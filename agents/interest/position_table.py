@@ -7,23 +7,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from protocol.messages import Beacon
+from agents.gossip.table import AnnouncedSensor
+from protocol.messages import Beacon, Gossip
 
-Point = tuple[float, float]  # x, y, m
 POSITION_ROW = struct.Struct("<6d")
 SIZE = POSITION_ROW.size  # bytes
 _NO_RADIUS = bytes(8)
 SENSOR_X, SENSOR_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
 
 
-def position_row(position: Point, reach: float, cod: Point, radius: float, diagram: str) -> bytes:
-    """The row of a sensor at `position` with its reach, and of its generator in a diagram, m."""
-    return POSITION_ROW.pack(*position, reach, *(position if diagram == "voronoi" else cod), radius if diagram == "power" else 0.0)
+def gossip_row(gossip: Gossip, sensor: AnnouncedSensor, diagram: str) -> bytes:
+    """The row of the sender of a gossip, whose generator is that of a diagram."""
+    numbers = gossip.numbers
+    return _row(numbers[:16] + sensor.columns[:8] + numbers[32:56], diagram)  # place, reach, COD and power radius
 
 
 def beacon_row(beacon: Beacon, diagram: str) -> bytes:
-    """The row of the sender of a beacon, as of `position_row`."""
-    row = beacon.numbers
+    """The row of the sender of a beacon, whose generator is that of a diagram."""
+    return _row(beacon.numbers, diagram)
+
+
+def _row(row: bytes, diagram: str) -> bytes:
+    """The row with the generator of a diagram in place of COD and power radius."""
     if diagram == "power":
         return row
     point = row[:16] if diagram == "voronoi" else row[24:40]

@@ -5,6 +5,7 @@ that has a younger incarnation.
 """
 
 from collections import Counter
+from collections.abc import Iterable
 
 from agents.gossip import outbox
 from agents.membership.agreement import SettingsAgreement
@@ -58,12 +59,20 @@ class Membership:
         self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
         return True
 
+    def take_hellos(self, hellos: Iterable[Hello], now: float) -> list[Effect]:
+        """Take Hellos that arrived together; those that hold no news are noted only."""
+        has_announced, greet_again = self._peer_table.has_announced, self.failure_detector.greet_again
+        effects: list[Effect] = NO_EFFECTS
+        for hello in hellos:
+            if not (hello.role == "agent" and has_announced(hello) and greet_again(hello.sender, now)):
+                more = self.take_hello(hello, now)
+                effects = more if effects is NO_EFFECTS else [*effects, *more]
+        return effects
+
     def take_hello(self, hello: Hello, now: float) -> list[Effect]:
         """Take a Hello: remember the announced sensor, compare the settings, and check the session for a half-open link."""
         if hello.sender == self._context.name:
             return self.fence(hello.incarnation)
-        if hello.role == "agent" and self._peer_table.has_announced(hello) and self.failure_detector.greet_again(hello.sender, now):
-            return NO_EFFECTS
         reason = self._peer_table.take_hello(hello) if hello.role == "agent" else None
         # a refused sender still counts as heard, and the own Hello lists it
         warnings = self.agreement.refuse([hello]) if self.agreement.differs(hello) else []

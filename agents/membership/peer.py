@@ -1,7 +1,5 @@
 """One other agent as it is known: its incarnation, its token, its announced sensor, and what a gossip of it may state."""
 
-import math
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -9,10 +7,7 @@ from agents.config import AgentConfig
 from agents.gossip.table import AnnouncedSensor, announced_sensor
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
-from protocol.node import Batch
 from protocol.settings import ArenaSettings, BadSetting, sensor_of
-
-TOLERANCE = 1.0 + 1e-9  # factor by which a gossip may exceed what its sender's sensor can do: rounding of another implementation
 
 
 @dataclass(slots=True)
@@ -52,22 +47,4 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) 
     """Whether a gossip stays within what its sender's sensor can do: U <= D, the COD within reach, and the goal in the arena."""
     if gossip.goal is not None and not (0.0 <= gossip.goal[0] <= arena.width and 0.0 <= gossip.goal[1] <= arena.height):
         return False
-    most = announced.facts.capability * TOLERANCE
-    apart = math.dist(gossip.cod, gossip.pose[:2])
-    return gossip.unused <= most and math.pi * gossip.power_radius**2 <= most and apart <= announced.sensor.reach * TOLERANCE
-
-
-_JUDGED: deque[tuple[Batch, list[AnnouncedSensor | None], list[bool]]] = deque(maxlen=2)
-
-
-def all_plausible(batch: Batch, carried: list[AnnouncedSensor | None], arena: ArenaSettings) -> list[bool]:
-    """`plausible` of each gossip of a batch; False where the sensor is unknown.
-
-    A pure memo of the last two answers: in virtual time all listeners judge the same batch.
-    """
-    for known, sensors, found in _JUDGED:
-        if known is batch and sensors == carried:
-            return found
-    found = [announced is not None and plausible(gossip, announced, arena) for gossip, announced in zip(batch.messages, carried)]
-    _JUDGED.append((batch, carried, found))
-    return found
+    return gossip.stated_area <= announced.most_area and gossip.cod_distance <= announced.most_distance

@@ -21,11 +21,10 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.gossip.inbox import RoundInbox
-from agents.gossip.table import AnnouncedSensor
 from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
-from agents.membership.peer import Peer, all_plausible, announced_by, plausible, steady
+from agents.membership.peer import Peer, announced_by, plausible, steady
 from protocol.agreement import disagreement, whole
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
@@ -53,7 +52,6 @@ class PeerTable:
         self._listened: deque[int] = deque(maxlen=self._silent)  # the last closed rounds in which this agent listened
         self._name, self.settings = name, config.agreed()
         self.digest = whole(self.settings)
-        self.own_sensor: AnnouncedSensor | None = None  # as it is announced
         self.inbox = RoundInbox()
         self.pace = 1  # this agent plays the ticks that this number divides
         self._paces: dict[str, int] = {}  # of the peers that do not play every tick
@@ -138,14 +136,9 @@ class PeerTable:
         * dead: it was sent before the peer's token vanished;
         * bounds: the sender's sensor cannot do what it states.
         """
-        interest_set, accepted, reasons = self.interest_set, list[Gossip](), list[str]()
-        own, own_name = self.own_sensor, self._name  # in the own place, so that all agents of a process ask the same of a batch
-        carried = [
-            peer.announced if (peer := interest_set.get(name)) is not None else own if name == own_name else None for name in batch.senders
-        ]
-        fit = all_plausible(batch, carried, self._config.arena)
-        for gossip, fits in zip(batch.messages[start:], fit[start:]):
-            reason = self._judge(gossip, fits)
+        accepted, reasons, judge = list[Gossip](), list[str](), self._judge
+        for gossip in batch.messages[start:]:
+            reason = judge(gossip)
             reasons.append(reason)
             if reason:
                 continue
@@ -157,7 +150,7 @@ class PeerTable:
         self.inbox.put(accepted)
         return reasons
 
-    def _judge(self, gossip: Gossip, fits: bool) -> str:
+    def _judge(self, gossip: Gossip) -> str:
         """The reason for refusing a gossip; empty: it is accepted, and the record of its sender is updated."""
         name, tick = gossip.sender, gossip.tick
         peer = self.interest_set.get(name)
@@ -169,7 +162,6 @@ class PeerTable:
             peer = self._peer(name, gossip.incarnation)
             if peer is None:
                 return "incarnation"
-            fits = peer.announced is not None and plausible(gossip, peer.announced, self._config.arena)
         if peer.announced is None:
             return "settings" if peer.differs else "stranger"
         last = self.inbox.last.get(name)
@@ -177,7 +169,7 @@ class PeerTable:
             return "closed"
         if peer.left_at is not None and tick <= peer.left_at:
             return "dead"
-        if not fits:
+        if not plausible(gossip, peer.announced, self._config.arena):
             return "bounds"
         peer.missed, peer.doubted = 0, False
         if peer.left_at is not None:
@@ -280,7 +272,8 @@ class PeerTable:
 
     def is_roster_alive(self) -> bool:
         """Whether the tokens of all others of the roster are up; local: always, as no other agent is awaited."""
-        return self.local or all(name in self.peers and self.peers[name].token for name in self._config.others(self._name))
+        others = self._config.others(self._name)
+        return self.local or (len(self.peers) >= len(others) and all(name in self.peers and self.peers[name].token for name in others))
 
     def lacks_announcements(self) -> bool:
         """Whether the sensor of a live peer is still unknown."""

@@ -52,8 +52,9 @@ def prior_size(filters: FilterSettings, arena: ArenaSettings) -> int:
     return round(max(filters.particles_per_target * filters.prior_density, filters.prior_particles) * arena.width * arena.height)
 
 
+@lru_cache(maxsize=2)
 def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings) -> Particles:
-    """The uniform PHD of density `prior_density` per m^2 with which all agents start, as `count` particles."""
+    """The uniform PHD of density `prior_density` per m^2 with which all agents start, as `count` particles; a pure memo."""
     mass = settings.prior_density * arena.width * arena.height
     if count == 0 or mass == 0.0:
         return NONE

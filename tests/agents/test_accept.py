@@ -8,7 +8,7 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
-from agents.membership.peer import TOLERANCE
+from agents.gossip.table import TOLERANCE
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
 from protocol.message import Message
 from protocol.messages import Gossip, Hello, Observation

@@ -6,6 +6,7 @@ import pytest
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
 from agents.interest.manager import BUSY, FORGOTTEN, LINGER, LONGEST, SETTLE, UNHEARD, InterestManager
+from agents.interest.position_table import SENSOR_X, beacon_row
 from agents.interest.selection import JUMP, PERIOD
 from agents.interest.tiles import Rectangle
 from agents.membership.peer_table import PeerTable
@@ -59,6 +60,14 @@ def test_a_beacon_of_a_peer_that_was_given_up_is_a_return() -> None:
     peers.peers["s2"].missed, peers.changed = CONFIG.rounds_of_silence, False
     assert peers.take_beacon(beacon("s2", 9, 30.0))
     assert (peers.peers["s2"].missed, peers.changed) == (0, True)
+
+
+def test_a_question_of_a_known_peer_is_answered_and_states_its_position() -> None:
+    watcher = lookout()
+    assert watcher.take_beacons([beacon("s2", 0, 30.0)]) and not watcher.take_beacons([beacon("s2", 1, 31.0)])
+    assert watcher.take_beacons([msgspec.structs.replace(beacon("s2", 2, 32.0), asks=True), beacon("s2", 3, 33.0)])
+    table = watcher._peer_table.positions.table(beacon_row(beacon("s1", 3, 10.0), "power"))
+    assert table[0, SENSOR_X] == 33.0
 
 
 def test_how_far_the_widest_sensor_reaches_is_passed_on_from_beacon_to_beacon() -> None:

@@ -3,7 +3,7 @@
 `MUTANTS` names with each seeds that notice it quickly, found by trying 1 to 100.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import msgspec
@@ -25,7 +25,6 @@ from agents.tracking.tracker import RegionInput
 from deploy.verify import fuzz
 from deploy.verify.fuzz import Case
 from protocol.messages import Gossip, Observation
-from protocol.node import Batch
 from protocol.streams import key, scramble
 
 Mutant = Callable[[Case, pytest.MonkeyPatch], str | None]  # plays a case with the rule left out
@@ -131,9 +130,10 @@ def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def row_of_another_sender(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     """A gossip is kept under the name of somebody else who has spoken of the tick."""
 
-    def put(self: RoundInbox, gossip: Gossip) -> None:
-        gossips = self.rounds.setdefault(gossip.tick, {})
-        gossips[next(iter(gossips), gossip.sender) if gossip.tick % 7 == 3 else gossip.sender] = gossip
+    def put(self: RoundInbox, gossips: Iterable[Gossip]) -> None:
+        for gossip in gossips:
+            kept = self.rounds.setdefault(gossip.tick, {})
+            kept[next(iter(kept), gossip.sender) if gossip.tick % 7 == 3 else gossip.sender] = gossip
 
     patch.setattr(RoundInbox, "put", put)
     return fuzz.play(case)
@@ -142,8 +142,8 @@ def row_of_another_sender(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def stale_tick_accepted(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = PeerTable._judge
 
-    def judge(self: PeerTable, gossip: Gossip, fits: bool) -> str:
-        reason = right(self, gossip, fits)
+    def judge(self: PeerTable, gossip: Gossip) -> str:
+        reason = right(self, gossip)
         return "" if reason == "closed" else reason
 
     patch.setattr(PeerTable, "_judge", judge)
@@ -153,31 +153,23 @@ def stale_tick_accepted(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 def incarnation_not_compared(case: Case, patch: pytest.MonkeyPatch) -> str | None:
     right = PeerTable._judge
 
-    def judge(self: PeerTable, gossip: Gossip, fits: bool) -> str:
+    def judge(self: PeerTable, gossip: Gossip) -> str:
         peer = self.interest_set.get(gossip.sender)
         changed = gossip if peer is None else msgspec.structs.replace(gossip, incarnation=peer.incarnation)
-        return right(self, changed, fits)
+        return right(self, changed)
 
     patch.setattr(PeerTable, "_judge", judge)
     return fuzz.play(case)
 
 
 def mask_off_by_one(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    """The last row of every batch of three or more is dropped, though it counts as heard."""
+    """The last row of every three or more that are accepted together is dropped, though it counts as heard."""
     right = RoundInbox.put
-    rows = [0]
 
-    def accept(self: PeerTable, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
-        rows[0] = len(batch) - start if len(batch) >= 3 else 0
-        return accept_all(self, batch, start, tick, awaited)
+    def put(self: RoundInbox, gossips: Iterable[Gossip]) -> None:
+        rows = [*gossips]
+        right(self, rows[:-1] if len(rows) >= 3 else rows)
 
-    def put(self: RoundInbox, gossip: Gossip) -> None:
-        rows[0] -= 1
-        if rows[0] != 0:
-            right(self, gossip)
-
-    accept_all = PeerTable.accept
-    patch.setattr(PeerTable, "accept", accept)
     patch.setattr(RoundInbox, "put", put)
     return fuzz.play(case)
 
