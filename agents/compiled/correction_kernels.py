@@ -250,14 +250,14 @@ def update(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Twin of `regions.correct` for wedges: states, weights, ids and labels of the particles after all scans, the births last.
 
-    `noises` are the deviations of the sensors and of the likelihood in m, the squared gate in m^2, the gate in deviations, the variance
-    of a particle's kernel in m^2, and those of a pose in m^2 and rad^2. `all_rays` has no columns if all detections are exact positions.
+    `noises` are the deviations of the sensors and of the likelihood in m, the squared gate in m^2, the gate in deviations, and the variance
+    of a particle's kernel in m^2. `all_rays` has no columns if all detections are exact positions.
     `miss` is (certainty, side of a bin). `birth` is (on, particles each, radius, least, least share, most, speed, key of the births,
     directions, stamp of the labels).
     """
     states, weights, ids, labels = particles
     on, each, radius, _, _, _, speed, births_key, directions, stamp = birth
-    noise, likelihood_noise, gate2, gate, kernel, place2, turn2 = noises
+    noise, likelihood_noise, gate2, gate, kernel = noises
     has_rays = all_rays.shape[1] > 0
     box = around(polygon, 0.0)
     sensors, begins = _scans(table, polygon, box, halo)
@@ -284,7 +284,7 @@ def update(
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         _view(x[:count], y[:count], sensor, probabilities)
-        point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel, place2, turn2)
+        point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel)
         pairs = -1
         while pairs < 0:
             if has_rays:

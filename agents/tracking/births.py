@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.config import BirthSettings, FilterSettings, PoseSettings
+from agents.config import BirthSettings, FilterSettings
 from agents.tracking.labels import birth_labels
 from agents.tracking.measuring import BEARING, birth_places, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances, unlabelled
@@ -22,7 +22,7 @@ from protocol.streams import key, normal, scramble, uniform
 
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
 
-EXACT = PoseSettings()
+EXACT = (0.0, 0.0)  # the noise of a pose that is exact
 SQUARE = 25.0  # m, side of the squares by which the prior is sorted
 
 
@@ -36,6 +36,7 @@ class Scan(NamedTuple):
     numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
     rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None for exact positions
+    pose_noise: tuple[float, float] = EXACT  # standard deviations of the pose, m on each axis and rad; read with rays alone
 
 
 def near_part(scan: Scan, close: np.ndarray) -> Scan:
@@ -182,7 +183,6 @@ def measurement_births(
     noise: float,
     settings: FilterSettings,
     birth: BirthSettings,
-    own_pose: PoseSettings = EXACT,
 ) -> Particles:
     """New particles around each detection, of weight `per_particle` (M,) and with the labels (M,) of the detections.
 
@@ -193,7 +193,7 @@ def measurement_births(
     ids = scramble(numbers, key(seed, "birth", tick, scan.salt))
     places = np.repeat(scan.detections, count, axis=0)
     if scan.rays is not None:
-        scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), own_pose)
+        scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
         places = birth_places(ids, scan.pose, places, np.repeat(scan.rays, count, axis=0), scan.sensor.reach, scan_noise)
     else:
         x, y = places[:, 0] + normal(scramble(ids, 1)) * noise, places[:, 1] + normal(scramble(ids, 2)) * noise

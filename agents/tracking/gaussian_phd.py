@@ -172,7 +172,7 @@ def measured_covariances(scan: Scan, config: AgentConfig) -> np.ndarray:
         return np.tile(np.eye(2) * (noise * noise), (len(scan.detections), 1, 1))
     if model[0] == BEARING:
         raise BadSetting('filter.kind = "gaussian-mixture": knows no sensor that measures bearings alone; should be "particles"')
-    found = noise_of(model, noise, 0.0, config.pose)
+    found = noise_of(model, noise, 0.0, scan.pose_noise)
     east, north, far = scan.rays[:, 0], scan.rays[:, 1], scan.rays[:, 2]
     along, across = found.along, found.across + found.bearing * (far * far)
     result = np.empty((len(far), 2, 2))

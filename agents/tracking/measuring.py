@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.config import FilterSettings, PoseSettings
+from agents.config import FilterSettings
 from protocol.measuring import Measurement
 from protocol.streams import normal, scramble, uniform
 
@@ -45,16 +45,14 @@ def kernel_variance(settings: FilterSettings) -> float:
     return width * width
 
 
-def is_exact(pose: PoseSettings) -> bool:
-    """Whether the agents take their poses for exact."""
-    return pose.position_noise == 0.0 and pose.heading_noise == 0.0
+def noise_of(model: tuple[float, float, float], position_noise: float, kernel: float, pose_noise: tuple[float, float]) -> Noise:
+    """The variances of a scan: those of the sensor, of a particle's kernel and of the sensor's pose together.
 
-
-def noise_of(model: tuple[float, float, float], position_noise: float, kernel: float, pose: PoseSettings) -> Noise:
-    """The variances of a scan: those of the sensor, of a particle's kernel and of the own pose together."""
-    kind, range_noise, bearing_noise = model
-    place = kernel + pose.position_noise * pose.position_noise
-    turn = bearing_noise * bearing_noise + pose.heading_noise * pose.heading_noise
+    `pose_noise` are standard deviations of the pose, m on each axis and rad.
+    """
+    (kind, range_noise, bearing_noise), (place_noise, heading_noise) = model, pose_noise
+    place = kernel + place_noise * place_noise
+    turn = bearing_noise * bearing_noise + heading_noise * heading_noise
     if kind == POSITION:
         variance = position_noise * position_noise + place
         return Noise(kind, variance, variance, turn)

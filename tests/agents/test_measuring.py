@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from agents.backend import PLAIN
-from agents.config import FilterSettings, PoseSettings
+from agents.config import FilterSettings
+from agents.tracking.births import EXACT
 from agents.tracking.measuring import BEARING, POSITION, RANGE_BEARING, Noise, birth_places, densities, kernel_variance, noise_of
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
@@ -53,7 +54,7 @@ def test_a_team_of_positions_whose_poses_are_not_exact_walks_the_same_trajectory
 @pytest.mark.parametrize("place", [(9.0, 4.0), (3.0, 12.0), (5.0, 5.0)])
 def test_the_density_of_ranges_and_bearings_has_the_integral_one_over_the_plane(place: tuple[float, float]) -> None:
     """The mean range is that of the target, so dividing by the range of the detection is right to second order: within 1 %."""
-    noise, step = noise_of((RANGE_BEARING, 0.3, 0.03), 0.25, 0.0, PoseSettings()), 0.02
+    noise, step = noise_of((RANGE_BEARING, 0.3, 0.03), 0.25, 0.0, EXACT), 0.02
     ticks = np.arange(-3.0, 3.0, step)
     points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2) + np.array(place)
     squared, peaks = densities(np.array([[*place, 0.0, 0.0]]), POSE, points, rays_of(points), RADIUS, noise)
@@ -61,7 +62,7 @@ def test_the_density_of_ranges_and_bearings_has_the_integral_one_over_the_plane(
 
 
 def test_the_density_of_a_bearing_has_the_integral_one_over_the_circle_in_units_of_half_the_squared_radius() -> None:
-    noise, step = noise_of((BEARING, 0.0, 0.05), 0.25, 0.0, PoseSettings()), 1e-3
+    noise, step = noise_of((BEARING, 0.0, 0.05), 0.25, 0.0, EXACT), 1e-3
     angles = np.arange(-math.pi, math.pi, step)
     points = np.array(POSE[:2]) + 7.0 * np.column_stack([np.cos(angles), np.sin(angles)])
     squared, peaks = densities(np.array([[9.0, 5.0, 0.0, 0.0]]), POSE, points, rays_of(points), RADIUS, noise)
@@ -69,13 +70,13 @@ def test_the_density_of_a_bearing_has_the_integral_one_over_the_circle_in_units_
 
 
 def test_the_variances_of_sensor_kernel_and_own_pose_add_up() -> None:
-    pose = PoseSettings(position_noise=0.3, heading_noise=0.02)
+    pose = 0.3, 0.02
     assert noise_of((POSITION, 0.0, 0.0), 0.5, 0.01, pose)[1:] == pytest.approx((0.25 + 0.01 + 0.09, 0.25 + 0.01 + 0.09, 0.0004))
     assert noise_of((RANGE_BEARING, 0.2, 0.1), 9.0, 0.01, pose)[1:] == pytest.approx((0.04 + 0.01 + 0.09, 0.01 + 0.09, 0.01 + 0.0004))
 
 
 def test_a_pose_of_unknown_heading_widens_a_position_across_the_ray_and_not_along_it() -> None:
-    noise = noise_of((POSITION, 0.0, 0.0), 0.1, 0.0, PoseSettings(heading_noise=0.05))
+    noise = noise_of((POSITION, 0.0, 0.0), 0.1, 0.0, (0.0, 0.05))
     point = np.array([[POSE[0] + 8.0, POSE[1]]])
     ahead, aside = np.array([[POSE[0] + 8.5, POSE[1], 0.0, 0.0]]), np.array([[POSE[0] + 8.0, POSE[1] + 0.5, 0.0, 0.0]])
     along, across = (densities(place, POSE, point, rays_of(point), RADIUS, noise)[0][0, 0] for place in (ahead, aside))
@@ -93,7 +94,7 @@ def test_a_difference_of_bearings_counts_as_an_angle_also_across_the_west(error:
 
 @pytest.mark.parametrize("model", [RANGE_BEARING, BEARING])
 def test_births_scatter_as_the_sensor_does(model: float) -> None:
-    noise = noise_of((model, 0.3, 0.04), 0.1, 0.0, PoseSettings())
+    noise = noise_of((model, 0.3, 0.04), 0.1, 0.0, EXACT)
     place = np.array([[POSE[0] + 6.0, POSE[1]]])
     ids = np.arange(1, 4001, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     found = birth_places(ids, POSE, np.repeat(place, 4000, axis=0), np.repeat(rays_of(place), 4000, axis=0), RADIUS, noise)
@@ -106,7 +107,7 @@ def test_births_scatter_as_the_sensor_does(model: float) -> None:
 
 @pytest.mark.parametrize("far", [4.0, 10.0])
 def test_births_of_a_sensor_of_positions_scatter_with_its_heading(far: float) -> None:
-    noise = noise_of((POSITION, 0.0, 0.0), 0.1, 0.0, PoseSettings(heading_noise=0.04))
+    noise = noise_of((POSITION, 0.0, 0.0), 0.1, 0.0, (0.0, 0.04))
     place = np.array([[POSE[0] + far, POSE[1]]])
     ids = np.arange(1, 4001, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     found = birth_places(ids, POSE, np.repeat(place, 4000, axis=0), np.repeat(rays_of(place), 4000, axis=0), RADIUS, noise) - place
