@@ -67,7 +67,7 @@ class OwnPose:
         if self._config.pose.memory > 0.0:
             observation = self._last = self._averaged(observation, place, turn)
             place, turn = self._place.variance, self._turn.variance
-        self.noise = math.sqrt(place), math.sqrt(turn)
+        self.noise = math.sqrt(place), min(math.sqrt(turn), math.pi)
         return observation
 
     def _variances(self) -> tuple[float, float]:
