@@ -324,9 +324,9 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         outside = [math.nextafter(low, -math.inf), math.nextafter(high, math.inf), math.nan, math.inf, -math.inf]
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in outside] == ["range"] * 5
     elif re.fullmatch(r"\d numbers( or nil)?", row.type):
-        least, bound = (
-            (float(low_high[1]), float(low_high[2])) if low_high else (-float(around[1]), float(around[1])) if around else (1.0, 0.0)
-        )
+        assert low_high or around
+        bound = float(low_high[2] if low_high else around[1])  # type: ignore[index]
+        least = float(low_high[1]) if low_high else -bound
         count = int(row.type[0])
         assert refusal(kind, {**plain(kind), row.field: [bound] * count}) is None
         assert refusal(kind, {**plain(kind), row.field: [least] * count}) is None
