@@ -17,7 +17,7 @@ from agents.compiled.extraction_kernels import block
 from agents.compiled.label_kernels import birth_label, label_scan
 from agents.compiled.measuring_kernels import birth_place, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
-from agents.compiled.particle_kernels import blank, normal, scramble, wedge
+from agents.compiled.particle_kernels import blank, likely_sensors, normal, scramble, wedge
 
 _S52 = np.uint64(52)
 _BEARING = 2.0  # the model of a bearing alone, of agents/tracking/measuring.py
@@ -128,8 +128,18 @@ def _missed(
 
 
 @cached
-def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray) -> None:
-    """Write p_d of points of a wedge, a row of `GossipTable.table`, into `probabilities` (N,); without branches, for several at once."""
+def _view(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilities: np.ndarray) -> None:
+    """Twin of `births.Scan.probability` for a wedge: write p_d of points into `probabilities` (N,), the mean over `likely_sensors`."""
+    probabilities[: len(x)] = 0.0
+    for k in range(len(sensors)):
+        _add_view(x, y, sensors[k], probabilities)
+    for n in range(len(x)):
+        probabilities[n] /= np.float64(len(sensors))
+
+
+@njit
+def _add_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray) -> None:
+    """Add p_d of points, of a row of `GossipTable.table`, to `probabilities` (N,); without branches, for several at once."""
     sensor_x, sensor_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
     near, far = sensor[6], sensor[19]
     slope = (far - near) / sensor[4]
@@ -138,7 +148,16 @@ def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.nd
         range2 = dx * dx + dy * dy
         apart = math.sqrt(range2)
         seen = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * apart)
-        probabilities[n] = max(near + slope * apart, far) if seen else 0.0
+        probabilities[n] += max(near + slope * apart, far) if seen else 0.0
+
+
+@njit
+def _seen(x: float, y: float, sensors: np.ndarray) -> float:
+    """p_d of one point, the mean over `likely_sensors`."""
+    found = 0.0
+    for k in range(len(sensors)):
+        found += wedge(x, y, sensors[k])
+    return found / np.float64(len(sensors))
 
 
 @cached
@@ -283,7 +302,8 @@ def update(
     raster = _raster(x[:count], y[:count], detections, spreads, miss[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
-        _view(x[:count], y[:count], sensor, probabilities)
+        likely = likely_sensors(sensor)
+        _view(x[:count], y[:count], likely, probabilities)
         point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel)
         pairs = -1
         while pairs < 0:
@@ -309,7 +329,7 @@ def update(
             else:
                 _birth_densities(points, norms, sensor[7], born, birth)
         for m in range(len(points)):
-            fresh = wedge(points[m, 0], points[m, 1], sensor) * born[m]
+            fresh = _seen(points[m, 0], points[m, 1], likely) * born[m]
             norm = sensor[7] + fresh + norms[m]
             norms[m] = norm if norm > 0.0 else 1.0
             born[m] = fresh / norms[m]

@@ -16,8 +16,8 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, sensor_facts
-from agents.tracking.births import EXACT, Scan
-from agents.tracking.measuring import kernel_variance, model_of, noise_of, spread_of
+from agents.tracking.births import Scan
+from agents.tracking.measuring import EXACT, kernel_variance, likely_poses, model_of, noise_of, spread_of
 from agents.tracking.particles import Particles
 from protocol.components import COMPONENT
 from protocol.measuring import places_of
@@ -26,7 +26,7 @@ from protocol.once import once
 from protocol.sensing import SensorModel, WedgeSensor, measurement_of
 from protocol.streams import key
 
-COLUMNS = 22
+COLUMNS = 26
 (
     X,
     Y,
@@ -50,6 +50,10 @@ COLUMNS = 22
     FAR_PROB,
     PLACE_NOISE,
     HEADING_NOISE,
+    COS_LEFT,
+    SIN_LEFT,
+    COS_RIGHT,
+    SIN_RIGHT,
 ) = range(COLUMNS)
 SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
@@ -114,7 +118,12 @@ class GossipTable:
         table[:, : SIN + 1] = numbers[:, :4]
         table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, len(_SENSOR_COLUMNS))
         table[:, KIND] *= numbers[:, 11]
-        table[:, PLACE_NOISE : HEADING_NOISE + 1] = numbers[:, 12:14]
+        table[:, PLACE_NOISE:] = 0.0
+        if self._is_unsure:
+            table[:, PLACE_NOISE : HEADING_NOISE + 1] = numbers[:, 12:14]
+            for row, gossip in zip(table, self.gossips):
+                left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.pose_noise or EXACT)][-2:]
+                row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = numbers[:, 9], numbers[:, 8], numbers[:, 10]
         table[:, EAST : NORTH + 1] = numbers[:, :2] if self.diagram == "voronoi" else numbers[:, 4:6]
         table[:, RADIUS] = numbers[:, 6] if self.diagram == "power" else 0.0
@@ -170,10 +179,15 @@ class GossipTable:
         ]
         return np.concatenate(parts).astype(float)
 
+    @property
+    def _is_unsure(self) -> bool:
+        """Whether poses may err; a noise that a gossip states counts only then."""
+        return self._config is not None and not self._config.pose.is_exact
+
     @once
     def has_rays(self) -> bool:
         """Whether a sensor measures anything but positions, or poses are not exact."""
-        return bool(self.table[:, MODEL].any()) or (self._config is not None and not self._config.pose.is_exact)
+        return bool(self.table[:, MODEL].any()) or self._is_unsure
 
     @once
     def rays(self) -> np.ndarray:
@@ -255,9 +269,8 @@ class GossipTable:
                 rows = slice(end - np.int64(numbers[DETECTIONS]), end)
                 order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), key("sensor", gossip.sender)
                 rays, kappa = self.rays[rows] if self.has_rays else None, float(numbers[KAPPA])
-                scan = Scan(
-                    salt, announced_sensor.sensor, gossip.pose, self.detections[rows], order, kappa, rays, gossip.pose_noise or EXACT
-                )
+                noise = float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])
+                scan = Scan(salt, announced_sensor.sensor, gossip.pose, self.detections[rows], order, kappa, rays, noise)
                 found.append((float(numbers[PROB]), scan))
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.labels import birth_labels
-from agents.tracking.measuring import BEARING, birth_places, kernel_variance, model_of, noise_of
+from agents.tracking.measuring import BEARING, EXACT, birth_places, kernel_variance, likely_poses, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances, unlabelled
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import ArenaSettings
@@ -22,7 +22,6 @@ from protocol.streams import key, normal, scramble, uniform
 
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
 
-EXACT = (0.0, 0.0)  # the noise of a pose that is exact
 SQUARE = 25.0  # m, side of the squares by which the prior is sorted
 
 
@@ -36,7 +35,15 @@ class Scan(NamedTuple):
     numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
     rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None for exact positions
-    pose_noise: tuple[float, float] = EXACT  # standard deviations of the pose, m on each axis and rad; read with rays alone
+    pose_noise: tuple[float, float] = EXACT  # standard deviations of the pose, m on each axis and rad
+
+    def probability(self, points: np.ndarray) -> np.ndarray:
+        """p_d of points (N, 2): (N,), the mean over the poses that the sensor may have."""
+        poses = likely_poses(self.pose, self.pose_noise)
+        found = self.sensor.probability(points, poses[0])
+        for pose in poses[1:]:
+            found = found + self.sensor.probability(points, pose)
+        return found / float(len(poses))
 
 
 def near_part(scan: Scan, close: np.ndarray) -> Scan:

@@ -144,11 +144,11 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     width = 3.0 * np.sqrt(variances(mixture)) + scan.sensor.reach
     close = np.hypot(mixture.means[:, 0] - x, mixture.means[:, 1] - y) <= width
     near, noise = pick(mixture, close), measured_covariances(scan, config)
-    seen = scan.sensor.probability(nodes(near).reshape(-1, 2), scan.pose).reshape(-1, len(SHARES))
+    seen = scan.probability(nodes(near).reshape(-1, 2)).reshape(-1, len(SHARES))
     rows, columns, found, likelihood = _detected(near, scan, noise, step)
     shares = np.zeros((len(near.ids), len(scan.detections)))
     shares[rows, columns] = likelihood
-    fresh = scan.sensor.probability(scan.detections, scan.pose) * birth_density(scan, config)
+    fresh = scan.probability(scan.detections) * birth_density(scan, config)
     norms = scan.clutter_density + fresh + column_sums(shares)
     norms = np.where(norms > 0.0, norms, 1.0)
     born = _births(scan, noise, fresh / norms, step)
@@ -201,7 +201,7 @@ def _detected(mixture: Mixture, scan: Scan, noise: np.ndarray, step: Step) -> tu
     means = mixture.means[rows] + (gain[:, :, 0] * dx[:, None] + gain[:, :, 1] * dy[:, None])
     taken = gain[:, :, 0, None] * to[:, None, :, 0] + gain[:, :, 1, None] * to[:, None, :, 1]
     covariances = before - 0.5 * (taken + taken.transpose(0, 2, 1))
-    probability = scan.sensor.probability(means[:, :2], scan.pose)
+    probability = scan.probability(means[:, :2])
     likelihood = exp_minus(0.5 * squared) / (2.0 * math.pi * np.sqrt(volume))
     salt = scramble(scan.numbers[columns], key(filters.seed, "detected", step.tick, scan.salt))
     found = Mixture(mixture.weights[rows], means, covariances, scramble(mixture.ids[rows], salt), mixture.labels[rows])

@@ -21,6 +21,8 @@ from protocol.streams import normal, scramble, uniform
 POSITION, RANGE_BEARING, BEARING = 0.0, 1.0, 2.0  # models of a scan, a column of the gossip table
 FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 TINY = 1e-12
+EXACT = (0.0, 0.0)  # the noise of a pose that is exact
+UNSURE = math.sqrt(3.0)  # deviations of `likely_poses`
 
 
 class Noise(NamedTuple):
@@ -43,6 +45,18 @@ def kernel_variance(settings: FilterSettings) -> float:
     """The variance of a particle's kernel on each axis, m^2 (`phd.likelihood_noise`)."""
     width = settings.roughening * settings.position_noise * settings.particles_per_target ** (-1.0 / 6.0)
     return width * width
+
+
+def likely_poses(pose: tuple[float, float, float], pose_noise: tuple[float, float]) -> list[tuple[float, float, float]]:
+    """Poses whose equal mixture has the mean and the variances of a pose: six, or the pose alone if it is exact.
+
+    They lie sqrt(3) standard deviations away on each axis and to each side: the third-degree cubature of Arasaratnam and Haykin (2009).
+    """
+    if pose_noise == EXACT:
+        return [pose]
+    (x, y, heading), away, turned = pose, UNSURE * pose_noise[0], UNSURE * pose_noise[1]
+    sides = [(x + away, y, heading), (x - away, y, heading), (x, y + away, heading), (x, y - away, heading)]
+    return [*sides, (x, y, heading + turned), (x, y, heading - turned)]
 
 
 def noise_of(model: tuple[float, float, float], position_noise: float, kernel: float, pose_noise: tuple[float, float]) -> Noise:

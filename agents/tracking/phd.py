@@ -118,7 +118,7 @@ def correct(
 
     `founded` (M,) are the labels of the detections that no living label explains (`labels`).
     """
-    probability = scan.sensor.probability(particles.states[:, :2], scan.pose)
+    probability = scan.probability(particles.states[:, :2])
     if scan.rays is not None:
         scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
         squared, peaks = densities(particles.states, scan.pose, scan.detections, scan.rays, scan.sensor.reach, scan_noise)
@@ -133,7 +133,7 @@ def correct(
     shares[rows, columns] = particles.weights[rows] * probability[rows] * likelihood
     sums = column_sums(shares)
     density = birth_density(predicted, scan, sums / _positive(scan.clutter_density + sums), birth)
-    fresh = scan.sensor.probability(scan.detections, scan.pose) * density
+    fresh = scan.probability(scan.detections) * density
     norms = _positive(scan.clutter_density + fresh + sums)
     gained = np.zeros(len(particles.weights))
     for number in range(len(norms)):

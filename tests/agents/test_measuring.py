@@ -8,8 +8,7 @@ import pytest
 
 from agents.backend import PLAIN
 from agents.config import FilterSettings
-from agents.tracking.births import EXACT
-from agents.tracking.measuring import BEARING, POSITION, RANGE_BEARING, Noise, birth_places, densities, kernel_variance, noise_of
+from agents.tracking.measuring import BEARING, EXACT, POSITION, RANGE_BEARING, Noise, birth_places, densities, kernel_variance, noise_of
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
 from protocol.measuring import Measurement, measured, places_of
