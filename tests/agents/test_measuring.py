@@ -8,10 +8,23 @@ import pytest
 
 from agents.backend import PLAIN
 from agents.config import FilterSettings
-from agents.tracking.measuring import BEARING, EXACT, POSITION, RANGE_BEARING, Noise, birth_places, densities, kernel_variance, noise_of
+from agents.tracking.births import Scan
+from agents.tracking.measuring import (
+    BEARING,
+    EXACT,
+    POSITION,
+    RANGE_BEARING,
+    Noise,
+    birth_places,
+    densities,
+    kernel_variance,
+    likely_poses,
+    noise_of,
+)
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
 from protocol.measuring import Measurement, measured, places_of
+from protocol.sensing import WedgeSensor
 
 POSE = (3.0, 4.0, 0.7)
 RADIUS = 10.0
@@ -90,6 +103,29 @@ def test_a_pose_of_unknown_heading_widens_a_position_across_the_ray_and_not_alon
     along, across = (densities(place, POSE, point, rays_of(point), RADIUS, noise)[0][0, 0] for place in (ahead, aside))
     assert along == pytest.approx(25.0)
     assert across == pytest.approx(0.25 / (0.01 + 0.0025 * 64.0))
+
+
+def test_the_likely_poses_have_the_mean_and_the_variances_of_the_pose() -> None:
+    poses = np.array(likely_poses(POSE, (0.3, 0.05)))
+    assert poses.mean(axis=0) == pytest.approx(POSE)
+    assert np.cov(poses.T, bias=True) == pytest.approx(np.diag([0.09, 0.09, 0.0025]))
+    assert likely_poses(POSE, EXACT) == [POSE]
+
+
+def test_what_a_sensor_sees_from_an_unsure_pose_is_the_mean_over_its_poses() -> None:
+    """Against draws of the pose. Just inside of an edge one pose in six sees nothing, and the truth is a half: a third off at most.
+
+    The error is less than half of that of a sharp footprint.
+    """
+    wedge, noise, rng = WedgeSensor(2.0, 8.0, 0.9), (0.3, 0.05), np.random.default_rng(3)
+    scan = Scan(0, wedge, POSE, np.empty((0, 2)), np.empty(0, dtype=np.uint64), 0.0, np.empty((0, 4)), noise)
+    points = np.array(POSE[:2]) + rng.uniform(-10.0, 10.0, (3000, 2))
+    drawn = np.array(POSE) + rng.normal(size=(2000, 3)) * (0.3, 0.3, 0.05)
+    mean = np.mean([wedge.probability(points, tuple(pose)) for pose in drawn.tolist()], axis=0)
+    found = scan.probability(points)
+    assert np.abs(found - mean).max() < 0.9 / 3.0
+    assert found.mean() == pytest.approx(mean.mean(), rel=0.01)
+    assert np.abs(found - mean).mean() < 0.5 * np.abs(wedge.probability(points, POSE) - mean).mean()
 
 
 @pytest.mark.parametrize("error", [0.0, 0.1, -0.3])
