@@ -23,6 +23,7 @@ from agents.membership.announcements import SOON
 from agents.membership.local_health import LocalHealth
 from agents.membership.membership import Membership
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
+from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
 from agents.tracking.step import Step
@@ -58,6 +59,7 @@ class Agent(Node):
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
         self._rounds = LateRounds(self.context)
+        self._own_pose = OwnPose(config, self.context.sensor)
         self._fresh: list[Gossip] = []  # of the last round
         self._said: Gossip | None = None  # the own one of the last round
         self._awaited: set[str] = set()  # peers for whose gossips the open round waits
@@ -151,7 +153,7 @@ class Agent(Node):
             self._rounds_alone = 2 * self.config.timing.silent_rounds
         elif observation.tick > self.tick + 1:
             self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._spared)
-        self._spared = 0
+        self._spared, observation = 0, self._own_pose.take(observation)
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
         self.membership.announcements.observation_arrived(now)
         if self._interest is not None and not self._interest.settled:
@@ -180,7 +182,15 @@ class Agent(Node):
         listening, need, lag = self._listening_rounds > 0, self._pace.need, self._rounds.lag.need
         behind = self._rounds.behind(self.tick, self.outcome.belief.stamp)
         self._gossip = outbox.gossip(
-            self.context, self.incarnation, self.outcome, observation, listening=listening, pace=need, behind=behind, lag=lag
+            self.context,
+            self.incarnation,
+            self.outcome,
+            observation,
+            listening=listening,
+            pace=need,
+            behind=behind,
+            lag=lag,
+            pose_noise=self._own_pose.noise,
         )
         self._rounds.open(self._gossip, self.outcome.belief, now)
         self._await()
@@ -346,6 +356,7 @@ class Agent(Node):
         self._observation, self._gossip, self._close_at, self._said = None, None, None, gossip
         self._awaited = set()
         self._ask_back(now)
+        self._own_pose.drive(self.outcome.command)
         command = outbox.command(self.context, self.incarnation, self.outcome, self.tick)
         effects = self._update_interest(self._interest, gossip, now) if self._interest else []
         if self.tick % self.config.timing.estimate_every:

@@ -51,10 +51,17 @@ class MixtureSettings(Section, frozen=True, kw_only=True):
 
 
 class PoseSettings(Section, frozen=True, kw_only=True):
-    """[pose] how exactly the agents know their own poses: what the filter believes, not what is true."""
+    """[pose] how exactly the agents know their own poses: what they believe, not what is true."""
 
-    position_noise: NotNegative = 0.0  # standard deviation on each axis, m
-    heading_noise: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # standard deviation, rad
+    position_noise: Annotated[float, msgspec.Meta(ge=0.0, le=1.0e5)] = 0.0  # standard deviation of a reported position on each axis, m
+    heading_noise: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # standard deviation of a reported heading, rad
+    time_noise: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0  # standard deviation of the time at which a reported pose was true, s
+    memory: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.0  # for how long an agent averages reports, moved on by its commands, s
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the agents take reported poses for exact."""
+        return self.position_noise == 0.0 and self.heading_noise == 0.0 and self.time_noise == 0.0
 
 
 class BirthSettings(Section, frozen=True, kw_only=True):

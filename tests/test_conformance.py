@@ -119,6 +119,7 @@ FULL: dict[str, Message] = {
         pace=2,
         behind=1,
         lag=2,
+        pose_noise=(0.25, 0.125),
     ),
     "observation": Observation(
         sender="world",
@@ -323,11 +324,14 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         outside = [math.nextafter(low, -math.inf), math.nextafter(high, math.inf), math.nan, math.inf, -math.inf]
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in outside] == ["range"] * 5
     elif re.fullmatch(r"\d numbers( or nil)?", row.type):
-        assert around is not None
-        bound, count = float(around[1]), int(row.type[0])
+        assert low_high or around
+        bound = float(low_high[2] if low_high else around[1])  # type: ignore[index]
+        least = float(low_high[1]) if low_high else -bound
+        count = int(row.type[0])
         assert refusal(kind, {**plain(kind), row.field: [bound] * count}) is None
+        assert refusal(kind, {**plain(kind), row.field: [least] * count}) is None
         for place in range(count):
-            for value in (math.nextafter(bound, math.inf), math.nan, -math.inf):
+            for value in (math.nextafter(bound, math.inf), math.nextafter(least, -math.inf), math.nan, -math.inf):
                 assert refusal(kind, {**plain(kind), row.field: [0.0] * place + [value] + [0.0] * (count - place - 1)}) == "range"
         assert refusal(kind, {**plain(kind), row.field: [0.0] * (count + 1)}) == "format"
     elif columns(row):

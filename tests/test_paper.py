@@ -24,9 +24,9 @@ from agents.tracking.regions import in_view, moments
 from deploy.scenario import TeamSettings, resolve, team_counts
 from deploy.simulation import simulate
 from protocol.geometry import EMPTY, distances, polygon_area, polygon_centroid, rectangle
+from protocol.pose import integrate
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, LimitSettings
-from world.bodies import integrate
 from world.score import heterogeneity_level, ospa, total_capacity
 from world.targets import Targets
 

@@ -7,12 +7,10 @@ import math
 from collections.abc import Iterable
 from itertools import combinations
 
-import numpy as np
-
 from protocol.fields import FARTHEST
 from protocol.geometry import wrap_angle
-from protocol.message import Vector
 from protocol.messages import Command
+from protocol.pose import integrate
 from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
 from protocol.streams import key, stream
@@ -20,21 +18,7 @@ from world.config import BodySettings, WorldConfig
 
 ROOM = 0.1  # m around each body at the start
 ATTEMPTS = 1000  # at a random start pose
-
-
-def clip_velocity(velocity: Vector, speed: float) -> Vector:
-    """The velocity in m/s, shortened to `speed` m/s where it is faster; the direction stays."""
-    x, y = velocity
-    fast = math.sqrt(x * x + y * y)
-    return (x * (speed / fast), y * (speed / fast)) if fast > speed else (x, y)
-
-
-def integrate(pose: Pose, velocity: Vector, turn_rate: float, dt: float, limits: LimitSettings) -> Pose:
-    """The pose after dt s at a constant velocity m/s in the world frame and turn rate rad/s, both clipped to the limits (1)."""
-    x, y = clip_velocity(velocity, limits.speed)
-    turn = max(-limits.turn_rate, min(limits.turn_rate, turn_rate))
-    east, north = pose[0] + x * dt, pose[1] + y * dt  # no farther than a coordinate may be on the wire
-    return max(-FARTHEST, min(FARTHEST, east)), max(-FARTHEST, min(FARTHEST, north)), wrap_angle(pose[2] + turn * dt)
+ERRORS = "position_error", "heading_error", "time_error"  # of [bodies]
 
 
 def start_pose(name: str, settings: BodySettings, arena: ArenaSettings, seed: int) -> Pose:
@@ -66,25 +50,24 @@ def start_poses(config: WorldConfig) -> dict[str, Pose]:
     return poses
 
 
-def pose_with_error(pose: Pose, settings: BodySettings, name: str, tick: int, seed: int) -> Pose:
-    """The pose that an agent is told, with the errors of the scenario, keyed by (seed, name, tick); independent from tick to tick."""
-    if settings.position_error == 0.0 and settings.heading_error == 0.0:
+def pose_with_error(pose: Pose, before: Pose, config: WorldConfig, name: str, tick: int) -> Pose:
+    """The pose that an agent is told, with the errors of the scenario, keyed by (seed, name, tick); independent from tick to tick.
+
+    `before`: the pose one tick earlier. An error in time moves the pose along the motion since then, ahead or back.
+    """
+    settings = config.bodies
+    if not any(getattr(settings, field) for field in ERRORS):
         return pose
-    east, north, turn = stream(seed, "pose", key(name), tick).standard_normal(3).tolist()
-    x, y = pose[0] + settings.position_error * east, pose[1] + settings.position_error * north
-    return x, y, wrap_angle(pose[2] + settings.heading_error * turn)
-
-
-def from_other_frame(points: np.ndarray, true: Pose, reported: Pose) -> np.ndarray:
-    """Points (N, 2) float32 that a sensor saw from its true pose, where an agent places them that takes `reported` for its pose."""
-    offset, turn = points.astype(float) - np.array(true[:2]), reported[2] - true[2]
-    cos, sin = math.cos(turn), math.sin(turn)
-    return (offset @ np.array([[cos, sin], [-sin, cos]]) + np.array(reported[:2])).astype(np.float32)
+    east, north, turn, ahead = stream(config.run.seed, "pose", key(name), tick).standard_normal(4).tolist()
+    ticks = ahead * settings.time_error / config.run.dt
+    x = pose[0] + settings.position_error * east + ticks * (pose[0] - before[0])
+    y = pose[1] + settings.position_error * north + ticks * (pose[1] - before[1])
+    return x, y, wrap_angle(pose[2] + settings.heading_error * turn + ticks * wrap_angle(pose[2] - before[2]))
 
 
 def check_given(config: WorldConfig) -> None:
     """Raise BadSetting unless every member has a usable pose where poses are given, or if bodies of their own should err."""
-    for field in ("position_error", "heading_error"):
+    for field in ERRORS:
         if config.bodies.host == "own" and getattr(config.bodies, field):
             wrong = getattr(config.bodies, field)
             raise BadSetting(f"bodies.{field} = {wrong:g}: should be 0 with bodies of their own; a world adds such errors")

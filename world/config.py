@@ -31,6 +31,7 @@ class BodySettings(Section, frozen=True, kw_only=True):
     model: Literal["point", "mujoco"] = "point"  # mujoco: differential drives with mass, slip and contact (extra `mujoco`)
     position_error: NotNegative = 0.0  # standard deviation of a reported position on each axis, m; what agents believe is in [pose]
     heading_error: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # standard deviation of a reported heading, rad
+    time_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0  # standard deviation of the time at which a reported pose was true, s
     host: Literal["world", "own"] = "world"  # one world for all, or a process for every body; the rest is of such bodies
     epoch: Annotated[float, msgspec.Meta(ge=0.0, le=1.0e11)] = 0.0  # Unix time of tick 0, s; 0 = once all agents are there. realtime only
     platform: str = "simulated"  # or module:Class

@@ -14,9 +14,9 @@ import numpy as np
 
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
+from protocol.pose import clip_velocity
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, LimitSettings
-from world.bodies import clip_velocity
 from world.unicycle import twist
 
 STEP = 0.005  # s, of the integrator

@@ -12,9 +12,10 @@ from protocol.fields import FARTHEST, MAX_DETECTIONS
 from protocol.foreign import fault_of, real_array, shown
 from protocol.message import Vector
 from protocol.messages import Command
+from protocol.pose import integrate
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, LimitSettings, load_named
-from world.bodies import integrate, start_poses
+from world.bodies import start_poses
 from world.config import WorldConfig
 
 OWN = "own"

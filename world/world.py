@@ -17,9 +17,10 @@ from protocol.message import Message
 from protocol.messages import Command, Halt, Hello, Observation
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer
 from protocol.observer_messages import Truth
+from protocol.pose import from_other_frame
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
-from world.bodies import check_given, free_pose, from_other_frame, pose_with_error
+from world.bodies import check_given, free_pose, pose_with_error
 from world.commands import CommandBook
 from world.config import WorldConfig
 from world.halt import Hold
@@ -60,6 +61,7 @@ class World(Node):
         self._pause = config.run.dt / config.run.pace if self._lockstep and config.run.pace else 0.0  # s between two ticks, at least
         self._not_before = 0.0  # lockstep: when the tick may end
         self._last_poses: dict[str, Pose] = {}  # of a restored run
+        self._poses_before: dict[str, Pose] = {}  # of the bodies, one tick ago
         self._expected, self._patience, self._strict = tuple(config.members), config.run.start_timeout, config.run.strict
         self.scene = Scene(config)
         self.bodies = self.scene.bodies
@@ -219,6 +221,7 @@ class World(Node):
         commands = self._commands_in_force()
         self.tick += 1
         self.scene.step_until(self.tick)
+        self._poses_before = dict(self.bodies.poses)
         self.bodies.move(commands)
         if self.tick >= self._config.run.ticks:
             return self._stop(0, "done")
@@ -275,8 +278,8 @@ class World(Node):
         return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=heard, settings=self._settings)
 
     def _observation(self, name: str, detections: np.ndarray) -> Observation:
-        bodies, true = self._config.bodies, self.bodies.poses[name]
-        reported = pose_with_error(true, bodies, name, self.tick, self._config.run.seed)
+        true = self.bodies.poses[name]
+        reported = pose_with_error(true, self._poses_before.get(name, true), self._config, name, self.tick)
         if reported != true and measurement_of(self.scene.sensors[name]) is None:
             # a position is stated in the frame that the agent believes in
             detections = from_other_frame(detections, true, reported)

@@ -130,7 +130,6 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold, config.extraction.beside]
     numbers += [filters.gate, kernel_variance(filters)]
-    numbers += [config.pose.position_noise * config.pose.position_noise, config.pose.heading_noise * config.pose.heading_noise]
     salts = [key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
     settings, keys = np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
     _PREPARED.append((config, settings, keys))

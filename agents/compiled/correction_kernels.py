@@ -17,7 +17,7 @@ from agents.compiled.extraction_kernels import block
 from agents.compiled.label_kernels import birth_label, label_scan
 from agents.compiled.measuring_kernels import birth_place, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
-from agents.compiled.particle_kernels import blank, normal, scramble, wedge
+from agents.compiled.particle_kernels import blank, likely_sensors, normal, scramble, wedge
 
 _S52 = np.uint64(52)
 _BEARING = 2.0  # the model of a bearing alone, of agents/tracking/measuring.py
@@ -131,11 +131,25 @@ def _missed(
 
 
 @cached
-def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray, seen: np.ndarray) -> int:
-    """Write p_d of points of a wedge, a row of `GossipTable.table`, into `probabilities` (N,), and the rows with p_d > 0 into `seen`.
+def _view(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilities: np.ndarray, seen: np.ndarray) -> int:
+    """Twin of `births.Scan.probability` for a wedge: write p_d of points into `probabilities` (N,), the mean over `likely_sensors`.
 
-    Returns the number of these rows. The first loop has no branches, for several points at once.
+    Writes the rows with p_d > 0 into `seen` (N,). Returns the number of these rows.
     """
+    probabilities[: len(x)] = 0.0
+    for k in range(len(sensors)):
+        _add_view(x, y, sensors[k], probabilities)
+    number = 0
+    for n in range(len(x)):
+        probabilities[n] /= np.float64(len(sensors))
+        seen[number] = n
+        number += probabilities[n] > 0.0
+    return number
+
+
+@njit
+def _add_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray) -> None:
+    """Add p_d of points, of a row of `GossipTable.table`, to `probabilities` (N,); without branches, for several at once."""
     sensor_x, sensor_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
     near, far = sensor[6], sensor[19]
     slope = (far - near) / sensor[4]
@@ -144,12 +158,16 @@ def _view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.nd
         range2 = dx * dx + dy * dy
         apart = math.sqrt(range2)
         inside = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * apart)
-        probabilities[n] = max(near + slope * apart, far) if inside else 0.0
-    number = 0
-    for n in range(len(x)):
-        seen[number] = n
-        number += probabilities[n] > 0.0
-    return number
+        probabilities[n] += max(near + slope * apart, far) if inside else 0.0
+
+
+@njit
+def _seen(x: float, y: float, sensors: np.ndarray) -> float:
+    """p_d of one point, the mean over `likely_sensors`."""
+    found = 0.0
+    for k in range(len(sensors)):
+        found += wedge(x, y, sensors[k])
+    return found / np.float64(len(sensors))
 
 
 @cached
@@ -260,14 +278,14 @@ def update(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Twin of `regions.correct` for wedges: states, weights, ids and labels of the particles after all scans, the births last.
 
-    `noises` are the deviations of the sensors and of the likelihood in m, the squared gate in m^2, the gate in deviations, the variance
-    of a particle's kernel in m^2, and those of a pose in m^2 and rad^2. `all_rays` has no columns if all detections are exact positions.
+    `noises` are the deviations of the sensors and of the likelihood in m, the squared gate in m^2, the gate in deviations, and the variance
+    of a particle's kernel in m^2. `all_rays` has no columns if all detections are exact positions.
     `miss` is (certainty, side of a bin). `birth` is (on, particles each, radius, least, least share, most, speed, key of the births,
     directions, stamp of the labels).
     """
     states, weights, ids, labels = particles
     on, each, radius, _, _, _, speed, births_key, directions, stamp = birth
-    noise, likelihood_noise, gate2, gate, kernel, place2, turn2 = noises
+    noise, likelihood_noise, gate2, gate, kernel = noises
     has_rays = all_rays.shape[1] > 0
     box = around(polygon, 0.0)
     sensors, begins = _scans(table, polygon, box, halo)
@@ -293,11 +311,12 @@ def update(
     raster = _raster(x[:count], y[:count], detections, spreads, miss[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
-        seen = in_view[: _view(x[:count], y[:count], sensor, probabilities, in_view)]
+        likely = likely_sensors(sensor)
+        seen = in_view[: _view(x[:count], y[:count], likely, probabilities, in_view)]
         if len(seen) + len(points) == 0:
             continue
         seen_x, seen_y, seen_weights, seen_probabilities = x[seen], y[seen], new_weights[seen], probabilities[seen]
-        point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel, place2, turn2)
+        point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel)
         pairs = -1
         while pairs < 0:
             if has_rays:
@@ -323,7 +342,7 @@ def update(
             else:
                 _birth_densities(points, norms, sensor[7], born, birth)
         for m in range(len(points)):
-            fresh = wedge(points[m, 0], points[m, 1], sensor) * born[m]
+            fresh = _seen(points[m, 0], points[m, 1], likely) * born[m]
             norm = sensor[7] + fresh + norms[m]
             norms[m] = norm if norm > 0.0 else 1.0
             born[m] = fresh / norms[m]

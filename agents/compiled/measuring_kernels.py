@@ -19,10 +19,10 @@ _TINY = 1e-12
 
 
 @njit
-def noise_of(sensor: np.ndarray, position_noise: float, kernel: float, place2: float, turn2: float) -> tuple[float, float, float, float]:
-    """Twin of `measuring.noise_of`; `sensor` is a row of the gossip table, `place2` and `turn2` the variances of the pose."""
-    place = kernel + place2
-    turn = sensor[18] * sensor[18] + turn2
+def noise_of(sensor: np.ndarray, position_noise: float, kernel: float) -> tuple[float, float, float, float]:
+    """Twin of `measuring.noise_of`; `sensor` is a row of the gossip table."""
+    place = kernel + sensor[20] * sensor[20]
+    turn = sensor[18] * sensor[18] + sensor[21] * sensor[21]
     if sensor[16] == _POSITION:
         variance = position_noise * position_noise + place
         return sensor[16], variance, variance, turn

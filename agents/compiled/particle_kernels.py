@@ -21,6 +21,7 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
 _LOW = np.uint64(0xFFFF)
+_UNSURE = math.sqrt(3.0)  # deviations, of agents/tracking/measuring.py
 _NORMAL_SCALE = 3.0**0.5 / 65536.0
 _MOST_BITS, _FULLEST = 14, 64  # most bits of an id that choose its bucket, and most ids in a bucket
 
@@ -138,6 +139,20 @@ def wedge(x: float, y: float, sensor: np.ndarray) -> float:
     apart, near, far = math.sqrt(range2), sensor[6], sensor[19]
     seen = (range2 <= sensor[4] * sensor[4]) & (dx * sensor[2] + dy * sensor[3] >= sensor[5] * apart)
     return max(near + (far - near) / sensor[4] * apart, far) if seen else 0.0
+
+
+@njit
+def likely_sensors(sensor: np.ndarray) -> np.ndarray:
+    """Twin of `measuring.likely_poses`: the rows (6 or 1, COLUMNS) of the sensor at each."""
+    if sensor[20] == 0.0 and sensor[21] == 0.0:
+        return sensor.copy().reshape(1, -1)
+    rows, away = np.empty((6, len(sensor))), _UNSURE * sensor[20]
+    for k in range(6):
+        rows[k] = sensor
+    rows[0, 0], rows[1, 0] = sensor[0] + away, sensor[0] - away
+    rows[2, 1], rows[3, 1] = sensor[1] + away, sensor[1] - away
+    rows[4, 2:4], rows[5, 2:4] = sensor[22:24], sensor[24:26]
+    return rows
 
 
 @cached

@@ -27,7 +27,7 @@ SUMS = 5  # next columns: mass, its sums of x and y, load and detected
 # Columns of the settings; and of the keys, each without the tick.
 DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, LIKELIHOOD_NOISE, GATE2 = range(13)
 CERTAINTY, MISS_BIN, BIRTHS, COPIES, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
-PER_TARGET, LEAST, MOST, BIN, THRESHOLD, BESIDE, GATE, KERNEL, PLACE2, TURN2 = range(21, 31)
+PER_TARGET, LEAST, MOST, BIN, THRESHOLD, BESIDE, GATE, KERNEL = range(21, 29)
 TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
 
 _S11 = np.uint64(11)
@@ -225,8 +225,6 @@ def _update_region(
         settings[GATE2],
         settings[GATE],
         settings[KERNEL],
-        settings[PLACE2],
-        settings[TURN2],
     )
     miss = settings[CERTAINTY], settings[MISS_BIN]
     near = near_states, near_weights, near_ids, near_labels

@@ -7,7 +7,7 @@ from agents.coverage.capacity import place
 from agents.round import AgentContext, RoundResult
 from agents.tracking.tracker import Said
 from protocol.fields import pack
-from protocol.message import Agreed
+from protocol.message import Agreed, Vector
 from protocol.messages import Command, Gossip, Hello, Observation
 from protocol.observer_messages import Estimate
 from protocol.sensing import WedgeSensor
@@ -41,10 +41,11 @@ def gossip(
     pace: int = 1,
     behind: int = 0,
     lag: int = 0,
+    pose_noise: Vector | None = None,
 ) -> Gossip:
     """The gossip of a tick: pose, scan and generator; and the owned state, if the last round is that of the tick before.
 
-    `behind`: so many rounds before this tick are still to be played, and the last round is that before them.
+    `behind`: so many rounds before this tick are still to be played, and the last round is that before them. `pose_noise`: of the pose.
     """
     owned = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1 - behind
@@ -75,6 +76,7 @@ def gossip(
         pace=pace,
         behind=behind if current else 0,
         lag=lag,
+        pose_noise=pose_noise,
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, sensor_facts
 from agents.tracking.births import Scan
-from agents.tracking.measuring import is_exact, kernel_variance, model_of, noise_of, spread_of
+from agents.tracking.measuring import EXACT, kernel_variance, likely_poses, model_of, noise_of, spread_of
 from agents.tracking.particles import Particles
 from protocol.components import COMPONENT
 from protocol.measuring import places_of
@@ -26,7 +26,7 @@ from protocol.once import once
 from protocol.sensing import SensorModel, WedgeSensor, measurement_of
 from protocol.streams import key
 
-COLUMNS = 20
+COLUMNS = 26
 (
     X,
     Y,
@@ -48,6 +48,12 @@ COLUMNS = 20
     RANGE_NOISE,
     BEARING_NOISE,
     FAR_PROB,
+    PLACE_NOISE,
+    HEADING_NOISE,
+    COS_LEFT,
+    SIN_LEFT,
+    COS_RIGHT,
+    SIN_RIGHT,
 ) = range(COLUMNS)
 SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
@@ -116,6 +122,12 @@ class GossipTable:
         table[:, : SIN + 1] = numbers[:, :4]
         table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, len(_SENSOR_COLUMNS))
         table[:, KIND] *= numbers[:, 11]
+        table[:, PLACE_NOISE:] = 0.0
+        if self._is_unsure:
+            table[:, PLACE_NOISE : HEADING_NOISE + 1] = numbers[:, 12:14]
+            for row, gossip in zip(table, self.gossips):
+                left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.pose_noise or EXACT)][-2:]
+                row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = numbers[:, 9], numbers[:, 8], numbers[:, 10]
         table[:, EAST : NORTH + 1] = numbers[:, :2] if self.diagram == "voronoi" else numbers[:, 4:6]
         table[:, RADIUS] = numbers[:, 6] if self.diagram == "power" else 0.0
@@ -171,10 +183,15 @@ class GossipTable:
         ]
         return np.concatenate(parts).astype(float)
 
+    @property
+    def _is_unsure(self) -> bool:
+        """Whether poses may err; a noise that a gossip states counts only then."""
+        return self._config is not None and not self._config.pose.is_exact
+
     @once
     def has_rays(self) -> bool:
         """Whether a sensor measures anything but positions, or poses are not exact."""
-        return bool(self.table[:, MODEL].any()) or (self._config is not None and not is_exact(self._config.pose))
+        return bool(self.table[:, MODEL].any()) or self._is_unsure
 
     @once
     def rays(self) -> np.ndarray:
@@ -184,7 +201,8 @@ class GossipTable:
         rays, places, settings = np.empty((len(self.detections), 4)), self.detections.tolist(), self._config
         kernel, number = kernel_variance(settings.filter), 0
         for row in self.table.tolist():
-            noise = noise_of((row[MODEL], row[RANGE_NOISE], row[BEARING_NOISE]), settings.detection.noise, kernel, settings.pose)
+            model, pose_noise = (row[MODEL], row[RANGE_NOISE], row[BEARING_NOISE]), (row[PLACE_NOISE], row[HEADING_NOISE])
+            noise = noise_of(model, settings.detection.noise, kernel, pose_noise)
             for _ in range(int(row[DETECTIONS])):
                 dx, dy = places[number][0] - row[X], places[number][1] - row[Y]
                 distance = math.sqrt(dx * dx + dy * dy)
@@ -255,7 +273,8 @@ class GossipTable:
                 rows = slice(end - np.int64(numbers[DETECTIONS]), end)
                 order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), key("sensor", gossip.sender)
                 rays, kappa = self.rays[rows] if self.has_rays else None, float(numbers[KAPPA])
-                scan = Scan(salt, announced_sensor.sensor, gossip.pose, self.detections[rows], order, kappa, rays)
+                noise = float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])
+                scan = Scan(salt, announced_sensor.sensor, gossip.pose, self.detections[rows], order, kappa, rays, noise)
                 found.append((float(numbers[PROB]), scan))
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.config import BirthSettings, FilterSettings, PoseSettings
+from agents.config import BirthSettings, FilterSettings
 from agents.tracking.labels import birth_labels
-from agents.tracking.measuring import BEARING, birth_places, kernel_variance, model_of, noise_of
+from agents.tracking.measuring import BEARING, EXACT, birth_places, kernel_variance, likely_poses, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances, unlabelled
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import ArenaSettings
@@ -22,7 +22,6 @@ from protocol.streams import key, normal, scramble, uniform
 
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
 
-EXACT = PoseSettings()
 SQUARE = 25.0  # m, side of the squares by which the prior is sorted
 
 
@@ -36,6 +35,15 @@ class Scan(NamedTuple):
     numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
     rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None for exact positions
+    pose_noise: tuple[float, float] = EXACT  # standard deviations of the pose, m on each axis and rad
+
+    def probability(self, points: np.ndarray) -> np.ndarray:
+        """p_d of points (N, 2): (N,), the mean over the poses that the sensor may have."""
+        poses = likely_poses(self.pose, self.pose_noise)
+        found = self.sensor.probability(points, poses[0])
+        for pose in poses[1:]:
+            found = found + self.sensor.probability(points, pose)
+        return found / float(len(poses))
 
 
 def near_part(scan: Scan, close: np.ndarray) -> Scan:
@@ -183,7 +191,6 @@ def measurement_births(
     noise: float,
     settings: FilterSettings,
     birth: BirthSettings,
-    own_pose: PoseSettings = EXACT,
 ) -> Particles:
     """New particles around each detection, of weight `per_particle` (M,) and with the labels (M,) of the detections.
 
@@ -194,7 +201,7 @@ def measurement_births(
     ids = scramble(numbers, key(seed, "birth", tick, scan.salt))
     places = np.repeat(scan.detections, count, axis=0)
     if scan.rays is not None:
-        scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), own_pose)
+        scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
         places = birth_places(ids, scan.pose, places, np.repeat(scan.rays, count, axis=0), scan.sensor.reach, scan_noise)
     else:
         x, y = places[:, 0] + normal(scramble(ids, 1)) * noise, places[:, 1] + normal(scramble(ids, 2)) * noise

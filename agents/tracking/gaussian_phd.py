@@ -15,7 +15,7 @@ from agents.tracking.births import Scan, background_births, least_density, survi
 from agents.tracking.claims import in_arena
 from agents.tracking.gaussians import EMPTY, KERNEL, SHARES, Mixture, chain, mean_of, nodes, pick, unlabelled, variances
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
-from agents.tracking.measuring import BEARING, model_of, noise_of
+from agents.tracking.measuring import BEARING, UNSURE, model_of, noise_of
 from agents.tracking.particles import column_sums
 from agents.tracking.phd import exp_minus
 from agents.tracking.step import Step
@@ -141,14 +141,14 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     """
     config = step.config
     x, y, _ = scan.pose
-    width = 3.0 * np.sqrt(variances(mixture)) + scan.sensor.reach
+    width = 3.0 * np.sqrt(variances(mixture)) + (scan.sensor.reach + UNSURE * scan.pose_noise[0])
     close = np.hypot(mixture.means[:, 0] - x, mixture.means[:, 1] - y) <= width
     near, noise = pick(mixture, close), measured_covariances(scan, config)
-    seen = scan.sensor.probability(nodes(near).reshape(-1, 2), scan.pose).reshape(-1, len(SHARES))
+    seen = scan.probability(nodes(near).reshape(-1, 2)).reshape(-1, len(SHARES))
     rows, columns, found, likelihood = _detected(near, scan, noise, step)
     shares = np.zeros((len(near.ids), len(scan.detections)))
     shares[rows, columns] = likelihood
-    fresh = scan.sensor.probability(scan.detections, scan.pose) * birth_density(scan, config)
+    fresh = scan.probability(scan.detections) * birth_density(scan, config)
     norms = scan.clutter_density + fresh + column_sums(shares)
     norms = np.where(norms > 0.0, norms, 1.0)
     born = _births(scan, noise, fresh / norms, step)
@@ -172,7 +172,7 @@ def measured_covariances(scan: Scan, config: AgentConfig) -> np.ndarray:
         return np.tile(np.eye(2) * (noise * noise), (len(scan.detections), 1, 1))
     if model[0] == BEARING:
         raise BadSetting('filter.kind = "gaussian-mixture": knows no sensor that measures bearings alone; should be "particles"')
-    found = noise_of(model, noise, 0.0, config.pose)
+    found = noise_of(model, noise, 0.0, scan.pose_noise)
     east, north, far = scan.rays[:, 0], scan.rays[:, 1], scan.rays[:, 2]
     along, across = found.along, found.across + found.bearing * (far * far)
     result = np.empty((len(far), 2, 2))
@@ -201,7 +201,7 @@ def _detected(mixture: Mixture, scan: Scan, noise: np.ndarray, step: Step) -> tu
     means = mixture.means[rows] + (gain[:, :, 0] * dx[:, None] + gain[:, :, 1] * dy[:, None])
     taken = gain[:, :, 0, None] * to[:, None, :, 0] + gain[:, :, 1, None] * to[:, None, :, 1]
     covariances = before - 0.5 * (taken + taken.transpose(0, 2, 1))
-    probability = scan.sensor.probability(means[:, :2], scan.pose)
+    probability = scan.probability(means[:, :2])
     likelihood = exp_minus(0.5 * squared) / (2.0 * math.pi * np.sqrt(volume))
     salt = scramble(scan.numbers[columns], key(filters.seed, "detected", step.tick, scan.salt))
     found = Mixture(mixture.weights[rows], means, covariances, scramble(mixture.ids[rows], salt), mixture.labels[rows])

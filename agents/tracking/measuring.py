@@ -14,13 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.config import FilterSettings, PoseSettings
+from agents.config import FilterSettings
 from protocol.measuring import Measurement
 from protocol.streams import normal, scramble, uniform
 
 POSITION, RANGE_BEARING, BEARING = 0.0, 1.0, 2.0  # models of a scan, a column of the gossip table
 FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 TINY = 1e-12
+EXACT = (0.0, 0.0)  # the noise of a pose that is exact
+UNSURE = math.sqrt(3.0)  # deviations of `likely_poses`
 
 
 class Noise(NamedTuple):
@@ -45,16 +47,26 @@ def kernel_variance(settings: FilterSettings) -> float:
     return width * width
 
 
-def is_exact(pose: PoseSettings) -> bool:
-    """Whether the agents take their poses for exact."""
-    return pose.position_noise == 0.0 and pose.heading_noise == 0.0
+def likely_poses(pose: tuple[float, float, float], pose_noise: tuple[float, float]) -> list[tuple[float, float, float]]:
+    """Poses whose equal mixture has the mean and the variances of a pose: six, or the pose alone if it is exact.
+
+    They lie sqrt(3) standard deviations away on each axis and to each side: the third-degree cubature of Arasaratnam and Haykin (2009).
+    """
+    if pose_noise == EXACT:
+        return [pose]
+    (x, y, heading), away, turned = pose, UNSURE * pose_noise[0], UNSURE * pose_noise[1]
+    sides = [(x + away, y, heading), (x - away, y, heading), (x, y + away, heading), (x, y - away, heading)]
+    return [*sides, (x, y, heading + turned), (x, y, heading - turned)]
 
 
-def noise_of(model: tuple[float, float, float], position_noise: float, kernel: float, pose: PoseSettings) -> Noise:
-    """The variances of a scan: those of the sensor, of a particle's kernel and of the own pose together."""
-    kind, range_noise, bearing_noise = model
-    place = kernel + pose.position_noise * pose.position_noise
-    turn = bearing_noise * bearing_noise + pose.heading_noise * pose.heading_noise
+def noise_of(model: tuple[float, float, float], position_noise: float, kernel: float, pose_noise: tuple[float, float]) -> Noise:
+    """The variances of a scan: those of the sensor, of a particle's kernel and of the sensor's pose together.
+
+    `pose_noise` are standard deviations of the pose, m on each axis and rad.
+    """
+    (kind, range_noise, bearing_noise), (place_noise, heading_noise) = model, pose_noise
+    place = kernel + place_noise * place_noise
+    turn = bearing_noise * bearing_noise + heading_noise * heading_noise
     if kind == POSITION:
         variance = position_noise * position_noise + place
         return Noise(kind, variance, variance, turn)

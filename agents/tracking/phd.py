@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from agents.config import BirthSettings, FilterSettings, PoseSettings
-from agents.tracking.births import EXACT, Scan, birth_density, founded_labels, measurement_births, survival_probability
+from agents.config import BirthSettings, FilterSettings
+from agents.tracking.births import Scan, birth_density, founded_labels, measurement_births, survival_probability
 from agents.tracking.extraction import block_sums, estimate_targets
 from agents.tracking.labels import CLAIMED, NO_LABEL, given_labels
 from agents.tracking.measuring import densities, kernel_variance, model_of, noise_of
@@ -87,7 +87,6 @@ def update(
     noise: float,
     settings: FilterSettings,
     birth: BirthSettings,
-    own_pose: PoseSettings = EXACT,
 ) -> Particles:
     """The PHD after all scans of a tick, one after the other (iterated corrector), births appended in the order of detections.
 
@@ -98,10 +97,10 @@ def update(
     predicted = particles
     for scan in scans:
         founded = founded_labels(scan, tick, seed, birth)
-        corrected, per_particle, labels, given = correct(particles, predicted, scan, founded, noise, settings, birth, own_pose)
+        corrected, per_particle, labels, given = correct(particles, predicted, scan, founded, noise, settings, birth)
         particles = Particles(particles.states, corrected, particles.ids, labels)
         if birth.measurement and len(scan.detections):
-            born = measurement_births(scan, per_particle, given, tick, seed, noise, settings, birth, own_pose)
+            born = measurement_births(scan, per_particle, given, tick, seed, noise, settings, birth)
             particles = join([particles, born])
     return particles
 
@@ -114,15 +113,14 @@ def correct(
     noise: float,
     settings: FilterSettings,
     birth: BirthSettings,
-    own_pose: PoseSettings = EXACT,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The weights (N,) after one scan, the weight of each copy of a birth at each detection (M,), and the labels of both.
 
     `founded` (M,) are the labels of the detections that no living label explains (`labels`).
     """
-    probability = scan.sensor.probability(particles.states[:, :2], scan.pose)
+    probability = scan.probability(particles.states[:, :2])
     if scan.rays is not None:
-        scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), own_pose)
+        scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
         squared, peaks = densities(particles.states, scan.pose, scan.detections, scan.rays, scan.sensor.reach, scan_noise)
         rows, columns = np.nonzero((squared <= settings.gate * settings.gate) & (probability > 0.0)[:, None])
         likelihood = exp_minus(squared[rows, columns] * 0.5) * peaks[rows, columns]
@@ -135,7 +133,7 @@ def correct(
     shares[rows, columns] = particles.weights[rows] * probability[rows] * likelihood
     sums = column_sums(shares)
     density = birth_density(predicted, scan, sums / _positive(scan.clutter_density + sums), birth)
-    fresh = scan.sensor.probability(scan.detections, scan.pose) * density
+    fresh = scan.probability(scan.detections) * density
     norms = _positive(scan.clutter_density + fresh + sums)
     gained = np.zeros(len(particles.weights))
     for number in range(len(norms)):

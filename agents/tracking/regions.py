@@ -97,7 +97,7 @@ def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step:
                 near |= True
             close.append(near_part(scan, near))
     noise = config.detection.noise
-    return phd.update(particles, close, step.tick, config.filter.seed, noise, config.filter, config.birth, config.pose)
+    return phd.update(particles, close, step.tick, config.filter.seed, noise, config.filter, config.birth)
 
 
 def moments(particles: Particles) -> tuple[float, float, float]:

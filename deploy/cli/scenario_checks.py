@@ -64,6 +64,7 @@ def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _told("targets", lambda: _try_motion(scenario))
     yield from _told("bodies", lambda: _try_bodies(scenario))
     yield from _told("recorded", lambda: _try_recording(scenario))
+    yield from _told("pose", lambda: _check_memory(scenario))
     for number, fault in enumerate(scenario.faults):
         yield from _told("faults", lambda where=f"faults[{number}].", fault=fault: _try_fault(scenario, fault, where))  # type: ignore[misc]
 
@@ -179,6 +180,15 @@ def _try_recording(scenario: Scenario) -> None:
         kind = scenario.recorded.kind
         raise BadSetting(f"recorded.kind = {kind!r}: has targets of its own; should be none where [targets] or --targets says something")
     recording_remarks(scenario)
+
+
+def _check_memory(scenario: Scenario) -> None:
+    """Raise BadSetting where agents have nothing to average, or move by no command of theirs."""
+    memory, kind = scenario.pose.memory, scenario.recorded.kind
+    if memory and scenario.pose.is_exact:
+        raise BadSetting(f"pose.memory = {memory:g}: has no errors to average; should be 0, or pose.position_noise and so on more than 0")
+    if memory and kind == "mrclam":
+        raise BadSetting(f"pose.memory = {memory:g}: should be 0 with recorded.kind = {kind!r}, whose bodies obey no command")
 
 
 def _try_fault(scenario: Scenario, fault: FaultSettings, where: str) -> None:

@@ -16,6 +16,7 @@ from agents.config import (
     FilterSettings,
     MixtureSettings,
     PartitionSettings,
+    PoseSettings,
     SearchSettings,
     TimingSettings,
 )
@@ -76,6 +77,9 @@ CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the 
     "detection.noise": 0.5,
     "limits.speed": 1.0,
     "limits.turn_rate": 0.3,
+    "pose.position_noise": 0.2,
+    "pose.heading_noise": 0.05,
+    "pose.time_noise": 0.1,
     "timing.interest": "neighbours",
     "timing.estimate_every": 2,
 }
@@ -106,10 +110,12 @@ IN_MIXTURES: dict[str, Any] = {  # settings that act only on a Gaussian mixture
     "mixture.pruned": 0.05,
     "mixture.most_components": 2,
 }
+OF_WRONG_POSES: dict[str, Any] = {"pose.memory": 1.0}  # settings that act only where poses are not exact
 AMONG_NEIGHBOURS: dict[str, Any] = {"timing.tile": 12.0}  # settings that act only where agents hear their neighbours alone
 SECTIONS = {
     "filter": FilterSettings,
     "mixture": MixtureSettings,
+    "pose": PoseSettings,
     "birth": BirthSettings,
     "capacity": CapacitySettings,
     "partition": PartitionSettings,
@@ -121,9 +127,12 @@ SECTIONS = {
 
 
 @cache
-def said(setting: str = "", value: object = None, plain: bool = False, law: str = "lloyd", kind: str = "particles") -> bytes:
-    """The hash of all that the swarm says."""
-    options = BASE | {"control.mode": law, "filter.kind": kind} | ({setting: value} if setting else {})
+def said(
+    setting: str = "", value: object = None, plain: bool = False, law: str = "lloyd", kind: str = "particles", noise: float = 0.0
+) -> bytes:
+    """The hash of all that the swarm says. `noise`: of the agents' poses, m."""
+    base = BASE | {"control.mode": law, "filter.kind": kind, "pose.position_noise": noise}
+    options = base | ({setting: value} if setting else {})
     simulation, heard = Simulation(resolve("efficacy", options), backend=PLAIN if plain else compiled(), scores=False), []
 
     def hear(event: Event, now: float) -> None:
@@ -139,7 +148,7 @@ def said(setting: str = "", value: object = None, plain: bool = False, law: str 
 def test_every_setting_of_an_agent_is_changed_here() -> None:
     assert set(SECTIONS) <= set(AgentConfig.__struct_fields__)
     known = {f"{section}.{field}" for section, kind in SECTIONS.items() for field in kind.__struct_fields__}
-    assert known <= {*CHANGES, *IN_SEARCH, *IN_MIXTURES, *IN_TROUBLE, *AMONG_NEIGHBOURS}
+    assert known <= {*CHANGES, *IN_SEARCH, *IN_MIXTURES, *IN_TROUBLE, *OF_WRONG_POSES, *AMONG_NEIGHBOURS}
 
 
 @pytest.mark.parametrize("setting", CHANGES)
@@ -167,6 +176,14 @@ def test_a_setting_of_mixtures_changes_what_a_swarm_of_mixtures_does_and_nothing
 
 def test_a_setting_of_the_search_is_nothing_to_another_law() -> None:
     assert said("search.weight", 1.0) == said()
+
+
+@pytest.mark.parametrize("setting", OF_WRONG_POSES)
+def test_a_setting_of_wrong_poses_changes_what_the_swarm_does_alike_in_plain_and_compiled_arithmetic(setting: str) -> None:
+    changed = said(setting, OF_WRONG_POSES[setting], noise=0.2)
+    assert changed != said(noise=0.2)
+    assert changed == said(setting, OF_WRONG_POSES[setting], plain=True, noise=0.2)
+    assert said(setting, OF_WRONG_POSES[setting]) == said()
 
 
 @pytest.mark.parametrize("setting", AMONG_NEIGHBOURS)

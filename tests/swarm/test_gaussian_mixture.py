@@ -65,6 +65,13 @@ def test_in_the_large_arena_of_the_paper_it_is_so_too() -> None:
     assert differences(scenario, overheard(scenario)) == [0.0] * 18
 
 
+def test_with_wrong_poses_it_is_so_too() -> None:
+    errors = {f"bodies__{name}_error": size for name, size in (("position", 0.2), ("heading", 0.03), ("time", 0.1))}
+    noises = {f"pose__{name}_noise": size for name, size in (("position", 0.2), ("heading", 0.03), ("time", 0.1))}
+    scenario = tracking(team="A2,C3,D2", side=40.0, run__seconds=6.0, pose__memory=1.0, **errors, **noises, **MIXTURE)
+    assert differences(scenario, overheard(scenario)) == [0.0] * 22
+
+
 def test_a_component_is_owned_by_one_agent_and_that_is_the_one_of_its_cell() -> None:
     checked = 0
     for gossips in small().values():

@@ -11,9 +11,9 @@ from deploy.verify.central_filter import particle_difference
 from tests.swarm.oracle import compare
 
 
-def swarm(team: str, side: float, targets: int, seconds: float, seed: int = 1, dt: float = 0.25) -> Scenario:
+def swarm(team: str, side: float, targets: int, seconds: float, seed: int = 1, dt: float = 0.25, **others: float) -> Scenario:
     options = {"run.seed": seed, "run.seconds": seconds, "run.dt": dt, "team.composition": team, "targets.count": targets}
-    return resolve("efficacy", {**options, "arena.width": side, "arena.height": side})
+    return resolve("efficacy", {**options, "arena.width": side, "arena.height": side, **others})
 
 
 SMALL = {
@@ -33,6 +33,16 @@ def test_without_loss_the_swarm_is_the_central_filter_to_the_last_bit(team: str,
 def test_without_loss_the_plain_arithmetic_is_the_central_filter_too() -> None:
     apart = compare(swarm("A2,B3,C2", 30.0, 5, seconds=25.0, seed=7), backend=PLAIN)
     assert len(apart) == 100 and all(found.exact for found in apart)
+
+
+def test_poses_that_err_in_place_heading_and_time_are_exact_too() -> None:
+    """With a halo as wide as the births are read and the likelihood reaches."""
+    noise = {"position_noise": 0.2, "heading_noise": 0.03, "time_noise": 0.1, "memory": 1.0}
+    wrong = {"bodies.position_error": 0.2, "bodies.heading_error": 0.03, "bodies.time_error": 0.1, "filter.halo": 15.0}
+    options = {f"pose.{name}": value for name, value in noise.items()} | wrong
+    apart = compare(swarm("A2,B3,C2", 35.0, 6, seconds=20.0, **options), backend=compiled())
+    assert len(apart) == 80
+    assert [found for found in apart if found != (0, 0, 0.0, 0.0)] == []
 
 
 def test_long_ticks_are_exact_too() -> None:

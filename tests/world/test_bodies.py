@@ -6,43 +6,18 @@ import numpy as np
 import pytest
 
 from protocol.fields import FARTHEST
+from protocol.geometry import wrap_angle
 from protocol.messages import Command
+from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
-from world.bodies import Bodies, check_given, clip_velocity, integrate, pose_with_error, start_pose
-from world.config import BodySettings, WorldConfig
+from world.bodies import Bodies, check_given, pose_with_error, start_pose
+from world.config import BodySettings, WorldConfig, WorldRun
 
 LIMITS = LimitSettings(speed=2.0, turn_rate=5.0)
 
 
 def command(name: str, velocity: tuple[float, float], turn_rate: float = 0.0) -> Command:
     return Command(sender=name, incarnation=1, tick=0, velocity=velocity, turn_rate=turn_rate)
-
-
-def test_a_slow_command_is_carried_out_as_said() -> None:
-    assert integrate((1.0, 2.0, 0.5), (1.0, -0.5), 0.25, 2.0, LIMITS) == (3.0, 1.0, 1.0)
-
-
-def test_a_velocity_beyond_the_limit_keeps_its_direction() -> None:
-    x, y = clip_velocity((30.0, 40.0), 2.0)
-    assert (x, y) == (pytest.approx(1.2), pytest.approx(1.6))
-
-
-def test_a_velocity_at_the_limit_is_not_touched() -> None:
-    assert clip_velocity((0.0, 2.0), 2.0) == (0.0, 2.0)
-
-
-def test_the_turn_rate_is_clipped_both_ways() -> None:
-    assert integrate((0.0, 0.0, 0.0), (0.0, 0.0), 100.0, 0.1, LIMITS)[2] == pytest.approx(0.5)
-    assert integrate((0.0, 0.0, 0.0), (0.0, 0.0), -100.0, 0.1, LIMITS)[2] == pytest.approx(-0.5)
-
-
-def test_the_heading_stays_within_half_a_turn() -> None:
-    heading = integrate((0.0, 0.0, 3.0), (0.0, 0.0), 1.0, 1.0, LIMITS)[2]
-    assert heading == pytest.approx(4.0 - 2.0 * math.pi)
-
-
-def test_a_limit_of_zero_holds_a_body_fast() -> None:
-    assert integrate((1.0, 2.0, 0.5), (9.0, 9.0), 9.0, 1.0, LimitSettings(speed=0.0, turn_rate=0.0)) == (1.0, 2.0, 0.5)
 
 
 def test_a_body_without_a_command_stands_still() -> None:
@@ -63,11 +38,36 @@ def test_a_body_may_leave_the_arena_but_not_the_range_of_the_wire() -> None:
     assert bodies.poses["s1"] == (-FARTHEST, FARTHEST, 0.0)
 
 
+def errors(settings: BodySettings, name: str, before: Pose = (0.0, 0.0, 0.0), pose: Pose = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """The errors (4000, 3) of the poses that an agent is told in as many ticks of 0.5 s; all are near one pose."""
+    config = WorldConfig(bodies=settings, run=WorldRun(dt=0.5, seed=1))
+    found = np.array([pose_with_error(pose, before, config, name, tick) for tick in range(4000)]) - np.array(pose)
+    return np.column_stack([found[:, :2], [wrap_angle(turn) for turn in found[:, 2].tolist()]])
+
+
 def test_the_pose_errors_of_two_agents_in_a_tick_have_nothing_to_do_with_each_other() -> None:
-    settings = BodySettings(position_error=1.0, heading_error=0.1)
-    one, other = (np.array([pose_with_error((0.0, 0.0, 0.0), settings, name, tick, 1) for tick in range(1000)]) for name in ("s1", "s2"))
+    one, other = (errors(BodySettings(position_error=1.0, heading_error=0.1), name) for name in ("s1", "s2"))
     assert all(abs(np.corrcoef(one[:, part], other[:, part])[0, 1]) < 0.1 for part in range(3))
     assert np.std(one, axis=0) == pytest.approx((1.0, 1.0, 0.1), rel=0.1)
+
+
+def test_an_error_in_time_moves_a_pose_along_its_motion_and_turns_it_with_that() -> None:
+    """2 m/s at an angle, -0.6 rad/s across the west, known to 0.1 s: 0.2 m and 0.06 rad, and all of one sign."""
+    before, pose = (3.0, 4.0, -3.0), (3.6, 4.8, wrap_angle(-3.3))
+    found = errors(BodySettings(time_error=0.1), "s1", before, pose)
+    assert np.std(found, axis=0) == pytest.approx((0.12, 0.16, 0.06), rel=0.05)
+    assert np.abs(found.mean(axis=0)).max() < 0.01
+    np.testing.assert_allclose(found, np.outer(found[:, 0] / 1.2, (1.2, 1.6, -0.6)), atol=1e-9)
+    assert np.corrcoef(found[:-1, 0], found[1:, 0])[0, 1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_an_error_in_time_is_nothing_to_a_body_that_stands() -> None:
+    assert not errors(BodySettings(time_error=0.1), "s1", (3.0, 4.0, 1.0), (3.0, 4.0, 1.0)).any()
+
+
+def test_errors_in_place_and_heading_are_the_same_with_an_error_in_time_beside_them() -> None:
+    alone, both = (errors(BodySettings(position_error=0.3, heading_error=0.1, time_error=late), "s1") for late in (0.0, 0.1))
+    assert (alone == both).all()
 
 
 def test_starts_are_uniform_in_the_arena_and_in_heading() -> None:
@@ -103,7 +103,8 @@ def test_a_given_pose_must_be_finite() -> None:
         check_given(config)
 
 
-def test_errors_of_poses_are_refused_for_bodies_of_their_own() -> None:
-    settings = WorldConfig(bodies=BodySettings(host="own", heading_error=0.1))
-    with pytest.raises(BadSetting, match=r"bodies\.heading_error = 0\.1: should be 0 with bodies of their own"):
+@pytest.mark.parametrize("field", ["position_error", "heading_error", "time_error"])
+def test_errors_of_poses_are_refused_for_bodies_of_their_own(field: str) -> None:
+    settings = WorldConfig(bodies=BodySettings(host="own", **{field: 0.1}))
+    with pytest.raises(BadSetting, match=rf"bodies\.{field} = 0\.1: should be 0 with bodies of their own"):
         check_given(settings)

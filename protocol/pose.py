@@ -1,0 +1,37 @@
+"""Poses of bodies in the plane: how a command moves one, and where points lie that were seen from one.
+
+Data types: a `Pose` is x m, y m and heading rad. Plain scalar arithmetic moves it, so that the same commands give the same poses to the
+last bit.
+"""
+
+import math
+
+import numpy as np
+
+from protocol.fields import FARTHEST
+from protocol.geometry import wrap_angle
+from protocol.message import Vector
+from protocol.sensing import Pose
+from protocol.settings import LimitSettings
+
+
+def clip_velocity(velocity: Vector, speed: float) -> Vector:
+    """The velocity in m/s, shortened to `speed` m/s where it is faster; the direction stays."""
+    x, y = velocity
+    fast = math.sqrt(x * x + y * y)
+    return (x * (speed / fast), y * (speed / fast)) if fast > speed else (x, y)
+
+
+def integrate(pose: Pose, velocity: Vector, turn_rate: float, dt: float, limits: LimitSettings) -> Pose:
+    """The pose after dt s at a constant velocity m/s in the world frame and turn rate rad/s, both clipped to the limits (1)."""
+    x, y = clip_velocity(velocity, limits.speed)
+    turn = max(-limits.turn_rate, min(limits.turn_rate, turn_rate))
+    east, north = pose[0] + x * dt, pose[1] + y * dt  # no farther than a coordinate may be on the wire
+    return max(-FARTHEST, min(FARTHEST, east)), max(-FARTHEST, min(FARTHEST, north)), wrap_angle(pose[2] + turn * dt)
+
+
+def from_other_frame(points: np.ndarray, true: Pose, reported: Pose) -> np.ndarray:
+    """Points (N, 2) float32 that a sensor saw from its true pose, where an agent places them that takes `reported` for its pose."""
+    offset, turn = points.astype(float) - np.array(true[:2]), reported[2] - true[2]
+    cos, sin = math.cos(turn), math.sin(turn)
+    return (offset @ np.array([[cos, sin], [-sin, cos]]) + np.array(reported[:2])).astype(np.float32)
