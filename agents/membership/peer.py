@@ -2,8 +2,10 @@
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+import msgspec
 
 from agents.config import AgentConfig
 from agents.gossip.table import AnnouncedSensor, announced_sensor
@@ -55,6 +57,17 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) 
     most = announced.facts.capability * TOLERANCE
     apart = math.dist(gossip.cod, gossip.pose[:2])
     return gossip.unused <= most and math.pi * gossip.power_radius**2 <= most and apart <= announced.sensor.reach * TOLERANCE
+
+
+def restated(gossip: Gossip, tick: int, generator: Sequence[float], diagram: str) -> Gossip:
+    """A gossip with its generator x, y and radius in m as it was at another tick; the sensor moves with it."""
+    (x, y, heading), (east, north) = gossip.pose, gossip.cod
+    dx, dy = generator[0] - (x if diagram == "voronoi" else east), generator[1] - (y if diagram == "voronoi" else north)
+    pose, cod = (x + dx, y + dy, heading), (east + dx, north + dy)
+    if diagram == "voronoi":
+        return msgspec.structs.replace(gossip, tick=tick, pose=(generator[0], generator[1], heading), cod=cod)
+    radius = generator[2] if diagram == "power" else gossip.power_radius
+    return msgspec.structs.replace(gossip, tick=tick, pose=pose, cod=(generator[0], generator[1]), power_radius=radius)
 
 
 _JUDGED: deque[tuple[Batch, list[AnnouncedSensor | None], list[bool]]] = deque(maxlen=2)

@@ -25,7 +25,7 @@ from agents.gossip.table import AnnouncedSensor
 from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
-from agents.membership.peer import Peer, all_plausible, announced_by, plausible, steady
+from agents.membership.peer import Peer, all_plausible, announced_by, plausible, restated, steady
 from protocol.agreement import disagreement, whole
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
@@ -219,18 +219,33 @@ class PeerTable:
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """For each generator of the diagram of `tick` the gossip that states it.
 
-        It is a fresh gossip, or the last one of a peer that has been silent for a short time.
+        It is a fresh gossip, or the newest one of a peer that has been silent for a short time. A peer is silent since the newest
+        generator of it that it or the claim of another peer states: what others have heard of late is alive.
         """
-        found, oldest = {}, tick - self._silent
+        found, oldest, told = {}, tick - self._silent, self._told(tick)
         if self._listened:
             rounds = min(self._silent, len(self._listened))
             oldest = min(oldest, self._listened[-rounds] - (self._silent - rounds))
         for name, peer in self.interest_set.items():
-            gossip = fresh.get(name) or self.inbox.newest(name, tick)
+            gossip = fresh.get(name) or told.get(name) or self.inbox.newest(name, tick)
             if gossip is None or gossip.listening or peer.left_at is not None:
                 continue
             if gossip.tick >= oldest - self._silent * (gossip.pace - 1):
                 found[name] = gossip
+        return found
+
+    def _told(self, tick: int) -> dict[str, Gossip]:
+        """The newest gossips of peers that are silent in the round `tick`, with newer generators that the claims of other peers state."""
+        newest = {name: gossip for name in self.interest_set if (gossip := self.inbox.newest(name, tick)) is not None}
+        silent = {name: gossip for name, gossip in newest.items() if gossip.tick < tick}
+        found = dict[str, Gossip]()
+        for claim in newest.values() if silent else ():
+            for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
+                if name in silent and stamp > found.get(name, silent[name]).tick:
+                    moved = restated(silent[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
+                    announced = self.interest_set[name].announced
+                    if announced is not None and plausible(moved, announced, self._config.arena):
+                        found[name] = moved
         return found
 
     def close(self, tick: int, *, newcomer: bool = False, listened: bool = True) -> int:
