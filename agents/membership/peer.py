@@ -60,14 +60,16 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) 
 
 
 def restated(gossip: Gossip, tick: int, generator: Sequence[float], diagram: str) -> Gossip:
-    """A gossip with its generator x, y and radius in m as it was at another tick; the sensor moves with it."""
-    (x, y, heading), (east, north) = gossip.pose, gossip.cod
-    dx, dy = generator[0] - (x if diagram == "voronoi" else east), generator[1] - (y if diagram == "voronoi" else north)
-    pose, cod = (x + dx, y + dy, heading), (east + dx, north + dy)
+    """A gossip with the generator x, y and radius in m of its sender at another tick, when it had a cell; the sensor moves with it."""
+    (x, y, heading), (east, north), radius = gossip.pose, gossip.cod, gossip.power_radius
+    (from_x, from_y), (to_x, to_y, stated) = gossip.pose[:2] if diagram == "voronoi" else gossip.cod, generator
+    pose, cod = (x + to_x - from_x, y + to_y - from_y, heading), (east + to_x - from_x, north + to_y - from_y)
     if diagram == "voronoi":
-        return msgspec.structs.replace(gossip, tick=tick, pose=(generator[0], generator[1], heading), cod=cod)
-    radius = generator[2] if diagram == "power" else gossip.power_radius
-    return msgspec.structs.replace(gossip, tick=tick, pose=pose, cod=(generator[0], generator[1]), power_radius=radius)
+        pose = to_x, to_y, heading
+    else:
+        cod = to_x, to_y
+    radius = stated if diagram == "power" else radius
+    return msgspec.structs.replace(gossip, tick=tick, pose=pose, cod=cod, power_radius=radius, listening=False)
 
 
 _JUDGED: deque[tuple[Batch, list[AnnouncedSensor | None], list[bool]]] = deque(maxlen=2)

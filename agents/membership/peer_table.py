@@ -219,30 +219,31 @@ class PeerTable:
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """For each generator of the diagram of `tick` the gossip that states it.
 
-        It is a fresh gossip, or the newest one of a peer that has been silent for a short time. A peer is silent since the newest
-        generator of it that it or the claim of another peer states: what others have heard of late is alive.
+        It is a fresh gossip, or the newest one of a peer that has been silent for a short time. The claims of others name generators
+        too: a peer is silent since the newest one that it or a claim has stated.
         """
-        found, oldest, told = {}, tick - self._silent, self._told(tick)
+        found, oldest = {}, tick - self._silent
         if self._listened:
             rounds = min(self._silent, len(self._listened))
             oldest = min(oldest, self._listened[-rounds] - (self._silent - rounds))
+        claimed = self._claimed(tick, fresh)
         for name, peer in self.interest_set.items():
-            gossip = fresh.get(name) or told.get(name) or self.inbox.newest(name, tick)
+            gossip = fresh.get(name) or claimed.get(name)
             if gossip is None or gossip.listening or peer.left_at is not None:
                 continue
             if gossip.tick >= oldest - self._silent * (gossip.pace - 1):
                 found[name] = gossip
         return found
 
-    def _told(self, tick: int) -> dict[str, Gossip]:
-        """The newest gossips of peers that are silent in the round `tick`, with newer generators that the claims of other peers state."""
-        newest = {name: gossip for name in self.interest_set if (gossip := self.inbox.newest(name, tick)) is not None}
-        silent = {name: gossip for name, gossip in newest.items() if gossip.tick < tick}
-        found = dict[str, Gossip]()
-        for claim in newest.values() if silent else ():
+    def _claimed(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
+        """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
+        live = [name for name, peer in self.interest_set.items() if peer.left_at is None and name not in fresh]
+        found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
+        newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
+        for claim in [gossip for gossip in newest if gossip is not None]:
             for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
-                if name in silent and stamp > found.get(name, silent[name]).tick:
-                    moved = restated(silent[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
+                if name in found and stamp > found[name].tick:
+                    moved = restated(found[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
                     announced = self.interest_set[name].announced
                     if announced is not None and plausible(moved, announced, self._config.arena):
                         found[name] = moved
@@ -257,6 +258,8 @@ class PeerTable:
         if listened:
             self._listened.append(tick)
             self._count_silent(missing)
+        if missing or not self._steady:
+            self._forget_silent(tick)
         complete = len(self.inbox.of(tick)) == len(self.interest_set)
         if not self._steady:
             self._settle_doubts(tick, len(self.inbox.of(tick)))
@@ -287,6 +290,13 @@ class PeerTable:
             self.peers[name].missed += 1
             if self.peers[name].missed >= self._silent:
                 self.given_up += 1
+
+    def _forget_silent(self, tick: int) -> None:
+        """local: forget the positions of silent peers that are no generators of the round after `tick`."""
+        silent = [name for name, peer in self.interest_set.items() if peer.missed >= self._silent and name in self.positions]
+        generators = self.generators(tick + 1, self.fresh(tick + 1)) if silent else {}
+        for name in silent:
+            if name not in generators:
                 self.positions.remove(name)
 
     def any_missed(self) -> bool:
