@@ -58,6 +58,7 @@ class PeerTable:
         self.pace = 1  # this agent plays the ticks that this number divides
         self._paces: dict[str, int] = {}  # of the peers that do not play every tick
         self.given_up = 0  # how often a peer with its token up has been silent for too long
+        self._known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
         self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
 
     def alive(self, name: str, incarnation: int) -> None:
@@ -239,6 +240,7 @@ class PeerTable:
         """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
         live = [name for name, peer in self.interest_set.items() if peer.left_at is None and name not in fresh]
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
+        found |= {name: known for name, known in self._known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
         for claim in [gossip for gossip in newest if gossip is not None]:
             for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
@@ -259,6 +261,7 @@ class PeerTable:
             self._listened.append(tick)
             self._count_silent(missing)
         if missing or not self._steady:
+            self._known = self._claimed(tick, self.fresh(tick))
             self._forget_silent(tick)
         complete = len(self.inbox.of(tick)) == len(self.interest_set)
         if not self._steady:
