@@ -2,7 +2,8 @@
 
 A *peer* is a live agent. Its liveliness token is a suspicion, no proof. When the token vanishes, the peer stops being a generator at
 once. A later gossip of the same incarnation brings it back, if it cannot have been sent before. A peer that falls silent with its token
-up stays a generator for `rounds_of_silence` rounds, at its last position. Only rounds in which this agent really listened count.
+up stays a generator for `rounds_of_silence` rounds after the newest tick of which a generator of it is known. Its own gossips state these,
+and so do the claims of its neighbours, with their ages. Only rounds in which this agent really listened count.
 
 A token that vanishes while this agent is late is doubted. It counts at the end of the next round in which at least twice as many peers
 are heard as are doubted. A doubt about most peers is one about this agent: those peers are treated as silent ones.
