@@ -50,10 +50,7 @@ class CentralFilter:
         everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
         [found] = self._backend.update_regions(_all(gossips, self._classes, config), self.particles, born, [everywhere], step)
         self.updated = found.updated
-        predicted = predict(canonical(self.particles), step)
-        places = estimate_tracks(self.updated, config.extraction).positions
-        drawn = [_drawn(self.updated, predicted, places, owner, claim, step) for owner, claim in claims.items()]
-        self.particles = canonical(join(drawn))
+        self.particles = drawn(self.updated, predict(canonical(self.particles), step), claims, step)
 
     @property
     def mass(self) -> float:
@@ -85,13 +82,16 @@ def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: Agen
     return gossip_table(said, sensors, config)
 
 
-def _drawn(updated: Particles, predicted: Particles, places: np.ndarray, owner: str, claim: Claim, step: Step) -> Particles:
-    """What an owner draws of the particles in its claim, some of which it renames before; `places` (M, 2) are all estimates, m."""
+def drawn(updated: Particles, predicted: Particles, claims: Mapping[str, Claim], step: Step) -> Particles:
+    """What the owners draw of the particles in their claims, some of which they rename before; `predicted` is before the scans."""
     arena, filters = step.config.arena, step.config.filter
-    mine = owned(updated.states, claim, arena)
-    labels = renamed(updated, mine, predicted, places[owned(places, claim, arena)])
-    drawn = phd.resample(canonical(select(updated._replace(labels=labels), mine)), owner, step.tick, filters.seed, filters)
-    return as_stated(drawn, owner, step)
+    places, parts = estimate_tracks(updated, step.config.extraction).positions, list[Particles]()
+    for owner, claim in claims.items():
+        mine = owned(updated.states, claim, arena)
+        labels = renamed(updated, mine, predicted, places[owned(places, claim, arena)])
+        found = phd.resample(canonical(select(updated._replace(labels=labels), mine)), owner, step.tick, filters.seed, filters)
+        parts.append(as_stated(found, owner, step))
+    return canonical(join(parts))
 
 
 def _widely(arena: ArenaSettings) -> np.ndarray:

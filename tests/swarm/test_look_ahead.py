@@ -14,7 +14,7 @@ from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config
 from deploy.simulation import Simulation, compiled
-from deploy.verify.central_filter import _drawn, _widely, particle_difference
+from deploy.verify.central_filter import _widely, drawn, particle_difference
 from protocol.compact import quantised
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -81,8 +81,7 @@ def replayed(scenario: Scenario, owned: Particles, ticks: list[dict[str, Gossip]
         predicted = predict(canonical(owned), step)
         updated = backend.update_regions(gossip_table(said, sensors, config), owned, born, [everywhere], step)[0].updated
         owned = select(updated, in_arena(updated.states, config.arena))  # a tick ends with what is in the arena
-    parts = [_drawn(owned, predicted, name, share_of(gossip).claim, step) for name, gossip in claims.items()]
-    return canonical(join(parts))
+    return drawn(owned, predicted, {name: share_of(gossip).claim for name, gossip in claims.items()}, step)
 
 
 def told(gossips: dict[str, Gossip]) -> Particles:
