@@ -229,9 +229,9 @@ class PeerTable:
             rounds = min(self._silent, len(self._listened))
             oldest = min(oldest, self._listened[-rounds] - (self._silent - rounds))
         claimed = self._claimed(tick, fresh)
-        for name, peer in self.interest_set.items():
+        for name in self.interest_set:
             gossip = fresh.get(name) or claimed.get(name)
-            if gossip is None or gossip.listening or peer.left_at is not None:
+            if gossip is None or gossip.listening:
                 continue
             if gossip.tick >= oldest - self._silent * (gossip.pace - 1):
                 found[name] = gossip
