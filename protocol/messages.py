@@ -140,6 +140,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
         check_number("widest_radius", self.widest_radius, least=0.0)
 
 
+UNKNOWN_AGE = 255
 GOSSIP_NUMBERS = (
     14  # x, y, cos and sin of the heading, COD x and y, power radius, U, weight, detections, particles, scanned, 2 of `pose_noise`
 )
@@ -178,6 +179,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     behind: LagNumber = 0  # the claim is so many ticks older than that of the tick before: later rounds wait for late gossips
     lag: LagNumber = 0  # rounds must be played so many ticks late, so that the sender hears most gossips
     pose_noise: Vector | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
+    claim_ages: bytes | msgspec.UnsetType = msgspec.UNSET  # ticks before `claim_tick` of each generator of the claim; unset: all are of it
 
     @once
     def detections(self) -> np.ndarray:
@@ -188,6 +190,12 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     def claim(self) -> np.ndarray:
         """(G, 3) float64."""
         return CLAIM.read(self.claim_bytes)
+
+    @once
+    def claim_ticks(self) -> list[int]:
+        """The tick of each generator of the claim; -1: it is unknown."""
+        ages = bytes(len(self.claim_names)) if self.claim_ages is msgspec.UNSET else self.claim_ages
+        return [-1 if age == UNKNOWN_AGE else self.claim_tick - age for age in ages]
 
     @once
     def states(self) -> np.ndarray:
@@ -272,6 +280,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
             and claim == 24 * len(self.claim_names)
             and claim <= 24 * MAX_NAMES
             and (self.claim_names[0] == self.sender if claim else not ids)
+            and (self.claim_ages is msgspec.UNSET or len(self.claim_ages) == len(self.claim_names))
             and (self.claim_tick < self.tick or not self.claim_tick)
         )
 
@@ -292,6 +301,8 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     def _check_claim(self, generators: int) -> None:
         if len(self.claim_names) != generators:
             raise Malformed("shape", f"claim_names: {len(self.claim_names)} names for {generators} generators")
+        if self.claim_ages is not msgspec.UNSET and len(self.claim_ages) != generators:
+            raise Malformed("shape", f"claim_ages: {len(self.claim_ages)} ages for {generators} generators")
         if self.claim_names and self.claim_names[0] != self.sender:
             raise Malformed("sender", f"claim_names: the first should be the sender, not {self.claim_names[0][:64]!r}")
         if self.states_bytes and not self.claim_names:

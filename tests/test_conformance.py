@@ -120,6 +120,7 @@ FULL: dict[str, Message] = {
         behind=1,
         lag=2,
         pose_noise=(0.25, 0.125),
+        claim_ages=b"\0\3",
     ),
     "observation": Observation(
         sender="world",
@@ -222,7 +223,7 @@ def refusal(kind: str, fields: dict[str, Any]) -> str | None:
 
 def same_length(kind: str, field: str, rows: int) -> dict[str, Any]:
     """The full message with `rows` rows in an array, and just as many in the field that must be as long."""
-    groups = [{"states", "ids", "label_numbers"}, {"claim", "claim_names"}, {"targets", "details", "labels"}]
+    groups = [{"states", "ids", "label_numbers"}, {"claim", "claim_names", "claim_ages"}, {"targets", "details", "labels"}]
     if kind == "truth":
         groups = [{"targets", "ids"}, {"poses", "bodies"}]
     if kind == "gossip" and field == "labels":  # so many that each particle names its own with two bytes
@@ -292,8 +293,11 @@ def test_a_required_field_must_be_there_and_any_other_may_be_left_out_for_its_de
         "false": False,
         '""': "",
     }
-    default = spoken[row.default] if row.default in spoken else row.default.strip('"') if row.type == "name" else float(row.default)
     bare = decode(message_key("demo", FULL[kind]), msgpack.packb(needed))
+    if row.default == "left out":
+        assert row.field not in msgpack.unpackb(encode(bare))
+        return
+    default = spoken[row.default] if row.default in spoken else row.default.strip('"') if row.type == "name" else float(row.default)
     assert bare == decode(
         message_key("demo", FULL[kind]), msgpack.packb({**needed, row.field: int(default) if row.type == "integer" else default})
     )
@@ -354,6 +358,9 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         for weight, mean, factor, label in (*wrongs, (0.5, 0.0, 0.0, 2**53)):
             bad = struct.pack("<5f10e2Q", weight, *[mean] * 4, *[factor] * 10, 6, label)
             assert refusal(kind, {**plain(kind), row.field: bad}) == "range"
+    elif row.field == "claim_ages":
+        lengths = [refusal(kind, {**plain(kind), row.field: bytes(length)}) for length in range(4)]
+        assert lengths == ["shape", "shape", None, "shape"] and len(plain(kind)["claim_names"]) == 2
     elif row.type == "bytes":
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in (b"\1", b"\1\2", b"\1\0\0", bytes(16385))] == ["shape"] * 4
     elif row.type == "name":

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import msgspec
+
 from agents.coverage.capacity import place
 from agents.round import AgentContext, RoundResult
 from agents.tracking.tracker import Said
 from protocol.fields import pack
 from protocol.message import Agreed, Vector
-from protocol.messages import Command, Gossip, Hello, Observation
+from protocol.messages import UNKNOWN_AGE, Command, Gossip, Hello, Observation
 from protocol.observer_messages import Estimate
 from protocol.sensing import WedgeSensor
 
@@ -77,7 +79,18 @@ def gossip(
         behind=behind if current else 0,
         lag=lag,
         pose_noise=pose_noise,
+        claim_ages=_claim_ages(outcome) if current else msgspec.UNSET,
     )
+
+
+def _claim_ages(outcome: RoundResult) -> bytes | msgspec.UnsetType:
+    """By how many ticks each generator of the claim is older than the round in which it was cut; unset: all are of that round."""
+    names, frame = outcome.belief.mine.claim.names, outcome.frame
+    if frame is None or (not frame.generators.ages and frame.generators.everyone.issuperset(names)):
+        return msgspec.UNSET
+    ages, known = frame.generators.ages, frame.generators.everyone
+    found = bytes([min(UNKNOWN_AGE, ages.get(name, 0)) if name in known else UNKNOWN_AGE for name in names])
+    return found if any(found) else msgspec.UNSET
 
 
 def command(context: AgentContext, incarnation: int, outcome: RoundResult, tick: int) -> Command:

@@ -144,6 +144,12 @@ class GossipTable:
         return self.table[:, SALT].copy().view(np.uint64)
 
     @once
+    def ages(self) -> dict[str, int]:
+        """By how many ticks a generator is older than the newest one, for those that are older."""
+        newest = max([gossip.tick for gossip in self.gossips], default=0)
+        return {gossip.sender: newest - gossip.tick for gossip in self.gossips if gossip.tick < newest}
+
+    @once
     def everyone(self) -> frozenset[str]:
         """The names as a set."""
         return frozenset(self.names)

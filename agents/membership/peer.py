@@ -1,7 +1,9 @@
 """One other agent as it is known: its incarnation, its token, its announced sensor, and what a gossip of it may state."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+import msgspec
 
 from agents.config import AgentConfig
 from agents.gossip.table import AnnouncedSensor, announced_sensor
@@ -48,3 +50,16 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) 
     if gossip.goal is not None and not (0.0 <= gossip.goal[0] <= arena.width and 0.0 <= gossip.goal[1] <= arena.height):
         return False
     return gossip.stated_area <= announced.most_area and gossip.cod_distance <= announced.most_distance
+
+
+def restated(gossip: Gossip, tick: int, generator: Sequence[float], diagram: str) -> Gossip:
+    """A gossip with the generator x, y and radius in m of its sender at another tick, when it had a cell; the sensor moves with it."""
+    (x, y, heading), (east, north), radius = gossip.pose, gossip.cod, gossip.power_radius
+    (from_x, from_y), (to_x, to_y, stated) = gossip.pose[:2] if diagram == "voronoi" else gossip.cod, generator
+    pose, cod = (x + to_x - from_x, y + to_y - from_y, heading), (east + to_x - from_x, north + to_y - from_y)
+    if diagram == "voronoi":
+        pose = to_x, to_y, heading
+    else:
+        cod = to_x, to_y
+    radius = stated if diagram == "power" else radius
+    return msgspec.structs.replace(gossip, tick=tick, pose=pose, cod=cod, power_radius=radius, listening=False)

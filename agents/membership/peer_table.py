@@ -2,7 +2,8 @@
 
 A *peer* is a live agent. Its liveliness token is a suspicion, no proof. When the token vanishes, the peer stops being a generator at
 once. A later gossip of the same incarnation brings it back, if it cannot have been sent before. A peer that falls silent with its token
-up stays a generator for `rounds_of_silence` rounds, at its last position. Only rounds in which this agent really listened count.
+up stays a generator for `rounds_of_silence` rounds after the newest tick of which a generator of it is known. Its own gossips state these,
+and so do the claims of its neighbours, with their ages. Only rounds in which this agent really listened count.
 
 A token that vanishes while this agent is late is doubted. It counts at the end of the next round in which at least twice as many peers
 are heard as are doubted. A doubt about most peers is one about this agent: those peers are treated as silent ones.
@@ -24,7 +25,7 @@ from agents.gossip.inbox import RoundInbox
 from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
-from agents.membership.peer import Peer, announced_by, plausible, steady
+from agents.membership.peer import Peer, announced_by, plausible, restated, steady
 from protocol.agreement import disagreement, whole
 from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
@@ -56,6 +57,7 @@ class PeerTable:
         self.pace = 1  # this agent plays the ticks that this number divides
         self._paces: dict[str, int] = {}  # of the peers that do not play every tick
         self.given_up = 0  # how often a peer with its token up has been silent for too long
+        self._known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
         self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
 
     def alive(self, name: str, incarnation: int) -> None:
@@ -211,18 +213,35 @@ class PeerTable:
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """For each generator of the diagram of `tick` the gossip that states it.
 
-        It is a fresh gossip, or the last one of a peer that has been silent for a short time.
+        It is a fresh gossip, or the newest one of a peer that has been silent for a short time. The claims of others name generators
+        too: a peer is silent since the newest one that it or a claim has stated.
         """
         found, oldest = {}, tick - self._silent
         if self._listened:
             rounds = min(self._silent, len(self._listened))
             oldest = min(oldest, self._listened[-rounds] - (self._silent - rounds))
-        for name, peer in self.interest_set.items():
-            gossip = fresh.get(name) or self.inbox.newest(name, tick)
-            if gossip is None or gossip.listening or peer.left_at is not None:
+        claimed = self._claimed(tick, fresh)
+        for name in self.interest_set:
+            gossip = fresh.get(name) or claimed.get(name)
+            if gossip is None or gossip.listening:
                 continue
             if gossip.tick >= oldest - self._silent * (gossip.pace - 1):
                 found[name] = gossip
+        return found
+
+    def _claimed(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
+        """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
+        live = [name for name, peer in self.interest_set.items() if peer.left_at is None and name not in fresh]
+        found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
+        found |= {name: known for name, known in self._known.items() if name in found and known.tick > found[name].tick}
+        newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
+        for claim in [gossip for gossip in newest if gossip is not None]:
+            for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
+                if name in found and stamp > found[name].tick:
+                    moved = restated(found[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
+                    announced = self.interest_set[name].announced
+                    if announced is not None and plausible(moved, announced, self._config.arena):
+                        found[name] = moved
         return found
 
     def close(self, tick: int, *, newcomer: bool = False, listened: bool = True) -> int:
@@ -234,6 +253,9 @@ class PeerTable:
         if listened:
             self._listened.append(tick)
             self._count_silent(missing)
+        if missing or not self._steady:
+            self._known = self._claimed(tick, self.fresh(tick))
+            self._forget_silent(tick)
         complete = len(self.inbox.of(tick)) == len(self.interest_set)
         if not self._steady:
             self._settle_doubts(tick, len(self.inbox.of(tick)))
@@ -264,6 +286,13 @@ class PeerTable:
             self.peers[name].missed += 1
             if self.peers[name].missed >= self._silent:
                 self.given_up += 1
+
+    def _forget_silent(self, tick: int) -> None:
+        """local: forget the positions of silent peers that are no generators of the round after `tick`."""
+        silent = [name for name, peer in self.interest_set.items() if peer.missed >= self._silent and name in self.positions]
+        generators = self.generators(tick + 1, self.fresh(tick + 1)) if silent else {}
+        for name in silent:
+            if name not in generators:
                 self.positions.remove(name)
 
     def any_missed(self) -> bool:

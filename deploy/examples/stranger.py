@@ -223,10 +223,10 @@ class Stranger:
         kept = draw([particle for particle in self.copies if owns(claim, particle[0], particle[1])], settings["filter"])
         told_of = "\n".join(row[0] for row in diagram).encode() + pack("<3d", [row[1:] for row in diagram])
         view = int.from_bytes(hashlib.blake2b(told_of, digest_size=7).digest(), "little") | 1
-        mass, bounds = sum(particle[4] for particle in kept), [row[0] for row in claim]
+        mass, bounds, tick, last = sum(particle[4] for particle in kept), [row[0] for row in claim], self.tick, self.last
         self.owned = {"claim_tick": self.tick, "claim_names": bounds, "claim": pack("<3d", [row[1:] for row in claim]), "view": view}
-        self.owned |= {"weight": mass / max(1, len(kept)), "states": pack("<4f", [particle[:4] for particle in kept])}
-        self.owned |= {"ids": pack("<Q", [particle[5:] for particle in kept])}
+        self.owned |= {"states": pack("<4f", [row[:4] for row in kept]), "ids": pack("<Q", [row[5:] for row in kept])}
+        self.owned |= {"weight": mass / max(1, len(kept)), "claim_ages": bytes(min(255, abs(tick - last.get(n, tick))) for n in bounds)}
         shown = {name: mine[name] for name in ("tick", "pose", "cod", "power_radius", "unused")}
         self.say("estimate", {**shown, "mass": mass, "cell": pack("<2d", corners), "view": view, "neighbours": bounds[1:]})
         self.drive(mine, [particle[:2] for particle in kept] or corners)

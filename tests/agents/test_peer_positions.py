@@ -1,5 +1,6 @@
 """Where peers are is what they said last; those who are not there are nowhere, and who is far away changes no choice."""
 
+import msgspec
 import numpy as np
 
 from agents.config import AgentConfig, TimingSettings
@@ -7,6 +8,7 @@ from agents.interest.position_table import SENSOR_X, beacon_row
 from agents.interest.selection import Choice
 from agents.interest.tiles import Rectangle
 from agents.membership.peer_table import PeerTable
+from protocol.fields import pack
 from protocol.messages import Beacon, Gossip
 from tests.agents.test_peer_table import gossip, hear
 
@@ -90,3 +92,18 @@ def test_a_newcomer_calls_for_a_choice_only_where_it_may_matter() -> None:
     assert found.take_beacon(beacon("s4", 1, 60.0, incarnation=2)) and found.changed  # somebody known has been restarted
     choose(found)
     assert not found.take_beacon(beacon("s4", 2, 60.0, incarnation=1)) and not found.changed  # an older incarnation is nobody
+
+
+def test_the_silent_are_nowhere_but_for_those_of_whom_a_claim_has_told() -> None:
+    """In tick 4 s3 says where s2, silent since tick 0, was in tick 3. Four rounds after that tick s2 is nowhere."""
+    found = peers()
+    places: list[set[str]] = []
+    for tick in range(10):
+        said = [gossip("s3", tick)] + ([gossip("s2", 0)] if tick == 0 else [])
+        if tick == 4:
+            rows = pack(np.array([[13.0, 20.0, 2.0], [30.0, 30.0, 1.5]]), "<f8")
+            said = [msgspec.structs.replace(said[0], claim_tick=3, claim_names=("s3", "s2"), claim_bytes=rows)]
+        assert [hear(found, word) for word in said] == [None] * len(said)
+        found.close(tick)
+        places.append({*eyes(found)})
+    assert places == [{"s2", "s3"}] * 7 + [{"s3"}] * 3

@@ -37,7 +37,7 @@ def see(agent: Agent, tick: int, now: float) -> list[Effect]:
 
 def hear(agent: Agent, tick: int, now: float, **fields: Any) -> list[Effect]:
     usual: dict[str, Any] = {"pose": (30.0, 20.0, 0.0), "cod": (32.0, 20.0), "power_radius": 2.0, "unused": 20.0}
-    return agent.handle(received(Gossip(sender="s2", incarnation=1, tick=tick, **(usual | fields))), now)
+    return agent.handle(received(Gossip(**{"sender": "s2", "incarnation": 1, "tick": tick, **usual, **fields})), now)
 
 
 def of_kind(effects: list[Effect], kind: type) -> Any:

@@ -166,6 +166,7 @@ def test_one_bad_gossip_among_many_is_refused_alone_and_for_its_own_reason(place
         {"claim_tick": 4},
         {"claim_names": ["s2", "s1", "s3"]},
         {"claim_names": [], "claim": b""},
+        {"claim_ages": b"\0\1"},
         {"unused": 1.0e13},
     ]
     for fault in faults:

@@ -92,6 +92,7 @@ BROKEN = [
     (GOSSIP, {"ids_bytes": GOSSIP.ids_bytes[:-1]}, "shape", "ids"),
     (GOSSIP, {"ids_bytes": b""}, "shape", "ids"),
     (GOSSIP, {"claim_names": ("s1",)}, "shape", "claim_names"),
+    (GOSSIP, {"claim_ages": b"\0"}, "shape", "claim_ages"),
     (GOSSIP, {"claim_names": ("s2", "s1")}, "sender", "claim_names"),
     (GOSSIP, {"claim_names": (), "claim_bytes": b""}, "shape", "states"),
     (GOSSIP, {"claim_tick": 8}, "range", "claim_tick"),

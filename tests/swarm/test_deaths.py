@@ -45,6 +45,19 @@ def test_silence_alone_closes_it_after_four_rounds_and_not_before() -> None:
     assert ledger_is_kept(seen, 6.5)
 
 
+def test_losses_in_bursts_keep_nobody_alive_who_has_died_in_silence() -> None:
+    """Claims state how old their generators are, so that the dead are given up after four rounds everywhere."""
+    counted: set[int] = set()
+
+    def look(tick: int, simulation: Simulation) -> None:
+        living = simulation.agents.keys()
+        counted.update(tick for agent in simulation.agents.values() if agent.outcome.belief.everyone - living)
+
+    faults = fault(0.0, "drop", "100%", 0.3, burst=4.0), fault(5.0, "kill", "50%", silent=True)
+    watch(ledger(*faults, run__seconds=10.0), clock="realtime", at_tick=look)
+    assert counted and max(counted) <= 25
+
+
 @CLOCKS
 def test_one_that_comes_back_finds_its_body_where_it_stood_and_nothing_is_lost(clock: str) -> None:
     poses = {}

@@ -34,6 +34,22 @@ def test_at_ten_per_cent_loss_nobody_is_taken_for_dead() -> None:
     assert 0 < max(worst) < scenario.timing.silent_rounds
 
 
+@pytest.mark.parametrize(("interest", "overlap", "unknown"), [("all", 0.03, 0.3), ("neighbours", 0.1, 1.4)])
+def test_losses_in_bursts_make_few_cells_overlap_since_claims_tell_of_the_unheard(interest: str, overlap: float, unknown: float) -> None:
+    """Bursts of four are common at 30 % loss. Without claims 13 and 25 % overlap, and 0.6 and 1.6 peers are unknown."""
+    lacking: list[int] = []
+
+    def look(tick: int, simulation: Simulation) -> None:
+        living = simulation.agents.keys()
+        lacking.extend([len(living - agent.outcome.belief.everyone) for agent in simulation.agents.values() if tick > 4])
+
+    bursts = fault(0.0, "drop", "100%", 0.3, burst=4.0)
+    seen = watch(tracking(bursts, timing__interest=interest), clock="realtime", at_tick=look)
+    means = np.mean(seen.overlaps[8:]), np.mean(lacking), np.mean(seen.holes[8:])
+    print("overlap {:.1%}, {:.2f} living peers are no generators, hole {:.2%}".format(*means))
+    assert means[0] <= overlap and means[1] <= unknown and means[2] <= 0.02
+
+
 def test_copies_and_overtaking_change_nothing_when_nothing_comes_too_late() -> None:
     faults = (fault(0.0, "duplicate", "100%", 0.5, spread=0.1), fault(0.0, "reorder", "100%", 0.5, spread=0.1))
     scenes = [watch(tracking(*some, run__seconds=10.0)).result for some in ((), faults)]
