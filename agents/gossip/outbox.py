@@ -76,7 +76,7 @@ def gossip(
         pace=pace,
         behind=behind if current else 0,
         lag=lag,
-        pose_noise=pose_noise,
+        noise=pose_noise,
     )
 
 
