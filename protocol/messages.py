@@ -140,9 +140,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
         check_number("widest_radius", self.widest_radius, least=0.0)
 
 
-GOSSIP_NUMBERS = (
-    14  # x, y, cos and sin of the heading, COD x and y, power radius, U, weight, detections, particles, scanned, 2 of `pose_noise`
-)
+GOSSIP_NUMBERS = 14  # x, y, cosine and sine of the heading, COD x, y, power radius, U, weight, detections, particles, scanned, `noise`
 _pack_numbers = struct.Struct(f"<{GOSSIP_NUMBERS}d").pack
 _pack_plan = struct.Struct("<3d").pack
 _pack_position = struct.Struct("<6d").pack
