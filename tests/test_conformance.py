@@ -119,7 +119,7 @@ FULL: dict[str, Message] = {
         pace=2,
         behind=1,
         lag=2,
-        pose_noise=(0.25, 0.125),
+        noise=(0.25, 0.125),
         claim_ages=b"\0\3",
     ),
     "observation": Observation(

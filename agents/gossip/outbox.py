@@ -78,7 +78,7 @@ def gossip(
         pace=pace,
         behind=behind if current else 0,
         lag=lag,
-        pose_noise=pose_noise,
+        noise=pose_noise,
         claim_ages=_claim_ages(outcome) if current else msgspec.UNSET,
     )
 

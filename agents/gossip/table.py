@@ -126,7 +126,7 @@ class GossipTable:
         if self._is_unsure:
             table[:, PLACE_NOISE : HEADING_NOISE + 1] = numbers[:, 12:14]
             for row, gossip in zip(table, self.gossips):
-                left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.pose_noise or EXACT)][-2:]
+                left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.noise or EXACT)][-2:]
                 row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = numbers[:, 9], numbers[:, 8], numbers[:, 10]
         table[:, EAST : NORTH + 1] = numbers[:, :2] if self.diagram == "voronoi" else numbers[:, 4:6]
