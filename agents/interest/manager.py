@@ -225,7 +225,8 @@ class InterestManager:
         if tick % CHECK:
             return []
         gossips = [gossip for gossip in self._peer_table.inbox.last.values() if gossip.tick == tick]
-        unheard = self._link_detector.find_unheard(gossips, self._peer_table.acquainted, self._covers_generator, tick, now)
+        known = self._peer_table.acquainted.difference(self._peer_table.unheard())  # claims may tell of the unheard
+        unheard = self._link_detector.find_unheard(gossips, known, self._covers_generator, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._context.name} does not")] if unheard else []
 
     def reopen_if_behind(self, tick: int, now: float) -> list[Effect]:

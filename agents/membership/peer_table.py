@@ -287,9 +287,13 @@ class PeerTable:
             if self.peers[name].missed >= self._silent:
                 self.given_up += 1
 
+    def unheard(self) -> list[str]:
+        """The peers in the interest set that this agent itself has not heard for too long, in the order of names."""
+        return [name for name, peer in self.interest_set.items() if peer.missed >= self._silent]
+
     def _forget_silent(self, tick: int) -> None:
         """local: forget the positions of silent peers that are no generators of the round after `tick`."""
-        silent = [name for name, peer in self.interest_set.items() if peer.missed >= self._silent and name in self.positions]
+        silent = [name for name in self.unheard() if name in self.positions]
         generators = self.generators(tick + 1, self.fresh(tick + 1)) if silent else {}
         for name in silent:
             if name not in generators:
