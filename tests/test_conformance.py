@@ -112,7 +112,7 @@ FULL: dict[str, Message] = {
         weight=0.25,
         states_bytes=struct.pack("<8f", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
         ids_bytes=struct.pack("<2Q", 5, 2**64 - 1),
-        components_bytes=struct.pack("<5f10e2Q", 0.5, *range(4), *range(10), 6, 2**53 - 1),
+        components_bytes=struct.pack("<3f12e2Q", 0.5, *range(2), *range(12), 6, 2**53 - 1),
         labels_bytes=struct.pack("<2Q", 3, 2**53 - 1),
         label_numbers_bytes=b"\1\0",
         goal=(3.5, -4.5),
@@ -370,10 +370,23 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         assert most is not None and refusal(kind, {**plain(kind), row.field: bytes(size * (int(most[1]) + 1))}) == "size"
         assert refusal(kind, {**plain(kind), row.field: row_bytes[:-1]}) == "shape"
         assert refusal(kind, {**plain(kind), row.field: row_bytes * 2}) == "range"  # ids that do not ascend
-        wrongs = ((-0.5, 0.0, 0.0, 0), (math.nan, 0.0, 0.0, 0), (0.5, 2.0e6, 0.0, 0), (0.5, math.nan, 0.0, 0), (0.5, 0.0, math.inf, 0))
-        for weight, mean, factor, label in (*wrongs, (0.5, 0.0, 0.0, 2**53)):
-            bad = struct.pack("<5f10e2Q", weight, *[mean] * 4, *[factor] * 10, 6, label)
-            assert refusal(kind, {**plain(kind), row.field: bad}) == "range"
+        right, nan, inf = (0.5, 1.0e6, 2.0, 3.0, 2**53 - 1), math.nan, math.inf
+        wrongs: list[tuple[int, Any]] = [
+            (0, -0.5),
+            (0, 2.0e6),
+            (0, nan),
+            (1, 2.0e6),
+            (1, nan),
+            (2, inf),
+            (2, nan),
+            (3, -inf),
+            (3, nan),
+            (4, 2**53),
+        ]
+        for values in (right, *([*right[:place], wrong, *right[place + 1 :]] for place, wrong in wrongs)):
+            weight, place, velocity, factor, label = values
+            stated = struct.pack("<3f12e2Q", weight, *[place] * 2, *[velocity] * 2, *[factor] * 10, 6, label)
+            assert refusal(kind, {**plain(kind), row.field: stated}) == (None if values is right else "range")
     elif row.field == "claim_ages":
         lengths = [refusal(kind, {**plain(kind), row.field: bytes(length)}) for length in range(4)]
         assert lengths == [None, "shape", None, "shape"] and len(plain(kind)["claim_names"]) == 2

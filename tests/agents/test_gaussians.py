@@ -309,15 +309,16 @@ def test_what_a_scan_moves_beyond_the_border_stays_in_a_cell() -> None:
 # ---------------------------------------------------------------------- rows and points
 
 
-def test_what_is_said_is_56_bytes_a_component_and_what_is_read_is_said_again_bit_for_bit() -> None:
+def test_what_is_said_is_52_bytes_a_component_and_what_is_read_is_said_again_bit_for_bit() -> None:
     rng = np.random.default_rng(3)
     factor = np.tril(rng.normal(size=(20, 4, 4)))
     numbers = np.arange(20, dtype=np.uint64), np.arange(2**53 - 20, 2**53, dtype=np.uint64)
     mixture = Mixture(rng.random(20), rng.normal(size=(20, 4)) * 50.0, factor @ factor.transpose(0, 2, 1), *numbers)
-    assert len(packed(mixture).tobytes()) == 20 * 56
+    assert len(packed(mixture).tobytes()) == 20 * 52
     read = unpacked(packed(mixture))
     assert read.covariances == pytest.approx(mixture.covariances, rel=5e-3, abs=5e-3)
-    assert read.means == pytest.approx(mixture.means, rel=1e-6)
+    assert read.means[:, :2] == pytest.approx(mixture.means[:, :2], rel=1e-7)
+    assert read.means[:, 2:] == pytest.approx(mixture.means[:, 2:], rel=5e-4)
     assert np.array_equal(read.ids, mixture.ids) and np.array_equal(read.labels, mixture.labels)
     assert np.all(np.linalg.eigvalsh(read.covariances) >= -1e-12)
 
