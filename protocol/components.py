@@ -1,7 +1,7 @@
-"""The components of a Gaussian mixture on the wire: rows of 56 bytes, without padding.
+"""The components of a Gaussian mixture on the wire: rows of 52 bytes, without padding.
 
-A row holds the weight, the mean, the lower Cholesky factor of the covariance row by row, the id and the label. A factor of any finite
-numbers gives a covariance, so that rounding it to 16 bits breaks none. Lengths in m, times in s.
+A row holds the weight, the mean place and velocity, the lower Cholesky factor of the covariance row by row, the id and the label. A factor
+of any finite numbers gives a covariance, so that rounding it to 16 bits breaks none. Lengths in m, times in s.
 """
 
 import numpy as np
@@ -9,7 +9,9 @@ import numpy as np
 from protocol.fields import FARTHEST, LARGEST_LABEL, Malformed
 
 MAX_COMPONENTS = 4096
-COMPONENT = np.dtype([("weight", "<f4"), ("mean", "<f4", 4), ("factor", "<f2", 10), ("id", "<u8"), ("label", "<u8")])
+COMPONENT = np.dtype(
+    [("weight", "<f4"), ("place", "<f4", 2), ("velocity", "<f2", 2), ("factor", "<f2", 10), ("id", "<u8"), ("label", "<u8")]
+)
 
 
 def read_components(data: bytes) -> np.ndarray:
@@ -25,8 +27,10 @@ def read_components(data: bytes) -> np.ndarray:
 def check_components(data: bytes) -> None:
     """Refuse numbers that are not finite or beyond `FARTHEST`, negative weights, ids that do not ascend, and labels that are too large."""
     rows = read_components(data)
-    if not bool(np.all(np.abs(rows["mean"]) <= FARTHEST) and np.all(np.isfinite(rows["factor"]))):
-        raise Malformed("range", f"components: every number should be finite, and a mean within +-{FARTHEST:g}")
+    if not bool(
+        np.all(np.abs(rows["place"]) <= FARTHEST) and np.all(np.isfinite(rows["velocity"])) and np.all(np.isfinite(rows["factor"]))
+    ):
+        raise Malformed("range", f"components: every number should be finite, and a place within +-{FARTHEST:g}")
     if not bool(np.all((rows["weight"] >= 0.0) & (rows["weight"] <= FARTHEST))):
         raise Malformed("range", f"components: every weight should be from 0 to {FARTHEST:g}")
     if bool(np.any(rows["id"][1:] <= rows["id"][:-1])):

@@ -22,12 +22,12 @@ Setting = bool | int | float | str
 Agreed = dict[str, dict[str, Setting]]  # section -> name -> value of the settings on which all agree (`agreement`)
 
 
-class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, tag_field="type"):
-    """The fields of every message."""
+class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, omit_defaults=True, tag_field="type"):
+    """The fields of every message. A field that was not given is left out on the wire: it has its default."""
 
     sender: Name  # unique in the run, the last part of the key
     incarnation: Count  # grows with every restart under the same name
-    wire: int = WIRE_VERSION
+    wire: int = msgspec.field(default_factory=lambda: WIRE_VERSION)  # a factory, so that it is always said
 
     def check(self) -> None:
         """Raise `Malformed` unless every array and number is in range."""

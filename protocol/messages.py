@@ -177,7 +177,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     behind: LagNumber = 0  # the claim is so many ticks older than that of the tick before: later rounds wait for late gossips
     lag: LagNumber = 0  # rounds must be played so many ticks late, so that the sender hears most gossips
     noise: Vector | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
-    claim_ages: bytes | msgspec.UnsetType = msgspec.UNSET  # ticks before `claim_tick` of each generator of the claim; unset: all are of it
+    claim_ages: bytes = b""  # ticks before `claim_tick` of each generator of the claim; empty: all are of it
 
     @once
     def detections(self) -> np.ndarray:
@@ -192,7 +192,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     @once
     def claim_ticks(self) -> list[int]:
         """The tick of each generator of the claim; -1: it is unknown."""
-        ages = bytes(len(self.claim_names)) if self.claim_ages is msgspec.UNSET else self.claim_ages
+        ages = self.claim_ages or bytes(len(self.claim_names))
         return [-1 if age == UNKNOWN_AGE else self.claim_tick - age for age in ages]
 
     @once
@@ -278,7 +278,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
             and claim == 24 * len(self.claim_names)
             and claim <= 24 * MAX_NAMES
             and (self.claim_names[0] == self.sender if claim else not ids)
-            and (self.claim_ages is msgspec.UNSET or len(self.claim_ages) == len(self.claim_names))
+            and len(self.claim_ages) in (0, len(self.claim_names))
             and (self.claim_tick < self.tick or not self.claim_tick)
         )
 
@@ -299,7 +299,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     def _check_claim(self, generators: int) -> None:
         if len(self.claim_names) != generators:
             raise Malformed("shape", f"claim_names: {len(self.claim_names)} names for {generators} generators")
-        if self.claim_ages is not msgspec.UNSET and len(self.claim_ages) != generators:
+        if len(self.claim_ages) not in (0, generators):
             raise Malformed("shape", f"claim_ages: {len(self.claim_ages)} ages for {generators} generators")
         if self.claim_names and self.claim_names[0] != self.sender:
             raise Malformed("sender", f"claim_names: the first should be the sender, not {self.claim_names[0][:64]!r}")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgpack
+import msgspec
 import pytest
 
 from agents.membership.peer_table import OWN, UNASKED, PeerTable
@@ -65,7 +66,7 @@ FULL: dict[str, Message] = {
     "hello": Hello(
         sender="s1",
         incarnation=7,
-        role="agent",
+        role="monitor",
         software="x 1",
         sensor_class="A",
         sensor=WedgeSensor(1.5, 8.0, 0.9),
@@ -102,7 +103,7 @@ FULL: dict[str, Message] = {
         power_radius=2.0,
         unused=12.0,
         detections_bytes=struct.pack("<2f", 1.25, -2.5),
-        scanned=True,
+        scanned=False,
         listening=True,
         claim_tick=2,
         claim_names=("s1", "s2"),
@@ -111,7 +112,7 @@ FULL: dict[str, Message] = {
         weight=0.25,
         states_bytes=struct.pack("<8f", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
         ids_bytes=struct.pack("<2Q", 5, 2**64 - 1),
-        components_bytes=struct.pack("<5f10e2Q", 0.5, *range(4), *range(10), 6, 2**53 - 1),
+        components_bytes=struct.pack("<3f12e2Q", 0.5, *range(2), *range(12), 6, 2**53 - 1),
         labels_bytes=struct.pack("<2Q", 3, 2**53 - 1),
         label_numbers_bytes=b"\1\0",
         goal=(3.5, -4.5),
@@ -152,6 +153,7 @@ FULL: dict[str, Message] = {
         neighbours=("s2",),
         counters={"rounds": 4},
         round_seconds=0.001,
+        pace=2,
     ),
     "halt": Halt(sender="operator-7", incarnation=7, held=True),
     "truth": Truth(
@@ -172,6 +174,13 @@ FULL: dict[str, Message] = {
 def plain(kind: str) -> dict[str, Any]:
     """The full message of a kind, as a stranger reads it."""
     found = msgpack.unpackb(encode(FULL[kind]))
+    assert isinstance(found, dict)
+    return found
+
+
+def compact() -> dict[str, Any]:
+    """The full gossip with its particles in few bytes."""
+    found = msgpack.unpackb(encode(msgspec.structs.replace(FULL["gossip"], particles=bytes(16 + 2 * 6))))
     assert isinstance(found, dict)
     return found
 
@@ -247,18 +256,28 @@ def test_the_page_describes_every_kind_and_no_other() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_message_holds_just_the_fields_of_the_page_in_its_order(kind: str) -> None:
-    assert list(plain(kind)) == [row.field for row in FIELDS[kind]]
+    rows = [row.field for row in FIELDS[kind]]
+    assert list(plain(kind)) == [field for field in rows if field != "particles"]
+    if kind == "gossip":
+        assert list(compact()) == [field for field in rows if field not in ("states", "ids")]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_not_given_is_left_out_but_the_kind_and_the_version_are_said(kind: str) -> None:
+    needed = [row.field for row in FIELDS[kind] if row.default == "required"]
+    bare = decode(message_key("demo", FULL[kind]), msgpack.packb({name: plain(kind)[name] for name in needed}))
+    assert list(msgpack.unpackb(encode(bare))) == [row.field for row in FIELDS[kind] if row.field in (*needed, "type", "wire")]
 
 
 @pytest.mark.parametrize(("kind", "row"), CASES, ids=[f"{kind}-{row.field}" for kind, row in CASES])
 def test_every_field_has_the_type_of_the_page(kind: str, row: Row) -> None:
-    value = plain(kind)[row.field]
+    value = (compact() if row.field == "particles" else plain(kind))[row.field]
     assert is_of_type(value, row), f"{row.field} = {value!r} is no {row.type}"
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_example_differs_from_the_defaults_so_that_each_field_is_really_written(kind: str) -> None:
-    by_default = {"type", "wire", "role", "scanned", "particles"}  # the last takes the place of states and ids
+    by_default = {"type", "wire", "scanned", "particles"}  # the default of `scanned` is true; the last takes the place of states and ids
     for row in FIELDS[kind]:
         if row.default != "required" and row.field not in by_default:
             assert plain(kind)[row.field] not in ("", 0, 0.0, False, None, [], {}, b"")
@@ -294,9 +313,6 @@ def test_a_required_field_must_be_there_and_any_other_may_be_left_out_for_its_de
         '""': "",
     }
     bare = decode(message_key("demo", FULL[kind]), msgpack.packb(needed))
-    if row.default == "left out":
-        assert row.field not in msgpack.unpackb(encode(bare))
-        return
     default = spoken[row.default] if row.default in spoken else row.default.strip('"') if row.type == "name" else float(row.default)
     assert bare == decode(
         message_key("demo", FULL[kind]), msgpack.packb({**needed, row.field: int(default) if row.type == "integer" else default})
@@ -354,13 +370,26 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
         assert most is not None and refusal(kind, {**plain(kind), row.field: bytes(size * (int(most[1]) + 1))}) == "size"
         assert refusal(kind, {**plain(kind), row.field: row_bytes[:-1]}) == "shape"
         assert refusal(kind, {**plain(kind), row.field: row_bytes * 2}) == "range"  # ids that do not ascend
-        wrongs = ((-0.5, 0.0, 0.0, 0), (math.nan, 0.0, 0.0, 0), (0.5, 2.0e6, 0.0, 0), (0.5, math.nan, 0.0, 0), (0.5, 0.0, math.inf, 0))
-        for weight, mean, factor, label in (*wrongs, (0.5, 0.0, 0.0, 2**53)):
-            bad = struct.pack("<5f10e2Q", weight, *[mean] * 4, *[factor] * 10, 6, label)
-            assert refusal(kind, {**plain(kind), row.field: bad}) == "range"
+        right, nan, inf = (0.5, 1.0e6, 2.0, 3.0, 2**53 - 1), math.nan, math.inf
+        wrongs: list[tuple[int, Any]] = [
+            (0, -0.5),
+            (0, 2.0e6),
+            (0, nan),
+            (1, 2.0e6),
+            (1, nan),
+            (2, inf),
+            (2, nan),
+            (3, -inf),
+            (3, nan),
+            (4, 2**53),
+        ]
+        for values in (right, *([*right[:place], wrong, *right[place + 1 :]] for place, wrong in wrongs)):
+            weight, place, velocity, factor, label = values
+            stated = struct.pack("<3f12e2Q", weight, *[place] * 2, *[velocity] * 2, *[factor] * 10, 6, label)
+            assert refusal(kind, {**plain(kind), row.field: stated}) == (None if values is right else "range")
     elif row.field == "claim_ages":
         lengths = [refusal(kind, {**plain(kind), row.field: bytes(length)}) for length in range(4)]
-        assert lengths == ["shape", "shape", None, "shape"] and len(plain(kind)["claim_names"]) == 2
+        assert lengths == [None, "shape", None, "shape"] and len(plain(kind)["claim_names"]) == 2
     elif row.type == "bytes":
         assert [refusal(kind, {**plain(kind), row.field: value}) for value in (b"\1", b"\1\2", b"\1\0\0", bytes(16385))] == ["shape"] * 4
     elif row.type == "name":

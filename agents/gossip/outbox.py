@@ -1,9 +1,7 @@
 """The messages that an agent sends, made of its context and the result of its last round."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
-
-import msgspec
+from typing import Any, NamedTuple
 
 from agents.coverage.capacity import place
 from agents.round import AgentContext, RoundResult
@@ -51,7 +49,8 @@ def gossip(
     """
     owned = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1 - behind
-    said = context.tracker.say(owned, context.config.filter) if current else Said()
+    said: Said = context.tracker.say(owned, context.config.filter) if current else {}
+    plan: dict[str, Any] = {} if outcome.intent is None else {"goal": outcome.intent.goal, "goal_load": outcome.intent.load}
     return Gossip(
         sender=context.name,
         incarnation=incarnation,
@@ -66,31 +65,24 @@ def gossip(
         claim_names=owned.claim.names if current else (),
         claim_bytes=pack(owned.claim.generators, "<f8") if current else b"",
         view=owned.view if current else 0,
-        weight=said.weight,
-        states_bytes=said.states,
-        ids_bytes=said.ids,
-        labels_bytes=said.labels,
-        label_numbers_bytes=said.label_numbers,
-        components_bytes=said.components,
-        particles=said.particles,
-        goal=outcome.intent.goal if outcome.intent is not None else None,
-        goal_load=outcome.intent.load if outcome.intent is not None else 0.0,
         pace=pace,
         behind=behind if current else 0,
         lag=lag,
         noise=pose_noise,
-        claim_ages=_claim_ages(outcome) if current else msgspec.UNSET,
+        claim_ages=_claim_ages(outcome) if current else b"",
+        **said,
+        **plan,
     )
 
 
-def _claim_ages(outcome: RoundResult) -> bytes | msgspec.UnsetType:
-    """By how many ticks each generator of the claim is older than the round in which it was cut; unset: all are of that round."""
+def _claim_ages(outcome: RoundResult) -> bytes:
+    """By how many ticks each generator of the claim is older than the round in which it was cut; empty: all are of that round."""
     names, frame = outcome.belief.mine.claim.names, outcome.frame
     if frame is None or (not frame.generators.ages and frame.generators.everyone.issuperset(names)):
-        return msgspec.UNSET
+        return b""
     ages, known = frame.generators.ages, frame.generators.everyone
     found = bytes([min(UNKNOWN_AGE, ages.get(name, 0)) if name in known else UNKNOWN_AGE for name in names])
-    return found if any(found) else msgspec.UNSET
+    return found if any(found) else b""
 
 
 def command(context: AgentContext, incarnation: int, outcome: RoundResult, tick: int) -> Command:

@@ -141,8 +141,17 @@ class ParticlePhd(NamedTuple):
     def say(self, mine: OwnedState, settings: FilterSettings) -> Said:
         """See `Tracker.say`."""
         states, weights, ids, labels = mine.particles
-        compact = packed(states, settings.speed) if settings.compact else b""
-        return Said(float(weights[0]) if len(weights) else 0.0, pack(states, "<f4"), pack(ids, "<u8"), *pack_labels(labels), compact)
+        if not len(ids):
+            return {}
+        table, numbers = pack_labels(labels)
+        return {
+            "weight": float(weights[0]),
+            "states_bytes": pack(states, "<f4"),
+            "ids_bytes": pack(ids, "<u8"),
+            "labels_bytes": table,
+            "label_numbers_bytes": numbers,
+            "particles": packed(states, settings.speed) if settings.compact else b"",
+        }
 
     def weighted_points(self, received: GossipTable | Particles) -> Particles:
         """See `Tracker.weighted_points`."""

@@ -141,7 +141,7 @@ class MixturePhd(NamedTuple):
 
     def say(self, mine: OwnedMixture, settings: FilterSettings) -> Said:
         """See `Tracker.say`."""
-        return Said(components=packed(mine.mixture).tobytes())
+        return {"components_bytes": packed(mine.mixture).tobytes()}
 
     def weighted_points(self, received: GossipTable | Mixture) -> Particles:
         """See `Tracker.weighted_points`."""

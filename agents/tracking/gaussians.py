@@ -82,7 +82,8 @@ def factors(covariances: np.ndarray) -> np.ndarray:
 def packed(mixture: Mixture) -> np.ndarray:
     """The rows (N,) of `COMPONENT` that state a mixture on the wire."""
     rows, factor = np.empty(len(mixture.ids), COMPONENT), factors(mixture.covariances)
-    rows["weight"], rows["mean"], rows["id"], rows["label"] = mixture.weights, mixture.means, mixture.ids, mixture.labels
+    rows["weight"], rows["place"], rows["velocity"] = mixture.weights, mixture.means[:, :2], mixture.means[:, 2:]
+    rows["id"], rows["label"] = mixture.ids, mixture.labels
     for number, (row, column) in enumerate(LOWER):
         rows["factor"][:, number] = factor[:, row, column]
     return rows
@@ -98,7 +99,7 @@ def unpacked(rows: np.ndarray) -> Mixture:
         for before in range(column + 1):
             covariances[:, row, column] += factor[:, row, before] * factor[:, column, before]
         covariances[:, column, row] = covariances[:, row, column]
-    weights, means = rows["weight"].astype(float), rows["mean"].astype(float)
+    weights, means = rows["weight"].astype(float), np.concatenate([rows["place"], rows["velocity"]], axis=1, dtype=float)
     return Mixture(weights, means, covariances, rows["id"].astype(np.uint64), rows["label"].astype(np.uint64))
 
 

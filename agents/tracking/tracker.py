@@ -8,7 +8,7 @@ Rules. A round knows agents, cells and claims; the tracker alone knows how targe
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
 
 import numpy as np
 
@@ -86,16 +86,16 @@ class OwnedState(NamedTuple):
     view: int  # of the diagram that its cell was cut from
 
 
-class Said(NamedTuple):
-    """The arrays of an owned state, as its gossip carries them (protocol/messages.py)."""
+class Said(TypedDict, total=False):
+    """The fields of a gossip that state an owned state (protocol/messages.py); what a tracker has no use for is missing."""
 
-    weight: float = 0.0
-    states: bytes = b""
-    ids: bytes = b""
-    labels: bytes = b""
-    label_numbers: bytes = b""
-    particles: bytes = b""  # states and ids in few bytes, if `filter.compact`
-    components: bytes = b""
+    weight: float
+    states_bytes: bytes
+    ids_bytes: bytes
+    labels_bytes: bytes
+    label_numbers_bytes: bytes
+    particles: bytes  # states and ids in few bytes, if `filter.compact`
+    components_bytes: bytes
 
 
 class TrackerState(Protocol):

@@ -171,7 +171,7 @@ class Stranger:
             return
         if kind == "hello":
             self.greet_at, self.greeted[sender] = self.greet_at if sender in self.greeted else now, now
-            self.settings |= {section: {**values, **self.settings.get(section, {})} for section, values in said["settings"].items()}
+            self.settings |= {section: {**values, **self.settings.get(section, {})} for section, values in said.get("settings", {}).items()}
         elif kind == "gossip" and (sender, said["incarnation"]) in self.alive:
             self.gossips.setdefault(said["tick"], {})[sender], self.last[sender] = {**NOTHING, **said}, said["tick"]
         elif kind == "observation":

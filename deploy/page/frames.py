@@ -172,7 +172,7 @@ def belief(picture: Picture, name: str) -> dict[str, Any] | None:
     data: dict[str, Any] = {"name": name, "class": known.sensor_class, "state": known.state, "incarnation": known.incarnation}
     data["age"] = picture.age(known)
     if gossip is not None:
-        states = gossip.states if len(gossip.states) else gossip.components["mean"]
+        states = gossip.states if len(gossip.states) else gossip.components["place"]
         step = max(1, math.ceil(len(states) / MOST_PARTICLES))
         places = [round_pair(place) for place in gossip.claim.tolist()]
         data["claim"] = [{"name": who, "at": place[:2], "radius": place[2]} for who, place in zip(gossip.claim_names, places)]

@@ -117,7 +117,7 @@ def test_an_agent_states_how_old_the_generators_of_its_claim_are_where_they_are_
         if tick < 3:
             hear_s2(agent, tick, 100.0 * tick)
         agent.handle(Timer(), 100.0 * tick + 50.0)
-    assert ages == [msgspec.UNSET] * 4 + [b"\0\1", b"\0\2", b"\0\3"]
+    assert ages == [b""] * 4 + [b"\0\1", b"\0\2", b"\0\3"]
     assert sizes == [False] * 4 + [True] * 3
 
 

@@ -63,7 +63,7 @@ def _samples() -> list[Message]:
             weight=0.02,
             states_bytes=pack(places, "<f4"),
             ids_bytes=pack(np.sort(rng.integers(0, 2**64, 60, dtype=np.uint64)), "<u8"),
-            components_bytes=b"".join([struct.pack("<5f10e2Q", 0.5, *places[number], *range(10), 7 * number, 2**40) for number in (0, 1)]),
+            components_bytes=b"".join([struct.pack("<3f12e2Q", 0.5, *places[number], *range(10), 7 * number, 2**40) for number in (0, 1)]),
             labels_bytes=pack(np.array([0, 7, 2**40]), "<u8"),
             label_numbers_bytes=bytes(range(3)) * 20,
         ),
