@@ -12,7 +12,7 @@ from agents.tracking.extraction import estimate_tracks
 from agents.tracking.labels import birth_labels, derived_label, heaviest, middles, name_peaks, renamed
 from agents.tracking.particles import NONE, Particles, join
 from agents.tracking.phd import resample, update
-from deploy.scoring.tracks import unique_labels
+from deploy.scoring.tracks import UniqueLabels
 from protocol.codec import decode, encode
 from protocol.fields import Malformed, pack, pack_labels, read_labels
 from protocol.messages import Gossip
@@ -199,8 +199,14 @@ def test_the_compiled_rules_give_the_same_labels() -> None:
     assert int(birth_labels(bits, 9)[0]) == int(label_kernels.birth_label(bits[0], label_kernels.stamp_of(np.uint64(9))))
 
 
-def test_a_label_counts_once_in_a_tick_for_the_estimate_of_the_largest_existence() -> None:
-    assert unique_labels([5, 5, 0, 8], [0.5, 0.9, 1.0, 1.0]).tolist() == [derived_label(5, 1), 5, derived_label(0, 1), 8]
+def test_a_label_counts_once_in_a_tick_for_the_estimate_nearest_to_where_it_was_last() -> None:
+    """A new label is that of the estimate of the largest existence."""
+    names, other, none = UniqueLabels(), derived_label(5, 1), derived_label(0, 1)
+    places = np.array([(0.0, 0.0), (9.0, 0.0), (20.0, 0.0), (30.0, 0.0)])
+    assert names.of([5, 5, 0, 8], [0.5, 0.9, 1.0, 1.0], places).tolist() == [other, 5, none, 8]
+    assert names.of([5, 5, 0, 8], [0.9, 0.5, 1.0, 1.0], places).tolist() == [other, 5, none, 8]
+    assert names.of([], [], np.empty((0, 2))).tolist() == []
+    assert names.of([5, 5], [0.9, 0.5], np.array([(4.0, 0.0), (15.0, 0.0)])).tolist() == [5, other]
 
 
 def test_a_table_of_labels_costs_eight_bytes_a_label_and_one_or_two_a_particle() -> None:
