@@ -1,8 +1,8 @@
 """A recording in the form of the MOT challenge: a folder with the truth, the estimates, and what the sequence is called.
 
 Rules. A row is frame, id, left, top, width, height, confidence, x, y, z, as in MOT15. Frames count from 1. A target is a square of side
-`SIDES` x `study.cutoff` m around its place, so that boxes of a target and of an estimate farther away than about the cut-off do not
-overlap by half. The top of the picture is north. The last three columns are the place in m. Estimates without a label go into
+`SIDES` x `study.cutoff` m around its place, so that boxes of a target and of an estimate farther away than about two thirds of the cut-off
+do not overlap by half. The top of the picture is north. The last three columns are the place in m. Estimates without a label go into
 det/det.txt with the id -1, as detections do; estimates with labels go into res/res.txt as well. Their ids count the labels from 1 in
 the order in which they appear, because readers of these files make tables as long as the largest id. A label counts once in a frame
 (deploy/scoring/tracks.py).
