@@ -26,6 +26,7 @@ from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
+from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
@@ -167,9 +168,7 @@ class Agent(Node):
         said, belief = self._said, self.outcome.belief
         if said is None or observation.tick % self.config.timing.estimate_every:
             return []
-        seconds = (observation.tick - belief.stamp) * self.config.run.dt
-        tracks = self.outcome.tracks
-        moved = tracks._replace(positions=self.context.tracker.foresee(belief, tracks.positions, seconds))
+        moved = forecast(self.outcome.tracks, (observation.tick - belief.stamp) * self.config.run.dt)
         work = outbox.RoundCost(self.counters, 0.0, self._pace.current)
         now_there = msgspec.structs.replace(said, tick=observation.tick, pose=observation.pose)
         return [outbox.estimate(self.context, self.incarnation, replace(self.outcome, tracks=moved), now_there, work)]

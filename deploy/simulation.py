@@ -80,7 +80,9 @@ class Simulation:
         pace = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
         self.bus = VirtualBus(link=link or (self.links if faulty else None), pace=pace)
         self.scorer = Scorer(self.scenario, scores=scores)
-        self.world = World(world_config(self.scenario), 1)
+        run = self.scenario.run  # the world waits longer for a command than a command takes
+        patient = msgspec.structs.replace(self.scenario, run=msgspec.structs.replace(run, patience=max(run.patience, 2.0 * pace)))
+        self.world = World(world_config(patient), 1)
         given = self.scenario
         if scenario.control.mode == ORACLE:
             if bodies_of(scenario):
@@ -94,7 +96,7 @@ class Simulation:
         self.bus.add(self.scorer)
         if bodies_of(scenario):
             for name, label in bodies_of(scenario).items():
-                self.bus.add(Body(world_config(self.scenario), name, 1), label)
+                self.bus.add(Body(world_config(patient), name, 1), label)
         else:
             self.bus.add(self.world)
         for name in scenario.members:

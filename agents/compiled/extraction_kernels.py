@@ -143,4 +143,4 @@ def _describe(
         number = starts[peak + 1] = first + count
         for column, moment in enumerate((vx, vy, xx, xy, yy)):
             found[peak, 2 + column] = moment / mass
-    return name_peaks(known, sums, starts, found, (states, weights, labels), stamp)
+    return name_peaks(known, sums, starts, found, (states, weights, labels), stamp, size)

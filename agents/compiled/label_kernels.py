@@ -121,9 +121,9 @@ def _middles(states: np.ndarray, weights: np.ndarray, labels: np.ndarray, given:
 
 
 @njit
-def _beside(x: float, y: float, known: np.ndarray, middles: np.ndarray, given: np.ndarray) -> np.uint64:
+def _beside(x: float, y: float, known: np.ndarray, middles: np.ndarray, given: np.ndarray, reach: float) -> np.uint64:
     """Twin of `labels._beside` for the labels that are not given."""
-    found, least = NO_LABEL, BESIDE * BESIDE
+    found, least = NO_LABEL, reach * reach
     for k in range(len(known)):
         dx, dy = middles[k, 0] - x, middles[k, 1] - y
         apart = dx * dx + dy * dy
@@ -135,12 +135,13 @@ def _beside(x: float, y: float, known: np.ndarray, middles: np.ndarray, given: n
 
 @cached
 def name_peaks(
-    labels: np.ndarray, weights: np.ndarray, starts: np.ndarray, places: np.ndarray, particles: tuple, stamp: np.uint64
+    labels: np.ndarray, weights: np.ndarray, starts: np.ndarray, places: np.ndarray, particles: tuple, stamp: np.uint64, size: float
 ) -> np.ndarray:
     """Twin of `labels.name_peaks`: the label of each peak (M,).
 
     Peak number m at `places[m]` has the labels and weights from `starts[m]` to `starts[m + 1]`. `particles` are the states, weights and
-    labels (N,) of all particles, and `stamp` holds the bits of the tick (`stamp_of`).
+    labels (N,) of all particles, `stamp` holds the bits of the tick (`stamp_of`), and bins have the side
+    `size` m.
     """
     peaks, waits = len(starts) - 1, False
     given, nothing, open_to = np.zeros(peaks, np.uint64), np.empty(0, np.uint64), np.empty(peaks, np.bool_)
@@ -167,7 +168,7 @@ def name_peaks(
         known, middles = _middles(particles[0], particles[1], particles[2], given)
         for m in range(peaks):
             if open_to[m]:
-                label = _beside(places[m, 0], places[m, 1], known, middles, given)
+                label = _beside(places[m, 0], places[m, 1], known, middles, given, BESIDE * size)
                 if label != NO_LABEL and (given[m] == NO_LABEL or label < given[m]):
                     given[m] = label
     for m in range(peaks):
@@ -178,30 +179,31 @@ def name_peaks(
 
 
 @cached
-def rename(updated: tuple, owned: np.ndarray, predicted: tuple, places: np.ndarray) -> np.ndarray:
+def rename(updated: tuple, owned: np.ndarray, predicted: tuple, places: np.ndarray, size: float) -> np.ndarray:
     """Twin of `labels.renamed`: `updated` is states, weights and labels, `predicted` the weights and labels of the first rows."""
     states, weights, labels = updated
+    alone, inner, outer = ALONE * size, HERE * size, AROUND * size
     new, count = labels.copy(), len(predicted[1])
     known, masses = np.empty(len(labels), np.uint64), np.empty((len(labels), 2))
     for m in range(len(places)):
-        alone, number, x, y = True, 0, places[m, 0], places[m, 1]
+        isolated, number, x, y = True, 0, places[m, 0], places[m, 1]
         for other in range(len(places)):
             dx, dy = places[other, 0] - x, places[other, 1] - y
-            alone &= other == m or dx * dx + dy * dy > ALONE * ALONE
-        if not alone:
+            isolated &= other == m or dx * dx + dy * dy > alone * alone
+        if not isolated:
             continue
         for n in range(len(labels)):
             dx, dy = states[n, 0] - x, states[n, 1] - y
-            is_here = owned[n] and labels[n] != NO_LABEL and dx * dx + dy * dy <= HERE * HERE
+            is_here = owned[n] and labels[n] != NO_LABEL and dx * dx + dy * dy <= inner * inner
             if is_here and _place(known, number, labels[n]) < 0:
                 known[number], masses[number], number = labels[n], 0.0, number + 1
         for n in range(len(labels) if number > 0 else 0):
             dx, dy = states[n, 0] - x, states[n, 1] - y
             apart = dx * dx + dy * dy
-            if apart <= AROUND * AROUND and (owned[n] or n < count):
+            if apart <= outer * outer and (owned[n] or n < count):
                 k = _place(known, number, labels[n] if owned[n] else predicted[1][n])
                 if k >= 0:
-                    masses[k, 0 if apart <= HERE * HERE else 1] += weights[n] if owned[n] else predicted[0][n]
+                    masses[k, 0 if apart <= inner * inner else 1] += weights[n] if owned[n] else predicted[0][n]
         strange, home, heaviest = masses[:number, 1] > masses[:number, 0], -1, -1
         for k in range(number):
             strange[k] &= masses[k, 1] >= HOME
@@ -215,7 +217,7 @@ def rename(updated: tuple, owned: np.ndarray, predicted: tuple, places: np.ndarr
         label = known[home] if home >= 0 else _derived(known[heaviest], new[:0])
         for n in range(len(labels)):
             dx, dy = states[n, 0] - x, states[n, 1] - y
-            if owned[n] and dx * dx + dy * dy <= HERE * HERE:
+            if owned[n] and dx * dx + dy * dy <= inner * inner:
                 k = _place(known, number, labels[n])
                 if k >= 0 and strange[k]:
                     new[n] = label

@@ -235,7 +235,7 @@ def _update_region(
         targets, names = estimate_tracks(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE], stamp_of(now))
         inside = owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])
         targets, names = targets[inside], names[inside]
-        labels = rename((states, weights, labels), mine, (near_weights, near_labels), targets)
+        labels = rename((states, weights, labels), mine, (near_weights, near_labels), targets, settings[BIN])
     own = take(states, weights, ids, labels, mine)
     own_states, own_weights, own_ids, own_labels = own
     mass, east, north = first_moments(own_states, own_weights)

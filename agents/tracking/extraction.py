@@ -12,9 +12,7 @@ import numpy as np
 
 from agents.config import ExtractionSettings
 from agents.tracking.labels import middles, name_peaks, weight_by_label
-from agents.tracking.particles import Particles, squared_distances, total
-
-NEAR = 3.0  # m around an estimate, in which particles are taken for its target
+from agents.tracking.particles import Particles, total
 
 
 class Tracks(NamedTuple):
@@ -71,7 +69,7 @@ def estimate_tracks(particles: Particles, settings: ExtractionSettings = Extract
         row, column = divmod(int(blocks.argmax()), shape[1])
         if blocks[row, column] < settings.threshold:
             positions = np.array(found).reshape(-1, 2)
-            return _described(positions, existence, cores, particles, (rows - low, columns - left), tick)
+            return _described(positions, existence, cores, particles, (rows - low, columns - left), tick, settings.bin)
         core = _heaviest_core(masses, row, column)
         mass = _window_sum(masses, *core, 1)
         cores.append(core)
@@ -92,8 +90,9 @@ def _described(
     particles: Particles,
     bins: tuple[np.ndarray, np.ndarray],
     tick: int,
+    size: float,
 ) -> Tracks:
-    """Estimates with velocity, covariance and label; `bins` are the rows and columns (N,) of the particles."""
+    """Estimates with velocity, covariance and label; `bins` are the rows and columns (N,) of the particles, `size` their side in m."""
     rows, columns = bins
     details, peaks = np.empty((len(cores), DETAILS)), list[dict[int, float]]()
     for number, (row, column) in enumerate(cores):
@@ -104,18 +103,13 @@ def _described(
         terms = states[:, 2], states[:, 3], dx * dx, dx * dy, dy * dy
         details[number] = (*(total(weights * term) / mass + 0.0 for term in terms), existence[number])  # no zero is negative
         peaks.append(weight_by_label(labels, weights))
-    names = name_peaks(peaks, positions, middles(particles), tick)
+    names = name_peaks(peaks, positions, middles(particles), tick, size)
     return Tracks(positions, details, np.array(names, dtype=np.uint64))
 
 
-def foreseen(targets: np.ndarray, particles: Particles, seconds: float) -> np.ndarray:
-    """The positions (M, 2) in m some seconds later: each target moves by the mean velocity of the particles within `NEAR` m of it."""
-    moved = targets.copy()
-    for row, target in enumerate(targets):
-        near = squared_distances(particles.states, target[None])[:, 0] <= NEAR * NEAR
-        if near.any():
-            moved[row] += particles.states[near, 2:].mean(axis=0) * seconds
-    return moved
+def forecast(tracks: Tracks, seconds: float) -> Tracks:
+    """The tracks some seconds later: each target moves on by its velocity."""
+    return tracks._replace(positions=tracks.positions + tracks.details[:, :2] * seconds)
 
 
 def block_sums(masses: np.ndarray, half: int) -> np.ndarray:

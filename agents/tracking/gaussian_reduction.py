@@ -125,7 +125,7 @@ def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks
         members += [near if number == 1 else near[:0]] * number
         left[near] = 0.0
     rows = np.array(found).reshape(-1, 2 + DETAILS)
-    given = name_peaks(votes, rows[:, :2], {}, tick=0)  # no label without a peak is taken, so no tick matters
+    given = name_peaks(votes, rows[:, :2], {}, tick=0, size=1.0)  # no label without a peak is taken: neither matters
     labels = mixture.labels.copy()
     for near, vote, label in zip(members, votes, given):
         if vote and label not in vote:

@@ -23,10 +23,11 @@ HASH_BITS, TICK_BITS = 29, 24  # of a label: a hash in the low bits, the tick pl
 EXPLAINED = 0.02  # share of N(z) that the particles of one label must make up
 CLAIMED = 0.5  # share of a particle's weight
 YOUNG = 4  # ticks after which a label is no longer young
-BESIDE = 5.0  # m between a peak and the mean of the label that it takes although none of its particles bear it
+# Lengths are in bins of `extraction.bin`, the scale on which targets are told apart.
+BESIDE = 5.0  # between a peak and the mean of the label that it takes although none of its particles bear it
 FAINT = 0.02  # mass below which a label is not taken so, expected targets
-ALONE = 3.0  # m around an estimate without another estimate
-HERE, AROUND = 2.5, 6.0  # m around an estimate: its particles are nearer than the first, those around it nearer than the second
+ALONE = 3.0  # around an estimate without another estimate
+HERE, AROUND = 2.5, 6.0  # around an estimate: its particles are nearer than the first, those around it nearer than the second
 HOME = 0.5  # mass that a label must have around an estimate to be a stranger there, expected targets
 
 
@@ -90,14 +91,16 @@ def given_labels(labels: np.ndarray, shares: np.ndarray, norms: np.ndarray, foun
     return given
 
 
-def name_peaks(peaks: list[dict[int, float]], places: np.ndarray, known: dict[int, tuple[float, float]], tick: int) -> list[int]:
+def name_peaks(
+    peaks: list[dict[int, float]], places: np.ndarray, known: dict[int, tuple[float, float]], tick: int, size: float
+) -> list[int]:
     """One label for each peak, no label twice; a peak is the weight of each label in it, 0 left out.
 
-    `places` (M, 2) are the peaks and `known` the `middles` of the labels around, m. The pair of a peak and a label with the largest weight
-    comes first, then the next of the peaks and labels that are left; of equals the older label, then the first peak. A peak that is left
-    then takes the nearest label without a peak within `BESIDE`. So does a peak whose label is young, if the other label is older: most
-    peaks of young labels are clutter beside a target that was missed. A peak that is still left takes a label derived from its heaviest
-    one, and a peak without any label has none.
+    `places` (M, 2) are the peaks and `known` the `middles` of the labels around, m; bins have the side `size` m. The pair of a peak and a
+    label with the largest weight comes first, then the next of the peaks and labels that are left; of equals the older label, then the
+    first peak. A peak that is left then takes the nearest label without a peak within `BESIDE`. So does a peak whose label is young, if
+    the other label is older: most peaks of young labels are clutter beside a target that was missed. A peak that is still left takes a
+    label derived from its heaviest one, and a peak without any label has none.
     """
     given = [NO_LABEL] * len(peaks)
     for _, label, number in sorted((-weight, label, number) for number, peak in enumerate(peaks) for label, weight in peak.items()):
@@ -106,7 +109,7 @@ def name_peaks(peaks: list[dict[int, float]], places: np.ndarray, known: dict[in
     free = {label: middle for label, middle in known.items() if label not in given}
     for number, place in enumerate(places):
         if given[number] == NO_LABEL or is_young(given[number], tick):
-            label = _beside(place, free)
+            label = _beside(place, free, BESIDE * size)
             if label != NO_LABEL and (given[number] == NO_LABEL or label < given[number]):
                 given[number] = label
                 del free[label]
@@ -123,9 +126,9 @@ def is_young(label: int, tick: int) -> bool:
     return (tick + 1 - (label >> HASH_BITS)) % (1 << TICK_BITS) <= YOUNG
 
 
-def _beside(place: np.ndarray, free: dict[int, tuple[float, float]]) -> int:
-    """The label whose middle is nearest to a place, at most `BESIDE` away, the oldest of equals; 0: none."""
-    found, least = NO_LABEL, BESIDE * BESIDE
+def _beside(place: np.ndarray, free: dict[int, tuple[float, float]], reach: float) -> int:
+    """The label whose middle is nearest to a place, at most `reach` m away, the oldest of equals; 0: none."""
+    found, least = NO_LABEL, reach * reach
     for label, (x, y) in sorted(free.items()):
         dx, dy = x - place[0], y - place[1]
         apart = dx * dx + dy * dy
@@ -134,12 +137,13 @@ def _beside(place: np.ndarray, free: dict[int, tuple[float, float]]) -> int:
     return found
 
 
-def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places: np.ndarray) -> np.ndarray:
+def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places: np.ndarray, size: float) -> np.ndarray:
     """The labels (N,) of `updated` after the owner of the particles marked in `owned` (N,) has renamed some of them.
 
-    `predicted` are the first rows of `updated` before the scans, and `places` (M, 2) the estimates in the cell, m. A label is a stranger at
-    an estimate if it has more mass around than here, and at least `HOME`. Where an estimate is alone, the owned particles of strangers
-    take the heaviest label here that is none. If all are strangers, they take a label derived from the heaviest.
+    `predicted` are the first rows of `updated` before the scans, and `places` (M, 2) the estimates in the cell, m. Bins have the side
+    `size` m. A label is a stranger at an estimate if it has more mass around than here, and at least `HOME`. Where an estimate is alone,
+    the owned particles of strangers take the heaviest label here that is none. If all are strangers, they take a label derived from the
+    heaviest.
     """
     labels, count = updated.labels.copy(), len(predicted.ids)
     if not len(places) or not len(labels):
@@ -148,9 +152,10 @@ def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places:
     weights[:count] = np.where(owned[:count], weights[:count], predicted.weights)
     before[:count] = np.where(owned[:count], before[:count], predicted.labels)
     between, away = squared_distances(places, places), squared_distances(updated.states, places)
+    alone, inner, outer = ALONE * size, HERE * size, AROUND * size
     np.fill_diagonal(between, np.inf)
-    for number in np.flatnonzero(between.min(axis=1) > ALONE * ALONE):
-        here, near = away[:, number] <= HERE * HERE, away[:, number] <= AROUND * AROUND
+    for number in np.flatnonzero(between.min(axis=1) > alone * alone):
+        here, near = away[:, number] <= inner * inner, away[:, number] <= outer * outer
         known = np.unique(before[here & owned & (before != NO_LABEL)])
         masses = [(total(weights[here & (before == label)]), total(weights[near & ~here & (before == label)])) for label in known]
         strange = np.array([around > inside and around >= HOME for inside, around in masses], dtype=bool)

@@ -59,7 +59,7 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     if claim.names:
         tracks = estimate_tracks(updated, config.extraction, step.tick)
         tracks = select_tracks(tracks, claims.owned(tracks.positions, claim, config.arena))
-        updated = updated._replace(labels=renamed(updated, owned, near, tracks.positions))
+        updated = updated._replace(labels=renamed(updated, owned, near, tracks.positions, config.extraction.bin))
     own = canonical(select(updated, owned))
     mass, east, north = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)

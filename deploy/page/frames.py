@@ -41,6 +41,7 @@ def greeting(picture: Picture, scores: Sequence[Score], about: dict[str, Any]) -
         "ticks": run.ticks,
         "partition": picture.scenario.partition.kind,
         "arena": [arena.width, arena.height],
+        "cutoff": picture.scenario.study.cutoff,
         "silent": silent_after(picture.scenario) * run.dt,
         "agents": [_outfit(known) for known in picture.agents.values()],
         "curves": curves(scores),

@@ -1,8 +1,8 @@
 """A recording in the form of the MOT challenge: a folder with the truth, the estimates, and what the sequence is called.
 
 Rules. A row is frame, id, left, top, width, height, confidence, x, y, z, as in MOT15. Frames count from 1. A target is a square of side
-`SIDES` x `study.cutoff` m around its place, so that boxes of a target and of an estimate farther away than about the cut-off do not
-overlap by half. The top of the picture is north. The last three columns are the place in m. Estimates without a label go into
+`SIDES` x `study.cutoff` m around its place, so that boxes of a target and of an estimate farther away than about two thirds of the cut-off
+do not overlap by half. The top of the picture is north. The last three columns are the place in m. Estimates without a label go into
 det/det.txt with the id -1, as detections do; estimates with labels go into res/res.txt as well. Their ids count the labels from 1 in
 the order in which they appear, because readers of these files make tables as long as the largest id. A label counts once in a frame
 (deploy/scoring/tracks.py).
@@ -11,10 +11,12 @@ the order in which they appear, because readers of these files make tables as lo
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+
 from deploy.recording.recording import Recording
 from deploy.recording.reported import reported_ticks
 from deploy.scenario import Scenario
-from deploy.scoring.tracks import unique_labels
+from deploy.scoring.tracks import UniqueLabels
 
 SIDES = 2.0
 UNKNOWN = -1
@@ -23,13 +25,14 @@ UNKNOWN = -1
 def write_mot(recording: Recording, folder: Path) -> list[Path]:
     """The files, in a folder that is made."""
     scenario, truth, found, labelled = recording.scenario, [], [], []
-    numbers, last = dict[int, int](), -1
+    numbers, names, last = dict[int, int](), UniqueLabels(), -1
     for tick in reported_ticks(recording):
         frame = last = tick.truth.tick + 1
         truth += [_row(scenario, frame, int(name), x, y) for name, (x, y) in zip(tick.truth.ids, tick.truth.targets.tolist())]
         found += [_row(scenario, frame, UNKNOWN, one.x, one.y) for one in tick.targets]
         named = [one for one in tick.targets if one.label is not None]
-        labels = unique_labels([one.label or 0 for one in named], [one.existence for one in named]).tolist()
+        places = np.array([(one.x, one.y) for one in named]).reshape(-1, 2)
+        labels = names.of([one.label or 0 for one in named], [one.existence for one in named], places).tolist()
         labelled += [_row(scenario, frame, numbers.setdefault(label, len(numbers) + 1), one.x, one.y) for label, one in zip(labels, named)]
     files = [_written(folder / "gt" / "gt.txt", truth), _written(folder / "det" / "det.txt", found)]
     if labelled:

@@ -1,7 +1,7 @@
 """A recording in the forms of other tools: tables as CSV or Parquet.
 
 Five tables: `scores` (a row per tick), `agents` (per agent and tick), `targets` (true), `estimates`, `detections`. Lengths in m,
-times in s, angles in rad. The drawing for Foxglove is in `deploy.recording.foxglove`.
+times in s, angles in rad. A label of 0 is none. The drawing for Foxglove is in `deploy.recording.foxglove`.
 """
 
 from pathlib import Path
@@ -38,7 +38,15 @@ SCHEMAS: dict[str, list[tuple[str, pyarrow.DataType]]] = {
         ("round_seconds", NUMBER),
     ],
     "targets": [("tick", WHOLE), ("time", NUMBER), ("target", pyarrow.uint64()), ("x", NUMBER), ("y", NUMBER)],
-    "estimates": [("tick", WHOLE), ("time", NUMBER), ("agent", WORD), ("x", NUMBER), ("y", NUMBER)],
+    "estimates": [
+        ("tick", WHOLE),
+        ("time", NUMBER),
+        ("agent", WORD),
+        ("x", NUMBER),
+        ("y", NUMBER),
+        ("label", WHOLE),
+        *((name, NUMBER) for name in ("vx", "vy", "xx", "xy", "yy", "existence")),
+    ],
     "detections": [("tick", WHOLE), ("time", NUMBER), ("agent", WORD), ("x", NUMBER), ("y", NUMBER)],
 }
 
@@ -53,7 +61,8 @@ def tables(recording: Recording) -> dict[str, pyarrow.Table]:
             rows["targets"] += [(message.tick, message.time, int(n), x, y) for n, (x, y) in zip(message.ids, message.targets.tolist())]
         elif isinstance(message, Estimate):
             rows["agents"].append(_agent_row(message, dt))
-            rows["estimates"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in message.targets.tolist()]
+            said = zip(message.targets.tolist(), message.labels.tolist(), message.details.tolist())
+            rows["estimates"] += [(message.tick, message.tick * dt, message.sender, *place, label, *rest) for place, label, rest in said]
         elif isinstance(message, Gossip):
             places = _places(message, recording.scenario)
             rows["detections"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in places.tolist()]

@@ -1,7 +1,7 @@
 """The chronicle: one sentence for the effect of each death, pause, return, cut and healing, derived from the cells before and after.
 
 A death is reported when the cells have left no hole for `SETTLE` s of world time. Until then the swarm may still lose or find targets of
-the dead agent. A true target is tracked while an estimate lies within `NEAR`.
+the dead agent. A true target is tracked while an estimate lies within the share `NEAR` of the cut-off of OSPA.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ import shapely
 from deploy.scoring.result import EventReport
 
 CLOSED = 1e-6  # of the arena: cells leave no hole, and do not overlap
-NEAR = 3.0  # m
+NEAR = 0.3  # of the cut-off
 SETTLE = 2.0  # s of the world
 GIVE_UP = 15.0  # s of the world after which a cell that is still open is reported
 LEAST = 0.05  # of a cell: smaller gains are not reported
@@ -32,13 +32,14 @@ class ScoredTick(NamedTuple):
     estimates: np.ndarray  # (M, 2) m
     hole: float  # shares of the arena
     overlap: float
+    cutoff: float  # of OSPA, m
 
     def tracked(self) -> set[int]:
         """Ids of the true targets with an estimate nearby."""
         if not len(self.targets) or not len(self.estimates):
             return set()
         apart = np.linalg.norm(self.targets[:, None, :] - self.estimates[None, :, :], axis=2)
-        return set(self.ids[apart.min(axis=1) <= NEAR].tolist())
+        return set(self.ids[apart.min(axis=1) <= NEAR * self.cutoff].tolist())
 
     def inside(self, cell: np.ndarray) -> set[int]:
         """Ids of the true targets in a cell."""

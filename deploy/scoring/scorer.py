@@ -264,7 +264,8 @@ class Scorer(Node):
         self.tracks.see(truth, counted, targets)
         self.on_scored(truth, targets)
         cells = {estimate.sender: estimate.cell for estimate in counted}
-        view = ScoredTick(truth.tick, truth.time, cells, truth.ids, truth.targets, targets, hole, overlap)
+        cutoff = self._scenario.study.cutoff
+        view = ScoredTick(truth.tick, truth.time, cells, truth.ids, truth.targets, targets, hole, overlap, cutoff)
         self._tell(self._chronicle.see(view))
         self.deaths.see(truth.tick, hole, now)
 

@@ -1,9 +1,11 @@
 """The tracks of a run: what the agents reported under each label, tick by tick, and the scores of it.
 
-Rules. A label counts once in a tick. Of several estimates with one label, which only agents far apart can report, the one of the largest
-existence keeps it, the first of equals. The others, and estimates without a label, count as tracks of their own.
+Rules. A label counts once in a tick. Of several estimates with one label, which only agents far apart can report, the one nearest to where
+the label was last keeps it; when it is new, the one of the largest existence; of equals the first. The others, and estimates without a
+label, count as tracks of their own.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +23,7 @@ class TrackLog:
 
     def __init__(self, scenario: Scenario) -> None:
         self.ticks: list[TrackTick] = []
+        self._names = UniqueLabels()
         self._cutoff = scenario.study.cutoff
         self._window = max(1, round(WINDOW / scenario.run.dt))
 
@@ -28,7 +31,7 @@ class TrackLog:
         """Take a scored tick; `positions` (M, 2) are those of all estimates, m."""
         labels = [label for estimate in estimates for label in estimate.labels.tolist()]
         existence = [value for estimate in estimates for value in estimate.details[:, 5].tolist()]
-        self.ticks.append(TrackTick(truth.ids, truth.targets, unique_labels(labels, existence), positions))
+        self.ticks.append(TrackTick(truth.ids, truth.targets, self._names.of(labels, existence, positions), positions))
 
     def figures(self) -> dict[str, float]:
         """The scores, by the names of the fields of `Result`."""
@@ -38,19 +41,29 @@ class TrackLog:
         return {**found._asdict(), "track_ospa": ospa}
 
 
-def unique_labels(labels: Sequence[int], existence: Sequence[float]) -> np.ndarray:
-    """The labels (M,) uint64 of the estimates of a tick, none twice, by the rule of this file."""
-    given, taken = [NO_LABEL] * len(labels), {NO_LABEL, *labels}
-    kept: dict[int, int] = {}
-    for number, label in enumerate(labels):
-        if label not in kept or existence[number] > existence[kept[label]]:
-            kept[label] = number
-    for number, label in enumerate(labels):
-        given[number] = label
-        if label == NO_LABEL or kept[label] != number:
-            count = 1
-            while derived_label(label, count) in taken:
-                count += 1
-            given[number] = derived_label(label, count)
-            taken.add(given[number])
-    return np.array(given, dtype=np.uint64)
+class UniqueLabels:
+    """Gives each label to one estimate of a tick, tick after tick, by the rule of this file."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, np.ndarray] = {}  # where each label was when it was last reported, m
+
+    def of(self, labels: Sequence[int], existence: Sequence[float], positions: np.ndarray) -> np.ndarray:
+        """The labels (M,) uint64 of the estimates of the next tick at `positions` (M, 2) m, none twice."""
+
+        def rank(number: int) -> float:
+            last = self._last.get(labels[number])
+            return -existence[number] if last is None else math.dist(positions[number], last)
+
+        given, taken, kept = list(labels), {NO_LABEL, *labels}, dict[int, int]()
+        for number, label in enumerate(labels):
+            if label != NO_LABEL and (label not in kept or rank(number) < rank(kept[label])):
+                kept[label] = number
+        for number, label in enumerate(labels):
+            if kept.get(label) != number:
+                count = 1
+                while derived_label(label, count) in taken:
+                    count += 1
+                given[number] = derived_label(label, count)
+                taken.add(given[number])
+        self._last.update({label: positions[number] for label, number in kept.items()})
+        return np.array(given, dtype=np.uint64)

@@ -88,7 +88,7 @@ def drawn(updated: Particles, predicted: Particles, claims: Mapping[str, Claim],
     places, parts = estimate_tracks(updated, step.config.extraction).positions, list[Particles]()
     for owner, claim in claims.items():
         mine = owned(updated.states, claim, arena)
-        labels = renamed(updated, mine, predicted, places[owned(places, claim, arena)])
+        labels = renamed(updated, mine, predicted, places[owned(places, claim, arena)], step.config.extraction.bin)
         found = phd.resample(canonical(select(updated._replace(labels=labels), mine)), owner, step.tick, filters.seed, filters)
         parts.append(as_stated(found, owner, step))
     return canonical(join(parts))

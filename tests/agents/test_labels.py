@@ -12,7 +12,7 @@ from agents.tracking.extraction import estimate_tracks
 from agents.tracking.labels import birth_labels, derived_label, heaviest, middles, name_peaks, renamed
 from agents.tracking.particles import NONE, Particles, join
 from agents.tracking.phd import resample, update
-from deploy.scoring.tracks import unique_labels
+from deploy.scoring.tracks import UniqueLabels
 from protocol.codec import decode, encode
 from protocol.fields import Malformed, pack, pack_labels, read_labels
 from protocol.messages import Gossip
@@ -93,9 +93,11 @@ TICK = 9
 OLD, YOUNG, NEWER = 5, 3 + (TICK << 29), 7 + (TICK + 1 << 29)  # founded long before tick 9, one tick before it, and in it
 
 
-def named(*peaks: dict[int, float], known: dict[int, tuple[float, float]] | None = None, tick: int = TICK + 100) -> list[int]:
+def named(
+    *peaks: dict[int, float], known: dict[int, tuple[float, float]] | None = None, tick: int = TICK + 100, size: float = 1.0
+) -> list[int]:
     """The names of peaks at (0, 0), (10, 0), (20, 0), ..."""
-    return name_peaks(list(peaks), np.column_stack([10.0 * np.arange(len(peaks)), np.zeros(len(peaks))]), known or {}, tick)
+    return name_peaks(list(peaks), np.column_stack([10.0 * np.arange(len(peaks)), np.zeros(len(peaks))]), known or {}, tick, size)
 
 
 def test_of_two_peaks_with_one_label_the_heavier_keeps_it_and_the_other_takes_its_next_or_a_derived_one() -> None:
@@ -106,12 +108,13 @@ def test_of_two_peaks_with_one_label_the_heavier_keeps_it_and_the_other_takes_it
     assert named({900: 0.4, 5: 0.4}) == [5]
 
 
-def test_a_peak_without_a_free_label_takes_the_nearest_one_within_5_m_that_has_no_peak() -> None:
+def test_a_peak_without_a_free_label_takes_the_nearest_one_within_5_bins_that_has_no_peak() -> None:
     """Label 7 has particles beside the first peak but none in it."""
     assert named({5: 0.6}, {5: 0.9}, known={5: (9.0, 0.0), 7: (3.0, 3.9), 8: (4.0, 3.0), 9: (0.0, 4.95)}) == [7, 5]
     assert named({5: 0.6}, {5: 0.9}, known={7: (3.0, 4.1)}) == [derived_label(5, 1), 5]
     assert named({}, {}, known={7: (6.0, 0.0), 8: (4.0, 0.0)}) == [8, 7]
     assert named({}, known={8: (3.0, 0.0), 7: (0.0, 3.0)}) == [7]
+    assert named({}, known={7: (3.0, 0.0)}, size=0.5) == [0] and named({}, known={7: (6.0, 0.0)}, size=2.0) == [7]
 
 
 def test_a_peak_whose_label_was_founded_within_4_ticks_takes_an_older_one_beside_it_that_has_no_peak() -> None:
@@ -126,10 +129,10 @@ def test_the_middle_of_a_label_is_the_mean_of_its_particles_and_a_faint_label_ha
     assert list(middles(two)) == [5] and middles(two)[5] == pytest.approx((5.0, 5.0), abs=0.01) and not middles(NONE)
 
 
-def after(*clouds: Particles, estimates: list[tuple[float, float]], outside: Particles = NONE) -> list[int]:
+def after(*clouds: Particles, estimates: list[tuple[float, float]], outside: Particles = NONE, size: float = 1.0) -> list[int]:
     """The label of each cloud of 50 particles in a cell after renaming; those `outside` lie in another cell."""
     everything = join([outside, *clouds])
-    labels = renamed(everything, np.arange(len(everything.ids)) >= len(outside.ids), outside, np.array(estimates).reshape(-1, 2))
+    labels = renamed(everything, np.arange(len(everything.ids)) >= len(outside.ids), outside, np.array(estimates).reshape(-1, 2), size)
     assert (labels[: len(outside.ids)] == outside.labels).all()
     parts = labels[len(outside.ids) :].reshape(-1, 50)
     assert (parts == parts[:, :1]).all()
@@ -142,9 +145,12 @@ def test_when_two_targets_part_the_particles_that_bear_the_label_of_the_other_on
     both = [(5.0, 5.0), (9.0, 5.0)]
     assert after(*mixed, estimates=both) == [7, 7, 5]
     assert after(*mixed[:2], estimates=both[:1], outside=mixed[2]) == [7, 7]  # the other target is in another cell
-    assert after(*mixed, estimates=[*both, (5.0, 7.9)]) == [5, 7, 5]  # another estimate within 3 m
+    assert after(*mixed, estimates=[*both, (5.0, 7.9)]) == [5, 7, 5]  # another estimate within 3 bins of 1 m
+    assert after(*mixed, estimates=[*both, (5.0, 7.9)], size=0.8) == [7, 7, 5]
     assert after(*mixed[:2], estimates=both[:1]) == [5, 7]  # its own target may be here too
     assert after(*mixed[:2], cloud(11.5, 5.0, 0.9, 5), estimates=both[:1]) == [5, 7, 5]  # 6.5 m away
+    assert after(*mixed, estimates=both, size=0.6) == [5, 7, 5]  # more than 6 bins away
+    assert after(*mixed[:2], cloud(11.5, 5.0, 0.9, 5), estimates=both[:1], size=1.2) == [7, 7, 5]
     assert after(*mixed[:2], cloud(9.0, 5.0, 0.4, 5), estimates=both) == [5, 7, 5]  # too little there
     assert after(*mixed, estimates=[]) == [5, 7, 5] and after(estimates=both) == []
 
@@ -177,22 +183,30 @@ def test_the_compiled_rules_give_the_same_labels() -> None:
         ids = np.arange(number, dtype=np.uint64)
         every = Particles(states, rng.random(number) * 0.3, ids, choices[rng.integers(0, 7, number)])
         stamp = label_kernels.stamp_of(np.uint64(tick))
-        plain = name_peaks(peaks, places, middles(every), tick)
-        assert plain == label_kernels.name_peaks(labels, weights, starts, places, (states, every.weights, every.labels), stamp).tolist()
-        beside += plain != name_peaks(peaks, places, {}, tick)
+        size = float(rng.choice([0.5, 1.0, 1.5]))
+        plain = name_peaks(peaks, places, middles(every), tick, size)
+        around = states, every.weights, every.labels
+        assert plain == label_kernels.name_peaks(labels, weights, starts, places, around, stamp, size).tolist()
+        beside += plain != name_peaks(peaks, places, {}, tick, size)
         owned, known = rng.random(number) < 0.7, int(rng.integers(0, number + 1))
         before = Particles(states[:known], rng.random(known) * 0.3, ids[:known], choices[rng.integers(0, 7, known)])
-        new = renamed(every, owned, before, places)
-        compiled = label_kernels.rename((states, every.weights, every.labels), owned, (before.weights, before.labels), places)
+        new = renamed(every, owned, before, places, size)
+        compiled = label_kernels.rename(around, owned, (before.weights, before.labels), places, size)
         assert (new == compiled).all() and (new == every.labels)[~owned].all()
         moved += int((new != every.labels).sum())
-    assert beside > 100 and moved > 100
+    assert beside > 100 and moved > 50
     bits = np.array([2**63 + 12345678901], dtype=np.uint64)
     assert int(birth_labels(bits, 9)[0]) == int(label_kernels.birth_label(bits[0], label_kernels.stamp_of(np.uint64(9))))
 
 
-def test_a_label_counts_once_in_a_tick_for_the_estimate_of_the_largest_existence() -> None:
-    assert unique_labels([5, 5, 0, 8], [0.5, 0.9, 1.0, 1.0]).tolist() == [derived_label(5, 1), 5, derived_label(0, 1), 8]
+def test_a_label_counts_once_in_a_tick_for_the_estimate_nearest_to_where_it_was_last() -> None:
+    """A new label is that of the estimate of the largest existence."""
+    names, other, none = UniqueLabels(), derived_label(5, 1), derived_label(0, 1)
+    places = np.array([(0.0, 0.0), (9.0, 0.0), (20.0, 0.0), (30.0, 0.0)])
+    assert names.of([5, 5, 0, 8], [0.5, 0.9, 1.0, 1.0], places).tolist() == [other, 5, none, 8]
+    assert names.of([5, 5, 0, 8], [0.9, 0.5, 1.0, 1.0], places).tolist() == [other, 5, none, 8]
+    assert names.of([], [], np.empty((0, 2))).tolist() == []
+    assert names.of([5, 5], [0.9, 0.5], np.array([(4.0, 0.0), (15.0, 0.0)])).tolist() == [5, other]
 
 
 def test_a_table_of_labels_costs_eight_bytes_a_label_and_one_or_two_a_particle() -> None:

@@ -21,10 +21,11 @@ def view(
     overlap: float = 0.0,
     targets: tuple[tuple[float, float], ...] = (),
     estimates: tuple[tuple[float, float], ...] = (),
+    cutoff: float = 10.0,
 ) -> ScoredTick:
     """Four ticks a second; targets are numbered from 1 on."""
     places, told = (np.array(points, dtype=float).reshape(-1, 2) for points in (targets, estimates))
-    return ScoredTick(tick, 0.25 * tick, cells, np.arange(1, len(places) + 1), places, told, hole, overlap)
+    return ScoredTick(tick, 0.25 * tick, cells, np.arange(1, len(places) + 1), places, told, hole, overlap, cutoff)
 
 
 BEFORE = {"s1": box(0, 0, 10, 10), "s2": box(10, 0, 20, 10), "s3": box(20, 0, 30, 10)}
@@ -44,6 +45,12 @@ def test_a_death_says_who_took_how_much_and_when_and_that_no_target_was_lost() -
     assert play(chronicle, opened) == []
     told = play(chronicle, [view(tick, AFTER, targets=IN_S2, estimates=IN_S2) for tick in range(103, 120)])
     assert told == [EventReport(27.5, "s2", "s2 died at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 2 ticks; no target lost")]
+
+
+def test_a_target_is_tracked_within_three_tenths_of_the_cut_off() -> None:
+    beside = [(x, y + 2.5) for x, y in IN_S2]
+    assert view(1, BEFORE, targets=IN_S2, estimates=tuple(beside)).tracked() == {1, 2}
+    assert view(1, BEFORE, targets=IN_S2, estimates=tuple(beside), cutoff=8.0).tracked() == set()
 
 
 def test_a_target_that_is_tracked_no_more_when_the_cells_have_settled_is_lost_and_one_elsewhere_is_not_counted() -> None:

@@ -53,6 +53,9 @@ def test_the_tables_hold_the_scores_and_what_was_said(run: Run) -> None:
     last = [row for row in found["agents"].to_pylist() if row["tick"] == 19]
     assert sum(row["cell_area"] for row in last) == pytest.approx(625.0)
     assert {row["agent"] for row in last} == {"s1", "s3", "s4", "s5", "s6"}
+    rows = found["estimates"].to_pylist()
+    assert {0.0 < row["existence"] <= 1.0 and row["xx"] > 0.0 for row in rows} == {True} and any(row["label"] for row in rows)
+    assert len({(row["tick"], row["agent"], row["label"]) for row in rows if row["label"]}) == sum(row["label"] != 0 for row in rows)
     assert {row["agent"] for row in found["detections"].to_pylist()} <= {"s1", "s2", "s3", "s4", "s5", "s6"}
 
 

@@ -35,6 +35,16 @@ def test_a_live_swarm_that_searches_and_tracks_follows_the_simulation_to_the_las
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("recorded", "seconds"), [("students03", 6.0), ("solent", 60.0)])
+def test_live_swarms_over_recorded_people_and_ships_follow_the_simulation_to_the_last_bit(
+    covey: Covey, recorded: str, seconds: float
+) -> None:
+    """A tick of the ships lasts 5 s."""
+    result = covey.result("up", recorded, "--lockstep", "--seconds", str(seconds), "--seed", "3", *PATIENT)
+    assert result["transcript"] == simulate(resolve(recorded, {"run.seconds": seconds, "run.seed": 3})).transcript
+
+
+@pytest.mark.slow
 def test_a_live_swarm_of_gaussian_mixtures_follows_the_simulation_to_the_last_bit(covey: Covey) -> None:
     words = ("--team", "A2,B2", "--seconds", "10", "--seed", "3", "--set", "filter.kind=gaussian-mixture", *PATIENT)
     result = covey.result("up", "quick", "--lockstep", *words)

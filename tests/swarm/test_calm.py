@@ -15,6 +15,14 @@ def test_the_cells_tile_the_arena_and_all_views_agree_in_every_tick(partition: s
     assert set(seen.views) == {1}
 
 
+@pytest.mark.parametrize("dt", [0.25, 5.0, 10.0])
+def test_every_command_comes_in_time_however_long_a_tick_is(dt: float) -> None:
+    simulation = watch(tracking(run__dt=dt, run__seconds=8.0 * dt)).simulation
+    assert simulation.world.late_commands == 0
+    starts = Simulation(simulation.scenario).world.bodies.poses
+    assert simulation.world.bodies.poses != starts
+
+
 def test_the_mass_that_agents_report_is_the_sum_of_the_particles_they_publish() -> None:
     result = watch(tracking()).result
     assert result.mass_residual < 1e-9 < result.mean_ospa

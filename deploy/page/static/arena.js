@@ -158,10 +158,11 @@ export class Arena {
       if (way) this.way(way, agent.state === "dead" ? this.mark.gone : this.owner(index), 1.3, 0.55);
     });
     if (this.state.on.truth) for (const way of trails.targets.values()) this.way(way, this.mark.truth, 1, 0.3);
-    if (this.state.on.estimates) for (const way of trails.labels.values()) this.way(way, this.mark.estimate, 1.4, 0.7);
+    if (this.state.on.estimates) for (const way of trails.labels.values()) this.way(way, this.mark.estimate, 1.4, 0.7, 0.5 * this.state.hello.cutoff);
   }
 
-  way(points, colour, width, share) {
+  // A line through points in time; it is broken where they are more than `most` m apart.
+  way(points, colour, width, share, most = Infinity) {
     const c = this.pen, now = this.frame.time;
     c.strokeStyle = alpha(colour, share);
     c.lineWidth = width * this.ratio;
@@ -170,7 +171,8 @@ export class Arena {
     for (let i = 0; i < points.length; i += 3) {
       if (points[i] < now - TRAIL || points[i] > now) continue;
       const px = this.x(points[i + 1]), py = this.y(points[i + 2]);
-      drawn ? c.lineTo(px, py) : c.moveTo(px, py);
+      const near = drawn && Math.hypot(points[i + 1] - points[i - 2], points[i + 2] - points[i - 1]) <= most;
+      near ? c.lineTo(px, py) : c.moveTo(px, py);
       drawn = true;
     }
     c.stroke();

@@ -31,7 +31,7 @@ export const TEXTS = {
   detections: ["Detections", "Points that the sensors measured in this tick.", "Some are false: clutter."],
   truth: ["True targets", "Where the targets are in the world.", "The agents do not know it. The page shows it to you."],
   estimates: ["Estimates", "Where the agents say that targets are.", "A dot in a ring is a target that was found.", "An empty ring was missed. A dot alone is false."],
-  trails: ["Trails", "The ways of the last 12 s: of agents in their colours, of targets thin, of tracks with their labels."],
+  trails: ["Trails", "The ways of the last 12 s: of agents in their colours, of targets thin, of tracks with their labels.", "A label that jumps leaves a gap."],
   hold: ["Hold", "The picture stands still until you press it again. The swarm goes on."],
   names: ["Names", "The names of the agents."],
   belief: ["Belief of the chosen agent", "Drawn from its own messages alone.", "Dots: its particles. Dashed outline: its cell.", "Wide rings in the colour of estimates: its estimates."],
