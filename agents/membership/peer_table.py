@@ -238,7 +238,7 @@ class PeerTable:
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
         found |= {name: known for name, known in self._known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
-        for claim in [gossip for gossip in newest if gossip is not None]:
+        for claim in [gossip for gossip in newest if gossip is not None and not found.keys().isdisjoint(gossip.claim_names)]:
             for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
                 if name in found and stamp > found[name].tick:
                     moved = restated(found[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
