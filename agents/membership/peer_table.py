@@ -388,13 +388,13 @@ class PeerTable:
         guessed = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.left_at is None
         if peer is None or younger or guessed:
             peer = Peer(name, incarnation)
-            if self.local:
-                self.peers[name] = peer
-            else:
-                self.peers = in_order(self.peers, peer)
             self.positions.remove(name)
-            if not self.local or name in self.interest_set:
-                self.interest_set = in_order(self.interest_set, peer)
+            if not self.local:
+                self.peers, self.interest_set = in_order(self.peers, peer), in_order(self.interest_set, peer)
+            else:
+                self.peers[name] = peer
+                if name in self.interest_set:
+                    self.interest_set = {other: known for other, known in self.peers.items() if other in self.interest_set}
             self.changed = True
             if not self.local or name in self.interest_set:
                 self._steady = False
