@@ -109,7 +109,7 @@ class Agent(Node):
         if batch.kind is Beacon:
             return self._on_beacons([message for message in batch.messages if message.sender != self.name], now)
         if batch.kind is Hello:
-            return self.membership.take_hellos(batch.messages, now)
+            return self.membership.take_hellos(batch, now)
         observed = [self._on_observation(message, now) for message in batch.messages if isinstance(message, Observation)]
         return observed[0] if len(observed) == 1 else [effect for effects in observed for effect in effects]
 

@@ -48,13 +48,16 @@ class FailureDetector:
         self._announced.add(name)
         return first
 
-    def greet_again(self, name: str, now: float) -> bool:
-        """Note a Hello that holds no news and in which `split` could find nothing; True then. Otherwise nothing is noted."""
-        if now > self._calm_until or self._lost or name not in self._announced:
-            return False
-        self._words[name] = now
-        self._voters.add(name)
-        return True
+    def is_calm(self, now: float) -> bool:
+        """Whether no expected peer is silent and none has lost its token: `split` could find nothing in any Hello."""
+        if now > self._calm_until:
+            self._find_silent(now)
+        return now <= self._calm_until and not self._lost
+
+    def greet_all(self, names: Iterable[str]) -> None:
+        """Note Hellos of several peers at a calm time; `speak_all` has noted their messages."""
+        self._announced.update(names)
+        self._voters.update(names)
 
     def appear(self, name: str, incarnation: int) -> None:
         """Note that the token of a peer has appeared."""
@@ -101,17 +104,22 @@ class FailureDetector:
         self._voters.add(hello.sender)
         if now <= self._calm_until:
             return alarm
-        words, known = self._words, (self._name, hello.sender)
-        silent = [name for name in self._expected if not now - words.get(name, NEVER) <= WITHIN_HEARING and name not in known]
+        silent = [name for name in self._find_silent(now) if name != hello.sender]
         for name in self._since.keys() - silent:
             del self._claims[name], self._since[name]
         spoken_of = self._since.keys() | hello.heard  # at the start most names are silent, and no peer lists them yet
         for name in silent:
             if name in spoken_of and self._is_split(name, hello, now):
                 alarm = f"the others hear {name}, {self._name} does not"
-        if not silent and not self._since:
-            self._calm_until = min([words[name] for name in self._expected if name not in known], default=now) + WITHIN_HEARING
         return alarm
+
+    def _find_silent(self, now: float) -> list[str]:
+        """The expected names that are silent. If there is none, and no peer lists one, none can be silent for a while."""
+        words, own = self._words, self._name
+        silent = [name for name in self._expected if not now - words.get(name, NEVER) <= WITHIN_HEARING and name != own]
+        if not silent and not self._since:
+            self._calm_until = min([words[name] for name in self._expected if name != own], default=now) + WITHIN_HEARING
+        return silent
 
     def _is_split(self, name: str, hello: Hello, now: float) -> bool:
         """Note whether a Hello lists a silent name; True when enough peers have listed it for long enough."""

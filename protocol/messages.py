@@ -179,6 +179,10 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     noise: Vector | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
     claim_ages: bytes = b""  # ticks before `claim_tick` of each generator of the claim; empty: all are of it
 
+    def __hash__(self) -> int:
+        """A hash that reads no arrays, for pure memos."""
+        return hash((self.sender, self.incarnation, self.tick, self.pose))
+
     @once
     def detections(self) -> np.ndarray:
         """(M, 2) float32."""

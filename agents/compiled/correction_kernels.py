@@ -86,10 +86,16 @@ def _raster(x: np.ndarray, y: np.ndarray, detections: np.ndarray, spreads: np.nd
     return left, low, np.zeros(shape), np.zeros(shape), np.full(shape, -1.0), np.empty(shape)
 
 
+@njit
+def _bin(x: float, y: float, side: float, left: int, low: int) -> tuple[int, int]:
+    """Column and row of a point in the grid of `_raster`."""
+    return np.int64(math.floor(x / side)) - left, np.int64(math.floor(y / side)) - low
+
+
 @cached
 def _missed(
-    x: np.ndarray,
-    y: np.ndarray,
+    columns: np.ndarray,
+    rows: np.ndarray,
     weights: np.ndarray,
     probabilities: np.ndarray,
     gained: np.ndarray,
@@ -101,32 +107,28 @@ def _missed(
 ) -> None:
     """Twin of `phd.missed`: multiply the weights of the rows in view, `seen`, by their factors.
 
-    The raster is restored for the next scan.
+    `columns` and `rows` (N,) are the bins of all particles. The raster is restored for the next scan.
     """
     certainty, side = miss
     left, low, masses, explained, rests, shares = raster
-    columns, rows = np.empty(len(seen), np.int64), np.empty(len(seen), np.int64)
-    for k in range(len(seen)):
-        n = seen[k]
-        columns[k], rows[k] = np.int64(math.floor(x[n] / side)) - left, np.int64(math.floor(y[n] / side)) - low
-        masses[rows[k], columns[k]] += weights[n]
-        explained[rows[k], columns[k]] += gained[n]
+    for n in seen:
+        masses[rows[n], columns[n]] += weights[n]
+        explained[rows[n], columns[n]] += gained[n]
     for m in range(len(points)):
-        column, row = np.int64(math.floor(points[m, 0] / side)) - left, np.int64(math.floor(points[m, 1] / side)) - low
+        column, row = _bin(points[m, 0], points[m, 1], side, left, low)
         explained[row, column] += born[m]
-    for k in range(len(seen)):
-        row, column, n = rows[k], columns[k], seen[k]
-        probability = probabilities[n]
+    for n in seen:
+        row, column, probability = rows[n], columns[n], probabilities[n]
         if rests[row, column] < 0.0:
             mass = block(masses, row, column)
             rests[row, column] = max(mass - block(explained, row, column), 0.0)
             shares[row, column] = rests[row, column] / (mass if mass > 0.0 else 1.0)
         odds = (1.0 - probability) / (1.0 - probability * min(rests[row, column], certainty))
         weights[n] = weights[n] * (shares[row, column] * odds)
-    for k in range(len(seen)):
-        masses[rows[k], columns[k]], explained[rows[k], columns[k]], rests[rows[k], columns[k]] = 0.0, 0.0, -1.0
+    for n in seen:
+        masses[rows[n], columns[n]], explained[rows[n], columns[n]], rests[rows[n], columns[n]] = 0.0, 0.0, -1.0
     for m in range(len(points)):
-        column, row = np.int64(math.floor(points[m, 0] / side)) - left, np.int64(math.floor(points[m, 1] / side)) - low
+        column, row = _bin(points[m, 0], points[m, 1], side, left, low)
         explained[row, column] = 0.0
 
 
@@ -309,11 +311,17 @@ def update(
         densities = _nearby(x[:count], y[:count], weights, detections, radius)
     found, gained, in_view = _pair_buffers(2 * count + 256), np.empty(capacity), np.empty(capacity + 1, np.int64)
     raster = _raster(x[:count], y[:count], detections, spreads, miss[1])
+    at_columns, at_rows = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+    for n in range(count):
+        at_columns[n], at_rows[n] = _bin(x[n], y[n], miss[1], raster[0], raster[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         likely = likely_sensors(sensor)
         seen = in_view[: _view(x[:count], y[:count], likely, probabilities, in_view)]
-        if len(seen) + len(points) == 0:
+        for n in seen:
+            gained[n] = 0.0
+        if len(points) == 0:  # nobody gains by a detection
+            _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, densities[:0], miss, raster)
             continue
         seen_x, seen_y, seen_weights, seen_probabilities = x[seen], y[seen], new_weights[seen], probabilities[seen]
         point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel)
@@ -346,10 +354,9 @@ def update(
             norm = sensor[7] + fresh + norms[m]
             norms[m] = norm if norm > 0.0 else 1.0
             born[m] = fresh / norms[m]
-        gained[seen] = 0.0
         for p in range(pairs):
             gained[rows[p]] += shares[p] / norms[columns[p]]
-        _missed(x, y, new_weights, probabilities, gained, seen, points, born, miss, raster)
+        _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, born, miss, raster)
         for n in seen:
             new_weights[n] += gained[n]
         salt, given = scramble(salts[sensors[s]], births_key), np.zeros(len(points), np.uint64)
@@ -369,6 +376,7 @@ def update(
                         x[count] = points[m, 0] + normal(scramble(new_id, np.uint64(1))) * noise
                         y[count] = points[m, 1] + normal(scramble(new_id, np.uint64(2))) * noise
                     direction = np.int64(scramble(new_id, np.uint64(3)) >> _S52)
+                    at_columns[count], at_rows[count] = _bin(x[count], y[count], miss[1], raster[0], raster[1])
                     new_states[count, 0], new_states[count, 1] = x[count], y[count]
                     new_states[count, 2], new_states[count, 3] = directions[direction, 0] * speed, directions[direction, 1] * speed
                     new_ids[count], new_weights[count], new_labels[count] = new_id, born[m] / np.float64(each), given[m]

@@ -33,14 +33,17 @@ def _peaks(masses: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray
     """
     height, width = masses.shape
     rows, columns, blocks, number = np.empty(masses.size, np.int64), np.empty(masses.size, np.int64), np.empty(masses.size), 0
-    line = np.empty(width)
+    line, sums = np.empty(width), np.empty(width)
     for r in range(2, height - 2):
-        for c in range(width):
+        heavy = 0
+        for c in range(width):  # without branches, for several bins at once
             line[c] = masses[r - 2, c] + masses[r - 1, c] + masses[r, c] + masses[r + 1, c] + masses[r + 2, c]
         for c in range(2, width - 2):
-            rows[number], columns[number] = r, c
-            blocks[number] = line[c - 2] + line[c - 1] + line[c] + line[c + 1] + line[c + 2]
-            number += blocks[number] >= threshold
+            sums[c] = line[c - 2] + line[c - 1] + line[c] + line[c + 1] + line[c + 2]
+            heavy += sums[c] >= threshold
+        for c in range(2, width - 2 if heavy > 0 else 2):
+            rows[number], columns[number], blocks[number] = r, c, sums[c]
+            number += sums[c] >= threshold
     return rows, columns, blocks, number
 
 
@@ -64,15 +67,16 @@ def estimate_tracks(
     """
     left = low = np.int64(1 << 60)
     right = high = -left
+    bins = np.empty((2, len(weights)), np.int64)  # column and row of each particle
     for n in range(len(weights)):
         column, row = np.int64(math.floor(states[n, 0] / size)), np.int64(math.floor(states[n, 1] / size))
         left, right, low, high = min(left, column), max(right, column), min(low, row), max(high, row)
+        bins[0, n], bins[1, n] = column, row
     left, low = left - 4, low - 4
     height, width = high - low + 5, right - left + 5
     masses, east, north = np.zeros((height, width)), np.zeros((height, width)), np.zeros((height, width))
     for n in range(len(weights)):
-        column = np.int64(math.floor(states[n, 0] / size)) - left
-        row = np.int64(math.floor(states[n, 1] / size)) - low
+        column, row = bins[0, n] - left, bins[1, n] - low
         masses[row, column] += weights[n]
         east[row, column] += weights[n] * states[n, 0]
         north[row, column] += weights[n] * states[n, 1]
@@ -112,22 +116,24 @@ def estimate_tracks(
             if abs(rows[peak] - row) <= 4 and abs(columns[peak] - column) <= 4:
                 mass = block(masses, rows[peak], columns[peak])
                 blocks[peak] = mass if mass >= beside else 0.0
-    return found[:targets], _describe(states, weights, labels, size, cores[:targets], found, stamp)
+    return found[:targets], _describe(states, weights, labels, bins, cores[:targets], found, stamp)
 
 
 @cached
 def _describe(
-    states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size: float, cores: np.ndarray, found: np.ndarray, stamp: np.uint64
+    states: np.ndarray, weights: np.ndarray, labels: np.ndarray, bins: np.ndarray, cores: np.ndarray, found: np.ndarray, stamp: np.uint64
 ) -> np.ndarray:
-    """Twin of `extraction._described`: write velocities and covariances of estimates with these cores, and return their labels."""
-    columns, rows = np.floor(states[:, 0] / size), np.floor(states[:, 1] / size)
+    """Twin of `extraction._described`: write velocities and covariances of estimates with these cores, and return their labels.
+
+    `bins` (2, N) are the columns and the rows of the particles.
+    """
     known, sums, starts, number = np.empty(64, np.uint64), np.empty(64), np.zeros(len(cores) + 1, np.int64), 0
     for peak in range(len(cores)):
-        row, column, x, y, mass = np.float64(cores[peak, 0]), np.float64(cores[peak, 1]), found[peak, 0], found[peak, 1], 0.0
+        row, column, x, y, mass = cores[peak, 0], cores[peak, 1], found[peak, 0], found[peak, 1], 0.0
         vx = vy = xx = xy = yy = 0.0
         first, count = number, 0
         for n in range(len(weights)):
-            if abs(rows[n] - row) > 1.0 or abs(columns[n] - column) > 1.0 or not weights[n] > 0.0:
+            if abs(bins[1, n] - row) > 1 or abs(bins[0, n] - column) > 1 or not weights[n] > 0.0:
                 continue
             weight, dx, dy = weights[n], states[n, 0] - x, states[n, 1] - y
             mass += weight
@@ -141,6 +147,6 @@ def _describe(
                     known, sums = np.concatenate((known, np.empty_like(known))), np.concatenate((sums, np.empty_like(sums)))
                 count = add(known[first:], sums[first:], count, labels[n], weight)
         number = starts[peak + 1] = first + count
-        for column, moment in enumerate((vx, vy, xx, xy, yy)):
-            found[peak, 2 + column] = moment / mass
+        for place, moment in enumerate((vx, vy, xx, xy, yy)):
+            found[peak, 2 + place] = moment / mass
     return name_peaks(known, sums, starts, found, (states, weights, labels), stamp, size)

@@ -134,24 +134,28 @@ def _gate(predicted: tuple, polygon: np.ndarray, halo: float, sensor: np.ndarray
     x, y, states, weights, ids, labels, known = predicted
     boxed, seen, rows, some = scratch
     west, south, east, north = around(polygon, halo)
-    far2, count, near_count, far_count = sensor[4] * sensor[4], 0, 0, 0
+    far2, count, boxes, near_count, far_count = sensor[4] * sensor[4], 0, 0, 0, 0
     for n in range(len(x)):  # without branches, for several at once
         dx, dy = x[n] - sensor[0], y[n] - sensor[1]
         boxed[n] = (west <= x[n]) & (x[n] <= east) & (south <= y[n]) & (y[n] <= north)
         seen[n] = dx * dx + dy * dy <= far2
     for n in range(len(x)):
         rows[count] = n
-        count += boxed[n]
-    close = near(polygon, x[rows[:count]], y[rows[:count]], halo)
+        count += boxed[n] | seen[n]
     for k in range(count):
-        some[near_count] = rows[k]
+        some[boxes] = rows[k]
+        boxes += boxed[rows[k]]
+    close = near(polygon, x[some[:boxes]], y[some[:boxes]], halo)
+    for k in range(boxes):
+        some[near_count] = some[k]
         near_count += close[k]
     near_rows = some[:near_count]
     for k in range(near_count):
         seen[near_rows[k]] = False
-    for n in range(known):
+    for k in range(count):
+        n = rows[k]
         rows[far_count] = n
-        far_count += seen[n]
+        far_count += seen[n] & (n < known)
     return *_rows(near_rows, states, weights, ids, labels), *_rows(rows[:far_count], states, weights, ids, labels)
 
 

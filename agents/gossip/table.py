@@ -16,6 +16,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, sensor_facts
+from agents.interest.tiles import Bounds, bounds_of
 from agents.tracking.births import Scan
 from agents.tracking.measuring import EXACT, kernel_variance, likely_poses, model_of, noise_of, spread_of
 from agents.tracking.particles import Particles
@@ -59,6 +60,33 @@ SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a w
 
 _SENSOR = struct.Struct("<5dQ4d")
 _SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE, FAR_PROB]
+_SCANNED = 11  # the place of `scanned` in `Gossip.numbers`
+
+
+def _sources(diagram: str) -> np.ndarray:
+    """The place in `Gossip.numbers` with the columns of a sensor behind it from which each column of a table comes (COLUMNS,)."""
+    sources = np.zeros(COLUMNS, np.int64)
+    sources[[X, Y, COS, SIN, EAST, NORTH, RADIUS, WEIGHT, DETECTIONS, PARTICLES, PLACE_NOISE, HEADING_NOISE]] = (
+        0,
+        1,
+        2,
+        3,
+        4,
+        5,
+        6,
+        8,
+        9,
+        10,
+        12,
+        13,
+    )
+    sources[_SENSOR_COLUMNS] = range(GOSSIP_NUMBERS, GOSSIP_NUMBERS + len(_SENSOR_COLUMNS))
+    if diagram == "voronoi":
+        sources[[EAST, NORTH]] = sources[[X, Y]]
+    return sources
+
+
+_SOURCES = {diagram: _sources(diagram) for diagram in ("power", "voronoi-cod", "voronoi")}
 _MOST_ANNOUNCED = 20000
 TOLERANCE = 1.0 + 1e-9  # factor by which a gossip may exceed what its sender's sensor can do: rounding of another implementation
 
@@ -71,6 +99,7 @@ class AnnouncedSensor(NamedTuple):
     columns: bytes  # its part of a row, the columns of `_SENSOR_COLUMNS`: lengths in m, angles in rad, clutter density per m^2
     most_area: float  # of a gossip's `stated_area`, m^2: D with `TOLERANCE`
     most_distance: float  # of a gossip's `cod_distance`, m: the reach with `TOLERANCE`
+    bounds: Bounds
 
 
 def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
@@ -87,7 +116,8 @@ def _announced(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSenso
     measures = model_of(measurement_of(sensor))
     packed = _SENSOR.pack(sensor.reach, half, near, clutter / sensor.area, kind, key("sensor", name), *measures, far)
     facts = _facts(sensor)  # type: ignore[arg-type]
-    return AnnouncedSensor(sensor, facts, packed, facts.capability * TOLERANCE, sensor.reach * TOLERANCE)
+    bounds = bounds_of(sensor, facts)  # type: ignore[arg-type]
+    return AnnouncedSensor(sensor, facts, packed, facts.capability * TOLERANCE, sensor.reach * TOLERANCE, bounds)
 
 
 @lru_cache(maxsize=1024)
@@ -117,20 +147,18 @@ class GossipTable:
     @once
     def table(self) -> np.ndarray:
         """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
-        numbers = np.frombuffer(b"".join([gossip.numbers for gossip in self.gossips])).reshape(-1, GOSSIP_NUMBERS)
-        table = np.empty((len(numbers), COLUMNS))
-        table[:, : SIN + 1] = numbers[:, :4]
-        table[:, _SENSOR_COLUMNS] = np.frombuffer(b"".join([sensor.columns for sensor in self.sensors])).reshape(-1, len(_SENSOR_COLUMNS))
-        table[:, KIND] *= numbers[:, 11]
-        table[:, PLACE_NOISE:] = 0.0
-        if self._is_unsure:
-            table[:, PLACE_NOISE : HEADING_NOISE + 1] = numbers[:, 12:14]
-            for row, gossip in zip(table, self.gossips):
-                left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.noise or EXACT)][-2:]
-                row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
-        table[:, DETECTIONS], table[:, WEIGHT], table[:, PARTICLES] = numbers[:, 9], numbers[:, 8], numbers[:, 10]
-        table[:, EAST : NORTH + 1] = numbers[:, :2] if self.diagram == "voronoi" else numbers[:, 4:6]
-        table[:, RADIUS] = numbers[:, 6] if self.diagram == "power" else 0.0
+        rows = b"".join([part for gossip, sensor in zip(self.gossips, self.sensors) for part in (gossip.numbers, sensor.columns)])
+        numbers = np.frombuffer(rows).reshape(-1, GOSSIP_NUMBERS + len(_SENSOR_COLUMNS))
+        table = numbers.take(_SOURCES[self.diagram], axis=1)
+        table[:, KIND] *= numbers[:, _SCANNED]
+        if self.diagram != "power":
+            table[:, RADIUS] = 0.0
+        if not self._is_unsure:
+            table[:, PLACE_NOISE:] = 0.0
+            return table
+        for row, gossip in zip(table, self.gossips):
+            left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.noise or EXACT)][-2:]
+            row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         return table
 
     @once

@@ -163,12 +163,10 @@ class InterestManager:
 
         A larger agent matters from farther away.
         """
-        announced = Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius)
-        peer = self._peer_table.peers.get(beacon.sender)
+        peer, known = self._peer_table.peers.get(beacon.sender), self._ground.bounds
+        wider = known.wider(Bounds(beacon.widest_reach, beacon.widest_offset, beacon.widest_radius))
         if peer is not None and peer.announced is not None:
-            announced = announced.wider(bounds_of(*peer.announced[:2]))  # type: ignore[arg-type]  # a sensor model is hashable
-        known = self._ground.bounds
-        wider = known.wider(announced)
+            wider = wider.wider(peer.announced.bounds)
         if wider is not known:
             self._ground = self._ground._replace(bounds=wider)
             self._peer_table.changed = True

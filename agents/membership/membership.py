@@ -5,7 +5,6 @@ that has a younger incarnation.
 """
 
 from collections import Counter
-from collections.abc import Iterable
 
 from agents.gossip import outbox
 from agents.membership.agreement import SettingsAgreement
@@ -15,7 +14,7 @@ from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext
 from protocol.failure_detector import FailureDetector
 from protocol.messages import Hello
-from protocol.node import NO_EFFECTS, Alive, Effect, Gone, Reopen, Stop
+from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Gone, Reopen, Stop
 
 EXIT_FENCED = 3
 
@@ -59,14 +58,17 @@ class Membership:
         self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
         return True
 
-    def take_hellos(self, hellos: Iterable[Hello], now: float) -> list[Effect]:
-        """Take Hellos that arrived together; those that hold no news are noted only."""
-        has_announced, greet_again = self._peer_table.has_announced, self.failure_detector.greet_again
+    def take_hellos(self, batch: Batch, now: float) -> list[Effect]:
+        """Take Hellos that arrived together: all senders are heard before one Hello is judged. Those without news are noted only."""
+        detector, news = self.failure_detector, [*batch.messages]
+        detector.speak_all(batch.senders, now)
+        if detector.is_calm(now):
+            news = self._peer_table.news(batch.messages)
+            detector.greet_all({*batch.senders}.difference([hello.sender for hello in news]))
         effects: list[Effect] = NO_EFFECTS
-        for hello in hellos:
-            if not (hello.role == "agent" and has_announced(hello) and greet_again(hello.sender, now)):
-                more = self.take_hello(hello, now)
-                effects = more if effects is NO_EFFECTS else [*effects, *more]
+        for hello in news:
+            more = self.take_hello(hello, now)
+            effects = more if effects is NO_EFFECTS else [*effects, *more]
         return effects
 
     def take_hello(self, hello: Hello, now: float) -> list[Effect]:

@@ -31,6 +31,14 @@ class Peer:
         self.rank = order(self.name)
 
 
+def in_order(peers: dict[str, Peer], peer: Peer) -> dict[str, Peer]:
+    """These peers, which are in the order of names, with another one or its new record."""
+    found = {**peers, peer.name: peer}
+    if peer.name in peers or not peers or peers[next(reversed(peers))].rank < peer.rank:
+        return found
+    return dict(sorted(found.items(), key=lambda item: item[1].rank))
+
+
 def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSensor | None:
     """The sensor that a message announces; None when its class is unknown here."""
     try:

@@ -25,9 +25,8 @@ from agents.gossip.inbox import RoundInbox
 from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
-from agents.membership.peer import Peer, announced_by, plausible, restated, steady
+from agents.membership.peer import Peer, announced_by, in_order, plausible, restated, steady
 from protocol.agreement import disagreement, whole
-from protocol.keys import order
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
 
@@ -51,7 +50,7 @@ class PeerTable:
         self._config, self._silent = config, config.rounds_of_silence
         self._measures_pace = config.run.clock == "realtime"
         self._listened: deque[int] = deque(maxlen=self._silent)  # the last closed rounds in which this agent listened
-        self._name, self.settings = name, config.agreed()
+        self._name, self.settings, self._others = name, config.agreed(), config.others(name)
         self.digest = whole(self.settings)
         self.inbox = RoundInbox()
         self.pace = 1  # this agent plays the ticks that this number divides
@@ -117,11 +116,15 @@ class PeerTable:
         self.interest_set = {name: other for name, other in self.peers.items() if name in named}
         self._steady = False
 
-    def has_announced(self, hello: Hello) -> bool:
-        """Whether the table already holds all that a Hello announces."""
-        peer = self.peers.get(hello.sender)
-        announced = peer.announced if peer is not None and peer.incarnation == hello.incarnation else None
-        return announced is not None and (hello.sensor is None or hello.sensor is announced.sensor or hello.sensor == announced.sensor)
+    def news(self, hellos: Iterable[Hello]) -> list[Hello]:
+        """The Hellos of agents that announce anything that the table does not hold, and all Hellos of other roles."""
+        peers, found = self.peers, []
+        for hello in hellos:
+            peer = peers.get(hello.sender)
+            announced = peer.announced if peer is not None and peer.incarnation == hello.incarnation and hello.role == "agent" else None
+            if announced is None or (hello.sensor is not None and hello.sensor != announced.sensor):
+                found.append(hello)
+        return found
 
     def accept(self, batch: Batch, start: int = 0, tick: int = -1, awaited: set[str] | None = None) -> list[str]:
         """Judge gossips that arrived together, from the row `start` on, and keep those that are accepted.
@@ -235,7 +238,7 @@ class PeerTable:
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
         found |= {name: known for name, known in self._known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
-        for claim in [gossip for gossip in newest if gossip is not None]:
+        for claim in [gossip for gossip in newest if gossip is not None and not found.keys().isdisjoint(gossip.claim_names)]:
             for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
                 if name in found and stamp > found[name].tick:
                     moved = restated(found[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
@@ -305,8 +308,8 @@ class PeerTable:
 
     def is_roster_alive(self) -> bool:
         """Whether the tokens of all others of the roster are up; local: always, as no other agent is awaited."""
-        others = self._config.others(self._name)
-        return self.local or (len(self.peers) >= len(others) and all(name in self.peers and self.peers[name].token for name in others))
+        others, peers = self._others, self.peers
+        return self.local or (len(peers) >= len(others) and all(name in peers and peers[name].token for name in others))
 
     def lacks_announcements(self) -> bool:
         """Whether the sensor of a live peer is still unknown."""
@@ -384,13 +387,14 @@ class PeerTable:
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
         guessed = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.left_at is None
         if peer is None or younger or guessed:
-            peer, known = Peer(name, incarnation), name in self.peers
-            self.peers[name] = peer
+            peer = Peer(name, incarnation)
             self.positions.remove(name)
-            if not self.local and not known:
-                self.peers = {other: self.peers[other] for other in sorted(self.peers, key=order)}
-            if not self.local or name in self.interest_set:
-                self.interest_set = {other: known for other, known in self.peers.items() if other == name or other in self.interest_set}
+            if not self.local:
+                self.peers, self.interest_set = in_order(self.peers, peer), in_order(self.interest_set, peer)
+            else:
+                self.peers[name] = peer
+                if name in self.interest_set:
+                    self.interest_set = {other: known for other, known in self.peers.items() if other in self.interest_set}
             self.changed = True
             if not self.local or name in self.interest_set:
                 self._steady = False

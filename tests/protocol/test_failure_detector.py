@@ -88,3 +88,26 @@ def test_a_clock_that_jumps_raises_no_alarm() -> None:
     assert alarms(presence, everybody, 20.0) == []
     assert alarms(presence, everybody, 20.0, start=308.0) == []
     assert alarms(presence, everybody, 20.0, start=40.0) == []
+
+
+def test_a_time_is_calm_while_all_expected_speak_and_keep_their_tokens() -> None:
+    presence = FailureDetector("s1", TEAM)
+    presence.speak_all(("s2", "s3", "s4"), 0.0)
+    assert not presence.is_calm(0.0), "the world is silent"
+    presence.speak("world", 0.5)
+    assert presence.is_calm(0.5) and presence.is_calm(WITHIN_HEARING) and not presence.is_calm(WITHIN_HEARING + 0.1)
+    presence.speak_all(TEAM, 4.0)
+    assert presence.is_calm(4.0)
+    presence.leave("s3", 1)
+    assert not presence.is_calm(4.0)
+    presence.speak("s3", 4.5)
+    assert not presence.is_calm(4.5), "it speaks without a token"
+    presence.appear("s3", 1)
+    assert presence.is_calm(4.5)
+
+
+def test_the_hellos_of_a_calm_time_count_as_hellos() -> None:
+    presence = FailureDetector("s1", TEAM)
+    presence.speak_all(TEAM, 0.0)
+    presence.greet_all(("s2", "s4"))
+    assert presence.heard(1.0) == ("s2", "s4")
