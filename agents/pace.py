@@ -18,9 +18,9 @@ from collections import deque
 from collections.abc import Iterable
 
 LONGEST = 1.0  # s between two rounds, at most
-FULL, FREE = 0.9, 0.6  # share of the time between two rounds that a round may take; that it may take at a faster pace
+FULL, FREE = 0.9, 0.75  # share of the time between two rounds that a round may take; that it may take at a faster pace
 IDLE = 0.25  # the same share, when one round is enough to judge by
-JUDGED, CALM = 3, 2  # rounds by whose median the need rises, and by whose longest it falls
+JUDGED = 3  # rounds by whose median the need rises and falls
 REMEMBERED = 2.0  # s for which observations show when ticks begin
 
 
@@ -43,12 +43,15 @@ class TickTimes:
             self._seen.popleft()
         self._seen.append((tick, now))
 
+    def __bool__(self) -> bool:
+        return bool(self._seen)
+
     def clear(self) -> None:
         """Forget all observations."""
         self._seen.clear()
 
     def newest(self) -> tuple[float, float]:
-        """When the newest tick began, and s between two ticks."""
+        """When the newest tick that was observed began, and s between two ticks."""
         tick, count = self._seen[-1][0], len(self._seen)
         mean = sum([tick for tick, _ in self._seen]) / count
         begin, end = self._edge(mean)
@@ -103,7 +106,8 @@ class Pace:
         gap = tick - self._played if self._played >= 0 else 1
         self._gaps.append(gap if gap > self.current else 1)
         self._played = tick
-        if self._measured:
+        self._lag = 0.0
+        if self._ticks:
             began, self._period = self._ticks.newest()
             self._lag = now - began
 
@@ -118,10 +122,11 @@ class Pace:
         self._lags.append((self._lag + self._spent) / self._period)
         self._spent = 0.0
         lag, gap = statistics.median_low(self._lags), statistics.median_low(self._gaps or [1])
-        slower = self._power(max(lag / FULL, gap))
-        calm = min(max(list(self._lags)[-CALM:]) / FREE, self._lags[-1] / IDLE)
-        faster = self._power(max(calm, gap))
-        self.need = slower if slower > self.need else min(self.need, faster)
+        slower, faster = self._power(max(lag / FULL, gap)), self._power(max(min(lag / FREE, self._lags[-1] / IDLE), gap))
+        if slower <= self.need:
+            self.need = min(self.need, faster)
+        elif len(self._lags) == JUDGED:
+            self.need = slower
         self.current = min(self._most, max([self.need, *needs]))
 
     def _power(self, number: float) -> int:
