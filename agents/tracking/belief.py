@@ -20,7 +20,6 @@ from agents.config import FilterSettings
 from agents.gossip.table import GossipTable, received_particles
 from agents.tracking.births import prior, prior_around, prior_size
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
-from agents.tracking.extraction import foreseen
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, join, select
 from agents.tracking.regions import RegionUpdate, predict
 from agents.tracking.step import Step
@@ -172,10 +171,6 @@ class ParticlePhd(NamedTuple):
         mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
         copies = Copies(belief.copies.near, belief.copies.round, (*belief.copies.held, *missed))
         return Belief(step.tick - 1, mine, copies, belief.everyone, belief.acquainted, held_since=belief.cut)
-
-    def foresee(self, belief: Belief, targets: np.ndarray, seconds: float) -> np.ndarray:
-        """See `Tracker.foresee`: the owned particles show how the targets move."""
-        return foreseen(targets, belief.mine.particles, seconds)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
         """The particles that count at `belief.stamp`, or the table itself when only its particles count; there an id may occur twice.

@@ -12,9 +12,7 @@ import numpy as np
 
 from agents.config import ExtractionSettings
 from agents.tracking.labels import middles, name_peaks, weight_by_label
-from agents.tracking.particles import Particles, squared_distances, total
-
-NEAR = 3.0  # m around an estimate, in which particles are taken for its target
+from agents.tracking.particles import Particles, total
 
 
 class Tracks(NamedTuple):
@@ -106,16 +104,6 @@ def _described(
         peaks.append(weight_by_label(labels, weights))
     names = name_peaks(peaks, positions, middles(particles), tick)
     return Tracks(positions, details, np.array(names, dtype=np.uint64))
-
-
-def foreseen(targets: np.ndarray, particles: Particles, seconds: float) -> np.ndarray:
-    """The positions (M, 2) in m some seconds later: each target moves by the mean velocity of the particles within `NEAR` m of it."""
-    moved = targets.copy()
-    for row, target in enumerate(targets):
-        near = squared_distances(particles.states, target[None])[:, 0] <= NEAR * NEAR
-        if near.any():
-            moved[row] += particles.states[near, 2:].mean(axis=0) * seconds
-    return moved
 
 
 def block_sums(masses: np.ndarray, half: int) -> np.ndarray:

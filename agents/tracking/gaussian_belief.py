@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numpy as np
-
 from agents.backend import Backend
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
@@ -27,7 +25,6 @@ from protocol import geometry
 from protocol.keys import order
 from protocol.messages import Gossip
 
-NEAR = 3.0  # m around an estimate, in which components are taken for its target
 SHARPNESS = 2.0  # bins around a component that are one peak
 
 
@@ -165,17 +162,6 @@ class MixturePhd(NamedTuple):
         mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step))
         copies = pick(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
         return MixtureBelief(step.tick - 1, mine, copies, belief.everyone, belief.acquainted, held_since=belief.cut)
-
-    def foresee(self, belief: MixtureBelief, targets: np.ndarray, seconds: float) -> np.ndarray:
-        """See `Tracker.foresee`: the owned components show how the targets move."""
-        moved, mixture = targets.copy(), belief.mine.mixture
-        for row, target in enumerate(targets):
-            apart = mixture.means[:, :2] - target
-            near = apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] <= NEAR * NEAR
-            if near.any():
-                weights = mixture.weights[near]
-                moved[row] += (weights[:, None] * mixture.means[near, 2:]).sum(axis=0) / weights.sum() * seconds
-        return moved
 
     def merge(self, belief: MixtureBelief, table: GossipTable, step: Step) -> GossipTable | Mixture:
         """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""

@@ -136,9 +136,6 @@ class Tracker(Protocol[B, R, U]):
     def hold(self, belief: B, step: Step) -> B:
         """The belief at the tick before `step.tick`, of an agent that skipped rounds: it holds its claim."""
 
-    def foresee(self, belief: B, targets: np.ndarray, seconds: float) -> np.ndarray:
-        """Estimates (M, 2) of the round of `belief`, m, some seconds later."""
-
     def merge(self, belief: B, table: GossipTable, step: Step) -> R | GossipTable:
         """The density that counts at the tick before, given the gossips of this tick; the table itself if nothing else counts."""
 
