@@ -4,8 +4,6 @@ Data type: `BetweenRounds`. A copy of the belief is moved on from tick to tick a
 off it. The next round knows nothing of it: rounds begin with what gossips state, and all agents read the same gossips.
 """
 
-import math
-
 import msgspec
 
 from agents.gossip.table import announced_sensor, gossip_table
@@ -16,14 +14,13 @@ from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, TrackerState
 from protocol.messages import Gossip, Observation
 
-ALONE = Diagram(0, frozenset(), None, math.inf)  # the agent has heard nobody
-
 
 class BetweenRounds:
     """The copy of the belief of one agent since its last round."""
 
     def __init__(self, context: AgentContext, recent: RecentTicks) -> None:
         self._context, self._recent = context, recent
+        self._alone = Diagram(0, frozenset(), None, context.config.filter.halo)  # no peer is heard, and nothing far away matters
         self._belief: TrackerState | None = None  # None: that of the last round
 
     def begin(self) -> None:
@@ -45,5 +42,5 @@ class BetweenRounds:
         density = tracker.merge(tracker.catch_up(belief, step), table, step)
         region = last.frame.region._replace(row=0, pose=own.pose)
         near = tracker.update(density, table, [region], step)[0]
-        self._belief = tracker.share(density, region, near, ALONE, step)
+        self._belief = tracker.share(density, region, near, self._alone, step)
         return near.tracks, own
