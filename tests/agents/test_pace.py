@@ -67,6 +67,22 @@ def test_the_pace_follows_the_ticks_that_come_and_not_those_that_should() -> Non
     assert play(Pace(PERIOD, measured=True), range(120), 5.0 * PERIOD, period=2.0 * PERIOD)[-6:] == [4] * 6
 
 
+def test_a_pace_of_eight_falls_to_four_when_a_round_needs_two_and_a_half_ticks() -> None:
+    pace = Pace(PERIOD, measured=True)
+    assert play(pace, range(80), 4.5 * PERIOD)[-1] == 8
+    assert play(pace, range(80, 200), 2.5 * PERIOD)[-6:] == [4] * 6
+
+
+def test_after_a_stall_one_round_is_no_reason_to_slow_down_and_a_round_may_open_before_an_observation_comes() -> None:
+    pace = Pace(PERIOD, measured=True)
+    play(pace, range(10), 0.01)
+    pace.forget()
+    pace.open(10, 2.0)
+    pace.spend(0.5)
+    pace.close([])
+    assert pace.need == 1
+
+
 def test_ticks_begin_on_the_line_below_their_observations() -> None:
     late = [0.0, 0.3, 0.1, 0.2, 0.0, 0.4, 0.1, 0.25]
     times = TickTimes(0.1)
