@@ -116,17 +116,16 @@ def estimate_tracks(
             if abs(rows[peak] - row) <= 4 and abs(columns[peak] - column) <= 4:
                 mass = block(masses, rows[peak], columns[peak])
                 blocks[peak] = mass if mass >= beside else 0.0
-    return found[:targets], _describe(states, weights, labels, bins, cores[:targets], found, stamp)
+    return found[:targets], _describe((states, weights, labels), bins, size, cores[:targets], found, stamp)
 
 
 @cached
-def _describe(
-    states: np.ndarray, weights: np.ndarray, labels: np.ndarray, bins: np.ndarray, cores: np.ndarray, found: np.ndarray, stamp: np.uint64
-) -> np.ndarray:
+def _describe(particles: tuple, bins: np.ndarray, size: float, cores: np.ndarray, found: np.ndarray, stamp: np.uint64) -> np.ndarray:
     """Twin of `extraction._described`: write velocities and covariances of estimates with these cores, and return their labels.
 
-    `bins` (2, N) are the columns and the rows of the particles.
+    `particles` are states, weights and labels (N,), and `bins` (2, N) their columns and rows of bins with the side `size` m.
     """
+    states, weights, labels = particles
     known, sums, starts, number = np.empty(64, np.uint64), np.empty(64), np.zeros(len(cores) + 1, np.int64), 0
     for peak in range(len(cores)):
         row, column, x, y, mass = cores[peak, 0], cores[peak, 1], found[peak, 0], found[peak, 1], 0.0
@@ -149,4 +148,4 @@ def _describe(
         number = starts[peak + 1] = first + count
         for place, moment in enumerate((vx, vy, xx, xy, yy)):
             found[peak, 2 + place] = moment / mass
-    return name_peaks(known, sums, starts, found, (states, weights, labels), stamp, size)
+    return name_peaks(known, sums, starts, found, particles, stamp, size)
