@@ -141,7 +141,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
 
 
 UNKNOWN_AGE = 255
-GOSSIP_NUMBERS = 14  # x, y, cosine and sine of the heading, COD x, y, power radius, U, weight, detections, particles, scanned, `noise`
+GOSSIP_NUMBERS = 14  # x, y, cosine and sine of the heading, COD x, y, power radius, U, weight, detections, particles, scanned, `pose_noise`
 _pack_numbers = struct.Struct(f"<{GOSSIP_NUMBERS}d").pack
 _pack_plan = struct.Struct("<3d").pack
 _pack_position = struct.Struct("<6d").pack
@@ -176,7 +176,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     pace: PaceNumber = 1  # the sender has the time for the ticks that this number divides
     behind: LagNumber = 0  # the claim is so many ticks older than that of the tick before: later rounds wait for late gossips
     lag: LagNumber = 0  # rounds must be played so many ticks late, so that the sender hears most gossips
-    noise: Vector | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
+    pose_noise: Vector | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
     claim_ages: bytes = b""  # ticks before `claim_tick` of each generator of the claim; empty: all are of it
 
     def __hash__(self) -> int:
@@ -225,7 +225,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         (x, y, heading), (east, north) = self.pose, self.cod
         counts = len(self.detections_bytes) // 8, len(self.ids_bytes) // 8
         ahead = math.cos(heading), math.sin(heading)
-        noise = self.noise or (0.0, 0.0)
+        noise = self.pose_noise or (0.0, 0.0)
         return _pack_numbers(x, y, *ahead, east, north, self.power_radius, self.unused, self.weight, *counts, self.scanned, *noise)
 
     @once
@@ -272,7 +272,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         return (
             are_plain(self.pose, self.cod, (self.power_radius, self.weight, self.goal_load))
             and (self.goal is None or are_plain(self.pose, self.goal, (0.0,)))
-            and (self.noise is None or are_plain(self.pose, self.cod, self.noise))
+            and (self.pose_noise is None or are_plain(self.pose, self.cod, self.pose_noise))
             and 0.0 <= self.unused <= LARGEST_AREA
             and not (detections % 8 or claim % 24 or ids % 8 or self.components_bytes)
             and detections <= 8 * MAX_DETECTIONS
@@ -290,8 +290,8 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         if self.goal is not None:
             check_vector("goal", self.goal)
         check_number("goal_load", self.goal_load, least=0.0)
-        for number in self.noise or ():
-            check_number("noise", number, least=0.0)
+        for number in self.pose_noise or ():
+            check_number("pose_noise", number, least=0.0)
         if are_plain(self.pose, self.cod, (self.power_radius, self.weight)) and 0.0 <= self.unused <= LARGEST_AREA:
             return
         check_vector("pose", self.pose)

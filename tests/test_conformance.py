@@ -120,7 +120,7 @@ FULL: dict[str, Message] = {
         pace=2,
         behind=1,
         lag=2,
-        noise=(0.25, 0.125),
+        pose_noise=(0.25, 0.125),
         claim_ages=b"\0\3",
     ),
     "observation": Observation(

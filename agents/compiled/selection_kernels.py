@@ -138,8 +138,8 @@ def _region(
 
 
 @njit
-def _threshold(table: np.ndarray, arena: np.ndarray, around: float, spacing: float) -> np.ndarray:
-    """Twin of `selection._threshold`: a point (1, 2), m."""
+def _likeliest_cell(table: np.ndarray, arena: np.ndarray, around: float, spacing: float) -> np.ndarray:
+    """Twin of `selection._likeliest_cell`: a point (1, 2), m."""
     number, home = len(table), np.empty((1, 2))
     x, y, squared = table[number - 1, 3], table[number - 1, 4], table[number - 1, 5] * table[number - 1, 5]
     home[0, 0], home[0, 1] = x, y
@@ -185,7 +185,7 @@ def wanted(
     margin, appearing, spacing, around, behind = settings
     number, home = len(table) - 1, cell
     if len(cell) == 0:
-        home, halo = _threshold(table, arena, around, spacing), halo + appearing
+        home, halo = _likeliest_cell(table, arena, around, spacing), halo + appearing
     points, ends = _region(home, position, halo, reach, arena, margin, spacing)
     owning, least = _owners(points, ends, table, spacing, behind)
     west, south, east, north = _limits(home)

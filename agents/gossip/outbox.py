@@ -68,7 +68,7 @@ def gossip(
         pace=pace,
         behind=behind if current else 0,
         lag=lag,
-        noise=pose_noise,
+        pose_noise=pose_noise,
         claim_ages=_claim_ages(outcome) if current else b"",
         **said,
         **plan,

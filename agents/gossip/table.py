@@ -157,7 +157,7 @@ class GossipTable:
             table[:, PLACE_NOISE:] = 0.0
             return table
         for row, gossip in zip(table, self.gossips):
-            left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.noise or EXACT)][-2:]
+            left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.pose_noise or EXACT)][-2:]
             row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         return table
 

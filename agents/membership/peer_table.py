@@ -134,10 +134,10 @@ class PeerTable:
 
         * own: it is a gossip of this agent;
         * unasked: the sender is not in the interest set;
-        * incarnation: a younger incarnation is known;
+        * incarnation: another incarnation is alive, or a younger one is known;
         * stranger: the sender's sensor is unknown;
         * settings: the sender's settings differ;
-        * closed: the round of this tick, or of a later one of the same peer, is closed;
+        * closed: a round with a gossip of this peer, of this tick or a later one, is closed;
         * dead: it was sent before the peer's token vanished;
         * bounds: the sender's sensor cannot do what it states.
         """
