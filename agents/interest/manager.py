@@ -18,7 +18,7 @@ from agents.coverage.capacity import place
 from agents.interest.position_table import EAST, RADIUS, beacon_row
 from agents.interest.selection import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
 from agents.interest.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
-from agents.membership.half_open_link import HalfOpenLinkDetector, LagDetector
+from agents.membership.half_open_link import HalfOpenLinkDetector, WorldLinkDetector
 from agents.membership.peer import Peer
 from agents.membership.peer_table import PeerTable
 from agents.round import HORIZON, AgentContext, RoundResult
@@ -64,7 +64,7 @@ class InterestManager:
         self.known: Rectangle | None = None  # the rectangle in which all agents are known; None: nowhere yet
         self._known_from: list[tuple[int, Rectangle]] = []  # ticks from which on larger rectangles are known, the earliest first
         self._chosen_at = 0
-        self._link_detector, self._lag_detector = HalfOpenLinkDetector(context.name, 2 * self._period), LagDetector()
+        self._link_detector, self._world_link_detector = HalfOpenLinkDetector(context.name, 2 * self._period), WorldLinkDetector()
         self._last_interest_set: dict[str, Peer] = {}  # the interest set of the last selection
         self._lingering: dict[str, int] = {}  # peers that are needed no longer but still subscribed: the tick in which each was needed last
         self._token_names: set[str] = set()  # the peers to whose tokens the agent subscribes
@@ -231,7 +231,7 @@ class InterestManager:
         """A neighbour is more than one tick ahead of the own `tick`: a new session, if that has lasted long; else no effects."""
         return (
             [Reopen(f"the others go on, and {self._context.name} has heard of no tick after {tick}")]
-            if self._lag_detector.is_behind(tick, now)
+            if self._world_link_detector.is_behind(tick, now)
             else []
         )
 

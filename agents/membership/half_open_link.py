@@ -57,7 +57,7 @@ class HalfOpenLinkDetector:
         return min(late)
 
 
-class LagDetector:
+class WorldLinkDetector:
     """Whether the neighbours' ticks advance while no new tick reaches this agent: the session with the world alone is half open.
 
     In a swarm that hears everybody, Hellos show this (`protocol.failure_detector`).
