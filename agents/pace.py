@@ -123,10 +123,7 @@ class Pace:
         self._spent = 0.0
         lag, gap = statistics.median_low(self._lags), statistics.median_low(self._gaps or [1])
         slower, faster = self._power(max(lag / FULL, gap)), self._power(max(min(lag / FREE, self._lags[-1] / IDLE), gap))
-        if slower <= self.need:
-            self.need = min(self.need, faster)
-        elif len(self._lags) == JUDGED:
-            self.need = slower
+        self.need = slower if slower > self.need else min(self.need, faster)
         self.current = min(self._most, max([self.need, *needs]))
 
     def _power(self, number: float) -> int:
