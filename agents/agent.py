@@ -10,8 +10,9 @@ mathematics.
 from collections import Counter
 from dataclasses import replace
 
+import msgspec
+
 from agents.backend import PLAIN, Backend
-from agents.between_rounds import BetweenRounds
 from agents.config import AgentConfig
 from agents.coverage.keep_apart import keep_apart
 from agents.gossip import outbox
@@ -25,6 +26,7 @@ from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
+from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
@@ -58,7 +60,6 @@ class Agent(Node):
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
         self._rounds = LateRounds(self.context)
-        self._between = BetweenRounds(self.context, self._rounds.recent)
         self._own_pose = OwnPose(config, self.context.sensor)
         self._fresh: list[Gossip] = []  # of the last round
         self._said: Gossip | None = None  # the own one of the last round
@@ -161,14 +162,16 @@ class Agent(Node):
         return [*effects, *self._open_round(observation, now)]
 
     def _spare(self, observation: Observation) -> list[Effect]:
-        """Leave a tick out to keep the pace: the estimates of the last round move on with the own scans."""
+        """Leave a tick out to keep the pace: the estimates of the last round move on with their targets."""
         self._spared += 1
         self.counters["spared"] += 1
-        if self._said is None or observation.tick % self.config.timing.estimate_every:
+        said, last = self._said, self.outcome
+        if said is None or observation.tick % self.config.timing.estimate_every:
             return []
-        tracks, now_there = self._between.see(observation, self.outcome, self._said)
+        moved = forecast(last.tracks, (observation.tick - last.belief.stamp) * self.config.run.dt)
         work = outbox.RoundCost(self.counters, 0.0, self._pace.current)
-        return [outbox.estimate(self.context, self.incarnation, replace(self.outcome, tracks=tracks), now_there, work)]
+        now_there = msgspec.structs.replace(said, tick=observation.tick, pose=observation.pose)
+        return [outbox.estimate(self.context, self.incarnation, replace(last, tracks=moved), now_there, work)]
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
@@ -332,7 +335,6 @@ class Agent(Node):
         fresh = self.peer_table.fresh(gossip.tick)
         self.outcome = run_round(self.context, self.outcome, self.peer_table, gossip, fresh, self._rounds.replay(opened, fresh))
         self._rounds.recent.keep(self.outcome.belief)
-        self._between.begin()
         missing = self.peer_table.close(gossip.tick, newcomer=newcomer, listened=self._has_listened(now))
         if self._listening_rounds:
             self._count_listening_round(len(fresh), missing)

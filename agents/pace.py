@@ -8,9 +8,6 @@ Every gossip states the pace that its sender *needs*, from what it measures: how
 busy with it, and which ticks were missed. Waiting for peers does not count. An agent *keeps* the slowest pace that it or
 one of its peers needs. Nothing that is kept is stated, so a pace falls as soon as the need has gone. In lockstep the world waits, and
 the pace is 1.
-
-A world without enough time ticks more slowly than it should. That gives every agent more time, so the ticks that are measured count, and
-not those of the settings (`TickTimes`).
 """
 
 import statistics
@@ -18,55 +15,10 @@ from collections import deque
 from collections.abc import Iterable
 
 LONGEST = 1.0  # s between two rounds, at most
-FULL, FREE = 0.9, 0.75  # share of the time between two rounds that a round may take; that it may take at a faster pace
+FULL, FREE = 0.9, 0.6  # share of the time between two rounds that a round may take; that it may take at a faster pace
 IDLE = 0.25  # the same share, when one round is enough to judge by
-JUDGED = 3  # rounds by whose median the need rises and falls
-REMEMBERED = 2.0  # s for which observations show when ticks begin
-
-
-class TickTimes:
-    """When ticks begin, by the observations of the last `REMEMBERED` s. Times are `now` of the node, s.
-
-    An observation is never early, and some are served at once. So ticks begin on a line below all observations. Of these lines the
-    closest one in the mean is the edge of the lower convex hull at the mean tick. Reference: Moon, Skelly and Towsley, "Estimation and
-    removal of clock skew from network delay measurements", INFOCOM 1999.
-    """
-
-    def __init__(self, period: float) -> None:
-        """`period`: s between two ticks at least."""
-        self._period = period
-        self._seen: deque[tuple[int, float]] = deque()  # ticks and times of observations
-
-    def observe(self, tick: int, now: float) -> None:
-        """Note that the observation of a tick has come."""
-        while self._seen and (not 0.0 <= now - self._seen[0][1] <= REMEMBERED or tick <= self._seen[-1][0]):
-            self._seen.popleft()
-        self._seen.append((tick, now))
-
-    def __bool__(self) -> bool:
-        return bool(self._seen)
-
-    def clear(self) -> None:
-        """Forget all observations."""
-        self._seen.clear()
-
-    def newest(self) -> tuple[float, float]:
-        """When the newest tick that was observed began, and s between two ticks."""
-        tick, count = self._seen[-1][0], len(self._seen)
-        mean = sum([tick for tick, _ in self._seen]) / count
-        begin, end = self._edge(mean)
-        period = max(self._period, (end[1] - begin[1]) / (end[0] - begin[0]) if end > begin else 0.0)
-        return min([seen + (tick - other) * period for other, seen in self._seen]), period
-
-    def _edge(self, mean: float) -> tuple[tuple[int, float], tuple[int, float]]:
-        """The corners of the lower convex hull on both sides of a tick."""
-        hull: list[tuple[int, float]] = []
-        for x, y in self._seen:
-            while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-2][0]) >= (y - hull[-2][1]) * (hull[-1][0] - hull[-2][0]):
-                hull.pop()
-            hull.append((x, y))
-        right = next(index for index, (x, _) in enumerate(hull) if x >= mean)
-        return hull[max(0, right - 1)], hull[right]
+JUDGED, CALM = 3, 2  # rounds by whose median the need rises, and by whose longest it falls
+REMEMBERED = 2.0  # s for which the earliest observation shows when ticks begin
 
 
 class Pace:
@@ -76,11 +28,12 @@ class Pace:
         """`period`: s between two ticks; `measured` false: the pace stays 1."""
         self.need = 1  # stated in the gossip
         self.current = 1  # the agent plays the ticks that this number divides
-        self._period, self._measured = period, measured  # s between two ticks, as measured
+        self._period, self._measured = period, measured
         self._most = 1
         while measured and 2 * self._most * period <= LONGEST:
             self._most *= 2
-        self._ticks = TickTimes(period)
+        self._begins: deque[tuple[float, float]] = deque()  # time of an observation, and when tick 0 would have been observed by it
+        self._began = 0.0  # when the newest tick began
         self._played = -1  # tick of the newest round
         self._lag = self._spent = 0.0  # s from the beginning of the tick to its round, and s for which the driver was busy since
         self._lags: deque[float] = deque(maxlen=JUDGED)  # of the last rounds, in ticks
@@ -92,12 +45,16 @@ class Pace:
 
     def observe(self, tick: int, now: float) -> None:
         """Note that the observation of a tick has come."""
-        if self._measured:
-            self._ticks.observe(tick, now)
+        if not self._measured:
+            return
+        while self._begins and not 0.0 <= now - self._begins[0][0] <= REMEMBERED:
+            self._begins.popleft()
+        self._begins.append((now, now - tick * self._period))
+        self._began = min([begin for _, begin in self._begins]) + tick * self._period
 
     def forget(self) -> None:
         """Forget what was measured: the agent was stalled, or its clock has jumped, which says nothing about its rounds."""
-        for measured in (self._ticks, self._lags, self._gaps):
+        for measured in (self._begins, self._lags, self._gaps):
             measured.clear()
         self._played, self._lag, self._spent = -1, 0.0, 0.0
 
@@ -105,11 +62,7 @@ class Pace:
         """A round of a tick opens."""
         gap = tick - self._played if self._played >= 0 else 1
         self._gaps.append(gap if gap > self.current else 1)
-        self._played = tick
-        self._lag = 0.0
-        if self._ticks:
-            began, self._period = self._ticks.newest()
-            self._lag = now - began
+        self._played, self._lag = tick, now - self._began
 
     def spend(self, seconds: float) -> None:
         """The driver was busy for some seconds with what the agent told it to do."""
@@ -122,7 +75,9 @@ class Pace:
         self._lags.append((self._lag + self._spent) / self._period)
         self._spent = 0.0
         lag, gap = statistics.median_low(self._lags), statistics.median_low(self._gaps or [1])
-        slower, faster = self._power(max(lag / FULL, gap)), self._power(max(min(lag / FREE, self._lags[-1] / IDLE), gap))
+        slower = self._power(max(lag / FULL, gap))
+        calm = min(max(list(self._lags)[-CALM:]) / FREE, self._lags[-1] / IDLE)
+        faster = self._power(max(calm, gap))
         self.need = slower if slower > self.need else min(self.need, faster)
         self.current = min(self._most, max([self.need, *needs]))
 

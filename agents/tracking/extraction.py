@@ -107,6 +107,11 @@ def _described(
     return Tracks(positions, details, np.array(names, dtype=np.uint64))
 
 
+def forecast(tracks: Tracks, seconds: float) -> Tracks:
+    """The tracks some seconds later: each target moves on by its velocity."""
+    return tracks._replace(positions=tracks.positions + tracks.details[:, :2] * seconds)
+
+
 def block_sums(masses: np.ndarray, half: int) -> np.ndarray:
     """Sums over the (2 half + 1)^2 block around each bin; the margin of `half` bins is 0 or incomplete."""
     rows = np.zeros_like(masses)
