@@ -10,12 +10,14 @@ import msgspec
 import tomli_w
 
 from agents.config import AgentConfig
+from agents.coverage import search_plan
 from protocol.settings import BadSetting, Fraction, NotNegative, Positive, RunSettings, Section, convert, read_toml, sensor_of
 from world.config import BodySettings, RecordedSettings, TargetSettings, WorldConfig, WorldRun
 from world.sources import recording_of
 
 LOCKSTEP_HASTE = 5  # times the messages a second that are no flood: nothing holds the world up there, and one agent alone does 700 ticks/s
 SEARCH_EXTRACTION = {"bin": 0.7, "threshold": 0.3, "beside": 0.7}  # what goes with search-and-track where the scenario says nothing
+MOST_SEARCH_BINS = 1_000_000  # every agent keeps in mind when each bin of the arena was last seen
 FOLDER = Path(__file__).parent / "scenarios"
 ORACLE = "oracle"  # a control mode that only simulations have (`oracle.Oracle`)
 PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4": (5, 20, 15), "5": (6, 24, 18)}
@@ -155,6 +157,12 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
         network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)
     extraction, said = scenario.extraction, data.get("extraction", {})
     if scenario.control.mode == "search-and-track":
+        bins = scenario.arena.width * scenario.arena.height / search_plan.BIN**2
+        if bins > MOST_SEARCH_BINS:
+            wrong = (
+                f"{source}: control.mode = 'search-and-track': the arena has {bins:.0f} bins of {search_plan.BIN:g} x {search_plan.BIN:g} m"
+            )
+            raise BadSetting(f"{wrong}; should be at most {MOST_SEARCH_BINS}, or each round would take seconds")
         follows = {field: value for field, value in SEARCH_EXTRACTION.items() if field not in said}
         extraction = msgspec.structs.replace(extraction, **follows)
     recorded = scenario.recorded

@@ -156,6 +156,11 @@ def test_a_scenario_that_spells_out_its_members_is_not_asked_for_a_team(tmp_path
             {"filter.compact": True, "timing.overlap": 3.0},
             "filter.compact = true: each owner numbers particles anew, so timing.overlap should be 0",
         ),
+        (
+            {"control.mode": "search-and-track", "arena.width": 2010.0, "arena.height": 2000.0},
+            "control.mode = 'search-and-track': the arena has 1005000 bins of 2 x 2 m; should be at most 1000000, "
+            "or each round would take seconds",
+        ),
         ({"sensors.X.angle": 90.0, "team.composition": "3X"}, "sensors.X: a wedge needs an angle (degrees) and a radius (m)"),
     ],
     ids=str,
