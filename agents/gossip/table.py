@@ -60,26 +60,16 @@ SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a w
 
 _SENSOR = struct.Struct("<5dQ4d")
 _SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE, FAR_PROB]
-_SCANNED = 11  # the place of `scanned` in `Gossip.numbers`
+_SCANNED = 11  # the place of `scanned` in `Gossip.numbers`, and those of columns
+_IN_NUMBERS = {X: 0, Y: 1, COS: 2, SIN: 3, EAST: 4, NORTH: 5, RADIUS: 6, WEIGHT: 8, DETECTIONS: 9, PARTICLES: 10}
+_IN_NUMBERS |= {PLACE_NOISE: 12, HEADING_NOISE: 13}
 
 
 def _sources(diagram: str) -> np.ndarray:
     """The place in `Gossip.numbers` with the columns of a sensor behind it from which each column of a table comes (COLUMNS,)."""
     sources = np.zeros(COLUMNS, np.int64)
-    sources[[X, Y, COS, SIN, EAST, NORTH, RADIUS, WEIGHT, DETECTIONS, PARTICLES, PLACE_NOISE, HEADING_NOISE]] = (
-        0,
-        1,
-        2,
-        3,
-        4,
-        5,
-        6,
-        8,
-        9,
-        10,
-        12,
-        13,
-    )
+    for column, place in _IN_NUMBERS.items():
+        sources[column] = place
     sources[_SENSOR_COLUMNS] = range(GOSSIP_NUMBERS, GOSSIP_NUMBERS + len(_SENSOR_COLUMNS))
     if diagram == "voronoi":
         sources[[EAST, NORTH]] = sources[[X, Y]]
