@@ -6,6 +6,7 @@ session, so the quarantine excludes a sender of garbage and not the agent of the
 
 import asyncio
 import contextlib
+import ctypes
 import json
 import logging
 import os
@@ -43,6 +44,13 @@ SETTLE_SECONDS = 2.0  # in which a new session sees again the tokens that the ol
 SLICE = 64  # messages between two passes over the timers
 
 log = logging.getLogger(__name__)
+_kept = threading.local()
+
+
+def keep_thread_state() -> None:
+    """Keep the state that Python has made for the calling thread of Zenoh; without this, each callback makes a new one and frees it."""
+    if not hasattr(_kept, "lock"):
+        _kept.lock = ctypes.pythonapi.PyGILState_Ensure()  # never released: the interpreter keeps a state that is in use
 
 
 def session_config(settings: NetworkSettings, own: keys.Token | None = None) -> zenoh.Config:
@@ -150,6 +158,7 @@ class Driver:
     # ------------------------------------------------------------------ Zenoh's threads
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
+        keep_thread_state()
         key, origin = str(sample.key_expr), sample.source_info
         if self._rate_limiter.admits(key, origin, self._loop.time()):
             self._arrive(Arrival(key, sample.payload.to_bytes(), origin))
@@ -274,14 +283,13 @@ class Driver:
     def _listen(self, expression: str) -> None:
         if self._session is None or expression in self._subscribers:
             return
-        # Zenoh keeps one thread for every indirect callback, and an agent subscribes to many single keys. A direct callback runs in a
-        # thread of Zenoh and must return soon: that of an agent does, those of other roles may not.
-        few = self._node.role == "agent" and (keys.is_of_tokens(expression) or "*" not in expression)
+        # An indirect callback runs in a thread of its own, which costs a switch for every message. A direct one runs in the thread that
+        # reads the sockets and must return soon: these only append to the inbox.
         if keys.is_of_tokens(expression):
-            declare, callback = self._session.liveliness().declare_subscriber, zenoh.handlers.Callback(self._on_token, indirect=not few)
-            self._subscribers[expression] = declare(expression, callback, history=True)
+            callback = zenoh.handlers.Callback(self._on_token, indirect=False)
+            self._subscribers[expression] = self._session.liveliness().declare_subscriber(expression, callback, history=True)
         else:
-            callback = zenoh.handlers.Callback(self._on_sample, indirect=not few)
+            callback = zenoh.handlers.Callback(self._on_sample, indirect=False)
             self._subscribers[expression] = self._session.declare_subscriber(expression, callback, allowed_origin=zenoh.Locality.REMOTE)
 
     def _unsubscribe(self, expression: str) -> None:

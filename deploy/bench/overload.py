@@ -6,8 +6,10 @@ second. The lockstep figures are those of a simulation of the same scenario and 
 """
 
 import contextlib
+import math
 import os
 import signal
+import statistics
 import subprocess
 import sys
 import time
@@ -23,7 +25,7 @@ from deploy.simulation import Simulation
 
 SETTLE, CALM, AFTER = 12.0, 4.0, 8.0  # wall s: until the swarm tracks, before and after what happens
 POLL = 0.2  # wall s between two looks at the status
-BACK = 2.0  # wall s after the end of a load until all must be well again
+BACK = 2.0  # wall s after the end of a load or a death until all must be well again
 NICE = ("nice", "-n", "15")
 
 
@@ -34,7 +36,7 @@ class LoadProfile(NamedTuple):
     rate: str = "2"
     loops: int = 0  # busy processes beside a swarm of low priority
     frozen: float = 0.0  # s for which all processes are stopped
-    killed: int = 0  # agents
+    deaths: int = 0  # evenly spread; each agent is restarted before the next one dies
     lasts: float = 25.0  # wall s
 
 
@@ -43,11 +45,12 @@ PROFILES = {
     "three loops": LoadProfile(loops=3),
     "eight loops": LoadProfile(loops=8),
     "frozen 3 s": LoadProfile(frozen=3.0, lasts=6.0),
-    "death, three loops": LoadProfile(loops=3, killed=1, lasts=15.0),
+    "death, three loops": LoadProfile(loops=3, deaths=1, lasts=15.0),
     "48 agents, rate 1": LoadProfile(agents=48, rate="1"),
     "auto, three loops": LoadProfile(rate="auto", loops=3),
     "auto, eight loops": LoadProfile(rate="auto", loops=8),
 }
+LONG = {"100 deaths, three loops": LoadProfile(loops=3, deaths=100, lasts=600.0)}  # only by name: takes 12 minutes
 
 
 class StatusSample(NamedTuple):
@@ -66,7 +69,7 @@ def measure(names: Sequence[str] = tuple(PROFILES), seeds: Sequence[int] = (1,))
     """One row for each profile and seed."""
     for seed in seeds:
         for name in names:
-            yield {"load": name, "seed": seed, **play(PROFILES[name], seed)}
+            yield {"load": name, "seed": seed, **play((PROFILES | LONG)[name], seed)}
 
 
 def play(profile: LoadProfile, seed: int) -> BenchRow:
@@ -81,9 +84,12 @@ def play(profile: LoadProfile, seed: int) -> BenchRow:
         with busy(profile.loops):
             if profile.frozen:
                 freeze(running, profile.frozen)
-            for name in [f"s{number}" for number in range(3, 3 + profile.killed)]:
-                watch(running, 0.5 * profile.lasts, samples)
+            for death in range(profile.deaths):
+                name, half = f"s{3 + death % (profile.agents - 2)}", 0.5 * profile.lasts / profile.deaths
+                watch(running, half, samples)
                 running.ask("kill", name)
+                watch(running, half, samples)
+                running.ask("restart", name)
             watch(running, profile.lasts - (time.monotonic() - begin) if not profile.frozen else profile.lasts, samples)
         end = time.monotonic()
         watch(running, AFTER, samples)
@@ -145,9 +151,11 @@ def figures(profile: LoadProfile, seed: int, samples: list[StatusSample], begin:
         row |= {f"hole{label}, %": 100.0 * mean([sample.hole for sample in part])}
         row |= {f"most overlap{label}, %": 100.0 * max(sample.overlap for sample in part)}
     row["ratio"] = row["OSPA, m"] / max(row["lockstep, m"], 1e-9)
-    row["false deaths"] = len(result["kills"]) - profile.killed
-    if profile.killed:
-        row["hole closed, s"] = max((kill["closed_seconds"] or 99.0) for kill in result["kills"])
+    row["false deaths"] = len(result["kills"]) - profile.deaths
+    if profile.deaths:
+        closed = [kill["closed_seconds"] or math.inf for kill in result["kills"]]
+        row |= {"hole closed, s": max(closed), "in the median, s": statistics.median(closed)}
+        row["closed in 2 s, %"] = 100.0 * mean([float(seconds <= BACK) for seconds in closed])
     return row
 
 
