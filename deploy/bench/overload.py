@@ -153,7 +153,7 @@ def figures(profile: LoadProfile, seed: int, samples: list[StatusSample], begin:
     row["ratio"] = row["OSPA, m"] / max(row["lockstep, m"], 1e-9)
     row["false deaths"] = len(result["kills"]) - profile.deaths
     if profile.deaths:
-        closed = [kill["closed_seconds"] or math.inf for kill in result["kills"]]
+        closed = [math.inf if kill["closed_seconds"] is None else kill["closed_seconds"] for kill in result["kills"]]
         row |= {"hole closed, s": max(closed), "in the median, s": statistics.median(closed)}
         row["closed in 2 s, %"] = 100.0 * mean([float(seconds <= BACK) for seconds in closed])
     return row
