@@ -17,12 +17,12 @@ from agents.config import AgentConfig
 from agents.coverage.keep_apart import keep_apart
 from agents.gossip import outbox
 from agents.interest.manager import InterestManager
-from agents.late_rounds import LateRounds
 from agents.look_ahead import OpenRound, look_ahead
 from agents.membership.announcements import SOON
 from agents.membership.local_health import LocalHealth
 from agents.membership.membership import Membership
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
+from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
@@ -59,7 +59,7 @@ class Agent(Node):
         self.membership = Membership(self.context, incarnation, self.peer_table, self.counters)
         self._observation: Observation | None = None  # of the open round
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
-        self._rounds = LateRounds(self.context)
+        self._rounds = OpenRounds(self.context)
         self._own_pose = OwnPose(config, self.context.sensor)
         self._fresh: list[Gossip] = []  # of the last round
         self._said: Gossip | None = None  # the own one of the last round
@@ -142,7 +142,7 @@ class Agent(Node):
             self.counters["rejected.old_observation"] += 1
             return []
         self.membership.world_incarnation = observation.incarnation
-        self.membership.failure_detector.speak(observation.sender, now)
+        self.membership.session_watchdog.speak(observation.sender, now)
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
         if not self._pace.plays(observation.tick):
@@ -227,7 +227,7 @@ class Agent(Node):
                 if message.sender == self.name and message.incarnation > self.incarnation:
                     return self.membership.fence(message.incarnation)
         if not self.local:
-            self.membership.failure_detector.speak_all(batch.senders, now)
+            self.membership.session_watchdog.speak_all(batch.senders, now)
         if self.tick < 0:
             self.membership.announcements.run_started()
         effects: list[Effect] = NO_EFFECTS

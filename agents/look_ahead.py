@@ -140,7 +140,7 @@ def advance(context: AgentContext, density: Any, table: GossipTable, polygon: np
     row = table.names.index(context.name)
     region = RegionInput(NOBODY, row, context.sensor, table.gossips[row].pose, polygon, NO_CLAIM)
     near = context.tracker.update(density, table, [region], step)[0]
-    state: TrackerState = context.tracker.share(density, region, near, Diagram(0, frozenset(), None, np.inf), step)
+    state: TrackerState = context.tracker.belief_after(density, region, near, Diagram(0, frozenset(), None, np.inf), step)
     return state
 
 

@@ -122,7 +122,7 @@ def run_round(
         acquainted=peer_table.acquainted if peer_table.local else None,
         horizon=HORIZON if peer_table.local else math.inf,
     )
-    belief = context.tracker.share(received, region, near, diagram, step)
+    belief = context.tracker.belief_after(received, region, near, diagram, step)
     return result_of(context, own, Frame(region, generator_table), near, table, received, belief, peer_table.pace)
 
 
@@ -239,7 +239,7 @@ def _claim(generator_table: GossipTable, cell: Cell, unsubscribed: UnsubscribedG
 def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
     """The centroid in m of the PHD in the cell (17). Without mass it is that of the cell's area; None without a cell."""
     if near.mass > 0.0:
-        return near.east / near.mass, near.north / near.mass
+        return near.moment_x / near.mass, near.moment_y / near.mass
     if not len(cell):
         return None
     x, y = polygon_centroid(cell)

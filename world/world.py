@@ -10,7 +10,6 @@ import math
 import numpy as np
 
 from protocol.agreement import agreed, common_sections
-from protocol.failure_detector import FailureDetector
 from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
 from protocol.message import Message
@@ -19,6 +18,7 @@ from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, 
 from protocol.observer_messages import Truth
 from protocol.pose import from_other_frame
 from protocol.sensing import Pose, SensorModel, measurement_of
+from protocol.session_watchdog import SessionWatchdog
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given, free_pose, pose_with_error
 from world.commands import CommandBook
@@ -55,7 +55,7 @@ class World(Node):
         self.rejected_messages = 0
         self.re_anchored = 0  # real time: how often the world was too late to catch up
         self._config, self._roster = config, Roster()
-        self._presence = FailureDetector(self.name, config.members)
+        self._watchdog = SessionWatchdog(self.name, config.members)
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
         self._pause = config.run.dt / config.run.pace if self._lockstep and config.run.pace else 0.0  # s between two ticks, at least
@@ -135,8 +135,8 @@ class World(Node):
         if known is None or len(hello.heard) > len(known.heard):
             self._changed = now
         if not hello.local:
-            self._presence.greet(hello.sender, now)
-        reason = "" if hello.local else self._presence.split(hello, now)  # it hears nobody else's Hello
+            self._watchdog.greet(hello.sender, now)
+        reason = "" if hello.local else self._watchdog.reason_to_reopen(hello, now)  # it hears nobody else's Hello
         if reason:
             return [Reopen(reason)]
         self._embody_guest(hello.sender)
@@ -147,7 +147,7 @@ class World(Node):
     def _greet(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has appeared; what an older incarnation of it was asked or told is void."""
         is_new = self._roster.appear(name, incarnation)
-        self._presence.appear(name, incarnation)
+        self._watchdog.appear(name, incarnation)
         self._embody_guest(name)
         if not self.started:
             self._changed = now if is_new else self._changed
@@ -159,7 +159,7 @@ class World(Node):
 
     def _bury(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has gone; its body stands still at once and nobody waits for it."""
-        self._presence.leave(name, incarnation)
+        self._watchdog.leave(name, incarnation)
         if not self._roster.vanish(name, incarnation):
             return []
         self._commands.drop(name)
@@ -167,7 +167,7 @@ class World(Node):
 
     def _obey(self, command: Command, now: float) -> list[Effect]:
         """Keep a command until the tick ends."""
-        self._presence.speak(command.sender, now)
+        self._watchdog.speak(command.sender, now)
         moves = self.started and command.sender in self.bodies.poses
         if not moves or not self._commands.keep(command, self.tick, self._roster.live(command.sender)):
             self.ignored_commands += 1
@@ -274,7 +274,7 @@ class World(Node):
         self._expected, self._patience, self._strict = truth.alive, min(self._patience, RESTORE_TIMEOUT), False
 
     def _hello(self) -> Hello:
-        heard = tuple(sorted(self._presence.heard(), key=order))
+        heard = tuple(sorted(self._watchdog.heard(), key=order))
         return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=heard, settings=self._settings)
 
     def _observation(self, name: str, detections: np.ndarray) -> Observation:

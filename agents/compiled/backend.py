@@ -202,16 +202,18 @@ def _update_wedges(
         DIRECTIONS,
     )
     if len(regions_) == 1:
-        _, _, _, _, mass, east, north, load, detected = results[0].tolist()
+        _, _, _, _, mass, moment_x, moment_y, load, detected = results[0].tolist()
         return [
-            RegionUpdate(Particles(*updated), Particles(*own), Particles(*drawn), mass, east, north, load, detected, _tracks(tracks, names))
+            RegionUpdate(
+                Particles(*updated), Particles(*own), Particles(*drawn), mass, moment_x, moment_y, load, detected, _tracks(tracks, names)
+            )
         ]
     ends, found = np.cumsum(results[:, : region_kernels.SIZES], axis=0, dtype=np.int64).tolist(), []
     for before, after, result in zip([[0] * region_kernels.SIZES, *ends], ends, results.tolist()):
         near, mine, new = [_rows(*part) for part in zip((updated, own, drawn), before, after)]
-        mass, east, north, load, detected = result[region_kernels.SIZES :]
+        mass, moment_x, moment_y, load, detected = result[region_kernels.SIZES :]
         rows = slice(before[3], after[3])
-        found.append(RegionUpdate(near, mine, new, mass, east, north, load, detected, _tracks(tracks[rows], names[rows])))
+        found.append(RegionUpdate(near, mine, new, mass, moment_x, moment_y, load, detected, _tracks(tracks[rows], names[rows])))
     return found
 
 

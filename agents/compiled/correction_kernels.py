@@ -186,7 +186,7 @@ def _pairs(
 
     Each pair is written into `found`: row of the particle, number of the detection, squared distance in m^2, weight times p_d.
     """
-    rows, columns, squares, shares = found
+    rows, columns, squares, terms = found
     number, pairs = len(x), 0
     apart = np.empty(number)
     for m in range(len(detections)):
@@ -197,23 +197,23 @@ def _pairs(
         if pairs + number > len(rows):
             return -1
         for n in range(number):  # the next pair overwrites a miss
-            rows[pairs], columns[pairs], squares[pairs], shares[pairs] = n, m, apart[n], weights[n] * probabilities[n]
+            rows[pairs], columns[pairs], squares[pairs], terms[pairs] = n, m, apart[n], weights[n] * probabilities[n]
             pairs += apart[n] <= gate2
     return pairs
 
 
 @cached
 def _pair_buffers(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Uninitialised arrays for `size` pairs: rows, detections, squared distances and shares."""
+    """Uninitialised arrays for `size` pairs: rows, detections, squared distances and terms."""
     return np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(size)
 
 
 @cached
-def _likelihoods(squares: np.ndarray, shares: np.ndarray, noise: float) -> None:
-    """Multiply shares by the Gaussian density, per m^2, at squared distances in m^2."""
+def _likelihoods(squares: np.ndarray, terms: np.ndarray, noise: float) -> None:
+    """Multiply terms by the Gaussian density, per m^2, at squared distances in m^2."""
     scale, exponent_scale = 1.0 / (2.0 * math.pi * noise * noise), 0.5 / (noise * noise)
     for p in range(len(squares)):
-        shares[p] = shares[p] * (exp_minus(squares[p] * exponent_scale) * scale)
+        terms[p] = terms[p] * (exp_minus(squares[p] * exponent_scale) * scale)
 
 
 @njit
@@ -333,16 +333,16 @@ def update(
                 pairs = _pairs(seen_x, seen_y, seen_weights, seen_probabilities, points, gate2, found)
             if pairs < 0:
                 found = _pair_buffers(4 * len(found[0]))
-        rows, columns, squares, shares = found
+        rows, columns, squares, terms = found
         if has_rays:
             for p in range(pairs):
-                shares[p] = seen_weights[rows[p]] * seen_probabilities[rows[p]] * (exp_minus(squares[p] * 0.5) * shares[p])
+                terms[p] = seen_weights[rows[p]] * seen_probabilities[rows[p]] * (exp_minus(squares[p] * 0.5) * terms[p])
         else:
-            _likelihoods(squares[:pairs], shares[:pairs], likelihood_noise)
+            _likelihoods(squares[:pairs], terms[:pairs], likelihood_noise)
         norms = np.zeros(len(points))
         for p in range(pairs):
             rows[p] = seen[rows[p]]
-            norms[columns[p]] += shares[p]
+            norms[columns[p]] += terms[p]
         born = densities[starts[s] : starts[s + 1]]
         if on:
             if sensor[16] == _BEARING:
@@ -355,7 +355,7 @@ def update(
             norms[m] = norm if norm > 0.0 else 1.0
             born[m] = fresh / norms[m]
         for p in range(pairs):
-            gained[rows[p]] += shares[p] / norms[columns[p]]
+            gained[rows[p]] += terms[p] / norms[columns[p]]
         _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, born, miss, raster)
         for n in seen:
             new_weights[n] += gained[n]
@@ -364,7 +364,7 @@ def update(
             for m in range(len(points)):
                 number = np.uint64(picked[starts[s] + m] - begins[s])
                 given[m] = birth_label(scramble(number * np.uint64(each), salt), stamp)
-        label_scan(new_labels, new_weights, rows[:pairs], columns[:pairs], shares[:pairs], norms, given)
+        label_scan(new_labels, new_weights, rows[:pairs], columns[:pairs], terms[:pairs], norms, given)
         if on:
             for m in range(len(points)):
                 number = np.uint64(picked[starts[s] + m] - begins[s])

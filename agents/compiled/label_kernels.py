@@ -44,13 +44,13 @@ def label_scan(
     weights: np.ndarray,
     rows: np.ndarray,
     columns: np.ndarray,
-    shares: np.ndarray,
+    terms: np.ndarray,
     norms: np.ndarray,
     given: np.ndarray,
 ) -> None:
     """Twin of `phd._labels_after`: write the labels of the particles (N,), and those of the births (M,) into `given`.
 
-    The pairs (rows, columns, shares) are sorted by columns, the detections. `given` holds the labels that they found.
+    The pairs (rows, columns, terms) are sorted by columns, the detections. `given` holds the labels that they found.
     """
     pairs, start = len(rows), 0
     seen, sums = np.empty(16, np.uint64), np.empty(16)
@@ -58,10 +58,10 @@ def label_scan(
         m, end, number = columns[start], start, 0
         while end < pairs and columns[end] == m:
             label = labels[rows[end]]
-            if label != NO_LABEL and shares[end] > 0.0:
+            if label != NO_LABEL and terms[end] > 0.0:
                 if number == len(seen):
                     seen, sums = np.concatenate((seen, np.empty_like(seen))), np.concatenate((sums, np.empty_like(sums)))
-                number = add(seen, sums, number, label, shares[end])
+                number = add(seen, sums, number, label, terms[end])
             end += 1
         best, most = NO_LABEL, 0.0
         for k in range(number):
@@ -72,7 +72,7 @@ def label_scan(
         start = end
     for p in range(pairs):  # more than half of a weight comes from one detection at most, so that no later pair changes a label again
         n = rows[p]
-        if labels[n] == NO_LABEL and shares[p] / norms[columns[p]] > CLAIMED * weights[n]:
+        if labels[n] == NO_LABEL and terms[p] / norms[columns[p]] > CLAIMED * weights[n]:
             labels[n] = given[columns[p]]
 
 

@@ -242,7 +242,7 @@ def _update_region(
         labels = rename((states, weights, labels), mine, (near_weights, near_labels), targets, settings[BIN])
     own = take(states, weights, ids, labels, mine)
     own_states, own_weights, own_ids, own_labels = own
-    mass, east, north = first_moments(own_states, own_weights)
+    mass, moment_x, moment_y = first_moments(own_states, own_weights)
     near_load, near_detected = in_view(states, weights, sensor)
     far_load, far_detected = in_view(far_states, far_weights, sensor)
     drawn_states, drawn_ids, drawn_labels, each = np.empty((0, 4)), np.empty(0, np.uint64), np.empty(0, np.uint64), 0.0
@@ -253,7 +253,7 @@ def _update_region(
         drawn_states, drawn_ids, drawn_labels = resampled
         each = mass / count
     drawn = drawn_states, np.full(len(drawn_ids), each), drawn_ids, drawn_labels
-    sums = mass, east, north, near_load + far_load, near_detected + far_detected
+    sums = mass, moment_x, moment_y, near_load + far_load, near_detected + far_detected
     return (states, weights, ids, labels), own, drawn, sums, targets, names
 
 

@@ -281,7 +281,7 @@ def _best_turn(
     states: np.ndarray,
     weights: np.ndarray,
     seen: np.ndarray,
-    shares: np.ndarray,
+    left: np.ndarray,
     edges: np.ndarray,
 ) -> float:
     """Twin of `search_plan.best_turn` for a wedge at x, y."""
@@ -303,7 +303,7 @@ def _best_turn(
         mass = masses[int(np.floor(states[n, 1] / BIN)) - south, int(np.floor(states[n, 0] / BIN)) - west]
         if UNSURE[0] < mass and mass < UNSURE[1]:
             value += search[CONFIRMATION] * (1.0 - mass)
-        worth = weights[n] * value * shares[n]
+        worth = weights[n] * value * left[n]
         held[_sector(dx * situation[COS] + dy * situation[SIN], dy * situation[COS] - dx * situation[SIN], edges)] += worth
         some = some or worth > 0.0
     most = min(situation[TURN_RATE] * situation[DT], math.pi)
@@ -333,8 +333,8 @@ def _best_turn(
 
 
 @njit
-def _shares(situation: np.ndarray, states: np.ndarray, partners: np.ndarray) -> np.ndarray:
-    """Twin of `search_plan.shares` for the particles within reach; each bin is computed once."""
+def _left_to_sensor(situation: np.ndarray, states: np.ndarray, partners: np.ndarray) -> np.ndarray:
+    """Twin of `search_plan.left_to_sensor` for the particles within reach; each bin is computed once."""
     x, y, reach = situation[X], situation[Y], situation[REACH]
     near = _partners_near(partners, x, y, reach + 2.0 * BIN)
     west, south, side = int(np.floor((x - reach) / BIN)) - 1, int(np.floor((y - reach) / BIN)) - 1, int(2.0 * reach / BIN) + 4
@@ -373,5 +373,7 @@ def decide(
     near_states, near_weights, near_ids = around[0][order], around[1][order], around[2][order]
     near_last = _last_sight(near_states, near_ids, ids, last, table, seen, now)
     x, y = situation[X] + vx * dt, situation[Y] + vy * dt
-    turn = _best_turn(situation, search, x, y, near_states, near_weights, near_last, _shares(situation, near_states, partners), edges)
+    turn = _best_turn(
+        situation, search, x, y, near_states, near_weights, near_last, _left_to_sensor(situation, near_states, partners), edges
+    )
     return vx, vy, turn / dt, goal_x, goal_y, load, (seen, near_ids, near_last)

@@ -112,7 +112,7 @@ def decide(task: Task, memory: Memory) -> Decision:
     around = select(task.around, np.argsort(task.around.ids, kind="stable"))
     last = last_sight(around, task, memory, seen)
     place = body.x + vx * body.dt, body.y + vy * body.dt
-    turn = best_turn(task, place, around, last, shares(task, around))
+    turn = best_turn(task, place, around, last, left_to_sensor(task, around))
     return Decision((vx, vy), turn / body.dt, goal, load, Memory(seen, around.ids, last))
 
 
@@ -245,17 +245,17 @@ def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) 
     return last
 
 
-def shares(task: Task, around: Particles) -> np.ndarray:
+def left_to_sensor(task: Task, around: Particles) -> np.ndarray:
     """The share of each particle that the sensor looks after (N,): what partners leave of its bin."""
     x, y = np.floor(around.states[:, 0] / BIN), np.floor(around.states[:, 1] / BIN)
     return left_over(task, (x + 0.5) * BIN, (y + 0.5) * BIN, 1.0)[0]
 
 
-def best_turn(task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, share: np.ndarray) -> float:
+def best_turn(task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, left: np.ndarray) -> float:
     """The turn in rad until the next tick: to the heading whose window holds most, the best one of the tick after counted in part."""
     body, width = task.body, 2.0 * math.pi / SECTORS
     most = min(body.turn_rate * body.dt, math.pi)
-    points, worth = worth_around(task, place, around, last, share)
+    points, worth = worth_around(task, place, around, last, left)
     if not (worth > 0.0).any():
         return min(most, FIRST_TURN * body.angle)
     reachable = min(math.floor(most / width), SECTORS // 2 - 1)
@@ -273,7 +273,7 @@ def best_turn(task: Task, place: tuple[float, float], around: Particles, last: n
 
 
 def worth_around(
-    task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, share: np.ndarray
+    task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, left: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The particles within reach of `place` (N, 2) and what it is worth to see each of them now (N,).
 
@@ -292,7 +292,7 @@ def worth_around(
     value = LEAST + 1.0 - exp_minus(np.minimum(age * age, 18.0))
     unsure = (masses > UNSURE[0]) & (masses < UNSURE[1])
     value = np.where(unsure, value + task.settings.confirmation * (1.0 - masses), value)
-    return around.states[near, :2], (around.weights * value * share)[near]
+    return around.states[near, :2], (around.weights * value * left)[near]
 
 
 def sector_of(ahead: np.ndarray, left: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ SOON = 0.05  # s between the appearance of a new peer and a Hello
 CROWD = 12  # above this number of peers Hellos become rarer
 THRONG = 24  # above this number of peers `SOON` grows with it, so that the Hellos of all get through
 EARLY, LATE = 0.25, 2.0  # s between Hellos: while a sensor is unknown or nothing has been observed, and later
-LATEST = 4.0  # s between Hellos in a large swarm; a second below `failure_detector.PATIENCE`, for which the names in a Hello hold
+LATEST = 4.0  # s between Hellos in a large swarm; a second below `session_watchdog.PATIENCE`, for which the names in a Hello hold
 MANY = 48  # above this number of peers the later rhythm slows down as well
 
 

@@ -1,6 +1,6 @@
 """Detectors of a half-open session, for agents that hear neighbours only.
 
-Two Zenoh peers can be left with half a session (`protocol.failure_detector`). In a swarm that hears everybody, Hellos show it: they list
+Two Zenoh peers can be left with half a session (`protocol.session_watchdog`). In a swarm that hears everybody, Hellos show it: they list
 the peers that their senders hear. An agent that hears neighbours only gets no such Hellos, but it gets claims. A claim names the peers
 that bound a cell, and their generators.
 
@@ -11,8 +11,8 @@ come from it. Then the session is to be opened anew.
 from collections.abc import Callable, Collection, Iterable
 from typing import NamedTuple
 
-from protocol.failure_detector import FIRST_REST, LONGEST_REST, NEVER, PATIENCE
 from protocol.messages import Gossip
+from protocol.session_watchdog import FIRST_REST, LONGEST_REST, NEVER, PATIENCE
 
 Place = tuple[float, float]  # x, y, m
 
@@ -60,7 +60,7 @@ class HalfOpenLinkDetector:
 class WorldLinkDetector:
     """Whether the neighbours' ticks advance while no new tick reaches this agent: the session with the world alone is half open.
 
-    In a swarm that hears everybody, Hellos show this (`protocol.failure_detector`).
+    In a swarm that hears everybody, Hellos show this (`protocol.session_watchdog`).
     """
 
     def __init__(self) -> None:

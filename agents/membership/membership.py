@@ -1,6 +1,6 @@
 """Who is there: the liveliness tokens and Hellos of others, and when this agent announces itself.
 
-Data type: `Membership`. It keeps the peer table, the failure detector and the schedule of the own Hellos up to date. It fences an agent
+Data type: `Membership`. It keeps the peer table, the session watchdog and the schedule of the own Hellos up to date. It fences an agent
 that has a younger incarnation.
 """
 
@@ -12,9 +12,9 @@ from agents.membership.announcements import AnnouncementSchedule
 from agents.membership.body_tokens import BodyTokens
 from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext
-from protocol.failure_detector import FailureDetector
 from protocol.messages import Hello
 from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Gone, Reopen, Stop
+from protocol.session_watchdog import SessionWatchdog
 
 EXIT_FENCED = 3
 
@@ -25,7 +25,7 @@ class Membership:
     def __init__(self, context: AgentContext, incarnation: int, peer_table: PeerTable, counters: Counter[str]) -> None:
         """`counters`: those of the agent."""
         others, local = context.config.others(context.name), peer_table.local
-        self.failure_detector = FailureDetector(context.name, ["world"] if local else [*others, "world"])
+        self.session_watchdog = SessionWatchdog(context.name, ["world"] if local else [*others, "world"])
         self.announcements = AnnouncementSchedule(0 if local else len(others), peer_table.is_roster_alive)
         self.agreement = SettingsAgreement(context.name, peer_table.settings, counters)
         self.world_incarnation = 0
@@ -41,7 +41,7 @@ class Membership:
             return []
         if event.role == "agent":
             self._bodies.agent_left(event.name)
-            self.failure_detector.appear(event.name, event.incarnation)
+            self.session_watchdog.appear(event.name, event.incarnation)
             self._peer_table.alive(event.name, event.incarnation)
         if event.role != "agent" or not self._peer_table.local:
             self.announcements.peer_appeared(len(self._peer_table.peers), now)
@@ -54,17 +54,17 @@ class Membership:
         if event.role != "agent":
             return False
         self._bodies.agent_left(event.name)
-        self.failure_detector.leave(event.name, event.incarnation)
+        self.session_watchdog.leave(event.name, event.incarnation)
         self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
         return True
 
     def take_hellos(self, batch: Batch, now: float) -> list[Effect]:
         """Take Hellos that arrived together: all senders are heard before one Hello is judged. Those without news are noted only."""
-        detector, news = self.failure_detector, [*batch.messages]
-        detector.speak_all(batch.senders, now)
-        if detector.is_calm(now):
+        watchdog, news = self.session_watchdog, [*batch.messages]
+        watchdog.speak_all(batch.senders, now)
+        if watchdog.is_calm(now):
             news = self._peer_table.news(batch.messages)
-            detector.greet_all({*batch.senders}.difference([hello.sender for hello in news]))
+            watchdog.greet_all({*batch.senders}.difference([hello.sender for hello in news]))
         effects: list[Effect] = NO_EFFECTS
         for hello in news:
             more = self.take_hello(hello, now)
@@ -81,12 +81,12 @@ class Membership:
         if reason and reason != "settings":
             self._counters[f"rejected.{reason}"] += 1
             return warnings
-        is_new = self.failure_detector.greet(hello.sender, now)
+        is_new = self.session_watchdog.greet(hello.sender, now)
         # a Hello sent when the token of a world appeared can be lost, because the world may not have subscribed yet
         is_restarted_world = hello.role == "world" and 0 < self.world_incarnation < hello.incarnation
         if is_new or is_restarted_world:
             self.announcements.peer_appeared(len(self._peer_table.peers), now)
-        reason = self.failure_detector.split(hello, now) if hello.role == "agent" else ""
+        reason = self.session_watchdog.reason_to_reopen(hello, now) if hello.role == "agent" else ""
         if not reason:
             return warnings or ([] if is_new else NO_EFFECTS)
         self._counters["reopened"] += 1
@@ -112,4 +112,4 @@ class Membership:
 
     def _hello(self, now: float | None) -> Hello:
         """The Hello of this agent at `now`; None, before the first observation: it lists all peers that ever sent a Hello and are alive."""
-        return outbox.hello(self._context, self._incarnation, self.failure_detector.heard(now), self._peer_table.settings)
+        return outbox.hello(self._context, self._incarnation, self.session_watchdog.heard(now), self._peer_table.settings)

@@ -34,7 +34,7 @@ MOST_TIMES = 4.0  # or this many times the number in a fresh draw of the same ma
 
 
 @lru_cache(maxsize=256)
-def share_of(gossip: Gossip) -> OwnedState:
+def owned_by_sender(gossip: Gossip) -> OwnedState:
     """The state that the sender of a gossip owns; a pure memo, because all listeners of a process read the same gossip."""
     names = gossip.claim_names
     claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
@@ -65,8 +65,8 @@ class Copies:
     round: Round | None = None
     held: tuple[Step, ...] = ()  # the steps of skipped rounds, in which the copies only move
 
-    def all(self) -> Particles:
-        """All copies, at the stamp of the belief."""
+    def compute(self) -> Particles:
+        """Compute the copies that are still to be computed; return all of them, at the stamp of the belief."""
         if self.round is not None:
             step, backend, received, polygon, claim, horizon = self.round
             copies = backend.remote_copies(self.near, received_particles(received), polygon, claim, horizon, step)
@@ -114,7 +114,7 @@ def start(prior: Particles, name: str) -> Belief:
 
 def _released(belief: Belief) -> Belief:
     """The belief without a claim: all particles are copies."""
-    particles = canonical(join([belief.mine.particles, belief.copies.all()]))
+    particles = canonical(join([belief.mine.particles, belief.copies.compute()]))
     return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
 
 
@@ -197,13 +197,13 @@ class ParticlePhd(NamedTuple):
             return table
         if belief.cut < last:
             belief = _released(belief)
-        shares = [share_of(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
-        shares.insert(0, belief.mine)
-        claims = end_to_end([share.claim for share in shares])
-        views = [~share.view if share.owner in unknown else share.view for share in shares]
-        received, sizes = join([share.particles for share in shares]), [len(share.particles.ids) for share in shares]
+        owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
+        owned.insert(0, belief.mine)
+        claims = end_to_end([each.claim for each in owned])
+        views = [~each.view if each.owner in unknown else each.view for each in owned]
+        received, sizes = join([each.particles for each in owned]), [len(each.particles.ids) for each in owned]
         counts = self.backend.resolve_conflicts(received.states, sizes, claims, views, config.timing.overlap)
-        copies = belief.copies.all()
+        copies = belief.copies.compute()
         free = self.backend.orphaned(copies.states, claims, config.arena)
         return self.backend.merge(received, counts, copies, free)
 
@@ -213,8 +213,10 @@ class ParticlePhd(NamedTuple):
         """See `Tracker.update` and `regions.update_regions`."""
         return self.backend.update_regions(table, received, self.backend.background_births(step), regions, step)
 
-    def share(self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step) -> Belief:
-        """See `Tracker.share`: the drawn particles are owned; the copies are computed when a peer falls silent."""
+    def belief_after(
+        self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step
+    ) -> Belief:
+        """See `Tracker.belief_after`: the drawn particles are owned; the copies are computed when a peer falls silent."""
         copies = Copies(update.updated, Round(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
         mine = OwnedState(region.owner, region.claim, as_stated(update.resampled, region.owner, step), diagram.view)
         return Belief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)

@@ -60,8 +60,8 @@ class MixtureUpdate(NamedTuple):
     around: Mixture  # all components after all scans
     inside: Mixture  # those in the cell, for the next gossip
     mass: float
-    east: float
-    north: float
+    moment_x: float
+    moment_y: float
     load: float
     detected: float
     tracks: Tracks
@@ -77,7 +77,7 @@ class MixtureUpdate(NamedTuple):
         return points(self.inside)
 
 
-def share_of(gossip: Gossip) -> OwnedMixture:
+def owned_by_sender(gossip: Gossip) -> OwnedMixture:
     """The state that the sender of a gossip owns."""
     names = gossip.claim_names
     claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
@@ -172,11 +172,11 @@ class MixturePhd(NamedTuple):
             return table
         if belief.cut < last:
             belief = _released(belief)
-        shares = [share_of(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
-        shares.insert(0, belief.mine)
-        stated = end_to_end([share.claim for share in shares])
-        views = [~share.view if share.owner in unknown else share.view for share in shares]
-        received, sizes = chain([share.mixture for share in shares]), [len(share.mixture.ids) for share in shares]
+        owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
+        owned.insert(0, belief.mine)
+        stated = end_to_end([each.claim for each in owned])
+        views = [~each.view if each.owner in unknown else each.view for each in owned]
+        received, sizes = chain([each.mixture for each in owned]), [len(each.mixture.ids) for each in owned]
         counts = self.backend.resolve_conflicts(received.means, sizes, stated, views, config.timing.overlap)
         free = self.backend.orphaned(belief.copies.means, stated, config.arena)
         return in_order(chain([pick(received, counts), pick(belief.copies, free)]))
@@ -188,10 +188,10 @@ class MixturePhd(NamedTuple):
         peaks, corrected = correct(received_mixture(received), table, step)
         return [_region_of(corrected, peaks, region, step) for region in regions]
 
-    def share(
+    def belief_after(
         self, received: GossipTable | Mixture, region: RegionInput, update: MixtureUpdate, diagram: Diagram, step: Step
     ) -> MixtureBelief:
-        """See `Tracker.share`: copies are the corrected components in the arena, outside the cell and within the horizon of it."""
+        """See `Tracker.belief_after`: copies are the corrected components in the arena, outside the cell and within the horizon of it."""
         means, arena = update.around.means, step.config.arena
         others = ~claims.owned(means, region.claim, arena) & claims.in_arena(means, arena)
         if diagram.horizon < math.inf:
@@ -205,8 +205,8 @@ def _region_of(corrected: Mixture, peaks: Tracks, region: RegionInput, step: Ste
     inside = take(corrected, region.claim, step)
     load, detected = _in_view(corrected, region)
     tracks = select_tracks(peaks, claims.owned(peaks.positions, region.claim, step.config.arena))
-    mass, east, north = (total(inside.weights * column) for column in (1.0, inside.means[:, 0], inside.means[:, 1]))
-    return MixtureUpdate(corrected, inside, mass, east, north, load, detected, tracks)
+    mass, moment_x, moment_y = (total(inside.weights * column) for column in (1.0, inside.means[:, 0], inside.means[:, 1]))
+    return MixtureUpdate(corrected, inside, mass, moment_x, moment_y, load, detected, tracks)
 
 
 def _in_view(mixture: Mixture, region: RegionInput) -> tuple[float, float]:

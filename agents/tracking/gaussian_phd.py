@@ -146,18 +146,18 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     near, noise = pick(mixture, close), measured_covariances(scan, config)
     seen = scan.probability(nodes(near).reshape(-1, 2)).reshape(-1, len(SHARES))
     rows, columns, found, likelihood = _detected(near, scan, noise, step)
-    shares = np.zeros((len(near.ids), len(scan.detections)))
-    shares[rows, columns] = likelihood
+    terms = np.zeros((len(near.ids), len(scan.detections)))
+    terms[rows, columns] = likelihood
     fresh = scan.probability(scan.detections) * birth_density(scan, config)
-    norms = scan.clutter_density + fresh + column_sums(shares)
+    norms = scan.clutter_density + fresh + column_sums(terms)
     norms = np.where(norms > 0.0, norms, 1.0)
     born = _births(scan, noise, fresh / norms, step)
-    given = given_labels(near.labels, shares, norms, born.labels)
+    given = given_labels(near.labels, terms, norms, born.labels)
     labels = np.where(found.labels == NO_LABEL, given[columns], found.labels)
     found, born = found._replace(weights=likelihood / norms[columns], labels=labels), born._replace(labels=given)
     gained = np.zeros(len(near.ids))
     for number in range(len(norms)):
-        gained = gained + shares[:, number] / norms[number]
+        gained = gained + terms[:, number] / norms[number]
     left = missed(near, seen, gained, scan.detections, born.weights, config)
     stays = np.ones(len(mixture.ids), dtype=bool)
     stays[close] = (left.weights >= config.mixture.pruned) | (mean_of(seen) < 0.5)

@@ -77,15 +77,15 @@ def middles(particles: Particles) -> dict[int, tuple[float, float]]:
     return {int(known[row]): (float(east[row] / masses[row]), float(north[row] / masses[row])) for row in rows}
 
 
-def given_labels(labels: np.ndarray, shares: np.ndarray, norms: np.ndarray, founded: np.ndarray) -> np.ndarray:
+def given_labels(labels: np.ndarray, terms: np.ndarray, norms: np.ndarray, founded: np.ndarray) -> np.ndarray:
     """The labels (M,) that detections give: of a living label that explains them, or the `founded` ones (M,).
 
-    `labels` (N,) are those of what the PHD is made of, `shares` (N, M) the terms w p_d g(z) of it, and `norms` (M,) the sums N(z).
+    `labels` (N,) are those of what the PHD is made of, `terms` (N, M) the terms w p_d g(z) of it, and `norms` (M,) the sums N(z).
     """
     given = founded.copy()
     for number in range(len(norms)):
-        rows = np.flatnonzero(shares[:, number])
-        label, weight = heaviest(labels[rows], shares[rows, number])
+        rows = np.flatnonzero(terms[:, number])
+        label, weight = heaviest(labels[rows], terms[rows, number])
         if label != NO_LABEL and weight >= EXPLAINED * norms[number]:
             given[number] = label
     return given

@@ -129,32 +129,32 @@ def correct(
         squared = squared_distances(particles.states, scan.detections)
         rows, columns = np.nonzero((squared <= (settings.gate * spread) ** 2) & (probability > 0.0)[:, None])
         likelihood = exp_minus(squared[rows, columns] * (0.5 / (spread * spread))) * (1.0 / (2.0 * math.pi * spread * spread))
-    shares = np.zeros(squared.shape)
-    shares[rows, columns] = particles.weights[rows] * probability[rows] * likelihood
-    sums = column_sums(shares)
+    terms = np.zeros(squared.shape)
+    terms[rows, columns] = particles.weights[rows] * probability[rows] * likelihood
+    sums = column_sums(terms)
     density = birth_density(predicted, scan, sums / _positive(scan.clutter_density + sums), birth)
     fresh = scan.probability(scan.detections) * density
     norms = _positive(scan.clutter_density + fresh + sums)
     gained = np.zeros(len(particles.weights))
     for number in range(len(norms)):
-        gained = gained + shares[:, number] / norms[number]
+        gained = gained + terms[:, number] / norms[number]
     born = fresh / norms
     corrected = particles.weights * missed(particles, probability, gained, scan.detections, born, settings) + gained
-    labels, given = _labels_after(particles.labels, corrected, shares, norms, founded if birth.measurement else np.zeros_like(founded))
+    labels, given = _labels_after(particles.labels, corrected, terms, norms, founded if birth.measurement else np.zeros_like(founded))
     return corrected, born / birth.measurement_particles, labels, given
 
 
 def _labels_after(
-    labels: np.ndarray, weights: np.ndarray, shares: np.ndarray, norms: np.ndarray, founded: np.ndarray
+    labels: np.ndarray, weights: np.ndarray, terms: np.ndarray, norms: np.ndarray, founded: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The labels of the particles (N,) and of the births (M,) after a scan, by the rules of agents/tracking/labels.py.
 
-    `shares` (N, M) are the terms w p_d g(z) of the particles with new `weights` (N,), and `norms` (M,) the sums N(z).
+    `terms` (N, M) are the terms w p_d g(z) of the particles with new `weights` (N,), and `norms` (M,) the sums N(z).
     """
-    after, given = labels.copy(), given_labels(labels, shares, norms, founded)
+    after, given = labels.copy(), given_labels(labels, terms, norms, founded)
     for number in range(len(norms)):
-        rows = np.flatnonzero(shares[:, number])
-        after[rows[(labels[rows] == NO_LABEL) & (shares[rows, number] / norms[number] > CLAIMED * weights[rows])]] = given[number]
+        rows = np.flatnonzero(terms[:, number])
+        after[rows[(labels[rows] == NO_LABEL) & (terms[rows, number] / norms[number] > CLAIMED * weights[rows])]] = given[number]
     return after, given
 
 

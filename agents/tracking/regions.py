@@ -32,8 +32,8 @@ class RegionUpdate(NamedTuple):
     own: Particles  # those in the cell
     resampled: Particles  # drawn from `own`
     mass: float  # in the cell, expected targets
-    east: float  # the mass-weighted sums of x and y in the cell, m (17)
-    north: float
+    moment_x: float  # the mass-weighted sums of x and y in the cell, m (17)
+    moment_y: float
     load: float  # the integrals of v and of p_d v over the footprint (10), expected targets
     detected: float
     tracks: Tracks  # estimates in the cell
@@ -61,11 +61,11 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
         tracks = select_tracks(tracks, claims.owned(tracks.positions, claim, config.arena))
         updated = updated._replace(labels=renamed(updated, owned, near, tracks.positions, config.extraction.bin))
     own = canonical(select(updated, owned))
-    mass, east, north = moments(own)
+    mass, moment_x, moment_y = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)
     far_load, far_detected = in_view(seen, region.sensor, region.pose)
     resampled = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
-    return RegionUpdate(updated, own, resampled, mass, east, north, near_load + far_load, near_detected + far_detected, tracks)
+    return RegionUpdate(updated, own, resampled, mass, moment_x, moment_y, near_load + far_load, near_detected + far_detected, tracks)
 
 
 def predict(particles: Particles, step: Step) -> Particles:

@@ -57,11 +57,11 @@ class Update(Protocol):
         """Expected targets in the cell."""
 
     @property
-    def east(self) -> float:
+    def moment_x(self) -> float:
         """The integral of x over the density in the cell, m (17)."""
 
     @property
-    def north(self) -> float:
+    def moment_y(self) -> float:
         """The integral of y over the density in the cell, m (17)."""
 
     @property
@@ -142,7 +142,7 @@ class Tracker(Protocol[B, R, U]):
     def update(self, received: R | GossipTable, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> Sequence[U]:
         """For each owner the density around its cell one step later, corrected with the scans of the table, with moments and estimates."""
 
-    def share(self, received: R | GossipTable, region: RegionInput, update: U, diagram: Diagram, step: Step) -> B:
+    def belief_after(self, received: R | GossipTable, region: RegionInput, update: U, diagram: Diagram, step: Step) -> B:
         """The belief after the round: the owned state for the next gossip, and the copies of the others."""
 
 

@@ -134,8 +134,8 @@ def mixture_difference(one: Mixture, other: Mixture) -> float:
     return max([float(np.abs(first - second).max(initial=0.0)) for first, second in zip(one[:3], other[:3])])
 
 
-def united(shares: Mapping[str, Particles]) -> Particles:
+def united(owned: Mapping[str, Particles]) -> Particles:
     """Everything that the agents own, in ascending order of id; an id that two of them own occurs twice."""
-    parts = [shares[name] for name in sorted(shares, key=order)]
+    parts = [owned[name] for name in sorted(owned, key=order)]
     everything = join(parts) if parts else NONE
     return select(everything, np.argsort(everything.ids, kind="stable"))

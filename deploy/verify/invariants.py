@@ -10,7 +10,7 @@ from agents.agent import Agent
 from agents.gossip.inbox import MOST_TICKS, RoundInbox
 from agents.round import RoundResult
 from agents.tracking import gaussian_belief
-from agents.tracking.belief import MOST_COPIES, Belief, share_of
+from agents.tracking.belief import MOST_COPIES, Belief, owned_by_sender
 from agents.tracking.gaussian_belief import MixtureBelief
 from agents.tracking.gaussians import Mixture, chain, in_order
 from agents.tracking.particles import Particles
@@ -204,33 +204,33 @@ class InvariantChecker:
     def _compare(self, tick: int) -> None:
         """From the settled tick on the agents are the central filter that starts from what they own."""
         following = self._collector.gossips.get(tick + 1, {})
-        shares = {name: said for name, said in following.items() if said.claim_names}
+        stated = {name: said for name, said in following.items() if said.claim_names}
         if self._simulation.scenario.filter.kind == "gaussian-mixture":
-            self._compare_mixtures(tick, shares)
+            self._compare_mixtures(tick, stated)
             return
-        told = {name: share_of(said) for name, said in shares.items()}
-        owned = united({name: share.particles for name, share in told.items()})
+        told = {name: owned_by_sender(said) for name, said in stated.items()}
+        owned = united({name: each.particles for name, each in told.items()})
         if len(np.unique(owned.ids)) < len(owned.ids):
             need(self._is_spoilt, f"tick {tick}: a particle is owned by two agents though healed")
             return
         if self._central_filter is None:
             self._central_filter = CentralFilter(self._simulation.injector.scenario, owned, tick)
             return
-        self._central_filter.play(self._collector.gossips[tick], {name: share.claim for name, share in told.items()})
+        self._central_filter.play(self._collector.gossips[tick], {name: each.claim for name, each in told.items()})
         apart = particle_difference(owned, self._central_filter.particles)
         need(apart.exact, f"tick {tick}: not the central filter: {apart}")
 
-    def _compare_mixtures(self, tick: int, shares: dict[str, Gossip]) -> None:
+    def _compare_mixtures(self, tick: int, stated: dict[str, Gossip]) -> None:
         """The same of Gaussian mixtures, to the last bit."""
-        told = {name: gaussian_belief.share_of(said) for name, said in shares.items()}
-        owned = chain([share.mixture for share in told.values()])
+        told = {name: gaussian_belief.owned_by_sender(said) for name, said in stated.items()}
+        owned = chain([each.mixture for each in told.values()])
         if len(np.unique(owned.ids)) < len(owned.ids):
             need(self._is_spoilt, f"tick {tick}: a component is owned by two agents though healed")
             return
         if self._central_mixture is None:
             self._central_mixture = CentralMixture(self._simulation.injector.scenario, in_order(owned), tick)
             return
-        self._central_mixture.play(self._collector.gossips[tick], {name: share.claim for name, share in told.items()})
+        self._central_mixture.play(self._collector.gossips[tick], {name: each.claim for name, each in told.items()})
         apart = mixture_difference(in_order(owned), self._central_mixture.mixture)
         need(apart == 0.0, f"tick {tick}: not the central mixture: {apart}")
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from agents.membership.announcements import SOON, THRONG, AnnouncementSchedule
-from protocol.failure_detector import PATIENCE
+from protocol.session_watchdog import PATIENCE
 
 
 def moments(peers: int, early: bool, until: float) -> list[float]:

@@ -6,7 +6,7 @@ import pytest
 from agents.backend import PLAIN
 from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import GossipTable, received_particles
-from agents.tracking.belief import MOST_COPIES, Belief, Copies, ParticlePhd, Round, share_of, start, worth_keeping
+from agents.tracking.belief import MOST_COPIES, Belief, Copies, ParticlePhd, Round, owned_by_sender, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
 from agents.tracking.particles import NONE, Particles, canonical, join, unlabelled
 from agents.tracking.regions import predict
@@ -31,17 +31,17 @@ def particles(*rows: tuple[int, float, float]) -> Particles:
     return unlabelled(states, table[:, 2], table[:, 0].astype(np.uint64))
 
 
-def share(owner: str, held: Particles, generators: dict[str, tuple[float, float, float]] = HALVES, view: int = 7) -> OwnedState:
+def owned_state(owner: str, held: Particles, generators: dict[str, tuple[float, float, float]] = HALVES, view: int = 7) -> OwnedState:
     """What `owner` owns in the diagram of some generators."""
     names = (owner, *(name for name in generators if name != owner))
     table = np.array([generators[name] for name in names])
     return OwnedState(owner, make_claim(names, table, tuple(map(order, names))), held, view)
 
 
-def words(belief: Belief, shares: list[OwnedState], tick: int = 5) -> GossipTable:
+def words(belief: Belief, others: list[OwnedState], tick: int = 5) -> GossipTable:
     """What all say in a tick whose claims and particles these are."""
     said = []
-    for held in sorted([belief.mine, *shares], key=lambda held: order(held.owner)):
+    for held in sorted([belief.mine, *others], key=lambda held: order(held.owner)):
         gossip = Gossip(
             sender=held.owner,
             incarnation=1,
@@ -62,41 +62,43 @@ def words(belief: Belief, shares: list[OwnedState], tick: int = 5) -> GossipTabl
     return table(said, config=CONFIG)
 
 
-def merged(belief: Belief, shares: list[OwnedState]) -> list[int]:
+def merged(belief: Belief, others: list[OwnedState]) -> list[int]:
     """Ids of everything that counts, ascending."""
-    return canonical(received_particles(TRACKER.merge(belief, words(belief, shares), Step(CONFIG, 5)))).ids.tolist()
+    return canonical(received_particles(TRACKER.merge(belief, words(belief, others), Step(CONFIG, 5)))).ids.tolist()
 
 
 def test_fresh_claims_replace_the_copies_that_lie_in_them() -> None:
     """A copy in a claimed cell is dropped even where the owner has nothing there: the owner is the authority."""
-    belief = Belief(4, share("s1", particles((1, 20.0, 0.1))), Copies(particles((2, 80.0, 0.1), (3, 10.0, 0.1))), frozenset({"s1", "s2"}))
-    assert merged(belief, [share("s2", particles((4, 60.0, 0.1)))]) == [1, 4]
+    belief = Belief(
+        4, owned_state("s1", particles((1, 20.0, 0.1))), Copies(particles((2, 80.0, 0.1), (3, 10.0, 0.1))), frozenset({"s1", "s2"})
+    )
+    assert merged(belief, [owned_state("s2", particles((4, 60.0, 0.1)))]) == [1, 4]
 
 
 def test_copies_stand_in_for_an_owner_that_is_silent() -> None:
-    belief = Belief(4, share("s1", particles((1, 20.0, 0.1))), Copies(particles((2, 80.0, 0.1))), frozenset({"s1", "s2"}))
+    belief = Belief(4, owned_state("s1", particles((1, 20.0, 0.1))), Copies(particles((2, 80.0, 0.1))), frozenset({"s1", "s2"}))
     assert merged(belief, []) == [1, 2]
 
 
 def test_a_particle_that_two_hold_counts_once() -> None:
-    belief = Belief(4, share("s1", particles((1, 20.0, 0.1))), Copies(NONE), frozenset({"s1", "s2"}))
-    assert merged(belief, [share("s2", particles((1, 20.0, 0.1), (4, 60.0, 0.1)))]) == [1, 4]
+    belief = Belief(4, owned_state("s1", particles((1, 20.0, 0.1))), Copies(NONE), frozenset({"s1", "s2"}))
+    assert merged(belief, [owned_state("s2", particles((1, 20.0, 0.1), (4, 60.0, 0.1)))]) == [1, 4]
 
 
 def test_where_views_differ_both_count_near_the_border_and_deeper_the_nearer_owner_does() -> None:
     """s1 saw s2 at 90 m and so claims up to 60 m, s2 itself from 50 m on: of s1's particles at 49, 52 and 58 m the last goes,
     8 m deep in the claim of s2 and nearer to it than to s1."""
-    mine = share(
+    mine = owned_state(
         "s1", particles((1, 49.0, 0.1), (2, 52.0, 0.1), (3, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s2": (90.0, 50.0, 0.0)}, view=1
     )
     belief = Belief(4, mine, Copies(NONE), frozenset({"s1", "s2"}))
-    assert merged(belief, [share("s2", particles((4, 59.0, 0.1)), view=2)]) == [1, 2, 4]
+    assert merged(belief, [owned_state("s2", particles((4, 59.0, 0.1)), view=2)]) == [1, 2, 4]
 
 
 def test_in_a_hole_between_claims_the_copies_live_on() -> None:
     """s2 saw s1 farther east and claims from 60 m on; s1 claims up to 50 m; a copy at 55 m is nobody's and stays."""
-    theirs = share("s2", NONE, {"s1": (50.0, 50.0, 0.0), "s2": (70.0, 50.0, 0.0)}, view=2)
-    belief = Belief(4, share("s1", NONE, view=1), Copies(particles((5, 55.0, 0.1), (6, 65.0, 0.1))), frozenset({"s1", "s2"}))
+    theirs = owned_state("s2", NONE, {"s1": (50.0, 50.0, 0.0), "s2": (70.0, 50.0, 0.0)}, view=2)
+    belief = Belief(4, owned_state("s1", NONE, view=1), Copies(particles((5, 55.0, 0.1), (6, 65.0, 0.1))), frozenset({"s1", "s2"}))
     assert merged(belief, [theirs]) == [5]
 
 
@@ -118,7 +120,7 @@ def test_a_gossip_says_what_its_sender_owns() -> None:
         states_bytes=pack(held.states, "<f4"),
         ids_bytes=pack(held.ids, "<u8"),
     )
-    said = share_of(gossip)
+    said = owned_by_sender(gossip)
     assert (said.owner, said.claim.names, said.view) == ("s2", ("s2", "s1"), 7)
     assert said.claim.first.tolist() == [False, True]
     assert all((ours == theirs).all() for ours, theirs in zip(said.particles, held))
@@ -126,7 +128,7 @@ def test_a_gossip_says_what_its_sender_owns() -> None:
 
 def test_a_gossip_without_a_claim_owns_nothing() -> None:
     gossip = Gossip(sender="s2", incarnation=1, tick=5, pose=(0.0, 0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, unused=0.0)
-    assert share_of(gossip).claim.names == () and len(share_of(gossip).particles.ids) == 0
+    assert owned_by_sender(gossip).claim.names == () and len(owned_by_sender(gossip).particles.ids) == 0
 
 
 def test_copies_of_what_was_told_are_moved_on_but_for_those_that_were_corrected() -> None:
@@ -135,10 +137,10 @@ def test_copies_of_what_was_told_are_moved_on_but_for_those_that_were_corrected(
     cell = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 100.0], [0.0, 100.0]])
     told = particles((2, 80.0, 0.1), (3, 52.0, 0.1), (4, 90.0, 0.0))
     copies = Copies(particles((3, 53.0, 0.2)), Round(step, PLAIN, told, cell, NO_CLAIM))
-    held = copies.all()
+    held = copies.compute()
     assert held.ids.tolist() == [3, 2]
     assert held.states[1, 0] == predict(told, step).states[0, 0]
-    assert copies.all() is held
+    assert copies.compute() is held
 
 
 def crowd(number: int, weight: float) -> Particles:
@@ -160,21 +162,21 @@ def test_of_too_many_copies_the_lightest_are_given_up() -> None:
 
 def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> None:
     own, copies = particles((1, 20.0, 0.1)), particles((2, 80.0, 0.2))
-    asleep = Belief(4, share("s1", own), Copies(copies), frozenset({"s1"}))
+    asleep = Belief(4, owned_state("s1", own), Copies(copies), frozenset({"s1"}))
     awake = TRACKER.catch_up(asleep, Step(CONFIG, 8))
     expected = canonical(join([own, copies]))
     for tick in (5, 6, 7):
         expected = predict(expected, Step(CONFIG, tick))
     assert awake.stamp == 7 and awake.mine.claim.names == ()
-    assert (awake.copies.all().states == expected.states).all() and (awake.copies.all().weights == expected.weights).all()
+    assert (awake.copies.compute().states == expected.states).all() and (awake.copies.compute().weights == expected.weights).all()
 
 
 def test_who_missed_nothing_is_not_woken() -> None:
-    belief = Belief(4, share("s1", NONE), Copies(NONE), frozenset({"s1"}))
+    belief = Belief(4, owned_state("s1", NONE), Copies(NONE), frozenset({"s1"}))
     assert TRACKER.catch_up(belief, Step(CONFIG, 5)) is belief
 
 
 def test_at_the_start_everybody_holds_the_prior_and_nobody_owns_anything() -> None:
     belief = start(particles((1, 20.0, 0.1), (2, 80.0, 0.1)), "s1")
     assert belief.mine.claim is NO_CLAIM and merged(belief, []) == [1, 2]
-    assert belief.copies.all().weights.sum() == pytest.approx(0.2)
+    assert belief.copies.compute().weights.sum() == pytest.approx(0.2)

@@ -7,10 +7,10 @@ import pytest
 
 from agents.membership.half_open_link import HalfOpenLinkDetector, WorldLinkDetector
 from deploy.simulation import Simulation
-from protocol.failure_detector import FIRST_REST, PATIENCE
 from protocol.fields import pack
 from protocol.messages import Gossip
 from protocol.observer_messages import Truth
+from protocol.session_watchdog import FIRST_REST, PATIENCE
 from tests.swarm.scene import ledger
 
 

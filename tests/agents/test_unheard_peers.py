@@ -22,7 +22,7 @@ from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings
 from tests.agents.gossip_table import table
-from tests.agents.test_belief import merged, particles, share
+from tests.agents.test_belief import merged, owned_state, particles
 
 CONFIG = AgentConfig()
 ARENA = rectangle(100.0, 100.0)
@@ -59,8 +59,8 @@ def test_only_sensors_that_reach_the_region_around_the_cell_are_fields() -> None
 
 def test_the_claim_of_a_stranger_never_agrees_with_mine_whatever_view_it_states() -> None:
     """s2, unknown until now, claims what lies beyond 50 m, and I what lies before 60 m; both say the same view."""
-    mine = share("s1", particles((1, 49.0, 0.1), (2, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s3": (90.0, 50.0, 0.0)}, view=7)
-    theirs = share("s2", particles((4, 59.0, 0.1)), view=7)
+    mine = owned_state("s1", particles((1, 49.0, 0.1), (2, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s3": (90.0, 50.0, 0.0)}, view=7)
+    theirs = owned_state("s2", particles((4, 59.0, 0.1)), view=7)
     belief = Belief(4, mine, Copies(NONE), frozenset({"s1", "s3"}), frozenset({"s3"}))
     assert merged(belief, [theirs]) == [1, 4]
     assert merged(replace(belief, acquainted=frozenset({"s2", "s3"})), [theirs]) == [1, 2, 4]

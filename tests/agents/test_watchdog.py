@@ -2,10 +2,10 @@
 
 from agents.agent import Agent
 from agents.config import AgentConfig
-from protocol.failure_detector import FIRST_REST, PATIENCE
 from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Gone, Received, Reopen, Started, Timer, received
 from protocol.sensing import SENSOR_CLASSES
+from protocol.session_watchdog import FIRST_REST, PATIENCE
 from protocol.settings import RunSettings
 
 CONFIG = AgentConfig(run=RunSettings(dt=0.5), members=dict.fromkeys(("s1", "s2", "s3"), "B"))

@@ -260,10 +260,10 @@ def test_three_agents_of_whom_two_cannot_find_each_other_are_brought_together_by
             await driver.open()
         monkeypatch.setattr(live, "session_values", values)
         tasks = [asyncio.create_task(driver.serve()) for driver in drivers]
-        await until(lambda: all(agent.membership.failure_detector.heard() for agent in agents))
-        assert "s2" not in agents[0].membership.failure_detector.heard() and "s1" not in agents[1].membership.failure_detector.heard()
+        await until(lambda: all(agent.membership.session_watchdog.heard() for agent in agents))
+        assert "s2" not in agents[0].membership.session_watchdog.heard() and "s1" not in agents[1].membership.session_watchdog.heard()
         everybody = set(config.members)
-        await until(lambda: all({*agent.membership.failure_detector.heard(), agent.name} == everybody for agent in agents), 60.0)
+        await until(lambda: all({*agent.membership.session_watchdog.heard(), agent.name} == everybody for agent in agents), 60.0)
         assert drivers[0].counts["reopened"] + drivers[1].counts["reopened"] >= 1
         assert drivers[2].counts["reopened"] == 0
         for driver in drivers:

@@ -89,7 +89,7 @@ def test_two_whose_session_has_stayed_split_find_each_other_again(redials: bool,
             return peer is not None and peer.token
 
         def hears(one: int, other: int) -> bool:
-            return f"s{other + 1}" in agents[one].membership.failure_detector.heard(asyncio.get_running_loop().time())
+            return f"s{other + 1}" in agents[one].membership.session_watchdog.heard(asyncio.get_running_loop().time())
 
         await until(lambda: all(sees(one, other) and hears(one, other) for one in range(3) for other in range(3) if one != other))
         await asyncio.sleep(2.0)  # both have dialled

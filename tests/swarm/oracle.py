@@ -42,8 +42,8 @@ class Eavesdropper(Node):
 
 def owned_by_all(agents: dict[str, Agent], tick: int) -> tuple[dict[str, Particles], dict[str, Claim]]:
     """What the agents own after round `tick`, and the claims in which they own it, by name."""
-    shares = {name: agent.outcome.belief.mine for name, agent in agents.items() if agent.outcome.belief.stamp == tick}
-    return {name: share.particles for name, share in shares.items()}, {name: share.claim for name, share in shares.items()}
+    stated = {name: agent.outcome.belief.mine for name, agent in agents.items() if agent.outcome.belief.stamp == tick}
+    return {name: each.particles for name, each in stated.items()}, {name: each.claim for name, each in stated.items()}
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Beside:
         simulation.bus.add(ear)
         agents = simulation.agents
         heard: list[Truth] = []
-        prior = next(iter(agents.values())).outcome.belief.copies.all()
+        prior = next(iter(agents.values())).outcome.belief.copies.compute()
         oracle = CentralFilter(simulation.scenario, prior, backend=self.backend)
 
         def after(truth: Truth) -> None:

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.tracking.gaussian_belief import share_of
+from agents.tracking.gaussian_belief import owned_by_sender
 from agents.tracking.gaussians import chain, in_order
 from deploy.cli.scenario_checks import check_scenario
 from deploy.scenario import Scenario, resolve
@@ -36,12 +36,12 @@ def differences(scenario: Scenario, said: Said) -> list[float]:
     found: list[float] = []
     central: CentralMixture | None = None
     for tick in sorted(said)[:-1]:
-        shares = {name: share_of(gossip) for name, gossip in said[tick + 1].items() if gossip.claim_names}
-        owned = in_order(chain([share.mixture for share in shares.values()]))
+        stated = {name: owned_by_sender(gossip) for name, gossip in said[tick + 1].items() if gossip.claim_names}
+        owned = in_order(chain([each.mixture for each in stated.values()]))
         if central is None:
             central = CentralMixture(scenario, owned, tick)
             continue
-        central.play(said[tick], {name: share.claim for name, share in shares.items()})
+        central.play(said[tick], {name: each.claim for name, each in stated.items()})
         found.append(mixture_difference(owned, central.mixture))
     return found
 

@@ -66,7 +66,7 @@ def farthest_copy(interest: str) -> float:
         belief = agent.outcome.belief
         assert isinstance(belief, Belief)
         if len(agent.outcome.cell):
-            ways.append(float(distances(agent.outcome.cell, belief.copies.all().states[:, :2]).max()))
+            ways.append(float(distances(agent.outcome.cell, belief.copies.compute().states[:, :2]).max()))
     return max(ways)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from agents.agent import Agent
 from agents.gossip.table import announced_sensor, gossip_table
-from agents.tracking.belief import share_of
+from agents.tracking.belief import owned_by_sender
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, in_arena
 from agents.tracking.particles import Particles, canonical, join, select
@@ -81,11 +81,11 @@ def replayed(scenario: Scenario, owned: Particles, ticks: list[dict[str, Gossip]
         predicted = predict(canonical(owned), step)
         updated = backend.update_regions(gossip_table(said, sensors, config), owned, born, [everywhere], step)[0].updated
         owned = select(updated, in_arena(updated.states, config.arena))  # a tick ends with what is in the arena
-    return drawn(owned, predicted, {name: share_of(gossip).claim for name, gossip in claims.items()}, step)
+    return drawn(owned, predicted, {name: owned_by_sender(gossip).claim for name, gossip in claims.items()}, step)
 
 
 def told(gossips: dict[str, Gossip]) -> Particles:
-    return canonical(join([share_of(gossip).particles for gossip in gossips.values()]))
+    return canonical(join([owned_by_sender(gossip).particles for gossip in gossips.values()]))
 
 
 @pytest.mark.parametrize(("lag", "speed", "side"), [(1, 2.0, 40.0), (2, 2.0, 40.0), (4, 8.0, 60.0)])

@@ -1,6 +1,6 @@
 """The rounds of an agent that are still to be played, and when each is due: at its own tick, or later when gossips come late.
 
-Data type: `LateRounds`, made of the `Lag` that says how late, and of the `RecentTicks` from which late rounds are played.
+Data type: `OpenRounds`, made of the `Lag` that says how late, and of the `RecentTicks` from which rounds are played late.
 """
 
 from collections import deque
@@ -16,7 +16,7 @@ from agents.tracking.tracker import TrackerState
 from protocol.messages import Gossip
 
 
-class LateRounds:
+class OpenRounds:
     """The open rounds of one agent, the oldest first. Times are `now` of its node, s."""
 
     def __init__(self, context: AgentContext) -> None:

@@ -1,4 +1,4 @@
-"""The failure detector of one node: which peers it receives, and whether its own session is half open.
+"""The watchdog of one node over its own session: which peers it receives, and whether the session is half open.
 
 Two Zenoh peers that lose and regain each other can be left with half a session: one or both receive nothing any more (zenoh issue
 2806). A node alone cannot tell this from a death. The Hellos of the others can: each lists the peers that its sender receives. Two
@@ -17,8 +17,11 @@ FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, doubled each tim
 NEVER = -float("inf")
 
 
-class FailureDetector:
-    """The peers that one node receives. Times are `now` of that node, s. A clock that jumps delays an alarm and raises none."""
+class SessionWatchdog:
+    """The peers that one node receives, and the alarms about its session.
+
+    Times are `now` of that node, s. A clock that jumps delays an alarm and raises none.
+    """
 
     def __init__(self, name: str, expected: Iterable[str]) -> None:
         """`expected`: the names that can count as silent."""
@@ -29,7 +32,7 @@ class FailureDetector:
         self._announced: set[str] = set()  # names from which a Hello has arrived
         self._claims: dict[str, dict[str, float]] = {}  # silent name -> peers that list it, and the time of their last Hello that did
         self._since: dict[str, float] = {}  # silent name -> time since which some peer lists it
-        self._voters: set[str] = set()  # senders of the Hellos that `split` has taken
+        self._voters: set[str] = set()  # senders of the Hellos that `reason_to_reopen` has taken
         self._rest, self._not_before = FIRST_REST, NEVER
         self._calm_until = NEVER  # until then no expected name can be silent
 
@@ -49,7 +52,7 @@ class FailureDetector:
         return first
 
     def is_calm(self, now: float) -> bool:
-        """Whether no expected peer is silent and none has lost its token: `split` could find nothing in any Hello."""
+        """Whether no expected peer is silent and none has lost its token: `reason_to_reopen` could find nothing in any Hello."""
         if now > self._calm_until:
             self._find_silent(now)
         return now <= self._calm_until and not self._lost
@@ -78,7 +81,7 @@ class FailureDetector:
             return tuple(sorted([name for name in announced if name in words]))
         return tuple(sorted([name for name in announced if now - words.get(name, NEVER) <= WITHIN_HEARING]))
 
-    def split(self, hello: Hello, now: float) -> str:
+    def reason_to_reopen(self, hello: Hello, now: float) -> str:
         """Take a Hello of a peer; the reason to open the session anew, empty if there is none."""
         alarm = self._tokenless(hello.sender, now) or self._silent(hello, now)
         if alarm:

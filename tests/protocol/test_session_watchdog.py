@@ -1,0 +1,113 @@
+"""Who is within hearing, and when the others' Hellos say that a session is split: after patience, by a majority, never by a death."""
+
+from itertools import pairwise
+
+import pytest
+
+from protocol.messages import Hello
+from protocol.session_watchdog import FIRST_REST, LONGEST_REST, PATIENCE, WITHIN_HEARING, SessionWatchdog
+
+TEAM = ("s1", "s2", "s3", "s4", "world")
+
+
+def hello(sender: str, *heard: str) -> Hello:
+    return Hello(sender=sender, incarnation=1, heard=heard)
+
+
+def alarms(watchdog: SessionWatchdog, claimants: dict[str, tuple[str, ...]], seconds: float, start: float = 0.0) -> list[tuple[float, str]]:
+    """(time, name) of every alarm while these peers say Hello every 2 s, each listing its names."""
+    found = []
+    for step in range(int(seconds / 2.0)):
+        now = start + 2.0 * step
+        for sender, heard in claimants.items():
+            watchdog.greet(sender, now)
+            name = watchdog.reason_to_reopen(hello(sender, *heard), now)
+            if name:
+                found.append((now, name))
+    return found
+
+
+def test_heard_are_those_who_greeted_and_spoke_lately_and_have_not_left() -> None:
+    watchdog = SessionWatchdog("s1", TEAM)
+    assert watchdog.greet("s3", 0.0) and watchdog.greet("s2", 0.0) and not watchdog.greet("s2", 0.5)
+    watchdog.speak("s4", 0.5)
+    assert watchdog.heard(1.0) == ("s2", "s3"), "s4 has not greeted"
+    watchdog.speak("s3", 2.0)
+    assert watchdog.heard(0.6 + WITHIN_HEARING) == ("s3",)
+    assert watchdog.heard() == ("s2", "s3"), "before the start nobody is struck off for being slow"
+    watchdog.leave("s3", 1)
+    assert watchdog.heard(2.0) == ("s2",)
+    watchdog.speak("s3", 2.5)
+    assert watchdog.heard(2.5) == ("s2", "s3"), "the next word brings it back"
+
+
+def test_whom_most_others_hear_for_long_though_i_do_not_raises_an_alarm_that_rests_longer_every_time() -> None:
+    found = alarms(SessionWatchdog("s1", TEAM), {"s2": ("s1", "s4"), "s3": ("s1",)}, 400.0)
+    assert [reason for _, reason in found] == ["the others hear s4, s1 does not"] * len(found)
+    assert PATIENCE <= found[0][0] <= PATIENCE + 3.0
+    rests = [after - before for (before, _), (after, _) in pairwise(found)]
+    assert rests[0] == pytest.approx(FIRST_REST, abs=2.5)
+    assert rests[1] == pytest.approx(2.0 * FIRST_REST, abs=2.5)
+    assert max(rests) <= LONGEST_REST + 2.5
+
+
+def test_one_of_many_cannot_raise_an_alarm() -> None:
+    assert alarms(SessionWatchdog("s1", (*TEAM, "s5")), {"s2": ("s4",), "s3": (), "s5": ()}, 100.0) == []
+
+
+def test_nobody_but_the_expected_counts() -> None:
+    assert alarms(SessionWatchdog("s1", TEAM), {"s2": ("x9", "s1"), "s3": ("x9", "s1")}, 100.0) == []
+
+
+def test_a_death_raises_no_alarm_for_the_others_strike_the_dead_off_in_time() -> None:
+    """The worst case: the token stays up everywhere, so that silence alone tells; every 0.1 s another moment of the last word."""
+    for tenth in range(40):
+        mine, other = SessionWatchdog("s1", TEAM), SessionWatchdog("s2", TEAM)
+        last = 10.0 + tenth / 10.0
+        for step in range(200):
+            now = step / 5.0
+            for watchdog in (mine, other):
+                watchdog.greet("s3", now)
+                if now <= last:
+                    watchdog.greet("s4", now)
+            mine.greet("s2", now)
+            if step % 10 == 0:
+                assert mine.reason_to_reopen(hello("s2", *other.heard(now)), now) == ""
+
+
+def test_after_a_partition_there_is_time_to_find_each_other_again() -> None:
+    watchdog = SessionWatchdog("s1", TEAM)
+    assert alarms(watchdog, {"s2": ("s1",)}, 20.0) == [], "s3 and s4 are on the other side"
+    assert alarms(watchdog, {"s2": ("s1", "s3", "s4")}, 4.0, start=20.0) == [], "s2 has found them first"
+    assert alarms(watchdog, {"s2": ("s1", "s3", "s4"), "s3": ("s4",), "s4": ("s3",)}, 100.0, start=24.0) == []
+
+
+def test_a_clock_that_jumps_raises_no_alarm() -> None:
+    everybody = {name: tuple(other for other in TEAM if other != name) for name in ("s2", "s3", "s4")}
+    watchdog = SessionWatchdog("s1", TEAM[:-1])
+    assert alarms(watchdog, everybody, 20.0) == []
+    assert alarms(watchdog, everybody, 20.0, start=308.0) == []
+    assert alarms(watchdog, everybody, 20.0, start=40.0) == []
+
+
+def test_a_time_is_calm_while_all_expected_speak_and_keep_their_tokens() -> None:
+    watchdog = SessionWatchdog("s1", TEAM)
+    watchdog.speak_all(("s2", "s3", "s4"), 0.0)
+    assert not watchdog.is_calm(0.0), "the world is silent"
+    watchdog.speak("world", 0.5)
+    assert watchdog.is_calm(0.5) and watchdog.is_calm(WITHIN_HEARING) and not watchdog.is_calm(WITHIN_HEARING + 0.1)
+    watchdog.speak_all(TEAM, 4.0)
+    assert watchdog.is_calm(4.0)
+    watchdog.leave("s3", 1)
+    assert not watchdog.is_calm(4.0)
+    watchdog.speak("s3", 4.5)
+    assert not watchdog.is_calm(4.5), "it speaks without a token"
+    watchdog.appear("s3", 1)
+    assert watchdog.is_calm(4.5)
+
+
+def test_the_hellos_of_a_calm_time_count_as_hellos() -> None:
+    watchdog = SessionWatchdog("s1", TEAM)
+    watchdog.speak_all(TEAM, 0.0)
+    watchdog.greet_all(("s2", "s4"))
+    assert watchdog.heard(1.0) == ("s2", "s4")
