@@ -38,9 +38,10 @@ def url(covey: Covey, file: Path) -> str:
 
 
 def still(page: Any, url: str, time: float = 12.0) -> None:
-    """Open a replay at a second, standing still, all of it scored."""
+    """Open a replay at a second, standing still, all of it scored and told: legend and tables have the room that they need."""
     page.goto(f"{url}?t={time}")
-    until(page, f"covey.frame && covey.frame.play.scanned && !covey.frame.play.playing && Math.abs(covey.frame.time - {time}) < 0.6")
+    stands = f"covey.frame.play.scanned && !covey.frame.play.playing && Math.abs(covey.frame.time - {time}) < 0.6"
+    until(page, f"covey.frame && {stands} && covey.told === covey.frame")
 
 
 def screen(page: Any, east: float, north: float) -> tuple[float, float]:

@@ -23,7 +23,7 @@ const RATE_WINDOW = 1500, BELIEF_PERIOD = 400, TABLE_PERIOD = 300; // ms
 const state = {
   hello: null, frame: null, scene: new Scene(), history: fresh(), happenings: new Map(), outlines: {}, order: new Map(),
   on: Object.fromEntries(SWITCHES.map(([, name]) => [name, name !== "gossip"])), chosen: null, pointed: null, belief: null, rate: null, counted: [], frames: 0,
-  readout: null, held: false, film: new Film(), send,
+  told: null, readout: null, held: false, film: new Film(), send,
 };
 window.covey = state; // for the curious, for tests and benchmarks
 let waiting = false, tableAt = 0, tableTimer = 0; // of the next drawing, and of the tables
@@ -149,6 +149,7 @@ function fill() {
   if (state.chosen) fillBelief($("belief"), state);
   for (const [canvas, chart] of charts) if (!canvas.parentElement.hidden) drawChart(canvas, chart, state);
   drawStrip($("strip"), state);
+  state.told = state.frame; // the legend takes its room by what a frame holds: from here on nothing moves
 }
 
 const shown = () => (state.hello && state.hello.beside ? arenas : arenas.slice(0, 1));
