@@ -11,7 +11,7 @@ from agents.compiled.particle_kernels import scramble
 
 # The constants of agents/tracking/labels.py, which a test compares.
 NO_LABEL, HASH_BITS, TICK_BITS, EXPLAINED, CLAIMED = np.uint64(0), np.uint64(29), np.uint64(24), 0.02, 0.5
-YOUNG, BESIDE, FAINT, ALONE, HERE, AROUND, HOME = 4, 5.0, 0.02, 3.0, 2.5, 6.0, 0.5
+YOUNG, BESIDE, FAINT, ALONE, HERE, AROUND, STRANGER_MASS = 4, 5.0, 0.02, 3.0, 2.5, 6.0, 0.5
 _ONE, _CUT = np.uint64(1), np.uint64(35)
 
 
@@ -206,7 +206,7 @@ def rename(updated: tuple, owned: np.ndarray, predicted: tuple, places: np.ndarr
                     masses[k, 0 if apart <= inner * inner else 1] += weights[n] if owned[n] else predicted[0][n]
         strange, home, heaviest = masses[:number, 1] > masses[:number, 0], -1, -1
         for k in range(number):
-            strange[k] &= masses[k, 1] >= HOME
+            strange[k] &= masses[k, 1] >= STRANGER_MASS
             if heaviest < 0 or masses[k, 0] > masses[heaviest, 0] or (masses[k, 0] == masses[heaviest, 0] and known[k] < known[heaviest]):
                 heaviest = k
             better = home < 0 or masses[k, 0] > masses[home, 0] or (masses[k, 0] == masses[home, 0] and known[k] < known[home])

@@ -3,9 +3,10 @@
 Data types: a label is an integer below 2^53, so that a float64 and JSON hold it; arrays of labels are uint64. 0 means none.
 
 Rules. A detection that founds a label gives it to its births, and all copies of a particle inherit it. A label is a pure function of
-(seed, sensor, tick, detection), and older labels are smaller numbers. The particles of the prior and of background births have none. Such a
-particle takes the label of the detection from which more than the share `CLAIMED` of its weight comes. A detection founds no label if a
-living label explains at least the share `EXPLAINED` of it: its births then carry that label. So births beside a living track belong to it.
+(seed, sensor, tick, detection), and older labels are smaller numbers until the tick passes 2^24 and counts anew. The particles of the
+prior and of background births have none. Such a particle takes the label of the detection from which more than the share `CLAIMED` of its
+weight comes. A detection founds no label if a living label explains at least the share `EXPLAINED` of it: its births then carry that label.
+So births beside a living track belong to it.
 
 A label stands for one target, so estimates and labels go together one to one (`name_peaks`). Two targets that meet exchange particles,
 and when they part, each keeps some of the other's label. The owner of a cell then renames these particles in it (`renamed`), and its gossip
@@ -28,7 +29,7 @@ BESIDE = 5.0  # between a peak and the mean of the label that it takes although 
 FAINT = 0.02  # mass below which a label is not taken so, expected targets
 ALONE = 3.0  # around an estimate without another estimate
 HERE, AROUND = 2.5, 6.0  # around an estimate: its particles are nearer than the first, those around it nearer than the second
-HOME = 0.5  # mass that a label must have around an estimate to be a stranger there, expected targets
+STRANGER_MASS = 0.5  # that a label must have around an estimate to be a stranger there, expected targets
 
 
 def birth_labels(hashes: np.ndarray, tick: int) -> np.ndarray:
@@ -141,9 +142,9 @@ def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places:
     """The labels (N,) of `updated` after the owner of the particles marked in `owned` (N,) has renamed some of them.
 
     `predicted` are the first rows of `updated` before the scans, and `places` (M, 2) the estimates in the cell, m. Bins have the side
-    `size` m. A label is a stranger at an estimate if it has more mass around than here, and at least `HOME`. Where an estimate is alone,
-    the owned particles of strangers take the heaviest label here that is none. If all are strangers, they take a label derived from the
-    heaviest.
+    `size` m. A label is a stranger at an estimate if it has more mass around than here, and at least `STRANGER_MASS`. Where an estimate is
+    alone, the owned particles of strangers take the heaviest label here that is no stranger. If all are strangers, they take a label
+    derived from the heaviest.
     """
     labels, count = updated.labels.copy(), len(predicted.ids)
     if not len(places) or not len(labels):
@@ -158,7 +159,7 @@ def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places:
         here, near = away[:, number] <= inner * inner, away[:, number] <= outer * outer
         known = np.unique(before[here & owned & (before != NO_LABEL)])
         masses = [(total(weights[here & (before == label)]), total(weights[near & ~here & (before == label)])) for label in known]
-        strange = np.array([around > inside and around >= HOME for inside, around in masses], dtype=bool)
+        strange = np.array([around > inside and around >= STRANGER_MASS for inside, around in masses], dtype=bool)
         if not strange.any():
             continue
         at_home = [(-inside, int(label)) for (inside, _), label, is_strange in zip(masses, known, strange) if not is_strange]

@@ -1,7 +1,8 @@
 """The chronicle: one sentence for the effect of each death, pause, return, cut and healing, derived from the cells before and after.
 
-A death is reported when the cells have left no hole for `SETTLE` s of world time. Until then the swarm may still lose or find targets of
-the dead agent. A true target is tracked while an estimate lies within the share `NEAR` of the cut-off of OSPA.
+A death is reported `SETTLE` s of world time after others have taken its cell. Until then the swarm may still lose or find targets of the
+dead agent. A cell is taken when living cells cover all of it but the share `OPEN`. A true target is tracked while an estimate lies within
+the share `NEAR` of the cut-off of OSPA.
 """
 
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ CLOSED = 1e-6  # of the arena: cells leave no hole, and do not overlap
 NEAR = 0.3  # of the cut-off
 SETTLE = 2.0  # s of the world
 GIVE_UP = 15.0  # s of the world after which a cell that is still open is reported
+OPEN = 0.01  # of a cell: so little of it is uncovered that others have taken it
 LEAST = 0.05  # of a cell: smaller gains are not reported
 MOST_HEIRS = 4
 
@@ -58,7 +60,7 @@ class Loss:
     time: float
     cell: np.ndarray
     tracked: set[int]  # targets in its cell that were tracked
-    closed: int | None = None  # ticks until there was no hole
+    closed: int | None = None  # ticks until others had taken its cell
     settled: float = 0.0  # earliest time of the report, s
     heirs: list[tuple[str, float]] = field(default_factory=list)  # the share of the cell that each taker has
     seen: set[int] = field(default_factory=set)  # targets that were tracked shortly before the report
@@ -67,7 +69,7 @@ class Loss:
         """Look at the next tick; the sentence once it is due."""
         if view.tick <= self.tick:
             return None
-        if self.closed is None and view.hole <= CLOSED and self.name not in view.cells:
+        if self.closed is None and self.name not in view.cells and is_taken(self.cell, view.cells):
             self.closed, self.settled = view.tick - self.tick, view.time + SETTLE
             self.heirs = shares(self.cell, view.cells)
         if self.closed is None:
@@ -184,6 +186,15 @@ class Chronicle:
     def _drop(self, name: str) -> None:
         """Drop the open events of an agent."""
         self._open = [one for one in self._open if isinstance(one, Cut) or one.name != name]
+
+
+def is_taken(cell: np.ndarray, cells: Mapping[str, np.ndarray]) -> bool:
+    """Whether living cells cover a former cell (K, 2) in m but for the share `OPEN`; no cell is taken at once."""
+    if len(cell) < 3:
+        return True
+    former = shapely.Polygon(cell)
+    others = shapely.union_all([shapely.Polygon(other) for other in cells.values() if len(other) >= 3])
+    return bool(former.difference(others).area <= OPEN * former.area)
 
 
 def shares(cell: np.ndarray, cells: Mapping[str, np.ndarray]) -> list[tuple[str, float]]:

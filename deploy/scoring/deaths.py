@@ -1,8 +1,10 @@
-"""The deaths of a run: which agents died, which are only paused, and how long the other cells left a hole."""
+"""The deaths of a run: which agents died, which are only paused, and how long others took to cover their cells."""
 
 from dataclasses import dataclass
 
-from deploy.scoring.chronicle import CLOSED
+import numpy as np
+
+from deploy.scoring.chronicle import ScoredTick, is_taken
 from deploy.scoring.result import Kill
 
 
@@ -12,19 +14,20 @@ class _Death:
     tick: int
     time: float
     now: float
+    cell: np.ndarray  # (K, 2), its last one, m
     closed: tuple[float, int] | None = None  # s, ticks
 
 
 class Deaths:
-    """Takes deaths and the hole of every tick. An agent in `paused`, on request, has not died when its token is lost."""
+    """Takes deaths and what was scored at every tick. An agent in `paused`, on request, has not died when its token is lost."""
 
     def __init__(self) -> None:
         self.paused: set[str] = set()
         self._deaths: list[_Death] = []
 
-    def lose(self, name: str, tick: int, time: float, now: float) -> None:
-        """Note that an agent died at a tick and world time, s."""
-        self._deaths.append(_Death(name, tick, time, now))
+    def lose(self, name: str, tick: int, time: float, now: float, cell: np.ndarray) -> None:
+        """Note that an agent died at a tick and world time, s; `cell` (K, 2) m is its last one."""
+        self._deaths.append(_Death(name, tick, time, now, cell))
 
     def regain(self, name: str) -> None:
         """An agent is back in the same process: its last death was none."""
@@ -32,11 +35,11 @@ class Deaths:
         if at is not None:
             del self._deaths[at]
 
-    def see(self, tick: int, hole: float, now: float) -> None:
-        """The cells of a tick leave this share of the arena uncovered."""
+    def see(self, view: ScoredTick, now: float) -> None:
+        """Note whose former cells the cells of a tick cover."""
         for loss in self._deaths:
-            if loss.closed is None and hole <= CLOSED and tick > loss.tick:
-                loss.closed = now - loss.now, tick - loss.tick
+            if loss.closed is None and view.tick > loss.tick and is_taken(loss.cell, view.cells):
+                loss.closed = now - loss.now, view.tick - loss.tick
 
     def kills(self) -> tuple[Kill, ...]:
         """All deaths in order."""

@@ -27,7 +27,7 @@ class EventReport(NamedTuple):
 
 
 class Kill(msgspec.Struct, frozen=True, kw_only=True):
-    """The death of an agent, and how long the others took to cover the arena again."""
+    """The death of an agent, and how long the others took to cover its former cell but for one per cent."""
 
     name: str
     tick: int  # the newest when it went

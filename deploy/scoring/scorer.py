@@ -189,8 +189,11 @@ class Scorer(Node):
             return
         self._gone_at[name] = self.truth.time, incarnation
         if name not in self.deaths.paused:  # a pause was told when it began
-            self.deaths.lose(name, self.truth.tick, self.truth.time, now)
+            self.deaths.lose(name, self.truth.tick, self.truth.time, now, self._last_cell(name))
             self._chronicle.lose(name, "died", self.truth.tick, self.truth.time)
+
+    def _last_cell(self, name: str) -> np.ndarray:
+        return self._latest[name].cell if name in self._latest else np.empty((0, 2))
 
     def _gain(self, name: str, incarnation: int) -> None:
         is_new = name not in self._alive
@@ -267,7 +270,7 @@ class Scorer(Node):
         cutoff = self._scenario.study.cutoff
         view = ScoredTick(truth.tick, truth.time, cells, truth.ids, truth.targets, targets, hole, overlap, cutoff)
         self._tell(self._chronicle.see(view))
-        self.deaths.see(truth.tick, hole, now)
+        self.deaths.see(view, now)
 
     def finish(self, now: float) -> None:
         """The run is over: score the remaining ticks. An agent that leaves from now on is not lost."""
@@ -312,7 +315,7 @@ class Scorer(Node):
             if verb == "resume":
                 self._chronicle.resume(name)
             if was_paused and verb != "resume" and name not in self._alive and self.truth is not None and not self._finished:
-                self.deaths.lose(name, self.truth.tick, self.truth.time, now)
+                self.deaths.lose(name, self.truth.tick, self.truth.time, now, self._last_cell(name))
 
     def is_up_to_date(self) -> bool:
         """Whether every truth that was heard has been scored."""

@@ -2,7 +2,7 @@
 
 Rules. A label counts once in a tick. Of several estimates with one label, which only agents far apart can report, the one nearest to where
 the label was last keeps it; when it is new, the one of the largest existence; of equals the first. The others, and estimates without a
-label, count as tracks of their own.
+label, are named by their place among those of the tick: derived from the label, or from 0.
 """
 
 import math

@@ -168,7 +168,8 @@ def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> 
 
 
 def test_the_compiled_rules_give_the_same_labels() -> None:
-    names = "NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "YOUNG", "BESIDE", "FAINT", "ALONE", "HERE", "AROUND", "HOME"
+    names = "NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "YOUNG"
+    names += "BESIDE", "FAINT", "ALONE", "HERE", "AROUND", "STRANGER_MASS"
     assert [getattr(rules, name) for name in names] == [getattr(label_kernels, name) for name in names]
     rng, beside, moved = np.random.default_rng(3), 0, 0
     choices = np.array([0, 5, 6, 7, YOUNG, YOUNG + 2, NEWER], np.uint64)

@@ -41,7 +41,8 @@ def test_a_death_says_who_took_how_much_and_when_and_that_no_target_was_lost() -
     chronicle = Chronicle()
     chronicle.see(view(99, BEFORE, targets=IN_S2, estimates=IN_S2))
     chronicle.lose("s2", "died", 100, 25.0)
-    opened = [view(100, AFTER), view(101, AFTER, hole=0.1, targets=IN_S2), view(102, AFTER, targets=IN_S2)]
+    almost = {"s1": box(0, 0, 15.8, 10), "s3": box(16, 0, 30, 10)}  # 2 % of the cell is left
+    opened = [view(100, AFTER), view(101, almost, hole=0.1, targets=IN_S2), view(102, AFTER, targets=IN_S2)]
     assert play(chronicle, opened) == []
     told = play(chronicle, [view(tick, AFTER, targets=IN_S2, estimates=IN_S2) for tick in range(103, 120)])
     assert told == [EventReport(27.5, "s2", "s2 died at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 2 ticks; no target lost")]
@@ -79,9 +80,18 @@ def test_a_cell_that_nobody_takes_and_an_agent_without_a_cell_are_told_as_such()
     chronicle.lose("s2", "died", 100, 25.0)
     chronicle.lose("s9", "died", 100, 25.0)
     told = play(chronicle, [view(tick, {"s1": BEFORE["s1"]}, hole=0.3) for tick in range(101, 165)])
-    assert [one.text for one in told] == ["s2 died at 25.0 s: its cell is still open", "s9 died at 25.0 s: its cell is still open"]
+    assert [one.text for one in told] == ["s9 died at 25.0 s; it owned no cell", "s2 died at 25.0 s: its cell is still open"]
     chronicle.lose("s7", "died", 165, 41.25)
     assert [one.text for one in play(chronicle, [view(tick, AFTER) for tick in range(166, 176)])] == ["s7 died at 41.2 s; it owned no cell"]
+
+
+def test_holes_elsewhere_and_a_sliver_in_the_cell_do_not_keep_it_open() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE))
+    chronicle.lose("s2", "died", 100, 25.0)
+    slivers = {"s1": box(0, 0, 15.95, 10), "s3": box(16, 0, 25, 10)}
+    told = play(chronicle, [view(tick, slivers, hole=0.2) for tick in range(101, 112)])
+    assert [one.text for one in told] == ["s2 died at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 1 tick; no target lost"]
 
 
 def test_what_is_open_at_the_end_of_the_run_is_told_then() -> None:
