@@ -1,7 +1,9 @@
 """One agent: the Node of one sensor.
 
-An `Observation` of tick k opens the round k, and the agent publishes its `Gossip` of tick k at once. The round closes when the gossips of
-all expected peers are in, or at the deadline. `run_round` computes what follows from it.
+An `Observation` of tick k opens the tick k and its round, and the agent publishes its `Gossip` of tick k at once. The round is played when
+the gossips of all expected peers are in, or at the deadline; `run_round` computes what follows from it. Exceptions: an agent that joins
+opens no round yet, a slower pace leaves ticks out, and when gossips come late the round that is *due* at the end of a tick is that of an
+earlier one.
 
 This file keeps the order of events and the time. `agents.round` holds the steps of a round, `agents.tracking` and `agents.coverage` their
 mathematics.
@@ -33,7 +35,7 @@ from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, Timer
 
 MANY = 1 << 30
-MOST_OVERDUE = 0.5  # of the time for which a round waits: a round that closes later has not listened
+MOST_OVERDUE = 0.5  # of the time for which a round waits: when it closes later, its agent was not served in time
 
 
 class Agent(Node):
@@ -57,13 +59,13 @@ class Agent(Node):
         nothing = (0.0, 0.0, -1.0, -1.0) if self.local else None
         self.outcome = RoundResult(self.context.tracker.start(name, Step(config, 0), nothing), self.context.facts.capability)
         self.membership = Membership(self.context, incarnation, self.peer_table, self.counters)
-        self._observation: Observation | None = None  # of the open round
+        self._observation: Observation | None = None  # of the open tick
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
         self._rounds = OpenRounds(self.context)
         self._own_pose = OwnPose(config, self.context.sensor)
         self._fresh: list[Gossip] = []  # of the last round
         self._said: Gossip | None = None  # the own one of the last round
-        self._awaited: set[str] = set()  # peers for whose gossips the open round waits
+        self._awaited: set[str] = set()  # peers for whose gossips the round that is due waits
         self._listening_rounds = 0  # rounds left in which the agent listens and has no cell
         self._rounds_alone = 0  # listening rounds left without any gossip, before the agent takes itself to be alone
         self._close_at: float | None = None
@@ -80,7 +82,7 @@ class Agent(Node):
         if self._asked_at is not None:
             self._pace.spend(now - self._asked_at)
             self._asked_at = None
-        if self._health.served(now):
+        if self._health.stall_ended(now):
             self._pace.forget()
             self._rounds.lag.forget()
         if type(event) is Received:
@@ -130,7 +132,10 @@ class Agent(Node):
         return "/observation/" if self._pace.current == 1 else ""
 
     def deadline(self) -> float | None:
-        """When to call with `Timer`, s (Node): the earliest of the round's end, the next Hello, the next answer and the next selection."""
+        """When to call with `Timer`, s (Node): when the first of these is due.
+
+        They are the end of the tick, a Hello, a beat of the local health, an answer to a beacon, and the next step of joining.
+        """
         times = [self._close_at, self.membership.announcements.due, self._health.due, self._asked_at]
         if self._interest is not None:
             times += [self._answer_at, self._interest.due]
@@ -147,7 +152,7 @@ class Agent(Node):
         self._pace.observe(observation.tick, now)
         if not self._pace.plays(observation.tick):
             return self._spare(observation)
-        effects = self._close(now, patient=False) if self._gossip else []
+        effects = self._close(now, forced=True) if self._gossip else []
         if self.tick < 0:
             self._health.start(now)
             self._listening_rounds = self.config.timing.listening_rounds if observation.tick > 0 else 0
@@ -286,7 +291,7 @@ class Agent(Node):
             effects += self._on_interest_timer(self._interest, now)
         if self._close_at is not None and now >= self._close_at:
             self.counters["late"] += 1
-            effects += self._close(now, patient=False)
+            effects += self._close(now, forced=True)
         return effects
 
     def _on_interest_timer(self, interest: InterestManager, now: float) -> list[Effect]:
@@ -314,18 +319,18 @@ class Agent(Node):
             return []
         return self._close(now)
 
-    def _close(self, now: float, *, patient: bool = True) -> list[Effect]:
-        """Play the rounds that are due, and end the tick. A `patient` agent waits for the gossips of each of them."""
+    def _close(self, now: float, *, forced: bool = False) -> list[Effect]:
+        """Play the rounds that are due, and end the tick. Each waits for its gossips, unless the end of the tick is `forced`."""
         while self._rounds.due is not None:
-            if self._awaited and (patient or self._holds(self._rounds.due, now)):
+            if self._awaited and (not forced or self._holds(self._rounds.due, now)):
                 break
             self._play(self._rounds.pop(), now)
             self._await()
-        return NO_EFFECTS if self._awaited and patient else self._end_tick(now)
+        return NO_EFFECTS if self._awaited and not forced else self._end_tick(now)
 
     def _holds(self, due: int, now: float) -> bool:
         """Whether the round that is due waits for another tick, because hardly any gossip has come."""
-        if self._listening_rounds or self._pace.current > 1 or not self._has_listened(now):
+        if self._listening_rounds or self._pace.current > 1 or not self._was_responsive(now):
             return False
         return self._rounds.holds(self.tick, self._awaited, len(self.peer_table.fresh(due)))
 
@@ -335,7 +340,7 @@ class Agent(Node):
         fresh = self.peer_table.fresh(gossip.tick)
         self.outcome = run_round(self.context, self.outcome, self.peer_table, gossip, fresh, self._rounds.replay(opened, fresh))
         self._rounds.recent.keep(self.outcome.belief)
-        missing = self.peer_table.close(gossip.tick, newcomer=newcomer, listened=self._has_listened(now))
+        missing = self.peer_table.close(gossip.tick, newcomer=newcomer, responsive=self._was_responsive(now))
         if self._listening_rounds:
             self._count_listening_round(len(fresh), missing)
         self._fresh = list(fresh.values())
@@ -376,7 +381,7 @@ class Agent(Node):
         self._pace.close(gossip.pace for gossip in self._fresh)
         if self._pace.current != self.peer_table.pace:
             self.peer_table.keep_pace(self._pace.current)
-        self._rounds.close(self.tick, self._pace.current, now)
+        self._rounds.end_tick(self.tick, self._pace.current, now)
         for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.peer_table.given_up)):
             if count:
                 self.counters[name] = count
@@ -385,7 +390,7 @@ class Agent(Node):
         """Ask the driver for an event as soon as it has done what it is told, which shows how long that took."""
         self._asked_at = now if self._health.due is not None else None
 
-    def _has_listened(self, now: float) -> bool:
+    def _was_responsive(self, now: float) -> bool:
         """Whether the agent was served in time in the open round, so that the silence of a peer says something."""
         assert self._close_at is not None
         overdue = now - self._close_at > MOST_OVERDUE * (self._close_at - self._opened_at)

@@ -129,13 +129,13 @@ class ExtractionSettings(Section, frozen=True, kw_only=True):
 class TimingSettings(Section, frozen=True, kw_only=True):
     """[timing] of rounds and of membership."""
 
-    deadline: Fraction = 0.5  # a round closes at this share of the period at the latest, realtime only
+    deadline: Fraction = 0.5  # a round closes at this share of the period at the latest, in lockstep at this share of `run.patience`
     silent_rounds: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4  # a silent peer stays a generator this long at least
     silence: NotNegative = 1.0  # and so long at least, s of the clock, realtime only
     listening_rounds: Annotated[int, msgspec.Meta(ge=0, le=100)] = 2  # at most, for a new incarnation
-    look_ahead: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.0  # how late gossips may be, realtime only, s
+    look_ahead: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.0  # s after the own observation that a gossip may come, realtime only
     overlap: NotNegative = 0.0  # both claims count this close to a contested border, m (docs/explanation/decisions/0003)
-    estimate_every: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1  # rounds between two estimates
+    estimate_every: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1  # ticks between two estimates
     interest: Literal["all", "neighbours"] = "all"  # whose gossip an agent hears; with neighbours beacons say who is one
     tile: Annotated[float, msgspec.Meta(ge=10.0, le=1.0e9)] = 35.0  # side of the squares in which beacons are said, m
 

@@ -28,7 +28,8 @@ class Lag:
     """The lag of one agent, in ticks. Times are `now` of its node, s."""
 
     def __init__(self, period: float, timeout: float, longest: float, *, measured: bool) -> None:
-        """`period`: s between two ticks; `timeout`: s for which a round waits; `longest`: s that a gossip may be late.
+        """`period`: s between two ticks; `timeout`: s for which a round waits; `longest`: s after the own observation
+        that a gossip may come.
 
         `measured` false: the lag stays 0.
         """

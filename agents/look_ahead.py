@@ -6,7 +6,7 @@ Rules. Gossips that come L ticks late are heard by a round that is played L tick
 particles of tick k - 1 - L, because no later round has been played. So the round of tick k begins with particles that are L ticks older
 than usual. Its agent moves them over these ticks itself, with the scans of all agents: it *replays* them around its cell. All agents replay
 the same particles with the same scans, so their cells still tile one density. A scan that came too late for its own round is part of the
-replay of the next ones.
+replays of later ones that reach back so far.
 
 Estimates and commands are those of now. A copy of the belief is moved on to the newest tick, with the own scans and those that have come
 early. It is thrown away: the next round begins with what gossips state.
@@ -93,8 +93,8 @@ class RecentTicks:
         """Keep an own gossip."""
         self._said.setdefault(gossip.tick, {})[gossip.sender] = gossip, self._own_sensor()
 
-    def since(self, stamp: int, newest: TrackerState) -> TrackerState:
-        """The newest belief that is not later than `stamp`, or `newest`, or the oldest one."""
+    def at_or_before(self, stamp: int, newest: TrackerState) -> TrackerState:
+        """The newest belief that is not later than the tick `stamp`, `newest` included; the oldest that is kept if all are later."""
         if newest.stamp <= stamp:
             return newest
         earlier = [belief for belief in self._beliefs if belief.stamp <= stamp]
@@ -114,15 +114,17 @@ class RecentTicks:
         return announced_sensor(context.name, context.sensor, context.config.detection.clutter)
 
 
-def received(recent: RecentTicks, context: AgentContext, opened: OpenRound, most: int, table: GossipTable, polygon: np.ndarray) -> Any:
-    """The density that counts one tick before a round, around its cell `polygon`; `table`: the gossips of the round.
+def replayed_density(
+    recent: RecentTicks, context: AgentContext, opened: OpenRound, most: int, table: GossipTable, polygon: np.ndarray
+) -> Any:
+    """The density that counts one tick before a round, around its cell `polygon` (K, 2) m; `table`: the gossips of the round.
 
-    It begins with the oldest claims that the gossips state, and is moved on with the scans of the ticks since.
+    It begins with the oldest claims that the gossips state, at most `most` ticks old, and is moved on with the scans of the ticks since.
     """
     tick, config, tracker = table.gossips[0].tick, context.config, context.tracker
     oldest = tick - 1 - most
     stamps = [gossip.claim_tick for gossip in table.gossips if gossip.behind and gossip.claim_names and gossip.claim_tick >= oldest]
-    belief = recent.since(min(stamps, default=opened.belief.stamp), opened.belief)
+    belief = recent.at_or_before(min(stamps, default=opened.belief.stamp), opened.belief)
     if belief.stamp < oldest:
         belief = tracker.catch_up(belief, Step(config, oldest + 1))
     density = tracker.merge(belief, table, Step(config, belief.stamp + 1))

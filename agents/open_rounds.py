@@ -9,7 +9,7 @@ from functools import partial
 from operator import attrgetter
 
 from agents.lag import Lag
-from agents.look_ahead import OpenRound, RecentTicks, received
+from agents.look_ahead import OpenRound, RecentTicks, replayed_density
 from agents.membership.peer import Peer
 from agents.round import AgentContext, Replay
 from agents.tracking.tracker import TrackerState
@@ -75,9 +75,9 @@ class OpenRounds:
         """The function that computes the density before a round, if gossips state older ones; None: they state that of the tick before."""
         if not opened.gossip.behind and not any(map(attrgetter("behind"), fresh.values())):
             return None
-        return partial(received, self.recent, self._context, opened, self.lag.most)
+        return partial(replayed_density, self.recent, self._context, opened, self.lag.most)
 
-    def close(self, tick: int, pace: int, now: float) -> None:
+    def end_tick(self, tick: int, pace: int, now: float) -> None:
         """A tick ends. An agent of a slower `pace` keeps no lag."""
         if pace > 1:
             self.lag.settle()

@@ -35,8 +35,8 @@ class Pace:
         self._begins: deque[tuple[float, float]] = deque()  # time of an observation, and when tick 0 would have been observed by it
         self._began = 0.0  # when the newest tick began
         self._played = -1  # tick of the newest round
-        self._lag = self._spent = 0.0  # s from the beginning of the tick to its round, and s for which the driver was busy since
-        self._lags: deque[float] = deque(maxlen=JUDGED)  # of the last rounds, in ticks
+        self._began_late = self._spent = 0.0  # s from the beginning of the tick to its round, and s for which the driver was busy since
+        self._durations: deque[float] = deque(maxlen=JUDGED)  # of the last rounds, the sum of both, in ticks
         self._gaps: deque[int] = deque(maxlen=JUDGED)  # ticks between the last rounds that were more than the pace; else 1
 
     def plays(self, tick: int) -> bool:
@@ -54,15 +54,15 @@ class Pace:
 
     def forget(self) -> None:
         """Forget what was measured: the agent was stalled, or its clock has jumped, which says nothing about its rounds."""
-        for measured in (self._begins, self._lags, self._gaps):
+        for measured in (self._begins, self._durations, self._gaps):
             measured.clear()
-        self._played, self._lag, self._spent = -1, 0.0, 0.0
+        self._played, self._began_late, self._spent = -1, 0.0, 0.0
 
     def open(self, tick: int, now: float) -> None:
         """A round of a tick opens."""
         gap = tick - self._played if self._played >= 0 else 1
         self._gaps.append(gap if gap > self.current else 1)
-        self._played, self._lag = tick, now - self._began
+        self._played, self._began_late = tick, now - self._began
 
     def spend(self, seconds: float) -> None:
         """The driver was busy for some seconds with what the agent told it to do."""
@@ -72,11 +72,11 @@ class Pace:
         """A round ends. `needs`: those that fresh gossips of peers state."""
         if not self._measured:
             return
-        self._lags.append((self._lag + self._spent) / self._period)
+        self._durations.append((self._began_late + self._spent) / self._period)
         self._spent = 0.0
-        lag, gap = statistics.median_low(self._lags), statistics.median_low(self._gaps or [1])
-        slower = self._power(max(lag / FULL, gap))
-        calm = min(max(list(self._lags)[-CALM:]) / FREE, self._lags[-1] / IDLE)
+        duration, gap = statistics.median_low(self._durations), statistics.median_low(self._gaps or [1])
+        slower = self._power(max(duration / FULL, gap))
+        calm = min(max(list(self._durations)[-CALM:]) / FREE, self._durations[-1] / IDLE)
         faster = self._power(max(calm, gap))
         self.need = slower if slower > self.need else min(self.need, faster)
         self.current = min(self._most, max([self.need, *needs]))

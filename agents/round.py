@@ -20,7 +20,7 @@ from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Sit
 from agents.coverage.search_and_track import SearchAndTrack
 from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_sensor, gossip_table
 from agents.interest.position_table import UnsubscribedGenerators
-from agents.membership.peer_table import LOCAL_VIEW, PeerTable
+from agents.membership.peer_table import LOCAL_DIAGRAM, PeerTable
 from agents.shared_round import claim_of, shared_round
 from agents.tracking.belief import ParticlePhd
 from agents.tracking.claims import Claim, make_claim
@@ -68,7 +68,7 @@ class Frame(NamedTuple):
     generators: GossipTable
 
 
-Replay = Callable[[GossipTable, np.ndarray], Any]  # see `look_ahead.received`
+Replay = Callable[[GossipTable, np.ndarray], Any]  # see `look_ahead.replayed_density`
 
 
 @dataclass
@@ -117,9 +117,9 @@ def run_round(
             received = replay(table, cell.polygon)
         near = context.tracker.update(received, table, [region], step)[0]
     diagram = Diagram(
-        view=_view(peer_table, fresh, generator_table, region.claim),
+        hash=_diagram_hash(peer_table, fresh, generator_table, region.claim),
         everyone=generator_table.everyone,
-        acquainted=peer_table.acquainted if peer_table.local else None,
+        known_names=peer_table.known_names if peer_table.local else None,
         horizon=HORIZON if peer_table.local else math.inf,
     )
     belief = context.tracker.belief_after(received, region, near, diagram, step)
@@ -202,16 +202,16 @@ def _generator_table(
     return gossip_table([*latest.values()], _sensors(peer_table, latest), context.config)
 
 
-def _view(peer_table: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
-    """The view of a round: agents with equal views cut the same diagram.
+def _diagram_hash(peer_table: PeerTable, fresh: dict[str, Gossip], generator_table: GossipTable, claim: Claim) -> int:
+    """The hash of the diagram of a round: agents with equal hashes cut the same diagram.
 
-    In a swarm that hears everybody the view is a hash of all generators. With neighbours only, `LOCAL_VIEW` states that all gossips of
-    the interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
+    In a swarm that hears everybody it is a hash of all generators. With neighbours only, `LOCAL_DIAGRAM` states that all gossips of the
+    interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
     agent with an empty cell needs no certificate: unknown peers could only shrink its cell.
     """
     if peer_table.local and (peer_table.certified or not claim.names) and len(fresh) == len(peer_table.interest_set):
-        return LOCAL_VIEW if peer_table.interest_set.keys() >= set(claim.names[1:]) else generator_table.view
-    return generator_table.view
+        return LOCAL_DIAGRAM if peer_table.interest_set.keys() >= set(claim.names[1:]) else generator_table.diagram_hash
+    return generator_table.diagram_hash
 
 
 def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed: UnsubscribedGenerators) -> Cell:

@@ -1,6 +1,6 @@
 """The bounded queue between Zenoh's threads and the event loop, the rate limit per key, and the quarantine of senders of garbage.
 
-Pure bookkeeping without sockets. The live driver owns one of each.
+Pure bookkeeping without sockets, for the live driver.
 """
 
 import threading
@@ -74,14 +74,14 @@ class RateLimiter:
 class Inbox:
     """A queue that any thread fills and the event loop empties; on overflow the newest message per key and session stays.
 
-    `patient` marks keys with messages that wait until as many have come as `rest` sets: one wake-up for many messages costs less.
+    `patient` marks keys with messages that wait until as many have come as `finish_pass` says: one wake-up for many messages costs less.
     """
 
     def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, patient: str = "") -> None:
         self.dropped = 0  # messages dropped in favour of newer ones
         self._patient = patient
         self._waiting = 0  # patient messages in the queue
-        self._enough = 1  # patient messages that call the loop
+        self._wake_at = 1  # patient messages at which the loop is called
         self._lock = threading.Lock()
         self._queue: deque[Arrival] = deque()
         self._bytes = 0
@@ -101,7 +101,7 @@ class Inbox:
             self._waiting += patient
             if len(self._queue) > self._most_entries or self._bytes > self._most_bytes:
                 self._thin_out()
-            if self._called or (patient and self._waiting < self._enough):
+            if self._called or (patient and self._waiting < self._wake_at):
                 return False
             self._called = True
             return True
@@ -122,10 +122,10 @@ class Inbox:
             self._called = bool(batch)
             return self._without_old(batch, newest) if newest else batch
 
-    def rest(self, enough: int) -> bool:
+    def finish_pass(self, enough: int) -> bool:
         """End a pass of the loop; `enough` patient messages call it again. True when the queue already calls for it."""
         with self._lock:
-            self._enough = enough
+            self._wake_at = enough
             self._called = len(self._queue) > self._waiting or self._waiting >= max(enough, 1)
             return self._called
 

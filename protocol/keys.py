@@ -19,7 +19,7 @@ from protocol.messages import Beacon, Observation
 
 ROOT = "covey"
 OF_ALL = ("truth", "halt")  # kinds with one key for the whole run
-LONGEST = 256  # characters of a message key: three names and two numbers
+LONGEST = 256  # characters of a message key: two names, a kind and two numbers
 NAME = re.compile(r"^[A-Za-z0-9_.-]{1,64}\Z")
 
 INCARNATION = re.compile(r"^(0|[1-9][0-9]{0,18})\Z")

@@ -49,8 +49,8 @@ _kept = threading.local()
 
 def keep_thread_state() -> None:
     """Keep the state that Python has made for the calling thread of Zenoh; without this, each callback makes a new one and frees it."""
-    if not hasattr(_kept, "lock"):
-        _kept.lock = ctypes.pythonapi.PyGILState_Ensure()  # never released: the interpreter keeps a state that is in use
+    if not hasattr(_kept, "state"):
+        _kept.state = ctypes.pythonapi.PyGILState_Ensure()  # never released: the interpreter keeps a state that is in use
 
 
 def session_config(settings: NetworkSettings, own: keys.Token | None = None) -> zenoh.Config:
@@ -181,7 +181,7 @@ class Driver:
             self._receive(arrivals)
         else:
             self._corrupt(self._link, arrivals)
-        if self._inbox.rest(self._node.awaiting):
+        if self._inbox.finish_pass(self._node.awaiting):
             self._loop.call_soon(self._drain)
 
     def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
@@ -231,10 +231,8 @@ class Driver:
 
     async def _reopen(self) -> None:
         """Leave the network and join it again with the same subscriptions; messages sent meanwhile are lost."""
-        old = [self._publishers, self._subscribers, self._declared]
-        self._publishers, self._subscribers, self._declared = {}, {}, []
         self._tokens.doubt()
-        await self._close(old)
+        await self._close(self._let_go())
         tries = 0
         while not self._declared and not self._stopped.done():
             try:
@@ -246,12 +244,18 @@ class Driver:
                 log.warning("could not open the session anew: %s", error)
                 tries += 1
                 self._settings = elsewhere(self._settings) if tries == MOST_TRIES else self._settings
-                await self._close()
+                await self._close(self._let_go())
                 await asyncio.sleep(RETRY_SECONDS)
         self.counts["reopened"] += 1
         await asyncio.sleep(SETTLE_SECONDS)
         for gone in self._tokens.lost():
             self._handle(gone)
+
+    def _let_go(self) -> list[Any]:
+        """What the session has declared; the next one begins without any."""
+        declared = [self._publishers, self._subscribers, self._declared]
+        self._publishers, self._subscribers, self._declared = {}, {}, []
+        return declared
 
     def _send(self, key: str, payload: bytes) -> None:
         if self._link is None:
@@ -321,7 +325,7 @@ class Driver:
         for _ in range(1 + len(self._inbox) // SLICE):  # earlier arrivals come before the timer
             self._drain()
         self._handle(Timer())
-        if self._inbox.rest(self._node.awaiting):
+        if self._inbox.finish_pass(self._node.awaiting):
             self._loop.call_soon(self._drain)
 
 

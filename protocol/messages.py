@@ -22,7 +22,6 @@ from protocol.fields import (
     F8,
     FARTHEST,
     IDS,
-    LARGEST_ANGLE,
     LARGEST_AREA,
     LARGEST_SETTING,
     LATEST,
@@ -57,7 +56,7 @@ def check_sensor(sensor: WedgeSensor | None) -> None:
     """Refuse an announced sensor without area: quotients by the area must stay finite."""
     if sensor is not None:
         check_number("sensor.radius", sensor.radius, least=LEAST_RADIUS)
-        check_number("sensor.angle", sensor.angle, least=LEAST_ANGLE, most=LARGEST_ANGLE)
+        check_number("sensor.angle", sensor.angle, least=LEAST_ANGLE, most=2.0 * math.pi)
 
 
 def check_settings(settings: Agreed) -> None:
@@ -160,10 +159,10 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
     scanned: bool = True  # False: no scan in this tick, unlike an empty scan
     listening: bool = False  # True: a new incarnation without a cell
-    claim_tick: Tick = 0  # stamp of the claim and of the particles
+    claim_tick: Tick = 0  # the round in which the claim was cut
     claim_names: tuple[str, ...] = ()  # the generators that bound the cell, the sender first; empty: no cell
-    claim_bytes: bytes = msgspec.field(name="claim", default=b"")  # (G, 3) float64: their COD x, y and power radius
-    view: Count = 0  # hash of all generators from which the claim was cut
+    claim_bytes: bytes = msgspec.field(name="claim", default=b"")  # (G, 3) float64: their generators, x, y and power radius
+    diagram_hash: Count = 0  # hash of all generators from which the claim was cut
     weight: float = 0.0  # of each particle, expected targets
     states_bytes: bytes = msgspec.field(name="states", default=b"")  # (N, 4) float32: x, y, vx, vy
     ids_bytes: bytes = msgspec.field(name="ids", default=b"")  # (N,) uint64
@@ -172,9 +171,9 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     label_numbers_bytes: bytes = msgspec.field(name="label_numbers", default=b"")  # (N,) uint8, uint16 if K > 256: places in the table
     particles: bytes = b""  # in place of states and ids, which are empty on the wire then: the same in few bytes (protocol/compact.py)
     goal: Vector | None = None  # the place that the sensor goes to; None: it stays
-    goal_load: float = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
+    goal_utilisation: float = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
     pace: PaceNumber = 1  # the sender has the time for the ticks that this number divides
-    behind: LagNumber = 0  # the claim is so many ticks older than that of the tick before: later rounds wait for late gossips
+    behind: LagNumber = 0  # the particles are so many ticks older than those of the tick before: later rounds wait for late gossips
     lag: LagNumber = 0  # rounds must be played so many ticks late, so that the sender hears most gossips
     pose_noise: Vector | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
     claim_ages: bytes = b""  # ticks before `claim_tick` of each generator of the claim; empty: all are of it
@@ -240,9 +239,9 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
     @once
     def plan(self) -> bytes:
-        """The goal, or the place of the sensor without one, and its load, as float64."""
+        """The goal, or the place of the sensor without one, and its utilisation, as float64."""
         x, y = self.goal if self.goal is not None else self.pose[:2]
-        return _pack_plan(x, y, self.goal_load)
+        return _pack_plan(x, y, self.goal_utilisation)
 
     @once
     def box(self) -> bytes:
@@ -270,7 +269,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         """Whether everything but the contents of the arrays is valid; `plain_arrays` proves those. False: `check` decides."""
         detections, claim, ids = len(self.detections_bytes), len(self.claim_bytes), len(self.ids_bytes)
         return (
-            are_plain(self.pose, self.cod, (self.power_radius, self.weight, self.goal_load))
+            are_plain(self.pose, self.cod, (self.power_radius, self.weight, self.goal_utilisation))
             and (self.goal is None or are_plain(self.pose, self.goal, (0.0,)))
             and (self.pose_noise is None or are_plain(self.pose, self.cod, self.pose_noise))
             and 0.0 <= self.unused <= LARGEST_AREA
@@ -289,7 +288,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     def _check_numbers(self) -> None:
         if self.goal is not None:
             check_vector("goal", self.goal)
-        check_number("goal_load", self.goal_load, least=0.0)
+        check_number("goal_utilisation", self.goal_utilisation, least=0.0)
         for number in self.pose_noise or ():
             check_number("pose_noise", number, least=0.0)
         if are_plain(self.pose, self.cod, (self.power_radius, self.weight)) and 0.0 <= self.unused <= LARGEST_AREA:

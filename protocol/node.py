@@ -63,7 +63,7 @@ def messages_of(event: object) -> tuple[Any, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """Bytes that are no valid message; `sender` is the name in the key, `reason` one word for the counters.
+    """Bytes that are no valid message; `sender` is the last name in the key, `reason` one word for the counters.
 
     `key` and `payload` are those on the wire, for recorders.
     """

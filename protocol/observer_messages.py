@@ -41,7 +41,7 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     targets_bytes: bytes = msgspec.field(name="targets", default=b"")  # (M, 2) float64
     details_bytes: bytes = msgspec.field(name="details", default=b"")  # (M, 6) float32: vx, vy, covariance xx, xy, yy, existence
     labels_bytes: bytes = msgspec.field(name="labels", default=b"")  # (M,) uint64: identities; 0: none
-    view: Count = 0  # hash of the generators from which the cell was cut
+    diagram_hash: Count = 0  # hash of the generators from which the cell was cut
     neighbours: tuple[str, ...] = ()  # the agents that bound the cell
     counters: dict[str, int] = {}  # rounds, late, missing, skipped, rejected.<reason>, heard, ...
     round_seconds: float = 0.0  # duration of the round; 0 in virtual time

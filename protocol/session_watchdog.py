@@ -2,15 +2,15 @@
 
 Two Zenoh peers that lose and regain each other can be left with half a session: one or both receive nothing any more (zenoh issue
 2806). A node alone cannot tell this from a death. The Hellos of the others can: each lists the peers that its sender receives. Two
-signs make an alarm, upon which the session is opened anew. Most of the received peers list a peer that is silent here. Or a peer goes
-on sending Hellos after its token has vanished: half a session may carry messages, but no tokens.
+signs make an alarm, upon which the session is opened anew. At least half of the received peers list a peer that is silent here. Or a
+peer goes on sending Hellos after its token has vanished: half a session may carry messages, but no tokens.
 """
 
 from collections.abc import Iterable
 
 from protocol.messages import Hello
 
-WITHIN_HEARING = 3.0  # s since the last message; every node sends a Hello every 2 s
+WITHIN_HEARING = 3.0  # s since the last message; agents send a Hello every 2 s, in crowds every 4 s
 PATIENCE = 5.0  # s for which a sign must last before it is an alarm
 FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, doubled each time: false Hellos must not keep a node busy
 
@@ -30,7 +30,7 @@ class SessionWatchdog:
         self._up: dict[str, int] = {}  # name -> youngest incarnation with a token that has been seen
         self._lost: dict[str, float | None] = {}  # name without a token -> time since which its Hellos arrive all the same
         self._announced: set[str] = set()  # names from which a Hello has arrived
-        self._claims: dict[str, dict[str, float]] = {}  # silent name -> peers that list it, and the time of their last Hello that did
+        self._listed_by: dict[str, dict[str, float]] = {}  # silent name -> peers that list it, and the time of their last Hello that did
         self._since: dict[str, float] = {}  # silent name -> time since which some peer lists it
         self._voters: set[str] = set()  # senders of the Hellos that `reason_to_reopen` has taken
         self._rest, self._not_before = FIRST_REST, NEVER
@@ -85,7 +85,7 @@ class SessionWatchdog:
         """Take a Hello of a peer; the reason to open the session anew, empty if there is none."""
         alarm = self._tokenless(hello.sender, now) or self._silent(hello, now)
         if alarm:
-            self._claims.clear()
+            self._listed_by.clear()
             self._since.clear()
             self._lost.clear()
             self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
@@ -109,7 +109,7 @@ class SessionWatchdog:
             return alarm
         silent = [name for name in self._find_silent(now) if name != hello.sender]
         for name in self._since.keys() - silent:
-            del self._claims[name], self._since[name]
+            del self._listed_by[name], self._since[name]
         spoken_of = self._since.keys() | hello.heard  # at the start most names are silent, and no peer lists them yet
         for name in silent:
             if name in spoken_of and self._is_split(name, hello, now):
@@ -126,21 +126,21 @@ class SessionWatchdog:
 
     def _is_split(self, name: str, hello: Hello, now: float) -> bool:
         """Note whether a Hello lists a silent name; True when enough peers have listed it for long enough."""
-        claims = {other: when for other, when in self._claims.get(name, {}).items() if now - when <= PATIENCE}
-        if not claims:
+        lists = {other: when for other, when in self._listed_by.get(name, {}).items() if now - when <= PATIENCE}
+        if not lists:
             self._since[name] = now  # no peer has listed it lately
         if name in hello.heard:
-            claims[hello.sender] = now
+            lists[hello.sender] = now
         else:
-            claims.pop(hello.sender, None)
-        self._claims[name] = claims
-        if not claims:
-            del self._claims[name], self._since[name]
+            lists.pop(hello.sender, None)
+        self._listed_by[name] = lists
+        if not lists:
+            del self._listed_by[name], self._since[name]
             return False
         if now - self._since[name] < PATIENCE or now < self._not_before:
             return False
         voters = sum(self._hears(other, now) for other in self._voters if other != name)
-        return 2 * len(claims) >= voters
+        return 2 * len(lists) >= voters
 
     def _hears(self, name: str, now: float) -> bool:
         return name in self._words and now - self._words[name] <= WITHIN_HEARING

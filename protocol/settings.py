@@ -171,7 +171,7 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def shared_seed(self) -> int:
-        """The seed of this process's own random streams."""
+        """The seed of the random streams of this process: of agents the one that all share."""
         return 0
 
 

@@ -19,7 +19,7 @@ from agents.coverage.control import STAND, Lloyd, Situation, approach
 from agents.tracking.births import Scan, prior
 from agents.tracking.claims import power_distances
 from agents.tracking.particles import NONE, Particles, unlabelled
-from agents.tracking.phd import resample, update
+from agents.tracking.phd import correct, resample
 from agents.tracking.regions import in_view, moments
 from deploy.scenario import TeamSettings, resolve, team_counts
 from deploy.simulation import simulate
@@ -402,7 +402,7 @@ def test_claim_the_phd_filter_needs_no_association_and_counts_targets() -> None:
     sensor, particles = SENSOR_CLASSES["H"], prior(1, 3000, FilterSettings(), ArenaSettings())
     for tick in range(10):
         scan = Scan(1, sensor, (45.0, 50.0, 0.0), truth, np.arange(2, dtype=np.uint64), 0.1 / sensor.area)
-        particles = resample(update(particles, [scan], tick, 1, 0.25, FilterSettings(), BirthSettings()), "s1", tick, 1, FilterSettings())
+        particles = resample(correct(particles, [scan], tick, 1, 0.25, FilterSettings(), BirthSettings()), "s1", tick, 1, FilterSettings())
     near = np.hypot(*(particles.states[:, None, :2] - truth).transpose(2, 0, 1)).min(axis=1) < 2.0
     assert particles.weights[near].sum() == pytest.approx(2.0, abs=0.05)
 

@@ -46,9 +46,9 @@ def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, are
     ]
 
 
-def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
+def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, hashes: Sequence[int], overlap: float) -> np.ndarray:
     """See `claims.resolve_conflicts`."""
-    ends, stated = claims.ends, np.array(views)
+    ends, stated = claims.ends, np.array(hashes)
     return claim_kernels.resolve_conflicts(points, np.array(sizes), claims.generators, ends, stated, overlap)  # type: ignore[no-any-return]
 
 
@@ -103,7 +103,9 @@ def background_births(step: Step) -> Particles:
 def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
     """See `merge.remote_copies`."""
     cell, halo, moved = polygon if len(polygon) else _NO_CORNERS, step.config.filter.halo, motion(step)
-    return Particles(*merge_kernels.remote_copies(tuple(near), tuple(received), cell, claim.generators, claim.first, halo, horizon, moved))
+    return Particles(
+        *merge_kernels.remote_copies(tuple(near), tuple(received), cell, claim.generators, claim.wins_ties, halo, horizon, moved)
+    )
 
 
 def merge(received: Particles, counts: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
@@ -194,10 +196,10 @@ def _update_wedges(
         stated,
         tuple(others),
         tuple(births),
-        np.array([(region.row, len(region.polygon), len(region.claim.first)) for region in regions_]),
+        np.array([(region.row, len(region.polygon), len(region.claim.wins_ties)) for region in regions_]),
         corners if len(corners) else _NO_CORNERS,
         _end_to_end([region.claim.generators for region in regions_]),
-        _end_to_end([region.claim.first for region in regions_]),
+        _end_to_end([region.claim.wins_ties for region in regions_]),
         _draws(config.filter.seed, tuple([region.owner for region in regions_])),
         DIRECTIONS,
     )

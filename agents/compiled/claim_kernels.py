@@ -22,7 +22,7 @@ def _power_distance(x: float, y: float, generators: np.ndarray, place: int) -> f
 
 @njit
 def _hold(
-    x: np.ndarray, y: np.ndarray, generators: np.ndarray, first: np.ndarray, start: int, end: int, own: np.ndarray, held: np.ndarray
+    x: np.ndarray, y: np.ndarray, generators: np.ndarray, wins_ties: np.ndarray, start: int, end: int, own: np.ndarray, held: np.ndarray
 ) -> None:
     """Write into `held` (N,) True for the points in the cell of generator `start`, bounded by those up to `end`; `own` (N,) is scratch."""
     east, north, squared = generators[start, 0], generators[start, 1], generators[start, 2] * generators[start, 2]
@@ -30,7 +30,7 @@ def _hold(
         dx, dy = x[n] - east, y[n] - north
         own[n], held[n] = dx * dx + dy * dy - squared, True
     for g in range(start + 1, end):  # without branches, for several points at once
-        east, north, squared, wins = generators[g, 0], generators[g, 1], generators[g, 2] * generators[g, 2], first[g]
+        east, north, squared, wins = generators[g, 0], generators[g, 1], generators[g, 2] * generators[g, 2], wins_ties[g]
         for n in range(len(x)):
             dx, dy = x[n] - east, y[n] - north
             other = dx * dx + dy * dy - squared
@@ -38,14 +38,14 @@ def _hold(
 
 
 @cached
-def owned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, width: float, height: float) -> np.ndarray:
+def owned(points: np.ndarray, generators: np.ndarray, wins_ties: np.ndarray, width: float, height: float) -> np.ndarray:
     """Twin of `claims.owned`: True for the points in the arena and in the cell of generator 0, (N,) bool."""
     number, mine = len(points), np.empty(len(points), dtype=np.bool_)
     if len(generators) == 0:
         mine[:] = False
         return mine
     x, y = points[:, 0].copy(), points[:, 1].copy()
-    _hold(x, y, generators, first, 0, len(generators), np.empty(number), mine)
+    _hold(x, y, generators, wins_ties, 0, len(generators), np.empty(number), mine)
     for n in range(number):
         mine[n] &= (x[n] >= 0.0) & (x[n] <= width) & (y[n] >= 0.0) & (y[n] <= height)
     return mine
@@ -83,7 +83,9 @@ def _likely(x: np.ndarray, y: np.ndarray, generators: np.ndarray, places: np.nda
 
 
 @cached
-def orphaned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends: np.ndarray, width: float, height: float) -> np.ndarray:
+def orphaned(
+    points: np.ndarray, generators: np.ndarray, wins_ties: np.ndarray, ends: np.ndarray, width: float, height: float
+) -> np.ndarray:
     """Twin of `claims.orphaned`: True for the points in none of the claimed cells, (N,) bool.
 
     Each point is tested against the claim of its likely nearest owner first. The points left over are tested against all claims.
@@ -105,12 +107,12 @@ def orphaned(points: np.ndarray, generators: np.ndarray, first: np.ndarray, ends
     x, y, own, held = points[order, 0], points[order, 1], np.empty(len(rows)), np.empty(len(rows), np.bool_)
     for k in range(len(owners)):
         part, owner = slice(begins[k], begins[k + 1]), owners[k]
-        _hold(x[part], y[part], generators, first, starts[owner], ends[owner], own[part], held[part])
+        _hold(x[part], y[part], generators, wins_ties, starts[owner], ends[owner], own[part], held[part])
     free[order[held]] = False
     left = order[~held]
     x, y, taken = points[left, 0], points[left, 1], np.zeros(len(left), np.bool_)
     for owner in owners:
-        _hold(x, y, generators, first, starts[owner], ends[owner], own[: len(left)], held[: len(left)])
+        _hold(x, y, generators, wins_ties, starts[owner], ends[owner], own[: len(left)], held[: len(left)])
         taken |= held[: len(left)]
     free[left] = ~taken
     return free
@@ -129,26 +131,26 @@ def _depth(x: float, y: float, generators: np.ndarray, start: int, end: int) -> 
 
 @cached
 def resolve_conflicts(
-    points: np.ndarray, sizes: np.ndarray, generators: np.ndarray, ends: np.ndarray, views: np.ndarray, overlap: float
+    points: np.ndarray, sizes: np.ndarray, generators: np.ndarray, ends: np.ndarray, hashes: np.ndarray, overlap: float
 ) -> np.ndarray:
     """Twin of `claims.resolve_conflicts`: True for the stated points that count, (N,) bool."""
     number, keep, starts, begin = len(points), np.ones(len(points), dtype=np.bool_), _starts(ends), 0
-    x, y, own, point_views = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, views.dtype)
+    x, y, own, point_hashes = points[:, 0].copy(), points[:, 1].copy(), np.empty(number), np.empty(number, hashes.dtype)
     for c in range(len(sizes)):
         for n in range(begin, begin + sizes[c]):
-            own[n], point_views[n] = _power_distance(x[n], y[n], generators, starts[c]), views[c]
+            own[n], point_hashes[n] = _power_distance(x[n], y[n], generators, starts[c]), hashes[c]
         begin += sizes[c]
     outdone = np.zeros(number, np.bool_)
     for owner in np.nonzero(starts < ends)[0]:  # rarely is another owner nearer; without branches, for several points at once
         east, north, radius = generators[starts[owner]]
-        squared, view = radius * radius, views[owner]
+        squared, hashed = radius * radius, hashes[owner]
         for n in range(number):
             dx, dy = x[n] - east, y[n] - north
-            outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (point_views[n] != view)
+            outdone[n] |= (dx * dx + dy * dy - squared < own[n]) & (point_hashes[n] != hashed)
     for row in np.nonzero(outdone)[0]:
         for rival in range(len(ends)):
             start, end = starts[rival], ends[rival]
-            if views[rival] == point_views[row] or start == end or not _power_distance(x[row], y[row], generators, start) < own[row]:
+            if hashes[rival] == point_hashes[row] or start == end or not _power_distance(x[row], y[row], generators, start) < own[row]:
                 continue
             if _depth(x[row], y[row], generators, start, end) > overlap:
                 keep[row] = False

@@ -1,6 +1,6 @@
-"""The compiled corrector: the bit-for-bit twin of `phd.update`, with the measurement births of agents/tracking/births.py.
+"""The compiled corrector: the bit-for-bit twin of `regions.correct`, with the measurement births of agents/tracking/births.py.
 
-Data types: the arguments `noises`, `miss` and `birth` are tuples in the order that `update` states.
+Data types: the arguments `noises`, `miss` and `birth` are tuples in the order that `correct` states.
 
 Rules as in agents/compiled/particle_kernels.py. Work on several particles at once stands in loops of its own without branches, so that
 the compiler emits vector instructions.
@@ -133,7 +133,7 @@ def _missed(
 
 
 @cached
-def _view(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilities: np.ndarray, seen: np.ndarray) -> int:
+def _diagram_hash(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilities: np.ndarray, seen: np.ndarray) -> int:
     """Twin of `births.Scan.probability` for a wedge: write p_d of points into `probabilities` (N,), the mean over `likely_sensors`.
 
     Writes the rows with p_d > 0 into `seen` (N,). Returns the number of these rows.
@@ -266,7 +266,7 @@ def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: f
 
 
 @cached
-def update(
+def correct(
     particles: tuple,
     table: np.ndarray,
     salts: np.ndarray,
@@ -317,7 +317,7 @@ def update(
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         likely = likely_sensors(sensor)
-        seen = in_view[: _view(x[:count], y[:count], likely, probabilities, in_view)]
+        seen = in_view[: _diagram_hash(x[:count], y[:count], likely, probabilities, in_view)]
         for n in seen:
             gained[n] = 0.0
         if len(points) == 0:  # nobody gains by a detection

@@ -10,7 +10,7 @@ from agents.compiled.cache import cached
 from agents.compiled.particle_kernels import scramble
 
 # The constants of agents/tracking/labels.py, which a test compares.
-NO_LABEL, HASH_BITS, TICK_BITS, EXPLAINED, CLAIMED = np.uint64(0), np.uint64(29), np.uint64(24), 0.02, 0.5
+NO_LABEL, HASH_BITS, TICK_BITS, EXPLAINED, ADOPTED = np.uint64(0), np.uint64(29), np.uint64(24), 0.02, 0.5
 YOUNG, BESIDE, FAINT, ALONE, HERE, AROUND, STRANGER_MASS = 4, 5.0, 0.02, 3.0, 2.5, 6.0, 0.5
 _ONE, _CUT = np.uint64(1), np.uint64(35)
 
@@ -72,7 +72,7 @@ def label_scan(
         start = end
     for p in range(pairs):  # more than half of a weight comes from one detection at most, so that no later pair changes a label again
         n = rows[p]
-        if labels[n] == NO_LABEL and terms[p] / norms[columns[p]] > CLAIMED * weights[n]:
+        if labels[n] == NO_LABEL and terms[p] / norms[columns[p]] > ADOPTED * weights[n]:
             labels[n] = given[columns[p]]
 
 

@@ -39,7 +39,7 @@ def remote_copies(
     received: tuple,
     polygon: np.ndarray,
     generators: np.ndarray,
-    first: np.ndarray,
+    wins_ties: np.ndarray,
     halo: float,
     horizon: float,
     motion: tuple,
@@ -49,7 +49,7 @@ def remote_copies(
     states, weights, ids, labels = received
     width, height = motion[9], motion[10]
     found, found_weights, found_ids, found_labels = blank(len(near_ids) + len(ids))
-    mine, count = owned(near_states, generators, first, width, height), 0
+    mine, count = owned(near_states, generators, wins_ties, width, height), 0
     for n in range(len(near_ids)):
         x, y = near_states[n, 0], near_states[n, 1]
         if near_weights[n] > 0.0 and not mine[n] and 0.0 <= x <= width and 0.0 <= y <= height:

@@ -207,7 +207,7 @@ def resample(
 def take(
     states: np.ndarray, weights: np.ndarray, ids: np.ndarray, labels: np.ndarray, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Twin of `regions.take`: the particles marked in `inside` (N,) bool, in canonical order."""
+    """Twin of `particles.select` and `canonical`: the particles marked in `inside` (N,) bool, in canonical order."""
     chosen, count = np.empty(len(ids), np.int64), 0
     for n in range(len(ids)):
         chosen[count] = n

@@ -14,7 +14,7 @@ from numba import njit
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import around, near
 from agents.compiled.claim_kernels import owned
-from agents.compiled.correction_kernels import update
+from agents.compiled.correction_kernels import correct
 from agents.compiled.extraction_kernels import TRACK, estimate_tracks
 from agents.compiled.label_kernels import rename, stamp_of
 from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take
@@ -204,7 +204,7 @@ def _update_region(
     gated: tuple,
     polygon: np.ndarray,
     generators: np.ndarray,
-    first: np.ndarray,
+    wins_ties: np.ndarray,
     owner: np.uint64,
     directions: np.ndarray,
 ) -> tuple:
@@ -232,12 +232,12 @@ def _update_region(
     )
     miss = settings[CERTAINTY], settings[MISS_BIN]
     near = near_states, near_weights, near_ids, near_labels
-    states, weights, ids, labels = update(near, table, salts, detections, rays, polygon, halo, noise, miss, birth)
-    mine = owned(states, generators, first, settings[WIDTH], settings[HEIGHT])
+    states, weights, ids, labels = correct(near, table, salts, detections, rays, polygon, halo, noise, miss, birth)
+    mine = owned(states, generators, wins_ties, settings[WIDTH], settings[HEIGHT])
     targets, names = np.empty((0, TRACK)), np.empty(0, np.uint64)
     if len(generators) > 0 and len(weights) > 0:
         targets, names = estimate_tracks(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE], stamp_of(now))
-        inside = owned(targets, generators, first, settings[WIDTH], settings[HEIGHT])
+        inside = owned(targets, generators, wins_ties, settings[WIDTH], settings[HEIGHT])
         targets, names = targets[inside], names[inside]
         labels = rename((states, weights, labels), mine, (near_weights, near_labels), targets, settings[BIN])
     own = take(states, weights, ids, labels, mine)
@@ -291,7 +291,7 @@ def update_regions(
     spans: np.ndarray,
     corners: np.ndarray,
     generators: np.ndarray,
-    first: np.ndarray,
+    wins_ties: np.ndarray,
     draws: np.ndarray,
     directions: np.ndarray,
 ) -> tuple:
@@ -315,7 +315,7 @@ def update_regions(
         claimed = slice(bound, bound + spans[k, 2])
         corner, bound = corner + spans[k, 1], bound + spans[k, 2]
         gated = _gate(predicted, polygon, halo, sensor, scratch)
-        claim = generators[claimed], first[claimed]
+        claim = generators[claimed], wins_ties[claimed]
         found = _update_region(
             settings, keys, now, sensor, table, salts, detections, rays, gated, polygon, claim[0], claim[1], draws[k], directions
         )

@@ -1,7 +1,7 @@
 """Compiled search-and-track: the bit-for-bit twins of the functions of agents/coverage/search_plan.py.
 
 Data types: bins are squares of side BIN m, rows from south and columns from west. A sensor is a row of `GossipTable.table`. Partners
-are rows (x, y, load, reach, 1 where the name comes first). The settings are in the columns of `SEARCH`.
+are rows (x, y, utilisation, reach, 1 where the name comes first). The settings are in the columns of `SEARCH`.
 
 Rules as in agents/compiled/particle_kernels.py.
 """
@@ -37,7 +37,7 @@ from agents.gossip.table import KIND, WEDGE
 # Columns of the settings (`config.SearchSettings`) and of the numbers of a round (`search_plan.PlanInput`)
 HORIZON, STALE, SEARCH, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(10)
 NOW, DT, X, Y, COS, SIN, REACH, ANGLE, OFFSET, WIDTH, HEIGHT, SPEED, TURN_RATE, OPEN, GOAL_X, GOAL_Y = range(16)
-GOAL, LOAD, PARTNER_REACH, FIRST = 0, 2, 3, 4  # columns of a partner
+GOAL, UTILISATION, PARTNER_REACH, FIRST = 0, 2, 3, 4  # columns of a partner
 
 
 @njit
@@ -70,16 +70,16 @@ def _seen_at(seen: np.ndarray, x: float, y: float) -> float:
 
 @njit
 def _bin_values(
-    states: np.ndarray, weights: np.ndarray, seen: np.ndarray, situation: np.ndarray, search: np.ndarray, box: tuple[int, int, int, int]
+    states: np.ndarray, weights: np.ndarray, seen: np.ndarray, body: np.ndarray, search: np.ndarray, box: tuple[int, int, int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `search_plan.bin_values` for the bins of a box: first and last row, first and last column."""
     south, north, west, east = box
     tracks, search_values = np.zeros((north - south + 1, east - west + 1)), np.zeros((north - south + 1, east - west + 1))
-    horizon, stale, now, width, height = search[HORIZON] + situation[DT], search[STALE], situation[NOW], situation[WIDTH], situation[HEIGHT]
+    horizon, stale, now, width, height = search[HORIZON] + body[DT], search[STALE], body[NOW], body[WIDTH], body[HEIGHT]
     for n in range(len(weights)):
         x, y, vx, vy = states[n, 0], states[n, 1], states[n, 2], states[n, 3]
         px, py = x + vx * horizon, y + vy * horizon
-        if situation[OPEN] == 0.0:
+        if body[OPEN] == 0.0:
             px = -px if px < 0.0 else 2.0 * width - px if px > width else px
             py = -py if py < 0.0 else 2.0 * height - py if py > height else py
         row, column = int(np.floor(py / BIN)), int(np.floor(px / BIN))
@@ -95,7 +95,7 @@ def _bin_values(
             tracks[row - south, column - west] += weights[n]
         else:
             search_values[row - south, column - west] += search[SEARCH] * weights[n]
-    if situation[OPEN] != 0.0:
+    if body[OPEN] != 0.0:
         rows, columns = seen.shape
         for row in range(south, north + 1):
             for column in range(west, east + 1):
@@ -122,9 +122,9 @@ def _partners_near(partners: np.ndarray, x: float, y: float, width: float) -> np
 
 
 @njit
-def _left_over(x: float, y: float, situation: np.ndarray, partners: np.ndarray, near: np.ndarray, sharing: float) -> tuple[float, float]:
+def _left_over(x: float, y: float, body: np.ndarray, partners: np.ndarray, near: np.ndarray, sharing: float) -> tuple[float, float]:
     """Twin of `search_plan.left_over` for one place; `near` are the rows of partners that may serve it."""
-    dx, dy, radius = x - situation[GOAL_X], y - situation[GOAL_Y], max(situation[REACH] - MARGIN, 1.0)
+    dx, dy, radius = x - body[GOAL_X], y - body[GOAL_Y], max(body[REACH] - MARGIN, 1.0)
     own, tracks, values = _cost(math.sqrt(dx * dx + dy * dy), radius), 1.0, 1.0
     for i in range(len(near)):
         k = near[i]
@@ -136,7 +136,7 @@ def _left_over(x: float, y: float, situation: np.ndarray, partners: np.ndarray, 
         cost = _cost(apart, other)
         if cost < own or (cost == own and partners[k, FIRST] != 0.0):
             fade = 1.0 if apart <= other else exp_minus((apart - other) * (1.0 / DECAY))
-            held = min(1.0, 1.0 / max(partners[k, LOAD], 1e-9))
+            held = min(1.0, 1.0 / max(partners[k, UTILISATION], 1e-9))
             tracks *= 1.0 - sharing * held * (fade if apart <= other else OUTSIDE * fade)
             values *= 1.0 - sharing * fade
     return tracks, values
@@ -169,7 +169,7 @@ def _worth_at(
 
 @njit
 def _best_goal(
-    situation: np.ndarray,
+    body: np.ndarray,
     search: np.ndarray,
     states: np.ndarray,
     weights: np.ndarray,
@@ -177,10 +177,10 @@ def _best_goal(
     partners: np.ndarray,
     directions: np.ndarray,
 ) -> tuple[float, float, float]:
-    """Twin of `search_plan.best_goal`: x, y in m, and the load."""
+    """Twin of `search_plan.best_goal`: x, y in m, and the utilisation around the goal that was announced."""
     rows, columns = seen.shape
-    gx, gy = situation[GOAL_X], situation[GOAL_Y]
-    radius = max(situation[REACH] - MARGIN, 1.0)
+    gx, gy = body[GOAL_X], body[GOAL_Y]
+    radius = max(body[REACH] - MARGIN, 1.0)
     wide = radius + WITHIN
     box = (
         max(int(np.floor((gy - wide) / BIN)), 0),
@@ -188,10 +188,10 @@ def _best_goal(
         max(int(np.floor((gx - wide) / BIN)), 0),
         min(int(np.floor((gx + wide) / BIN)), columns - 1),
     )
-    tracks, values = _bin_values(states, weights, seen, situation, search, box)
+    tracks, values = _bin_values(states, weights, seen, body, search, box)
     near = _partners_near(partners, gx, gy, wide)
     size = tracks.size
-    xs, ys, ts, ds, count, load = np.empty(size), np.empty(size), np.empty(size), np.empty(size), 0, 0.0
+    xs, ys, ts, ds, count, utilisation = np.empty(size), np.empty(size), np.empty(size), np.empty(size), 0, 0.0
     for row in range(tracks.shape[0]):
         y = (box[0] + row + 0.5) * BIN
         for column in range(tracks.shape[1]):
@@ -201,21 +201,21 @@ def _best_goal(
             apart2 = (x - gx) * (x - gx) + (y - gy) * (y - gy)
             if apart2 > wide * wide:
                 continue
-            left_track, left_value = _left_over(x, y, situation, partners, near, search[SHARING])
+            left_track, left_value = _left_over(x, y, body, partners, near, search[SHARING])
             track, value = tracks[row, column] * left_track, values[row, column] * left_value
             if apart2 <= radius * radius:
-                load += track
+                utilisation += track
             xs[count], ys[count], ts[count], ds[count] = x, y, track, value
             count += 1
-    x, y = situation[X], situation[Y]
-    step = search[HORIZON] * situation[SPEED] * 0.5
-    best_at = min(max(situation[OFFSET], 0.1), 0.9 * radius)
+    x, y = body[X], body[Y]
+    step = search[HORIZON] * body[SPEED] * 0.5
+    best_at = min(max(body[OFFSET], 0.1), 0.9 * radius)
     best, best_x, best_y, terms = -np.inf, x, y, np.empty(count)
     for candidate in range(2 * len(directions) + 1):
         far = 0.0 if candidate == 0 else 2.0 * step if candidate % 2 else step
         d = (candidate - 1) // 2
-        qx = min(max(x + far * directions[d, 0], 0.0), situation[WIDTH])
-        qy = min(max(y + far * directions[d, 1], 0.0), situation[HEIGHT])
+        qx = min(max(x + far * directions[d, 0], 0.0), body[WIDTH])
+        qy = min(max(y + far * directions[d, 1], 0.0), body[HEIGHT])
         _worth_at(qx, qy, xs[:count], ys[:count], ts[:count], ds[:count], radius, best_at, search[FALLOFF], terms)
         total = 0.0
         for n in range(count):
@@ -223,23 +223,23 @@ def _best_goal(
         total -= search[STEP_COST] * math.sqrt((qx - gx) * (qx - gx) + (qy - gy) * (qy - gy)) / (2.0 * step)
         if total > best:
             best, best_x, best_y = total, qx, qy
-    held = search[CAPACITY] * situation[ANGLE] / HOLDS
-    return best_x, best_y, load / held if held > 0.0 else 0.0
+    held = search[CAPACITY] * body[ANGLE] / HOLDS
+    return best_x, best_y, utilisation / held if held > 0.0 else 0.0
 
 
 @njit
 def _last_sight(
-    states: np.ndarray, ids: np.ndarray, old_ids: np.ndarray, old_seen: np.ndarray, table: np.ndarray, grid: np.ndarray, now: float
+    states: np.ndarray, ids: np.ndarray, old_ids: np.ndarray, old_last: np.ndarray, table: np.ndarray, seen: np.ndarray, now: float
 ) -> np.ndarray:
     """Twin of `search_plan.last_sight`."""
-    seen, old = np.empty(len(ids)), 0
+    last, old = np.empty(len(ids)), 0
     for n in range(len(ids)):
         while old < len(old_ids) and old_ids[old] < ids[n]:
             old += 1
         if old < len(old_ids) and old_ids[old] == ids[n]:
-            seen[n] = old_seen[old]
+            last[n] = old_last[old]
         else:
-            seen[n] = max(_seen_at(grid, states[n, 0], states[n, 1]), now - UNKNOWN)
+            last[n] = max(_seen_at(seen, states[n, 0], states[n, 1]), now - UNKNOWN)
     west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
     for n in range(len(ids)):
         west, east = min(west, states[n, 0]), max(east, states[n, 0])
@@ -253,8 +253,8 @@ def _last_sight(
             dx, dy = states[n, 0] - x, states[n, 1] - y
             range2 = dx * dx + dy * dy
             if (range2 <= reach * reach) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2)):
-                seen[n] = now
-    return seen
+                last[n] = now
+    return last
 
 
 @njit
@@ -274,18 +274,18 @@ def _sector(ahead: float, left: float, edges: np.ndarray) -> int:
 
 @njit
 def _best_turn(
-    situation: np.ndarray,
+    body: np.ndarray,
     search: np.ndarray,
     x: float,
     y: float,
     states: np.ndarray,
     weights: np.ndarray,
-    seen: np.ndarray,
+    last: np.ndarray,
     left: np.ndarray,
     edges: np.ndarray,
 ) -> float:
     """Twin of `search_plan.best_turn` for a wedge at x, y."""
-    now, reach = situation[NOW], situation[REACH] - EDGE
+    now, reach = body[NOW], body[REACH] - EDGE
     held, some = np.zeros(SECTORS), False
     west, south = int(np.floor((x - reach) / BIN)), int(np.floor((y - reach) / BIN))
     side = int(2.0 * reach / BIN) + 2
@@ -298,20 +298,20 @@ def _best_turn(
         dx, dy = states[n, 0] - x, states[n, 1] - y
         if dx * dx + dy * dy > reach * reach:
             continue
-        age = (now - seen[n] + situation[DT]) / FORGOTTEN
+        age = (now - last[n] + body[DT]) / FORGOTTEN
         value = LEAST + 1.0 - exp_minus(min(age * age, 18.0))
         mass = masses[int(np.floor(states[n, 1] / BIN)) - south, int(np.floor(states[n, 0] / BIN)) - west]
         if UNSURE[0] < mass and mass < UNSURE[1]:
             value += search[CONFIRMATION] * (1.0 - mass)
         worth = weights[n] * value * left[n]
-        held[_sector(dx * situation[COS] + dy * situation[SIN], dy * situation[COS] - dx * situation[SIN], edges)] += worth
+        held[_sector(dx * body[COS] + dy * body[SIN], dy * body[COS] - dx * body[SIN], edges)] += worth
         some = some or worth > 0.0
-    most = min(situation[TURN_RATE] * situation[DT], math.pi)
+    most = min(body[TURN_RATE] * body[DT], math.pi)
     width = 2.0 * math.pi / SECTORS
     if not some:
-        return min(most, FIRST_TURN * situation[ANGLE])
-    half = min(int(np.floor(0.5 * WINDOW * situation[ANGLE] / width)), SECTORS // 2 - 1)
-    full = situation[ANGLE] > 2.0 * math.pi - width
+        return min(most, FIRST_TURN * body[ANGLE])
+    half = min(int(np.floor(0.5 * WINDOW * body[ANGLE] / width)), SECTORS // 2 - 1)
+    full = body[ANGLE] > 2.0 * math.pi - width
     if full:
         return 0.0
     reachable = min(int(np.floor(most / width)), SECTORS // 2 - 1)
@@ -333,9 +333,9 @@ def _best_turn(
 
 
 @njit
-def _left_to_sensor(situation: np.ndarray, states: np.ndarray, partners: np.ndarray) -> np.ndarray:
+def _left_to_sensor(body: np.ndarray, states: np.ndarray, partners: np.ndarray) -> np.ndarray:
     """Twin of `search_plan.left_to_sensor` for the particles within reach; each bin is computed once."""
-    x, y, reach = situation[X], situation[Y], situation[REACH]
+    x, y, reach = body[X], body[Y], body[REACH]
     near = _partners_near(partners, x, y, reach + 2.0 * BIN)
     west, south, side = int(np.floor((x - reach) / BIN)) - 1, int(np.floor((y - reach) / BIN)) - 1, int(2.0 * reach / BIN) + 4
     left, found = np.full((side, side), -1.0), np.zeros(len(states))
@@ -344,14 +344,14 @@ def _left_to_sensor(situation: np.ndarray, states: np.ndarray, partners: np.ndar
         if row < 0 or column < 0 or row >= side or column >= side:
             continue
         if left[row, column] < 0.0:
-            left[row, column] = _left_over((column + west + 0.5) * BIN, (row + south + 0.5) * BIN, situation, partners, near, 1.0)[0]
+            left[row, column] = _left_over((column + west + 0.5) * BIN, (row + south + 0.5) * BIN, body, partners, near, 1.0)[0]
         found[n] = left[row, column]
     return found
 
 
 @cached
 def decide(
-    situation: np.ndarray,
+    body: np.ndarray,
     search: np.ndarray,
     states: np.ndarray,
     weights: np.ndarray,
@@ -362,18 +362,16 @@ def decide(
     directions: np.ndarray,
     edges: np.ndarray,
 ) -> tuple:
-    """Twin of `search_plan.decide` for wedges: vx, vy, turn rate, goal x, y, load, and the memory."""
-    now, dt, horizon = situation[NOW], situation[DT], search[HORIZON]
+    """Twin of `search_plan.decide` for wedges: vx, vy, turn rate, goal x, y, utilisation, and the memory."""
+    now, dt, horizon = body[NOW], body[DT], search[HORIZON]
     seen, ids, last = memory
     seen = seen.copy()
     _mark_view(seen, table, now)
-    goal_x, goal_y, load = _best_goal(situation, search, states, weights, seen, partners, directions)
-    vx, vy = (goal_x - situation[X]) / horizon, (goal_y - situation[Y]) / horizon
+    goal_x, goal_y, utilisation = _best_goal(body, search, states, weights, seen, partners, directions)
+    vx, vy = (goal_x - body[X]) / horizon, (goal_y - body[Y]) / horizon
     order = sort_by_id(around[2], np.arange(len(around[2])))
     near_states, near_weights, near_ids = around[0][order], around[1][order], around[2][order]
     near_last = _last_sight(near_states, near_ids, ids, last, table, seen, now)
-    x, y = situation[X] + vx * dt, situation[Y] + vy * dt
-    turn = _best_turn(
-        situation, search, x, y, near_states, near_weights, near_last, _left_to_sensor(situation, near_states, partners), edges
-    )
-    return vx, vy, turn / dt, goal_x, goal_y, load, (seen, near_ids, near_last)
+    x, y = body[X] + vx * dt, body[Y] + vy * dt
+    turn = _best_turn(body, search, x, y, near_states, near_weights, near_last, _left_to_sensor(body, near_states, partners), edges)
+    return vx, vy, turn / dt, goal_x, goal_y, utilisation, (seen, near_ids, near_last)

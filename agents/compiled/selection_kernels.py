@@ -180,7 +180,8 @@ def wanted(
 ) -> tuple[np.ndarray, Limits]:
     """Twin of `selection.select_peers`: True for the chosen rows, and the needed ground as west, south, east and north in m.
 
-    `bounds` and `drift` are those of `selection.Ground`. `settings` are MARGIN, APPEARING, SPACING, THRESHOLD and BEHIND.
+    `bounds` and `drift` are those of `selection.Ground`. `settings` are the constants MARGIN, APPEARANCE, SPACING, SEARCH and BEHIND
+    of agents/interest/selection.py.
     """
     margin, appearing, spacing, around, behind = settings
     number, home = len(table) - 1, cell

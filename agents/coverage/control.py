@@ -2,8 +2,8 @@
 
 Data types: a `Situation` is the input of a control law; a `ControlInput` is its output ((vx, vy), turn rate).
 
-Rules. A control law is a class without arguments and with a method `command(situation)`. A scenario names a control law of the user
-as `module:Class`.
+Rules. A control law has a method `command(situation)`. A scenario names one of the user as `module:Class`, a class without arguments.
+Only `search_and_track.SearchAndTrack` announces a goal and reads `Situation.known`.
 """
 
 import math
@@ -25,21 +25,21 @@ STAND: ControlInput = ((0.0, 0.0), 0.0)
 
 
 class Surroundings(NamedTuple):
-    """What a law that announces goals reads besides."""
+    """What search and track reads besides."""
 
     density: Particles  # the particles everywhere that counted one tick before
     around: Particles  # those around the own cell, after the scans of this tick
     table: GossipTable  # the gossips of this tick
-    partners: np.ndarray  # (K, 5): goal x, y in m, load there, reach in m, 1 if the name comes before the own one
+    partners: np.ndarray  # (K, 5): goal x, y in m, utilisation there, reach in m, 1 if the name comes before the own one
     goal: tuple[float, float]  # the own one, as it was announced, m
     is_open: bool  # targets cross the border of the arena
 
 
 class Intent(NamedTuple):
-    """What a law announces: a goal in m, and the load there."""
+    """What search and track announces: its new goal in m, and its utilisation around the goal that it announced before."""
 
     goal: tuple[float, float]
-    load: float
+    utilisation: float  # a multiple of what the sensor can hold
 
 
 class Situation(NamedTuple):
@@ -61,7 +61,7 @@ class Situation(NamedTuple):
     fields: tuple[tuple[SensorModel, Pose], ...] = ()  # sensors around the cell that scanned; for laws with `uses_fields = True`
     generators: np.ndarray = EMPTY  # (N, 2) m, of the diagram
     own_generator: int = -1  # the row of the agent's generator; -1 without one
-    known: Surroundings | None = None  # for laws that announce a goal (`search_and_track`)
+    known: Surroundings | None = None  # for search and track
     ticks: int = 1  # until the next command
 
 

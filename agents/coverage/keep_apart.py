@@ -4,8 +4,8 @@ Buffered Voronoi cells (Zhou et al. 2017, eq. 5): between two bodies of radius r
 other. Both bisectors are the same line, so both stay apart whatever the other does. The rule needs positions alone, of bodies that move
 and of wrecks. A velocity v is held for T s at most, hence n . v <= (d/2 - r) / T for the unit vector n towards the other.
 
-T is two ticks: a command that comes a tick late does no harm, and a body that approaches loses half of its speed in each tick, which
-leaves wheels the way to brake.
+T is two times the time between commands: one that comes late by that time does no harm, and a body that approaches loses half of its
+speed with each command, which leaves wheels the way to brake.
 """
 
 import math
@@ -17,7 +17,7 @@ from protocol.message import Vector
 from protocol.settings import LimitSettings
 
 CLEARANCE = 0.05  # m, kept around each body besides its radius: wheels do not obey to the millimetre
-HELD = 2  # commands' times for which a velocity may be held
+HELD = 2  # times the time between two commands for which a velocity may be held
 ROUNDING = 1.0e-9  # m/s
 
 Bound = tuple[float, float, float]  # of velocities: n . v <= most, as n and most in m/s

@@ -2,8 +2,8 @@
 
 Data types: a `SearchAndTrack` remembers when the bins of the arena and the particles around its cell were last in view.
 
-Rules. An agent announces where it goes and how much it has to watch there. Of what partners with a shorter way look after it leaves the
-most to them. `search_plan` holds the arithmetic. An agent that announces nothing counts as one that stays where it is.
+Rules. An agent announces where it goes and how much it has to watch there. What partners with a shorter way look after is worth less to
+it. `search_plan` holds the arithmetic. An agent that announces nothing counts as one that stays where it is.
 """
 
 import math
@@ -37,6 +37,6 @@ class SearchAndTrack:
         shape, bounds = (sensor.reach, *self._shape), (width, height, limits.speed, limits.turn_rate)
         body = PlanInput(now, situation.dt * situation.ticks, x, y, cos, sin, *shape, *bounds, float(known.is_open), *known.goal)
         task = Task(body, self._settings, sensor, heading, known.density, known.around, known.table, known.partners)
-        velocity, turn_rate, goal, load, self._memory = self._backend.decide(task, self._memory or no_memory(width, height))
-        self.intent = Intent(goal, load)
+        velocity, turn_rate, goal, utilisation, self._memory = self._backend.decide(task, self._memory or no_memory(width, height))
+        self.intent = Intent(goal, utilisation)
         return velocity, turn_rate

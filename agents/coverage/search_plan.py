@@ -83,8 +83,8 @@ class Task(NamedTuple):
     heading: float  # rad
     density: Particles  # the particles everywhere, one tick before
     around: Particles  # those around the own cell, after the scans of this tick
-    table: GossipTable  # of the agents that scanned
-    partners: np.ndarray  # (K, 5): goal x, y in m, load, reach in m, 1 if the name comes before the own one
+    table: GossipTable  # the gossips of this tick
+    partners: np.ndarray  # (K, 5): goal x, y in m, utilisation, reach in m, 1 if the name comes before the own one
 
 
 class Decision(NamedTuple):
@@ -93,7 +93,7 @@ class Decision(NamedTuple):
     velocity: tuple[float, float]  # m/s
     turn_rate: float  # rad/s
     goal: tuple[float, float]  # m
-    load: float  # a multiple of what the sensor can hold
+    utilisation: float  # the tracks around the goal that was announced, as a multiple of what the sensor can hold
     memory: Memory
 
 
@@ -107,13 +107,13 @@ def decide(task: Task, memory: Memory) -> Decision:
     """The decision of a round: choose a goal, move towards it, and turn to what is worth seeing from there."""
     body, horizon = task.body, task.settings.horizon
     seen = mark_view(memory.seen, task.table, body.now)
-    goal, load = best_goal(task, seen)
+    goal, utilisation = best_goal(task, seen)
     vx, vy = (goal[0] - body.x) / horizon, (goal[1] - body.y) / horizon
     around = select(task.around, np.argsort(task.around.ids, kind="stable"))
     last = last_sight(around, task, memory, seen)
     place = body.x + vx * body.dt, body.y + vy * body.dt
     turn = best_turn(task, place, around, last, left_to_sensor(task, around))
-    return Decision((vx, vy), turn / body.dt, goal, load, Memory(seen, around.ids, last))
+    return Decision((vx, vy), turn / body.dt, goal, utilisation, Memory(seen, around.ids, last))
 
 
 def mark_view(seen: np.ndarray, table: GossipTable, now: float) -> np.ndarray:
@@ -180,13 +180,13 @@ def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple
     body = task.body
     own = _costs(np.sqrt((x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)), body.radius)
     tracks, values = np.ones(len(x)), np.ones(len(x))
-    for goal_x, goal_y, load, reach, first in task.partners.tolist():
+    for goal_x, goal_y, utilisation, reach, first in task.partners.tolist():
         radius = max(reach - MARGIN, 1.0)
         dx, dy = x - goal_x, y - goal_y
         apart = np.sqrt(dx * dx + dy * dy)
         cost = _costs(apart, radius)
         serves = (apart <= radius + BESIDE) & ((cost < own) | ((cost == own) & (first != 0.0)))
-        inside, held = apart <= radius, min(1.0, 1.0 / max(load, 1e-9))
+        inside, held = apart <= radius, min(1.0, 1.0 / max(utilisation, 1e-9))
         fade = np.where(inside, 1.0, exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / DECAY)))
         tracks = np.where(serves, tracks * (1.0 - sharing * held * np.where(inside, fade, OUTSIDE * fade)), tracks)
         values = np.where(serves, values * (1.0 - sharing * fade), values)
@@ -194,7 +194,7 @@ def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple
 
 
 def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]:
-    """The goal in m, and the load around the old one: stay, or go one or half a horizon in one of 16 directions."""
+    """The goal in m, and the utilisation around the one that was announced: stay, or go one or half a horizon in one of 16 directions."""
     body, settings = task.body, task.settings
     tracks, values = bin_values(task, seen)
     rows, columns = np.indices(seen.shape)
@@ -205,7 +205,7 @@ def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]
     x, y, apart2 = x[near], y[near], apart2[near]
     left_tracks, left_values = left_over(task, x, y, settings.sharing)
     track, value = tracks.ravel()[near] * left_tracks, values.ravel()[near] * left_values
-    load = total(np.where(apart2 <= body.radius * body.radius, track, 0.0))
+    utilisation = total(np.where(apart2 <= body.radius * body.radius, track, 0.0))
     step, best, goal = 0.5 * settings.horizon * body.speed, -math.inf, (body.x, body.y)
     places = [(0.0, (1.0, 0.0)), *((distance, way) for way in DIRECTIONS.tolist() for distance in (2.0 * step, step))]
     for distance, (east, north) in places:
@@ -215,7 +215,7 @@ def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]
         if worth > best:
             best, goal = worth, place
     held = settings.capacity * body.angle / HOLDS
-    return goal, load / held if held > 0.0 else 0.0
+    return goal, utilisation / held if held > 0.0 else 0.0
 
 
 def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarray, track: np.ndarray, value: np.ndarray) -> float:
@@ -234,7 +234,8 @@ def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarra
 
 
 def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) -> np.ndarray:
-    """When each of the particles around the cell was last in view, s (N,). A new one counts as seen when its bin was."""
+    """When each of the particles around the cell was last in view, s (N,). A new one counts as seen when its bin was, at most
+    `UNKNOWN` s ago."""
     now, (x, y) = task.body.now, around.states[:, :2].T
     last = np.maximum(_seen_at(seen, x, y), now - UNKNOWN)
     if len(memory.ids):
@@ -252,7 +253,8 @@ def left_to_sensor(task: Task, around: Particles) -> np.ndarray:
 
 
 def best_turn(task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, left: np.ndarray) -> float:
-    """The turn in rad until the next tick: to the heading whose window holds most, the best one of the tick after counted in part."""
+    """The turn in rad until the next tick: to the heading whose window holds most. Of a wedge the best window of the tick after
+    counts in part."""
     body, width = task.body, 2.0 * math.pi / SECTORS
     most = min(body.turn_rate * body.dt, math.pi)
     points, worth = worth_around(task, place, around, last, left)

@@ -50,7 +50,7 @@ def gossip(
     owned = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1 - behind
     said: Said = context.tracker.say(owned, context.config.filter) if current else {}
-    plan: dict[str, Any] = {} if outcome.intent is None else {"goal": outcome.intent.goal, "goal_load": outcome.intent.load}
+    plan: dict[str, Any] = {} if outcome.intent is None else {"goal": outcome.intent.goal, "goal_utilisation": outcome.intent.utilisation}
     return Gossip(
         sender=context.name,
         incarnation=incarnation,
@@ -61,10 +61,10 @@ def gossip(
         unused=outcome.unused,
         detections_bytes=observation.detections_bytes,
         listening=listening,
-        claim_tick=max(0, outcome.belief.cut if current else observation.tick - 1),
+        claim_tick=max(0, outcome.belief.claim_tick if current else observation.tick - 1),
         claim_names=owned.claim.names if current else (),
         claim_bytes=pack(owned.claim.generators, "<f8") if current else b"",
-        view=owned.view if current else 0,
+        diagram_hash=owned.diagram_hash if current else 0,
         pace=pace,
         behind=behind if current else 0,
         lag=lag,
@@ -115,7 +115,7 @@ def estimate(context: AgentContext, incarnation: int, outcome: RoundResult, sent
         targets_bytes=pack(outcome.tracks.positions, "<f8"),
         details_bytes=pack(outcome.tracks.details, "<f4"),
         labels_bytes=pack(outcome.tracks.labels, "<u8"),
-        view=outcome.belief.mine.view,
+        diagram_hash=outcome.belief.mine.diagram_hash,
         neighbours=outcome.belief.mine.claim.names[1:],
         counters=dict(work.counters),
         round_seconds=work.seconds,

@@ -56,7 +56,7 @@ COLUMNS = 26
     COS_RIGHT,
     SIN_RIGHT,
 ) = range(COLUMNS)
-SILENT, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
+NO_SCAN, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
 _SENSOR = struct.Struct("<5dQ4d")
 _SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE, FAR_PROB]
@@ -153,7 +153,7 @@ class GossipTable:
 
     @once
     def plans(self) -> np.ndarray:
-        """The goal x, y in m and its load of each sender (N, 3); the place of a sender without a goal."""
+        """The goal x, y in m and its utilisation of each sender (N, 3); the place of a sender without a goal."""
         return np.frombuffer(b"".join([gossip.plan for gossip in self.gossips])).reshape(-1, 3)
 
     @once
@@ -188,7 +188,7 @@ class GossipTable:
         return self.generators[:, 2].copy()
 
     @once
-    def view(self) -> int:
+    def diagram_hash(self) -> int:
         """The hash of all generators; never 0. Agents with equal hashes cut the same diagram."""
         digest = hashlib.blake2b("\n".join(self.names).encode(), digest_size=7)
         digest.update(self.generators.tobytes())
@@ -247,8 +247,8 @@ class GossipTable:
 
     @once
     def claimed(self) -> tuple[int, int] | None:
-        """The tick and the view that all claims share; None when they differ."""
-        shared = {(gossip.claim_tick, gossip.view) for gossip in self.gossips}
+        """The tick and the hash of the diagram that all claims share; None when they differ."""
+        shared = {(gossip.claim_tick, gossip.diagram_hash) for gossip in self.gossips}
         return shared.pop() if len(shared) == 1 else None
 
     @property
@@ -293,7 +293,7 @@ class GossipTable:
         """The scans of this tick, in the order of the update: by ascending p_d, then by name."""
         found, ends = [], np.cumsum(self.table[:, DETECTIONS]).astype(np.int64)
         for gossip, announced_sensor, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
-            if numbers[KIND] != SILENT:
+            if numbers[KIND] != NO_SCAN:
                 rows = slice(end - np.int64(numbers[DETECTIONS]), end)
                 order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), key("sensor", gossip.sender)
                 rays, kappa = self.rays[rows] if self.has_rays else None, float(numbers[KAPPA])

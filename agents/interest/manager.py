@@ -38,7 +38,7 @@ MOST_QUESTIONS = 8  # in a row; then an agent takes part, certified or not
 AHEAD = 16.0  # m: a tile is subscribed to this far before it is needed, so that a period of beacons has come by then
 FORGOTTEN = 2.5  # periods without a beacon after which a peer is forgotten
 CHECK = 4  # ticks between two checks of the peers that neighbours name
-LINGER = 4.0  # s of world time for which a peer that is needed no longer stays subscribed: half of all are needed again by then
+LINGER = 4.0  # s of world time for which a subscription is kept after its peer was last needed: half of all are needed again by then
 
 
 class InterestManager:
@@ -66,7 +66,7 @@ class InterestManager:
         self._chosen_at = 0
         self._link_detector, self._world_link_detector = HalfOpenLinkDetector(context.name, 2 * self._period), WorldLinkDetector()
         self._last_interest_set: dict[str, Peer] = {}  # the interest set of the last selection
-        self._lingering: dict[str, int] = {}  # peers that are needed no longer but still subscribed: the tick in which each was needed last
+        self._lingering: dict[str, int] = {}  # by name of a peer that is subscribed still: the tick in which it was last needed
         self._token_names: set[str] = set()  # the peers to whose tokens the agent subscribes
         self._forgotten = False  # a peer has been forgotten since the last change of tokens
 
@@ -223,7 +223,7 @@ class InterestManager:
         if tick % CHECK:
             return []
         gossips = [gossip for gossip in self._peer_table.inbox.last.values() if gossip.tick == tick]
-        known = self._peer_table.acquainted.difference(self._peer_table.unheard())  # claims may tell of the unheard
+        known = self._peer_table.known_names.difference(self._peer_table.unheard())  # claims may tell of the unheard
         unheard = self._link_detector.find_unheard(gossips, known, self._covers_generator, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._context.name} does not")] if unheard else []
 

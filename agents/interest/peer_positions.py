@@ -12,7 +12,8 @@ class PeerPositions(PositionTable):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
-        self._diagram, self._silent = config.partition.kind, config.rounds_of_silence
+        self.silence_limit = config.rounds_of_silence  # rounds; the peer table keeps it equal to its own
+        self._diagram = config.partition.kind
         self._pending: dict[str, Gossip] = {}  # the newest gossip of each peer in closed rounds, not noted yet
         self.needed: Rectangle | None = None  # outside of this no new peer matters before the next selection
 
@@ -23,7 +24,7 @@ class PeerPositions(PositionTable):
 
     def note_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
         """Note the beacons that change nothing but the position of a live, known peer; return the other beacons."""
-        others, silent = [], self._silent
+        others, limit = [], self.silence_limit
         noted: list[tuple[str, int, bytes]] = []
         for beacon in beacons:
             peer = peers.get(beacon.sender)
@@ -31,7 +32,7 @@ class PeerPositions(PositionTable):
                 peer is None
                 or peer.beacon is None
                 or peer.left_at is not None
-                or peer.missed >= silent
+                or peer.missed >= limit
                 or peer.incarnation != beacon.incarnation
                 or beacon.tick < peer.beacon.tick
             ):
@@ -63,4 +64,4 @@ class PeerPositions(PositionTable):
 
     def _counts(self, peer: Peer) -> bool:
         """Whether a peer has a position: it has not gone, its sensor is known, and it has not been silent for long."""
-        return peer.left_at is None and peer.announced is not None and peer.missed < self._silent
+        return peer.left_at is None and peer.announced is not None and peer.missed < self.silence_limit

@@ -39,12 +39,12 @@ class UnsubscribedGenerators(NamedTuple):
     """The last generators (N, 3) of the known peers outside the interest set: x, y and power radius in m."""
 
     generators: np.ndarray
-    everybody: tuple[str, ...]  # the names of all known peers
+    known_names: tuple[str, ...]  # the names of all known peers
     chosen: np.ndarray  # for each of these: whether it is in the interest set, bool
 
     def names(self) -> tuple[str, ...]:
         """The names of these peers, in the order of the generators."""
-        return tuple(compress(self.everybody, (~self.chosen).tolist()))
+        return tuple(compress(self.known_names, (~self.chosen).tolist()))
 
 
 NO_GENERATORS = UnsubscribedGenerators(np.empty((0, 3)), (), np.zeros(0, dtype=bool))
@@ -97,7 +97,7 @@ class PositionTable:
                 start = SIZE * row
                 numbers[start : start + SIZE] = packed
 
-    def everybody(self) -> frozenset[str]:
+    def name_set(self) -> frozenset[str]:
         """All names at present."""
         return frozenset(self._rows)
 

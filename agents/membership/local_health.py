@@ -24,7 +24,7 @@ class LocalHealth:
         """Plan the first beat."""
         self.due = now + BEAT if self._measured else None
 
-    def served(self, now: float) -> bool:
+    def stall_ended(self, now: float) -> bool:
         """Note that the agent takes an event; whether a stall has just ended."""
         if self.due is None:
             return False

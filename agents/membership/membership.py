@@ -1,7 +1,7 @@
 """Who is there: the liveliness tokens and Hellos of others, and when this agent announces itself.
 
-Data type: `Membership`. It keeps the peer table, the session watchdog and the schedule of the own Hellos up to date. It fences an agent
-that has a younger incarnation.
+Data type: `Membership`. It keeps the peer table, the session watchdog and the schedule of the own Hellos up to date. It stops this
+agent when a younger incarnation of its name appears.
 """
 
 from collections import Counter
@@ -48,15 +48,14 @@ class Membership:
         return []
 
     def gone(self, event: Gone, tick: int, *, doubted: bool) -> bool:
-        """A token has vanished in the round `tick`; whether its agent counts as gone. `doubted`: this agent was late itself."""
+        """A token has vanished in the round `tick`; whether its agent counts as gone now. `doubted`: this agent was late itself."""
         if event.role == "body":
             return self._bodies.leave(event.name, event.incarnation, tick)
         if event.role != "agent":
             return False
         self._bodies.agent_left(event.name)
         self.session_watchdog.leave(event.name, event.incarnation)
-        self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
-        return True
+        return self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
 
     def take_hellos(self, batch: Batch, now: float) -> list[Effect]:
         """Take Hellos that arrived together: all senders are heard before one Hello is judged. Those without news are noted only."""

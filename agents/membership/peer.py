@@ -20,7 +20,7 @@ class Peer:
     incarnation: int
     token: bool = False  # its liveliness token is up
     announced: AnnouncedSensor | None = None
-    left_at: int | None = None  # the last tick of a gossip sent before its token vanished; a later gossip revives the peer
+    left_at: int | None = None  # gossips of later ticks were sent after its token vanished, and revive the peer
     missed: int = 0  # rounds without a gossip in a row
     doubted: bool = False  # its token vanished while this agent was late itself
     beacon: Beacon | None = None  # the newest one

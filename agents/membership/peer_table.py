@@ -1,9 +1,10 @@
 """The table of peers: what they announced, their newest gossips, and which gossips a round waits for.
 
-A *peer* is a live agent. Its liveliness token is a suspicion, no proof. When the token vanishes, the peer stops being a generator at
-once. A later gossip of the same incarnation brings it back, if it cannot have been sent before. A peer that falls silent with its token
-up stays a generator for `rounds_of_silence` rounds after the newest tick of which a generator of it is known. Its own gossips state these,
-and so do the claims of its neighbours, with their ages. Only rounds in which this agent really listened count.
+A *peer* is another agent that is known. The loss of its liveliness token suggests its death and does not prove it. When the token
+vanishes, the peer stops being a generator at once. A later gossip of the same incarnation brings it back, if it cannot have been sent
+before. A peer that falls silent with its token up stays a generator for `rounds_of_silence` rounds after the newest tick of which a
+generator of it is known. Its own gossips state these, and so do the claims of its neighbours, with their ages. Only rounds in which this
+agent was served in time count.
 
 A token that vanishes while this agent is late is doubted. It counts at the end of the next round in which at least twice as many peers
 are heard as are doubted. A doubt about most peers is one about this agent: those peers are treated as silent ones.
@@ -30,7 +31,7 @@ from protocol.agreement import disagreement, whole
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
 
-LOCAL_VIEW = 1  # no hash: the view of agents that hear neighbours and whose interest sets are complete; they cut parts of one diagram
+LOCAL_DIAGRAM = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
 ACCEPTED = ""
 OWN, UNASKED = "own", "unasked"  # reasons without a fault of the sender
 
@@ -41,22 +42,23 @@ class PeerTable:
     def __init__(self, config: AgentConfig, name: str) -> None:
         self.local = config.timing.interest == "neighbours"  # beacons make peers known, and the agent subscribes to some of them
         self.peers: dict[str, Peer] = {}  # in the order of names; local: in any order
-        self.interest_set: dict[str, Peer] = {}  # the peers whose gossips are received, in the order of names; all, unless local
+        self.interest_set: dict[str, Peer] = {}  # the peers whose gossips are received: all in the order of names; local: chosen ones
         self.unsubscribed = NO_GENERATORS  # local: the generators of all other peers
         self.positions = PeerPositions(config)  # local: the positions of live peers, by the newest message of each
         self.certified = False  # local: no unknown peer can own a point that matters in this round
-        self.acquainted, self._version = frozenset[str](), -1  # local: peers whose claims fit the own one; by which version of positions
+        self.known_names = frozenset[str]()  # local: the peers with a known position at the last selection
+        self._version = -1  # local: of the positions at that selection
         self.changed = False  # local: a peer has come or gone since the last selection
-        self._config, self._silent = config, config.rounds_of_silence
+        self._config, self._silence_limit = config, config.rounds_of_silence  # rounds
         self._measures_pace = config.run.clock == "realtime"
-        self._listened: deque[int] = deque(maxlen=self._silent)  # the last closed rounds in which this agent listened
+        self._responsive_rounds: deque[int] = deque(maxlen=self._silence_limit)  # ticks of the last ones
         self._name, self.settings, self._others = name, config.agreed(), config.others(name)
         self.digest = whole(self.settings)
         self.inbox = RoundInbox()
         self.pace = 1  # this agent plays the ticks that this number divides
-        self._paces: dict[str, int] = {}  # of the peers that do not play every tick
+        self._paces: dict[str, int] = {}  # of the peers that need a slower pace than every tick
         self.given_up = 0  # how often a peer with its token up has been silent for too long
-        self._known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
+        self._last_known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
         self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
 
     def alive(self, name: str, incarnation: int) -> None:
@@ -68,13 +70,18 @@ class PeerTable:
             if peer.beacon is not None:
                 self.positions.note(peer, peer.beacon)
 
-    def gone(self, name: str, incarnation: int, tick: int, *, doubted: bool = False) -> None:
-        """A token vanished in the round `tick`. `doubted`: this agent was late, and may itself be the reason."""
+    def gone(self, name: str, incarnation: int, tick: int, *, doubted: bool = False) -> bool:
+        """A token vanished in the round `tick`; whether the peer counts as gone now.
+
+        `doubted`: this agent was late, and may itself be the reason.
+        """
         peer = self.peers.get(name)
-        if peer and peer.incarnation == incarnation:
-            peer.token, peer.doubted, self._steady = False, doubted, False
-            if not doubted:
-                self._bury(peer, tick)
+        if peer is None or peer.incarnation != incarnation:
+            return False
+        peer.token, peer.doubted, self._steady = False, doubted, False
+        if not doubted:
+            self._bury(peer, tick)
+        return not doubted
 
     def _bury(self, peer: Peer, tick: int) -> None:
         """A peer has left in the round `tick`. It may have been a tick ahead, and gossips of it may still be on their way."""
@@ -135,11 +142,11 @@ class PeerTable:
         * own: it is a gossip of this agent;
         * unasked: the sender is not in the interest set;
         * incarnation: another incarnation is alive, or a younger one is known;
-        * stranger: the sender's sensor is unknown;
+        * unknown_sensor: the sender's sensor is unknown;
         * settings: the sender's settings differ;
         * closed: a round with a gossip of this peer, of this tick or a later one, is closed;
         * dead: it was sent before the peer's token vanished;
-        * bounds: the sender's sensor cannot do what it states.
+        * implausible: the sender's sensor cannot do what it states, or its goal lies outside of the arena.
         """
         accepted, reasons, judge = list[Gossip](), list[str](), self._judge
         for gossip in batch.messages[start:]:
@@ -168,14 +175,14 @@ class PeerTable:
             if peer is None:
                 return "incarnation"
         if peer.announced is None:
-            return "settings" if peer.differs else "stranger"
+            return "settings" if peer.differs else "unknown_sensor"
         last = self.inbox.last.get(name)
         if last is not None and tick <= last.tick:
             return "closed"
         if peer.left_at is not None and tick <= peer.left_at:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
-            return "bounds"
+            return "implausible"
         peer.missed, peer.doubted = 0, False
         if peer.left_at is not None:
             peer.left_at, self.changed = None, True
@@ -205,13 +212,11 @@ class PeerTable:
             return {
                 name
                 for name, peer in self.interest_set.items()
-                if peer.left_at is None and peer.missed < self._silent and name not in gossips
+                if peer.left_at is None and peer.missed < self._silence_limit and name not in gossips
             }
-        silent, others = (
-            self._silent,
-            [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.doubted)],
-        )
-        return {peer.name for peer in others if (peer.missed < silent if self.inbox.knows(peer.name) else newcomer or tick == 0)}
+        limit = self._silence_limit
+        others = [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.doubted)]
+        return {peer.name for peer in others if (peer.missed < limit if self.inbox.knows(peer.name) else newcomer or tick == 0)}
 
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """For each generator of the diagram of `tick` the gossip that states it.
@@ -219,16 +224,16 @@ class PeerTable:
         It is a fresh gossip, or the newest one of a peer that has been silent for a short time. The claims of others name generators
         too: a peer is silent since the newest one that it or a claim has stated.
         """
-        found, oldest = {}, tick - self._silent
-        if self._listened:
-            rounds = min(self._silent, len(self._listened))
-            oldest = min(oldest, self._listened[-rounds] - (self._silent - rounds))
+        found, oldest = {}, tick - self._silence_limit  # the tick so many rounds ago in which this agent was served in time
+        if self._responsive_rounds:
+            rounds = min(self._silence_limit, len(self._responsive_rounds))
+            oldest = min(oldest, self._responsive_rounds[-rounds] - (self._silence_limit - rounds))
         claimed = self._claimed(tick, fresh)
         for name in self.interest_set:
             gossip = fresh.get(name) or claimed.get(name)
             if gossip is None or gossip.listening:
                 continue
-            if gossip.tick >= oldest - self._silent * (gossip.pace - 1):
+            if gossip.tick >= oldest - self._silence_limit * (gossip.pace - 1):
                 found[name] = gossip
         return found
 
@@ -236,7 +241,7 @@ class PeerTable:
         """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
         live = [name for name, peer in self.interest_set.items() if peer.left_at is None and name not in fresh]
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
-        found |= {name: known for name, known in self._known.items() if name in found and known.tick > found[name].tick}
+        found |= {name: known for name, known in self._last_known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
         for claim in [gossip for gossip in newest if gossip is not None and not found.keys().isdisjoint(gossip.claim_names)]:
             for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
@@ -247,17 +252,17 @@ class PeerTable:
                         found[name] = moved
         return found
 
-    def close(self, tick: int, *, newcomer: bool = False, listened: bool = True) -> int:
+    def close(self, tick: int, *, newcomer: bool = False, responsive: bool = True) -> int:
         """Close the round `tick`: drop its gossips and count the missing peers. Returns their number.
 
-        `listened` false: the agent was late, and the silence of its peers in this round says nothing.
+        `responsive` false: the agent was late, and the silence of its peers in this round says nothing.
         """
         missing = self.missing(tick, newcomer=newcomer)
-        if listened:
-            self._listened.append(tick)
+        if responsive:
+            self._responsive_rounds.append(tick)
             self._count_silent(missing)
         if missing or not self._steady:
-            self._known = self._claimed(tick, self.fresh(tick))
+            self._last_known = self._claimed(tick, self.fresh(tick))
             self._forget_silent(tick)
         complete = len(self.inbox.of(tick)) == len(self.interest_set)
         if not self._steady:
@@ -281,18 +286,19 @@ class PeerTable:
     def keep_pace(self, pace: int) -> None:
         """From now on play the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
         timing = self._config.timing
-        self.pace, self._silent = pace, max(timing.silent_rounds, math.ceil(self._config.rounds_of_silence / pace))
+        self.pace, self._silence_limit = pace, max(timing.silent_rounds, math.ceil(self._config.rounds_of_silence / pace))
+        self.positions.silence_limit = self._silence_limit
 
     def _count_silent(self, missing: set[str]) -> None:
         """Count a round of silence of each missing peer."""
         for name in missing:
             self.peers[name].missed += 1
-            if self.peers[name].missed >= self._silent:
+            if self.peers[name].missed >= self._silence_limit:
                 self.given_up += 1
 
     def unheard(self) -> list[str]:
         """The peers in the interest set that this agent itself has not heard for too long, in the order of names."""
-        return [name for name, peer in self.interest_set.items() if peer.missed >= self._silent]
+        return [name for name, peer in self.interest_set.items() if peer.missed >= self._silence_limit]
 
     def _forget_silent(self, tick: int) -> None:
         """local: forget the positions of silent peers that are no generators of the round after `tick`."""
@@ -331,7 +337,7 @@ class PeerTable:
         if peer.announced is None:
             peer.announced = announced_by(beacon, self._config)
         back = peer.left_at is not None and beacon.tick > peer.left_at + 1  # a beacon states the position of the next tick
-        silent = peer.missed >= self._silent
+        silent = peer.missed >= self._silence_limit
         if back or silent:
             peer.left_at, peer.missed, self.changed = None if back else peer.left_at, 0, True
         peer.beacon = beacon
@@ -356,11 +362,11 @@ class PeerTable:
         chosen, self.positions.needed = choice
         positions, before, number = self.positions, self.unsubscribed, len(self.positions)
         if self._version != positions.version:
-            self.acquainted, self._version = positions.everybody(), positions.version
+            self.known_names, self._version = positions.name_set(), positions.version
             names = tuple(positions.names)
         else:
-            names = before.everybody
-        if names is not before.everybody or chosen.tobytes() != before.chosen.tobytes():
+            names = before.known_names
+        if names is not before.known_names or chosen.tobytes() != before.chosen.tobytes():
             selected = set(compress(names, chosen.tolist()))
             if self.interest_set.keys() != selected:
                 staying = [peer for name, peer in self.interest_set.items() if name in selected]

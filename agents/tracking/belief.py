@@ -39,7 +39,7 @@ def owned_by_sender(gossip: Gossip) -> OwnedState:
     names = gossip.claim_names
     claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
     particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids, gossip.labels)
-    return OwnedState(gossip.sender, claim, particles, gossip.view)
+    return OwnedState(gossip.sender, claim, particles, gossip.diagram_hash)
 
 
 class Round(NamedTuple):
@@ -58,7 +58,7 @@ class Copies:
     """The particles that an agent holds after a round and that other agents own.
 
     `near` holds the corrected particles around the own cell. The others are the received particles of that round, moved by one step.
-    They are computed only when a peer falls silent: otherwise fresh claims replace them.
+    They are computed only when the fresh claims may not cover the arena: otherwise the particles of these claims replace them.
     """
 
     near: Particles
@@ -98,11 +98,11 @@ class Belief:
     mine: OwnedState
     copies: Copies
     everyone: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
-    acquainted: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
+    known_names: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
     held_since: int | None = None  # the claim was cut in this round and held over skipped ones; None: it was cut at `stamp`
 
     @property
-    def cut(self) -> int:
+    def claim_tick(self) -> int:
         """The tick of the round in which the claim was cut."""
         return self.stamp if self.held_since is None else self.held_since
 
@@ -179,30 +179,31 @@ class ParticlePhd(NamedTuple):
         particles = particles._replace(states=particles.states.astype(WIRE).astype(float))
         mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
         copies = Copies(belief.copies.near, belief.copies.round, (*belief.copies.held, *missed))
-        return Belief(step.tick - 1, mine, copies, belief.everyone, belief.acquainted, held_since=belief.cut)
+        return Belief(step.tick - 1, mine, copies, belief.everyone, belief.known_names, held_since=belief.claim_tick)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
         """The particles that count at `belief.stamp`, or the table itself when only its particles count; there an id may occur twice.
 
         `table` holds all gossips of the tick, the own one included. Copies count outside all fresh claims. Two claims overlap when
-        their views differ: within `timing.overlap` m of the border the particles of both count, and deeper inside the smaller power
+        their diagrams differ: within `timing.overlap` m of the border the particles of both count, and deeper inside the smaller power
         distance wins. Agents with the same diagram have claims that tile the arena. An unknown agent has cut another diagram, even
-        if it states the same view.
+        if it states the same hash.
         """
-        # All newcomers share the view of an empty diagram. It claims nothing, so that their copies count.
-        unknown = set() if belief.acquainted is None else table.everyone - belief.acquainted - {belief.mine.owner}
+        # All newcomers share the hash of an empty diagram. It claims nothing, so that their copies count.
+        unknown = set() if belief.known_names is None else table.everyone - belief.known_names - {belief.mine.owner}
         last, config = step.tick - 1, step.config
-        agreed = belief.mine.view != 0 and table.claimed == (belief.cut, belief.mine.view) and not unknown
+        agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash) and not unknown
         if agreed and belief.everyone and belief.everyone <= table.everyone:
             return table
-        if belief.cut < last:
+        if belief.claim_tick < last:
             belief = _released(belief)
         owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
         owned.insert(0, belief.mine)
         claims = end_to_end([each.claim for each in owned])
-        views = [~each.view if each.owner in unknown else each.view for each in owned]
+        # the complement of an unknown agent's hash is the hash of no other diagram
+        hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
         received, sizes = join([each.particles for each in owned]), [len(each.particles.ids) for each in owned]
-        counts = self.backend.resolve_conflicts(received.states, sizes, claims, views, config.timing.overlap)
+        counts = self.backend.resolve_conflicts(received.states, sizes, claims, hashes, config.timing.overlap)
         copies = belief.copies.compute()
         free = self.backend.orphaned(copies.states, claims, config.arena)
         return self.backend.merge(received, counts, copies, free)
@@ -216,7 +217,7 @@ class ParticlePhd(NamedTuple):
     def belief_after(
         self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step
     ) -> Belief:
-        """See `Tracker.belief_after`: the drawn particles are owned; the copies are computed when a peer falls silent."""
+        """See `Tracker.belief_after`: the drawn particles are owned; the copies are computed when they are needed."""
         copies = Copies(update.updated, Round(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
-        mine = OwnedState(region.owner, region.claim, as_stated(update.resampled, region.owner, step), diagram.view)
-        return Belief(step.tick, mine, copies, diagram.everyone, diagram.acquainted)
+        mine = OwnedState(region.owner, region.claim, as_stated(update.resampled, region.owner, step), diagram.hash)
+        return Belief(step.tick, mine, copies, diagram.everyone, diagram.known_names)

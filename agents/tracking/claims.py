@@ -21,7 +21,7 @@ class Claim(NamedTuple):
 
     names: tuple[str, ...]
     generators: np.ndarray
-    first: np.ndarray  # (G,) bool: this generator comes before the owner in the order of names, and wins ties
+    wins_ties: np.ndarray  # (G,) bool: this generator comes before the owner in the order of names
 
 
 def make_claim(names: tuple[str, ...], generators: np.ndarray, order: tuple[tuple[int, str], ...]) -> Claim:
@@ -34,14 +34,14 @@ class Claims(NamedTuple):
 
     each: Sequence[Claim]
     generators: np.ndarray  # (G, 3)
-    first: np.ndarray  # (G,) bool
+    wins_ties: np.ndarray  # (G,) bool
     ends: np.ndarray  # (C,): the end of each claim in these arrays
 
 
 def end_to_end(claims: Sequence[Claim]) -> Claims:
     """The claims, at least one, with their generators end to end."""
-    generators, first = np.concatenate([claim.generators for claim in claims]), np.concatenate([claim.first for claim in claims])
-    return Claims(claims, generators, first, np.array(list(accumulate([len(claim.names) for claim in claims]))))
+    generators, wins = np.concatenate([claim.generators for claim in claims]), np.concatenate([claim.wins_ties for claim in claims])
+    return Claims(claims, generators, wins, np.array(list(accumulate([len(claim.names) for claim in claims]))))
 
 
 NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
@@ -60,7 +60,7 @@ def owned(points: np.ndarray, claim: Claim, arena: ArenaSettings) -> np.ndarray:
         return np.zeros(len(points), dtype=bool)
     distances = power_distances(points, claim.generators)
     mine = distances[:, :1]
-    inside: np.ndarray = np.all(np.where(claim.first[None, :], mine < distances, mine <= distances), axis=1)
+    inside: np.ndarray = np.all(np.where(claim.wins_ties[None, :], mine < distances, mine <= distances), axis=1)
     return inside & in_arena(points, arena)
 
 
@@ -90,16 +90,16 @@ def orphaned(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.nda
     return found
 
 
-def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, views: Sequence[int], overlap: float) -> np.ndarray:
+def resolve_conflicts(points: np.ndarray, sizes: Sequence[int], claims: Claims, hashes: Sequence[int], overlap: float) -> np.ndarray:
     """True for the stated points (N, 2 or more columns) that count: (N,) bool.
 
     The points stand claim after claim, `sizes` of each. A point does not count if it lies more than `overlap` m deep inside a rival
-    claim. A rival claim has another view, and its owner is nearer to the point in power distance.
+    claim. A rival claim is cut from another diagram, by `hashes`, and its owner is nearer to the point in power distance.
     """
     keep, start = np.ones(len(points), dtype=bool), 0
-    for size, claim, view in zip(sizes, claims.each, views):
+    for size, claim, hashed in zip(sizes, claims.each, hashes):
         first, start = start, start + size
-        rivals = [other for other, another in zip(claims.each, views) if another != view and other.names]
+        rivals = [other for other, another in zip(claims.each, hashes) if another != hashed and other.names]
         if not size or not rivals:
             continue
         stated = points[first:start]

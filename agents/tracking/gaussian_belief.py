@@ -17,7 +17,7 @@ from agents.tracking import claims, gaussian_phd
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.extraction import Tracks, select_tracks
 from agents.tracking.gaussian_reduction import estimates, limited, merged
-from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, pick, points, unpacked, within
+from agents.tracking.gaussians import EMPTY, Mixture, chain, clamped, in_order, mean_of, nodes, packed, pick, points, unpacked
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, RegionInput, Said
@@ -34,7 +34,7 @@ class OwnedMixture(NamedTuple):
     owner: str
     claim: Claim
     mixture: Mixture
-    view: int
+    diagram_hash: int
 
 
 @dataclass
@@ -45,11 +45,11 @@ class MixtureBelief:
     mine: OwnedMixture
     copies: Mixture
     everyone: frozenset[str] = frozenset()
-    acquainted: frozenset[str] | None = None
+    known_names: frozenset[str] | None = None
     held_since: int | None = None
 
     @property
-    def cut(self) -> int:
+    def claim_tick(self) -> int:
         """The tick of the round in which the claim was cut."""
         return self.stamp if self.held_since is None else self.held_since
 
@@ -81,7 +81,7 @@ def owned_by_sender(gossip: Gossip) -> OwnedMixture:
     """The state that the sender of a gossip owns."""
     names = gossip.claim_names
     claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
-    return OwnedMixture(gossip.sender, claim, unpacked(gossip.components), gossip.view)
+    return OwnedMixture(gossip.sender, claim, unpacked(gossip.components), gossip.diagram_hash)
 
 
 def received_mixture(received: GossipTable | Mixture) -> Mixture:
@@ -94,7 +94,7 @@ def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
     return limited(pick(mixture, claims.owned(mixture.means, claim, step.config.arena)), step.config.mixture.most_components)
 
 
-def correct(received: Mixture, table: GossipTable, step: Step) -> tuple[Tracks, Mixture]:
+def filter_step(received: Mixture, table: GossipTable, step: Step) -> tuple[Tracks, Mixture]:
     """The estimates and the PHD one step later, after all scans of a table, background births included; in canonical order."""
     born = chain([gaussian_phd.predict(in_order(received), step), gaussian_phd.newcomers(step)])
     corrected, settings = _tidied(gaussian_phd.correct(born, table.scans(), step), step), step.config.extraction
@@ -112,7 +112,7 @@ def _tidied(mixture: Mixture, step: Step) -> Mixture:
     A scan moves means, but no target out of the arena: what lies beyond the border would belong to no cell.
     Two parts of a swarm that do not hear each other should hold the same components of what neither sees. So no cell enters here.
     """
-    inside = within(in_order(mixture), step.config.arena)
+    inside = clamped(in_order(mixture), step.config.arena)
     whole = in_order(merged(inside, step.config.mixture))
     return unpacked(packed(pick(whole, whole.weights >= step.config.mixture.pruned)))
 
@@ -161,23 +161,23 @@ class MixturePhd(NamedTuple):
             moved = _moved(moved, step._replace(tick=tick))
         mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step))
         copies = pick(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
-        return MixtureBelief(step.tick - 1, mine, copies, belief.everyone, belief.acquainted, held_since=belief.cut)
+        return MixtureBelief(step.tick - 1, mine, copies, belief.everyone, belief.known_names, held_since=belief.claim_tick)
 
     def merge(self, belief: MixtureBelief, table: GossipTable, step: Step) -> GossipTable | Mixture:
         """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""
-        unknown = set() if belief.acquainted is None else table.everyone - belief.acquainted - {belief.mine.owner}
+        unknown = set() if belief.known_names is None else table.everyone - belief.known_names - {belief.mine.owner}
         last, config = step.tick - 1, step.config
-        agreed = belief.mine.view != 0 and table.claimed == (belief.cut, belief.mine.view) and not unknown
+        agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash) and not unknown
         if agreed and belief.everyone and belief.everyone <= table.everyone:
             return table
-        if belief.cut < last:
+        if belief.claim_tick < last:
             belief = _released(belief)
         owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
         owned.insert(0, belief.mine)
         stated = end_to_end([each.claim for each in owned])
-        views = [~each.view if each.owner in unknown else each.view for each in owned]
+        hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
         received, sizes = chain([each.mixture for each in owned]), [len(each.mixture.ids) for each in owned]
-        counts = self.backend.resolve_conflicts(received.means, sizes, stated, views, config.timing.overlap)
+        counts = self.backend.resolve_conflicts(received.means, sizes, stated, hashes, config.timing.overlap)
         free = self.backend.orphaned(belief.copies.means, stated, config.arena)
         return in_order(chain([pick(received, counts), pick(belief.copies, free)]))
 
@@ -185,7 +185,7 @@ class MixturePhd(NamedTuple):
         self, received: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step
     ) -> list[MixtureUpdate]:
         """See `Tracker.update`."""
-        peaks, corrected = correct(received_mixture(received), table, step)
+        peaks, corrected = filter_step(received_mixture(received), table, step)
         return [_region_of(corrected, peaks, region, step) for region in regions]
 
     def belief_after(
@@ -196,8 +196,8 @@ class MixturePhd(NamedTuple):
         others = ~claims.owned(means, region.claim, arena) & claims.in_arena(means, arena)
         if diagram.horizon < math.inf:
             others &= geometry.distances(region.polygon, means) <= diagram.horizon
-        mine = OwnedMixture(region.owner, region.claim, update.inside, diagram.view)
-        return MixtureBelief(step.tick, mine, pick(update.around, others), diagram.everyone, diagram.acquainted)
+        mine = OwnedMixture(region.owner, region.claim, update.inside, diagram.hash)
+        return MixtureBelief(step.tick, mine, pick(update.around, others), diagram.everyone, diagram.known_names)
 
 
 def _region_of(corrected: Mixture, peaks: Tracks, region: RegionInput, step: Step) -> MixtureUpdate:

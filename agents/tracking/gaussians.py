@@ -58,7 +58,7 @@ def in_order(mixture: Mixture) -> Mixture:
     return pick(mixture, first)
 
 
-def within(mixture: Mixture, arena: ArenaSettings) -> Mixture:
+def clamped(mixture: Mixture, arena: ArenaSettings) -> Mixture:
     """The components with their means in the arena, those outside on its border; the border is rounded inwards as on the wire."""
     sides = np.array([arena.width, arena.height])
     rounded = sides.astype(np.float32)

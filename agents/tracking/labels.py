@@ -4,7 +4,7 @@ Data types: a label is an integer below 2^53, so that a float64 and JSON hold it
 
 Rules. A detection that founds a label gives it to its births, and all copies of a particle inherit it. A label is a pure function of
 (seed, sensor, tick, detection), and older labels are smaller numbers until the tick passes 2^24 and counts anew. The particles of the
-prior and of background births have none. Such a particle takes the label of the detection from which more than the share `CLAIMED` of its
+prior and of background births have none. Such a particle takes the label of the detection from which more than the share `ADOPTED` of its
 weight comes. A detection founds no label if a living label explains at least the share `EXPLAINED` of it: its births then carry that label.
 So births beside a living track belong to it.
 
@@ -22,7 +22,7 @@ from protocol.streams import scramble
 NO_LABEL = 0
 HASH_BITS, TICK_BITS = 29, 24  # of a label: a hash in the low bits, the tick plus one above; 2^24 ticks are 48 days at 4 Hz
 EXPLAINED = 0.02  # share of N(z) that the particles of one label must make up
-CLAIMED = 0.5  # share of a particle's weight
+ADOPTED = 0.5  # share of a particle's weight
 YOUNG = 4  # ticks after which a label is no longer young
 # Lengths are in bins of `extraction.bin`, the scale on which targets are told apart.
 BESIDE = 5.0  # between a peak and the mean of the label that it takes although none of its particles bear it

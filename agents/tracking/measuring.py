@@ -19,6 +19,7 @@ from protocol.measuring import Measurement
 from protocol.streams import normal, scramble, uniform
 
 POSITION, RANGE_BEARING, BEARING = 0.0, 1.0, 2.0  # models of a scan, a column of the gossip table
+MODELS = {"range-bearing": RANGE_BEARING, "bearing": BEARING}  # by `Measurement.kind`
 FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 TINY = 1e-12
 EXACT = (0.0, 0.0)  # the noise of a pose that is exact
@@ -38,7 +39,7 @@ def model_of(measurement: Measurement | None) -> tuple[float, float, float]:
     """Model, standard deviation of a range in m and of a bearing in rad; 0 for a sensor of positions."""
     if measurement is None:
         return POSITION, 0.0, 0.0
-    return RANGE_BEARING if measurement.kind == "range-bearing" else BEARING, measurement.range_noise, measurement.bearing_noise
+    return MODELS[measurement.kind], measurement.range_noise, measurement.bearing_noise
 
 
 def kernel_variance(settings: FilterSettings) -> float:

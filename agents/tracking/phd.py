@@ -2,7 +2,7 @@
 
 Data types: a PHD is a set of weighted particles; the sum of the weights in a place is the expected number of targets there.
 
-Rules. Each random number is a pure function of (run seed, particle id, tick), so that all copies of a particle move to the same place
+Rules. Each random number is a pure function of (`filter.seed`, particle id, tick), so that all copies of a particle move to the same place
 (protocol/streams.py). Sums run one after the other in the order of the particles, and a particle that contributes zero changes no bit.
 A filter of one cell and a filter of the whole arena therefore agree to the last bit where they overlap.
 """
@@ -14,14 +14,14 @@ import numpy as np
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, birth_density, founded_labels, measurement_births, survival_probability
 from agents.tracking.extraction import block_sums, estimate_targets
-from agents.tracking.labels import CLAIMED, NO_LABEL, given_labels
+from agents.tracking.labels import ADOPTED, NO_LABEL, given_labels
 from agents.tracking.measuring import densities, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, join, squared_distances
 from protocol.sensing import measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble
 
-__all__ = ["Particles", "estimate_targets", "predict", "resample", "survival_probability", "update"]
+__all__ = ["Particles", "correct", "estimate_targets", "predict", "resample", "survival_probability"]
 
 BINS = 3.0  # bins in the length `vicinity`; two bins to each side of its own bin are near a particle
 
@@ -79,7 +79,7 @@ def likelihood_noise(noise: float, settings: FilterSettings) -> float:
     return math.sqrt(noise * noise + width * width)
 
 
-def update(
+def correct(
     particles: Particles,
     scans: list[Scan],
     tick: int,
@@ -88,7 +88,7 @@ def update(
     settings: FilterSettings,
     birth: BirthSettings,
 ) -> Particles:
-    """The PHD after all scans of a tick, one after the other (iterated corrector), births appended in the order of detections.
+    """The PHD after all scans of a tick, one after the other in their order (iterated corrector), births behind in the order of detections.
 
     For each scan with clutter density kappa: w <- w m + sum over detections z of w p_d g(z) / (kappa + p_d(z) b(z) +
     sum of w p_d g(z)), with m the factor of a miss (`missed`), g a Gaussian cut at `gate` standard deviations, and b(z) the density
@@ -97,7 +97,7 @@ def update(
     predicted = particles
     for scan in scans:
         founded = founded_labels(scan, tick, seed, birth)
-        corrected, per_particle, labels, given = correct(particles, predicted, scan, founded, noise, settings, birth)
+        corrected, per_particle, labels, given = correct_scan(particles, predicted, scan, founded, noise, settings, birth)
         particles = Particles(particles.states, corrected, particles.ids, labels)
         if birth.measurement and len(scan.detections):
             born = measurement_births(scan, per_particle, given, tick, seed, noise, settings, birth)
@@ -105,7 +105,7 @@ def update(
     return particles
 
 
-def correct(
+def correct_scan(
     particles: Particles,
     predicted: Particles,
     scan: Scan,
@@ -116,7 +116,7 @@ def correct(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The weights (N,) after one scan, the weight of each copy of a birth at each detection (M,), and the labels of both.
 
-    `founded` (M,) are the labels of the detections that no living label explains (`labels`).
+    `founded` (M,) are the labels that the detections found if no living label explains them (`labels.given_labels`).
     """
     probability = scan.probability(particles.states[:, :2])
     if scan.rays is not None:
@@ -154,7 +154,7 @@ def _labels_after(
     after, given = labels.copy(), given_labels(labels, terms, norms, founded)
     for number in range(len(norms)):
         rows = np.flatnonzero(terms[:, number])
-        after[rows[(labels[rows] == NO_LABEL) & (terms[rows, number] / norms[number] > CLAIMED * weights[rows])]] = given[number]
+        after[rows[(labels[rows] == NO_LABEL) & (terms[rows, number] / norms[number] > ADOPTED * weights[rows])]] = given[number]
     return after, given
 
 

@@ -52,7 +52,7 @@ def update_regions(
 
 def _update_region(table: GossipTable, predicted: Particles, births: Particles, region: RegionInput, step: Step) -> RegionUpdate:
     config, claim = step.config, region.claim
-    near, seen = gate(predicted, births, region, step)
+    near, far = gate(predicted, births, region, step)
     updated = correct(near, table, region.polygon, step)
     owned = claims.owned(updated.states, claim, config.arena)
     tracks = NO_TRACKS
@@ -63,7 +63,7 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     own = canonical(select(updated, owned))
     mass, moment_x, moment_y = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)
-    far_load, far_detected = in_view(seen, region.sensor, region.pose)
+    far_load, far_detected = in_view(far, region.sensor, region.pose)
     resampled = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
     return RegionUpdate(updated, own, resampled, mass, moment_x, moment_y, near_load + far_load, near_detected + far_detected, tracks)
 
@@ -87,7 +87,7 @@ def gate(predicted: Particles, births: Particles, region: RegionInput, step: Ste
 
 
 def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step: Step) -> Particles:
-    """The PHD around a cell after all scans that reach its halo, by their detections within the halo (`phd.update`)."""
+    """The PHD around a cell after all scans that reach its halo, by their detections within the halo (`phd.correct`)."""
     config, close = step.config, []
     for scan in table.scans():
         apart = geometry.distances(polygon, np.array([scan.pose]))[0]
@@ -97,7 +97,7 @@ def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step:
                 near |= True
             close.append(near_part(scan, near))
     noise = config.detection.noise
-    return phd.update(particles, close, step.tick, config.filter.seed, noise, config.filter, config.birth)
+    return phd.correct(particles, close, step.tick, config.filter.seed, noise, config.filter, config.birth)
 
 
 def moments(particles: Particles) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""The interface between a round and a tracker; another tracker needs files of its own only.
+"""The interface between a round and a tracker. `round.context_of` chooses the tracker; a gossip has fields for the targets of each.
 
 Data types: a `RegionInput` is an owner with its cell; a `TrackerState` is the belief between two rounds; an `Update` is the result for
 one cell; an `OwnedState` goes into the next gossip.
@@ -35,9 +35,9 @@ class RegionInput(NamedTuple):
 class Diagram(NamedTuple):
     """The knowledge of an agent about the diagram that its cell was cut from."""
 
-    view: int  # agents with equal views cut the same diagram
+    hash: int  # agents with equal hashes cut the same diagram
     everyone: frozenset[str]  # the agents with a generator in it
-    acquainted: frozenset[str] | None  # the agents known in that round; None if the agent receives all gossips
+    known_names: frozenset[str] | None  # the agents known in that round; None if the agent receives all gossips
     horizon: float  # m from its cell: it keeps no copies farther away
 
 
@@ -83,7 +83,7 @@ class OwnedState(NamedTuple):
     owner: str
     claim: Claim
     particles: Particles
-    view: int  # of the diagram that its cell was cut from
+    diagram_hash: int  # of the diagram that its cell was cut from
 
 
 class Said(TypedDict, total=False):
@@ -102,11 +102,11 @@ class TrackerState(Protocol):
     """The belief that an agent holds between two rounds."""
 
     stamp: int  # the tick of its last round, or of the last prediction
-    mine: Any  # the owned state, stated in the next gossip: owner, claim and view, and what the tracker says of its targets
+    mine: Any  # the owned state, stated in the next gossip: owner, claim and hash of the diagram, and what the tracker says of its targets
     everyone: frozenset[str]  # see `Diagram`
 
     @property
-    def cut(self) -> int:
+    def claim_tick(self) -> int:
         """The tick of the round in which the claim was cut."""
 
 

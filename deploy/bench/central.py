@@ -73,7 +73,7 @@ class Central:
         cells = backend.cut_cells(range(len(radii)), points, radii, self._corners)
         for index, (member, cell) in enumerate(zip(self._team, cells)):
             claim = _claim(cell, points, radii)
-            mine = claim_kernels.owned(updated.states, claim.generators, claim.first, scenario.arena.width, scenario.arena.height)
+            mine = claim_kernels.owned(updated.states, claim.generators, claim.wins_ties, scenario.arena.width, scenario.arena.height)
             own = Particles(*particle_kernels.take(*updated, mine))
             commands[member.name] = self._command(member, cell, own)
             owned.append(_drawn(own, member.name, step))

@@ -25,7 +25,7 @@ import msgpack
 import zenoh
 
 WIRE, WORD, GOLDEN = 2, (1 << 64) - 1, 0x9E3779B97F4A7C15
-NOTHING = {"claim_tick": 0, "claim_names": [], "claim": b"", "view": 0, "weight": 0.0, "states": b"", "ids": b"", "listening": False}
+NOTHING = {"claim_tick": 0, "claim_names": [], "claim": b"", "diagram_hash": 0, "weight": 0.0, "states": b"", "ids": b""}
 ZENOH = '{mode: "peer", connect: {endpoints: ["%s"], timeout_ms: -1, exit_on_failure: false}, listen: {endpoints: ["tcp/127.0.0.1:0"]}, '
 ZENOH += 'scouting: {multicast: {enabled: false}, gossip: {autoconnect_strategy: {peer: {to_peer: "greater-zid"}}}}}'
 Map = dict[str, Any]
@@ -202,7 +202,7 @@ class Stranger:
             said |= {name: gossip for name, gossip in self.gossips[tick].items() if name in names}
         kind = self.settings["partition"]["kind"]
         radius, centre = "power_radius" if kind == "power" else "", "pose" if kind == "voronoi" else "cod"
-        rows = [(name, *gossip[centre][:2], gossip.get(radius, 0.0)) for name, gossip in said.items() if not gossip["listening"]]
+        rows = [(name, *gossip[centre][:2], gossip.get(radius, 0.0)) for name, gossip in said.items() if not gossip.get("listening")]
         return sorted(rows, key=lambda row: order(row[0]))
 
     def close(self) -> None:
@@ -213,7 +213,7 @@ class Stranger:
         for gossip in fresh:
             rows = zip(struct.iter_unpack("<4f", gossip["states"]), struct.iter_unpack("<Q", gossip["ids"]))
             told |= {number: (*state, gossip["weight"], number) for state, (number,) in rows}
-        if not self.diagram <= heard.keys() or len({gossip["view"] for gossip in fresh}) > 1:  # the claims leave gaps: there copies count
+        if not self.diagram <= heard.keys() or len({gossip["diagram_hash"] for gossip in fresh}) > 1:  # the claims leave gaps
             claims = [[(n, *row) for n, row in zip(each["claim_names"], struct.iter_unpack("<3d", each["claim"]))] for each in fresh]
             told |= {copy[5]: copy for copy in self.copies if not any(owns(claim, copy[0], copy[1]) for claim in claims)}
         self.copies = move([told[number] for number in sorted(told)], self.tick, settings)
@@ -222,13 +222,13 @@ class Stranger:
         corners, claim = power_cell(own[0], others, [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]) if own else ([], [])
         kept = draw([particle for particle in self.copies if owns(claim, particle[0], particle[1])], settings["filter"])
         told_of = "\n".join(row[0] for row in diagram).encode() + pack("<3d", [row[1:] for row in diagram])
-        view = int.from_bytes(hashlib.blake2b(told_of, digest_size=7).digest(), "little") | 1
+        hashed = {"diagram_hash": int.from_bytes(hashlib.blake2b(told_of, digest_size=7).digest(), "little") | 1}
         mass, bounds, tick, last = sum(particle[4] for particle in kept), [row[0] for row in claim], self.tick, self.last
-        self.owned = {"claim_tick": self.tick, "claim_names": bounds, "claim": pack("<3d", [row[1:] for row in claim]), "view": view}
+        self.owned = {"claim_tick": self.tick, "claim_names": bounds, "claim": pack("<3d", [row[1:] for row in claim]), **hashed}
         self.owned |= {"states": pack("<4f", [row[:4] for row in kept]), "ids": pack("<Q", [row[5:] for row in kept])}
         self.owned |= {"weight": mass / max(1, len(kept)), "claim_ages": bytes(min(255, abs(tick - last.get(n, tick))) for n in bounds)}
         shown = {name: mine[name] for name in ("tick", "pose", "cod", "power_radius", "unused")}
-        self.say("estimate", {**shown, "mass": mass, "cell": pack("<2d", corners), "view": view, "neighbours": bounds[1:]})
+        self.say("estimate", {**shown, "mass": mass, "cell": pack("<2d", corners), **hashed, "neighbours": bounds[1:]})
         self.drive(mine, [particle[:2] for particle in kept] or corners)
         self.diagram, self.open = {row[0] for row in diagram}, {}
         self.listening = self.listening and (self.tick == 0 or bool(self.awaited()))

@@ -72,9 +72,9 @@ def main() -> None:
 @contextlib.contextmanager
 def _one_by_one() -> Iterator[None]:
     """Hold the cache folder alone, after other processes that compile. A process without progress may be stopped and is not waited for."""
-    from agents.compiled.correction_kernels import update
+    from agents.compiled.correction_kernels import correct
 
-    descriptor = os.open(str(update.stats.cache_path), os.O_RDONLY)  # the folder in which numba keeps what it has compiled
+    descriptor = os.open(str(correct.stats.cache_path), os.O_RDONLY)  # the folder in which numba keeps what it has compiled
     try:
         done, end = 0, time.monotonic() + LONGEST
         while time.monotonic() < end:

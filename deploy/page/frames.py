@@ -192,7 +192,7 @@ def agreement(picture: Picture, mine: Estimate) -> list[int]:
     """How many live agents cut the same diagram as the sender of an estimate in its tick, and how many have spoken of that tick."""
     others = [other.estimates.get(mine.tick) for other in picture.agents.values() if other.alive]
     spoken = [estimate for estimate in others if estimate is not None]
-    return [sum(estimate.view == mine.view for estimate in spoken), len(spoken)]
+    return [sum(estimate.diagram_hash == mine.diagram_hash for estimate in spoken), len(spoken)]
 
 
 def round_pair(values: Sequence[float]) -> list[float]:

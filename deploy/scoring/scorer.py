@@ -244,7 +244,7 @@ class Scorer(Node):
         counted = [said.get(name) or self._latest[name] for name in self._names if name in self._alive and name in self._latest]
         counted = [estimate for estimate in counted if estimate.tick >= truth.tick - max(self._fresh, 2 * estimate.pace)]
         targets = np.frombuffer(b"".join([estimate.targets_bytes for estimate in counted]), dtype="<f8").reshape(-1, 2)
-        one_view = len({estimate.view for estimate in counted}) == 1
+        one_view = len({estimate.diagram_hash for estimate in counted}) == 1
         hole, overlap = hole_and_overlap([estimate.cell for estimate in counted], self._area, one_view=one_view)
         distance, parts = errors(truth.targets, targets, self._scenario.study.cutoff)
         score = Score(

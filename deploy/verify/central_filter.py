@@ -70,7 +70,7 @@ class CentralMixture:
         """One tick on, as `CentralFilter.play`: what is kept of the components in each of the `claims`."""
         self.stamp += 1
         step, table = Step(self.config, self.stamp), _all(gossips, self._classes, self.config)
-        _, self.updated = gaussian_belief.correct(self.mixture, table, step)
+        _, self.updated = gaussian_belief.filter_step(self.mixture, table, step)
         self.mixture = in_order(chain([gaussian_belief.take(self.updated, claim, step) for claim in claims.values()]))
 
 

@@ -133,7 +133,7 @@ class InvariantChecker:
         if outcome is not before:
             check_round(node, is_first=before.belief.stamp < 0)
             check_words(node)
-            if outcome.belief.cut == outcome.belief.stamp:  # else a held belief, whose diagram is an older one
+            if outcome.belief.claim_tick == outcome.belief.stamp:  # else a held belief, whose diagram is an older one
                 check_diagram(node)
             self._check_order(node)
         while self._collector.commands:
@@ -193,8 +193,8 @@ class InvariantChecker:
         """All live agents have played the tick and cut the same diagram; in ledger mode nothing has been lost."""
         alive = set(self._simulation.injector.alive())
         need(alive == set(estimates), f"tick {tick}: alive are {sorted(alive)}, but {sorted(estimates)} have played")
-        views = {estimate.view for estimate in estimates.values()}
-        need(len(views) == 1, f"tick {tick}: {len(views)} different views though healed")
+        hashes = {estimate.diagram_hash for estimate in estimates.values()}
+        need(len(hashes) == 1, f"tick {tick}: {len(hashes)} different diagrams though healed")
         for agent in self._simulation.agents.values():
             need(agent.outcome.belief.everyone == alive, f"{agent.name} believes that {sorted(agent.outcome.belief.everyone)} are alive")
         if self._is_ledger and self._first_mass:

@@ -41,8 +41,8 @@ def test_every_row_has_its_reason_and_spoils_no_other() -> None:
         (gossip("s1", 1), OWN),
         (gossip("s2", 1, incarnation=0), "incarnation"),
         (gossip("s2", 0), "closed"),
-        (gossip("s2", 1, radius=100.0), "bounds"),
-        (gossip("s9", 1), "stranger"),
+        (gossip("s2", 1, radius=100.0), "implausible"),
+        (gossip("s9", 1), "unknown_sensor"),
         (gossip("s4", 1), "dead"),
         (gossip("s3", 1), ACCEPTED),
     ]
@@ -58,7 +58,7 @@ def test_who_hears_neighbours_does_not_judge_those_whom_it_did_not_ask() -> None
 def test_the_row_that_completes_a_round_is_the_last_that_is_judged() -> None:
     peers, awaited = after_a_round(), {"s2", "s3"}
     batch = Batch([gossip("s3", 1), gossip("s9", 1), gossip("s2", 1), gossip("s4", 1)])
-    assert peers.accept(batch, 0, 1, awaited) == [ACCEPTED, "stranger", ACCEPTED] and not awaited
+    assert peers.accept(batch, 0, 1, awaited) == [ACCEPTED, "unknown_sensor", ACCEPTED] and not awaited
     assert list(peers.fresh(1)) == ["s2", "s3"]
     assert peers.accept(batch, 3, 1, None) == [ACCEPTED] and list(peers.fresh(1)) == list(OTHERS)
 
@@ -67,13 +67,13 @@ def test_a_younger_incarnation_in_the_same_batch_shuts_the_older_one_out() -> No
     peers = neighbours("s2")
     peers.gone("s2", 1, 0)
     found = peers.accept(Batch([gossip("s2", 5, incarnation=2), gossip("s2", 6)]))
-    assert found == ["stranger", "incarnation"]
+    assert found == ["unknown_sensor", "incarnation"]
 
 
 def test_the_bounds_have_one_tolerance() -> None:
     """Class B: power radius 2.829 m at most."""
     most = (SENSOR_CLASSES["B"].area * SENSOR_CLASSES["B"].prob_detection / 3.141592653589793) ** 0.5
-    for factor, reason in ((1.0, None), (1.0 + 0.4 * (TOLERANCE - 1.0), None), (1.0 + 2.0 * (TOLERANCE - 1.0), "bounds")):
+    for factor, reason in ((1.0, None), (1.0 + 0.4 * (TOLERANCE - 1.0), None), (1.0 + 2.0 * (TOLERANCE - 1.0), "implausible")):
         said = msgspec.structs.replace(gossip("s2", 1), power_radius=most * factor, unused=1.0)
         assert hear(neighbours("s2"), said) == reason
 
@@ -84,7 +84,7 @@ def test_listeners_who_were_told_of_other_sensors_judge_the_same_batch_for_thems
         peers = PeerTable(CONFIG, "s1")
         peers.take_hello(hello("s2", sensor_class=sensor_class))
         found.append(peers.accept(batch))
-    assert found == [[ACCEPTED], ["bounds"], [ACCEPTED]]
+    assert found == [[ACCEPTED], ["implausible"], [ACCEPTED]]
 
 
 class Team:

@@ -213,7 +213,7 @@ def test_the_word_of_a_stranger_of_an_old_incarnation_and_beyond_its_sensor_is_r
     agent.handle(word(0, power_radius=50.0), 0.1)
     agent.handle(word(0, unused=30.0), 0.1)
     agent.handle(word(0, cod=(39.0, 20.0)), 0.1)
-    assert agent.counters == {"rejected.stranger": 1, "rejected.incarnation": 1, "rejected.bounds": 3}
+    assert agent.counters == {"rejected.unknown_sensor": 1, "rejected.incarnation": 1, "rejected.implausible": 3}
 
 
 def test_a_greeting_with_a_sensor_that_nobody_knows_is_refused_and_ends_nothing() -> None:

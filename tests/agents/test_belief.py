@@ -31,11 +31,13 @@ def particles(*rows: tuple[int, float, float]) -> Particles:
     return unlabelled(states, table[:, 2], table[:, 0].astype(np.uint64))
 
 
-def owned_state(owner: str, held: Particles, generators: dict[str, tuple[float, float, float]] = HALVES, view: int = 7) -> OwnedState:
+def owned_state(
+    owner: str, held: Particles, generators: dict[str, tuple[float, float, float]] = HALVES, diagram_hash: int = 7
+) -> OwnedState:
     """What `owner` owns in the diagram of some generators."""
     names = (owner, *(name for name in generators if name != owner))
     table = np.array([generators[name] for name in names])
-    return OwnedState(owner, make_claim(names, table, tuple(map(order, names))), held, view)
+    return OwnedState(owner, make_claim(names, table, tuple(map(order, names))), held, diagram_hash)
 
 
 def words(belief: Belief, others: list[OwnedState], tick: int = 5) -> GossipTable:
@@ -53,7 +55,7 @@ def words(belief: Belief, others: list[OwnedState], tick: int = 5) -> GossipTabl
             claim_tick=tick - 1,
             claim_names=held.claim.names,
             claim_bytes=pack(held.claim.generators, "<f8"),
-            view=held.view,
+            diagram_hash=held.diagram_hash,
             weight=float(held.particles.weights[0]) if len(held.particles.weights) else 0.0,
             states_bytes=pack(held.particles.states, "<f4"),
             ids_bytes=pack(held.particles.ids, "<u8"),
@@ -89,16 +91,16 @@ def test_where_views_differ_both_count_near_the_border_and_deeper_the_nearer_own
     """s1 saw s2 at 90 m and so claims up to 60 m, s2 itself from 50 m on: of s1's particles at 49, 52 and 58 m the last goes,
     8 m deep in the claim of s2 and nearer to it than to s1."""
     mine = owned_state(
-        "s1", particles((1, 49.0, 0.1), (2, 52.0, 0.1), (3, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s2": (90.0, 50.0, 0.0)}, view=1
+        "s1", particles((1, 49.0, 0.1), (2, 52.0, 0.1), (3, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s2": (90.0, 50.0, 0.0)}, diagram_hash=1
     )
     belief = Belief(4, mine, Copies(NONE), frozenset({"s1", "s2"}))
-    assert merged(belief, [owned_state("s2", particles((4, 59.0, 0.1)), view=2)]) == [1, 2, 4]
+    assert merged(belief, [owned_state("s2", particles((4, 59.0, 0.1)), diagram_hash=2)]) == [1, 2, 4]
 
 
 def test_in_a_hole_between_claims_the_copies_live_on() -> None:
     """s2 saw s1 farther east and claims from 60 m on; s1 claims up to 50 m; a copy at 55 m is nobody's and stays."""
-    theirs = owned_state("s2", NONE, {"s1": (50.0, 50.0, 0.0), "s2": (70.0, 50.0, 0.0)}, view=2)
-    belief = Belief(4, owned_state("s1", NONE, view=1), Copies(particles((5, 55.0, 0.1), (6, 65.0, 0.1))), frozenset({"s1", "s2"}))
+    theirs = owned_state("s2", NONE, {"s1": (50.0, 50.0, 0.0), "s2": (70.0, 50.0, 0.0)}, diagram_hash=2)
+    belief = Belief(4, owned_state("s1", NONE, diagram_hash=1), Copies(particles((5, 55.0, 0.1), (6, 65.0, 0.1))), frozenset({"s1", "s2"}))
     assert merged(belief, [theirs]) == [5]
 
 
@@ -115,14 +117,14 @@ def test_a_gossip_says_what_its_sender_owns() -> None:
         claim_tick=4,
         claim_names=("s2", "s1"),
         claim_bytes=pack(np.array([HALVES["s2"], HALVES["s1"]]), "<f8"),
-        view=7,
+        diagram_hash=7,
         weight=0.25,
         states_bytes=pack(held.states, "<f4"),
         ids_bytes=pack(held.ids, "<u8"),
     )
     said = owned_by_sender(gossip)
-    assert (said.owner, said.claim.names, said.view) == ("s2", ("s2", "s1"), 7)
-    assert said.claim.first.tolist() == [False, True]
+    assert (said.owner, said.claim.names, said.diagram_hash) == ("s2", ("s2", "s1"), 7)
+    assert said.claim.wins_ties.tolist() == [False, True]
     assert all((ours == theirs).all() for ours, theirs in zip(said.particles, held))
 
 

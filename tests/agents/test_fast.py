@@ -149,7 +149,7 @@ def test_owned(seed: int, count: int, places: int) -> None:
     where = np.vstack([rng.random((places, 2)) * 44.0 - 2.0, np.round(rng.random((places, 2)) * SIDE)])
     for names in (order, []):
         claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[names], tuple((number, "") for number in names))
-        compiled = claim_kernels.owned(where, claim.generators, claim.first, SIDE, SIDE)
+        compiled = claim_kernels.owned(where, claim.generators, claim.wins_ties, SIDE, SIDE)
         assert bits(owned(where, claim, ARENA)) == bits(compiled)
 
 

@@ -12,7 +12,7 @@ from agents.tracking.births import Scan
 from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.gaussian_belief import MixtureBelief, MixturePhd, OwnedMixture
 from agents.tracking.gaussian_reduction import estimates, limited, merged
-from agents.tracking.gaussians import EMPTY, Mixture, chain, in_order, mean_of, nodes, packed, points, unpacked, within
+from agents.tracking.gaussians import EMPTY, Mixture, chain, clamped, in_order, mean_of, nodes, packed, points, unpacked
 from agents.tracking.step import Step
 from protocol.fields import pack
 from protocol.messages import Gossip
@@ -270,7 +270,7 @@ def test_an_agent_that_skipped_rounds_moves_its_components_and_its_copies_as_one
         held.append(tracker.hold(MixtureBelief(3, mine, close[1 - number], frozenset("ab")), step))
     assert [len(one.mine.mixture.ids) for one in held] == [1, 0] and [len(one.copies.ids) for one in held] == [0, 1]
     assert all(np.array_equal(one, other) for one, other in zip(held[0].mine.mixture, held[1].copies))
-    assert held[0].mine.mixture.weights == pytest.approx([0.5]) and held[0].cut == 3
+    assert held[0].mine.mixture.weights == pytest.approx([0.5]) and held[0].claim_tick == 3
 
 
 def gossip_of_scan(pose: Pose, detections: list[tuple[float, float]]) -> Gossip:
@@ -292,7 +292,7 @@ def test_light_components_are_dropped_in_view_or_not() -> None:
 def test_a_detection_beyond_the_border_is_a_target_at_the_border() -> None:
     """Else it would belong to no cell. The border of 33.3 m is rounded inwards, as it lies between two numbers of the wire."""
     arena = ArenaSettings(width=33.3, height=40.0)
-    moved = within(chain([component(-0.2, 20.0, 1.0), component(33.5, 41.0, 1.0)]), arena)
+    moved = clamped(chain([component(-0.2, 20.0, 1.0), component(33.5, 41.0, 1.0)]), arena)
     assert moved.means[0, :2].tolist() == [0.0, 20.0] and moved.means[1, 1] == 40.0
     assert 33.3 - 4e-6 < float(np.float32(moved.means[1, 0])) <= 33.3
 
@@ -301,7 +301,7 @@ def test_what_a_scan_moves_beyond_the_border_stays_in_a_cell() -> None:
     """A target at the western border is seen 0.5 m outside, where its component would be corrected to, and another would be born."""
     seen = gossip_of_scan((1.0, 20.0, 0.0), [(-0.5, 20.0)])
     step = Step(config(birth=BirthSettings(background=False)), 5)
-    _, corrected = gaussian_belief.correct(component(0.2, 20.0, 1.0, velocity=(0.0, 0.0)), table([seen], DISC, step.config), step)
+    _, corrected = gaussian_belief.filter_step(component(0.2, 20.0, 1.0, velocity=(0.0, 0.0)), table([seen], DISC, step.config), step)
     owned = chain([gaussian_belief.take(corrected, claim, step) for claim in halves(20.0)])
     assert corrected.weights.sum() > 0.9 and owned.weights.sum() == corrected.weights.sum()
 

@@ -42,7 +42,7 @@ def test_the_three_diagrams_of_the_same_gossips(kind: str, generators: list[list
 
 
 def test_the_view_depends_on_every_generator_and_every_name() -> None:
-    views = {words(gossip("s2"), gossip(name, cod=cod)).view for name in ("s3", "s4") for cod in (4.0, 4.0 + 1e-15 * 8)}
+    views = {words(gossip("s2"), gossip(name, cod=cod)).diagram_hash for name in ("s3", "s4") for cod in (4.0, 4.0 + 1e-15 * 8)}
     assert len(views) == 4 and 0 not in views
 
 
@@ -53,12 +53,12 @@ def test_scans_keep_their_order_and_the_silent_are_left_out() -> None:
 
 
 def test_particles_stand_end_to_end_with_their_senders_weights() -> None:
-    held = {"claim_names": ("s2",), "claim_bytes": pack(np.zeros((1, 3)), "<f8"), "view": 7, "claim_tick": 4}
+    held = {"claim_names": ("s2",), "claim_bytes": pack(np.zeros((1, 3)), "<f8"), "diagram_hash": 7, "claim_tick": 4}
     one = gossip("s2", weight=0.5, states_bytes=pack(np.ones((2, 4)), "<f4"), ids_bytes=pack(np.array([3, 9]), "<u8"), **held)
-    other = gossip("s3", view=7, claim_tick=4)
+    other = gossip("s3", diagram_hash=7, claim_tick=4)
     said = words(one, other)
     assert said.particles.ids.tolist() == [3, 9] and said.particles.weights.tolist() == [0.5, 0.5]
-    assert said.claimed == (4, 7) and words(one, gossip("s3", view=8, claim_tick=4)).claimed is None
+    assert said.claimed == (4, 7) and words(one, gossip("s3", diagram_hash=8, claim_tick=4)).claimed is None
     assert words().particles.states.shape == (0, 4) and words().generators.shape == (0, 3)
 
 

@@ -11,7 +11,7 @@ from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_tracks
 from agents.tracking.labels import birth_labels, derived_label, heaviest, middles, name_peaks, renamed
 from agents.tracking.particles import NONE, Particles, join
-from agents.tracking.phd import resample, update
+from agents.tracking.phd import correct, resample
 from deploy.scoring.tracks import UniqueLabels
 from protocol.codec import decode, encode
 from protocol.fields import Malformed, pack, pack_labels, read_labels
@@ -36,7 +36,7 @@ def seen(particles: Particles, *detections: tuple[float, float], tick: int = 5) 
     """The particles after a scan by a sensor 3 m to the west of (10, 10), with little clutter."""
     found = np.array(detections).reshape(-1, 2)
     scan = Scan(77, EYE, (7.0, 10.0, 0.0), found, np.arange(len(found), dtype=np.uint64), 1e-3)
-    return update(particles, [scan], tick, 1, 0.3, FILTER, BIRTH)
+    return correct(particles, [scan], tick, 1, 0.3, FILTER, BIRTH)
 
 
 def test_a_detection_of_nothing_known_founds_a_label_and_its_births_bear_it() -> None:
@@ -168,7 +168,7 @@ def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> 
 
 
 def test_the_compiled_rules_give_the_same_labels() -> None:
-    names = "NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "CLAIMED", "YOUNG"
+    names = "NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "ADOPTED", "YOUNG"
     names += "BESIDE", "FAINT", "ALONE", "HERE", "AROUND", "STRANGER_MASS"
     assert [getattr(rules, name) for name in names] == [getattr(label_kernels, name) for name in names]
     rng, beside, moved = np.random.default_rng(3), 0, 0

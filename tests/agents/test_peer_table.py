@@ -127,7 +127,7 @@ def test_a_younger_incarnation_replaces_the_older_whose_word_counts_no_more() ->
     peers.alive("s2", 2)
     assert generators(peers, 0) == []
     assert hear(peers, gossip("s2", 1)) == "incarnation" and peers.take_hello(hello("s2")) == "incarnation"
-    assert hear(peers, gossip("s2", 1, incarnation=2)) == "stranger"
+    assert hear(peers, gossip("s2", 1, incarnation=2)) == "unknown_sensor"
     assert peers.take_hello(hello("s2", 2)) is None and hear(peers, gossip("s2", 1, incarnation=2)) is None
     peers.gone("s2", 1, 1)  # the token of the old process goes late
     assert generators(peers, 1) == ["s2"]
@@ -147,7 +147,7 @@ def test_the_newest_hello_counts_so_that_a_spoilt_one_is_put_right() -> None:
     peers.alive("s2", 1)
     wrong = Hello(sender="s2", incarnation=1, sensor_class="B", sensor=WedgeSensor(1.0, 2.0, 0.5))
     peers.take_hello(wrong)
-    assert hear(peers, gossip("s2", 0)) == "bounds"
+    assert hear(peers, gossip("s2", 0)) == "implausible"
     peers.take_hello(Hello(sender="s2", incarnation=1, sensor_class="B", sensor=SENSOR_CLASSES["B"]))
     assert hear(peers, gossip("s2", 0)) is None
 
@@ -168,14 +168,14 @@ def test_a_gossip_of_a_closed_round_is_stale() -> None:
 def test_a_gossip_beyond_what_its_sensor_can_do_is_refused() -> None:
     """Class B has D = 24.88 m^2, hence g(U) <= 2.81 m, and reaches 8 m."""
     peers = neighbours("s2")
-    assert hear(peers, gossip("s2", 0, radius=2.9)) == "bounds"
-    assert hear(peers, gossip("s2", 0, cod=8.1)) == "bounds"
+    assert hear(peers, gossip("s2", 0, radius=2.9)) == "implausible"
+    assert hear(peers, gossip("s2", 0, cod=8.1)) == "implausible"
     assert hear(peers, gossip("s2", 0, radius=2.8, cod=7.9)) is None
 
 
 def test_strangers_and_unknown_sensors_are_refused() -> None:
     peers = PeerTable(CONFIG, "s1")
-    assert hear(peers, gossip("s2", 0)) == "stranger"
+    assert hear(peers, gossip("s2", 0)) == "unknown_sensor"
     assert peers.take_hello(hello("s2", sensor_class="Z")) == "sensor"
     assert peers.take_hello(hello("s2")) is None
     announced = peers.peers["s2"].announced

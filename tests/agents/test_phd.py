@@ -11,7 +11,7 @@ from scipy.signal import convolve2d
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan
 from agents.tracking.particles import NONE, Particles, select, total, unlabelled
-from agents.tracking.phd import exp_minus, likelihood_noise, predict, resample, sample_size, survival_probability, update
+from agents.tracking.phd import correct, exp_minus, likelihood_noise, predict, resample, sample_size, survival_probability
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import ArenaSettings
 from protocol.streams import scramble
@@ -40,9 +40,9 @@ def scan(detections: list[tuple[float, float]], pose: Pose = (20.0, 20.0, 0.0), 
     return Scan(salt, sensor, pose, points, np.arange(len(points), dtype=np.uint64), 0.1 / sensor.area)
 
 
-def correct(particles: Particles, scans: list[Scan], birth: BirthSettings = NO_BIRTH, settings: FilterSettings = POINTS) -> Particles:
+def correct_all(particles: Particles, scans: list[Scan], birth: BirthSettings = NO_BIRTH, settings: FilterSettings = POINTS) -> Particles:
     """The PHD after all scans of tick 5."""
-    return update(particles, scans, 5, 1, NOISE, settings, birth)
+    return correct(particles, scans, 5, 1, NOISE, settings, birth)
 
 
 def test_a_gaussian_prior_is_corrected_as_the_closed_form_says() -> None:
@@ -56,7 +56,7 @@ def test_a_gaussian_prior_is_corrected_as_the_closed_form_says() -> None:
     weights *= mass / weights.sum()
     states = np.column_stack([grid + mean, np.zeros_like(grid)])
     one_target = FilterSettings(vicinity=100.0, roughening=0.0)
-    after = correct(unlabelled(states, weights, np.arange(len(grid), dtype=np.uint64)), [scan([tuple(seen)])], settings=one_target)
+    after = correct_all(unlabelled(states, weights, np.arange(len(grid), dtype=np.uint64)), [scan([tuple(seen)])], settings=one_target)
     total = spread**2 + NOISE**2
     likelihood = 0.8 * mass * math.exp(-0.5 * float(((seen - mean) ** 2).sum()) / total) / (2.0 * math.pi * total)
     found = likelihood / (0.1 / DISC.area + likelihood)
@@ -100,7 +100,7 @@ def test_particles_agree_with_a_dense_grid_filter(far: float) -> None:
     square, offset = np.divmod(np.arange(160000), 100)  # 100 particles in each square of 1 m, each at random in its tenth
     corners = np.column_stack([square % 40 + offset % 10 / 10.0, square // 40 + offset // 10 / 10.0])
     states = np.column_stack([corners + 0.1 * rng.random((160000, 2)), np.zeros((160000, 2))])
-    after = correct(unlabelled(states, np.full(160000, density / 100.0), np.arange(160000, dtype=np.uint64)), scans)
+    after = correct_all(unlabelled(states, np.full(160000, density / 100.0), np.arange(160000, dtype=np.uint64)), scans)
     ours = np.histogram2d(*after.states[:, :2].T, bins=10, range=[[0, 40], [0, 40]], weights=after.weights)[0]
     oracle = np.histogram2d(*grid.T, bins=10, range=[[0, 40], [0, 40]], weights=phd * 0.01)[0]
     assert ours.sum() == pytest.approx(oracle.sum(), rel=0.01)
@@ -125,7 +125,7 @@ def test_mass_balance_of_a_scan(seed: int, count: int, places: list[tuple[float,
     """
     before, one = cloud(seed, count), scan(places, sensor=WedgeSensor(2.0 * math.pi, 10.0, 1.0))
     birth = BirthSettings(measurement=births)
-    after = correct(before, [one], birth)
+    after = correct_all(before, [one], birth)
     probability = one.sensor.probability(before.states[:, :2], one.pose)
     found = after.weights.sum() - (before.weights * (1.0 - probability)).sum()
     assert -1e-9 <= found <= len(places) + 1e-9
@@ -147,7 +147,7 @@ def test_mass_balance_of_a_scan(seed: int, count: int, places: list[tuple[float,
 def test_an_empty_scan_is_information() -> None:
     """Of a target that is there with probability r a miss leaves r (1 - p_d) / (1 - r p_d), of many far apart each its own."""
     places, masses = [(15.5, 20.5), (20.5, 26.5), (20.5, 14.5), (26.5, 20.5), (31.5, 20.5)], np.array([0.001, 0.3, 0.9, 4.0, 0.7])
-    after = correct(unlabelled(np.hstack([places, np.zeros((5, 2))]), masses, np.arange(5, dtype=np.uint64)), [scan([])])
+    after = correct_all(unlabelled(np.hstack([places, np.zeros((5, 2))]), masses, np.arange(5, dtype=np.uint64)), [scan([])])
     sure = np.minimum(masses[:4], POINTS.certainty)
     assert after.weights[:4] == pytest.approx(masses[:4] * 0.2 / (1.0 - 0.8 * sure), rel=1e-12)
     assert after.weights[0] == pytest.approx(0.0002, rel=1e-3)  # as in the PHD filter, where there is little
@@ -163,13 +163,13 @@ def test_the_width_of_a_particle_follows_silvermans_rule_for_a_step_of_noise() -
 def test_scans_of_separate_footprints_commute() -> None:
     here, there = scan([(8.0, 8.0)], (8.0, 8.0, 0.0)), scan([(31.0, 32.0)], (32.0, 32.0, 0.0), salt=8)
     before = cloud(5, 400)
-    assert (correct(before, [here, there]).weights == correct(before, [there, here]).weights).all()
+    assert (correct_all(before, [here, there]).weights == correct_all(before, [there, here]).weights).all()
 
 
 def test_scans_of_one_place_do_not_commute_so_their_order_is_fixed() -> None:
     one, other = scan([(20.0, 20.0)]), scan([(20.4, 20.0), (21.0, 20.0)], (22.0, 20.0, 0.0), salt=8)
     before = cloud(6, 20000, mass=40.0)
-    forth, back = correct(before, [one, other]).weights, correct(before, [other, one]).weights
+    forth, back = correct_all(before, [one, other]).weights, correct_all(before, [other, one]).weights
     assert np.abs(forth - back).max() > 1e-4
     assert forth.sum() == pytest.approx(back.sum(), rel=0.05)
 
@@ -179,14 +179,14 @@ def test_particles_that_a_scan_cannot_reach_keep_their_bits() -> None:
     before = cloud(7, 500)
     near = np.hypot(before.states[:, 0] - 20.0, before.states[:, 1] - 20.0) <= 14.0
     scans = [scan([(20.0, 20.0), (23.0, 19.0)]), scan([(21.0, 20.0)], (19.0, 18.0, 0.4), salt=8)]
-    assert (correct(before, scans).weights[near] == correct(select(before, near), scans).weights).all()
+    assert (correct_all(before, scans).weights[near] == correct_all(select(before, near), scans).weights).all()
 
 
 def test_no_particles_and_no_scans_are_cases() -> None:
-    assert len(correct(NONE, [scan([(20.0, 20.0)])]).weights) == 0
-    assert len(correct(NONE, [scan([(20.0, 20.0)])], BirthSettings()).weights) == 10
+    assert len(correct_all(NONE, [scan([(20.0, 20.0)])]).weights) == 0
+    assert len(correct_all(NONE, [scan([(20.0, 20.0)])], BirthSettings()).weights) == 10
     before = cloud(8, 5)
-    assert all((ours == theirs).all() for ours, theirs in zip(correct(before, []), before))
+    assert all((ours == theirs).all() for ours, theirs in zip(correct_all(before, []), before))
 
 
 @given(seeds, st.sampled_from(["cross", "reflect"]))

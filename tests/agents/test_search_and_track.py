@@ -140,9 +140,9 @@ def test_it_goes_towards_old_mass_and_announces_the_place_and_the_load() -> None
     decision = decide(task(particles((36.0, 50.0, 1.0))), no_memory(100.0, 100.0))
     assert decision.goal == pytest.approx((46.0, 50.0))
     assert decision.velocity == pytest.approx((-2.0, 0.0))
-    assert decision.load == 0.0
+    assert decision.utilisation == 0.0
     watched = decide(task(particles((53.0, 50.5, 3.0))), Memory(seen(1.0), np.empty(0, np.uint64), np.empty(0)))
-    assert watched.load == pytest.approx(3.0 / 1.5)  # a sensor of 45 degrees holds 1.5 targets
+    assert watched.utilisation == pytest.approx(3.0 / 1.5)  # a sensor of 45 degrees holds 1.5 targets
 
 
 def test_it_leaves_to_a_partner_what_the_partner_serves() -> None:
@@ -179,10 +179,10 @@ def test_a_goal_that_is_no_place_is_refused(goal: tuple[float, float]) -> None:
         Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, goal=goal).check()
 
 
-@pytest.mark.parametrize("load", [math.nan, -1.0, math.inf])
-def test_a_load_that_is_no_number_is_refused(load: float) -> None:
-    with pytest.raises(Malformed, match="goal_load"):
-        Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, goal_load=load).check()
+@pytest.mark.parametrize("value", [math.nan, -1.0, math.inf])
+def test_a_utilisation_that_is_no_number_is_refused(value: float) -> None:
+    with pytest.raises(Malformed, match="goal_utilisation"):
+        Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, goal_utilisation=value).check()
 
 
 def test_an_agent_without_a_goal_counts_as_one_that_stays() -> None:

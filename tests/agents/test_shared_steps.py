@@ -172,7 +172,7 @@ def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(n
     claim = _claim(words, cell, NO_GENERATORS)
     received = make_claim(claim.names, claim.generators, tuple(order(other) for other in claim.names))
     assert claim.names[0] == name and len(claim.names) == 3
-    assert claim.first.tolist() == received.first.tolist() == [order(other) < order(name) for other in claim.names]
+    assert claim.wins_ties.tolist() == received.wins_ties.tolist() == [order(other) < order(name) for other in claim.names]
 
 
 @BOTH

@@ -59,11 +59,11 @@ def test_only_sensors_that_reach_the_region_around_the_cell_are_fields() -> None
 
 def test_the_claim_of_a_stranger_never_agrees_with_mine_whatever_view_it_states() -> None:
     """s2, unknown until now, claims what lies beyond 50 m, and I what lies before 60 m; both say the same view."""
-    mine = owned_state("s1", particles((1, 49.0, 0.1), (2, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s3": (90.0, 50.0, 0.0)}, view=7)
-    theirs = owned_state("s2", particles((4, 59.0, 0.1)), view=7)
+    mine = owned_state("s1", particles((1, 49.0, 0.1), (2, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s3": (90.0, 50.0, 0.0)}, diagram_hash=7)
+    theirs = owned_state("s2", particles((4, 59.0, 0.1)), diagram_hash=7)
     belief = Belief(4, mine, Copies(NONE), frozenset({"s1", "s3"}), frozenset({"s3"}))
     assert merged(belief, [theirs]) == [1, 4]
-    assert merged(replace(belief, acquainted=frozenset({"s2", "s3"})), [theirs]) == [1, 2, 4]
+    assert merged(replace(belief, known_names=frozenset({"s2", "s3"})), [theirs]) == [1, 2, 4]
 
 
 def test_each_bound_of_what_a_sensor_can_do_is_kept_by_itself() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.compiled.correction_kernels import update
+from agents.compiled.correction_kernels import correct
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
@@ -60,7 +60,7 @@ def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_who_warms_up_while_another_does_waits_for_it() -> None:
     program = "from deploy.live.warmup import warm; print('begins', flush=True); warm(); print('warm')"
-    held = os.open(update.stats.cache_path, os.O_RDONLY)
+    held = os.open(correct.stats.cache_path, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
     try:
         waiting = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, text=True)

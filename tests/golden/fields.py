@@ -15,7 +15,12 @@ from protocol.messages import Command, Gossip
 from protocol.observer_messages import Estimate
 
 Values = list[Any]  # numbers, texts, arrays, or lists of them
-RECORDED_AS = {"rejected.closed": "rejected.stale", "rejected.old_observation": "rejected.stale"}  # counters renamed since the record
+RECORDED_AS = {  # counters renamed since the record
+    "rejected.closed": "rejected.stale",
+    "rejected.old_observation": "rejected.stale",
+    "rejected.unknown_sensor": "rejected.stranger",
+    "rejected.implausible": "rejected.bounds",
+}
 
 
 def counts(counters: Mapping[str, int]) -> list[list[Any]]:
@@ -31,12 +36,12 @@ FIELDS: dict[str, tuple[type[Message], Callable[[Any], Iterable[Any]]]] = {
     "scan": (Gossip, lambda said: (said.detections,)),
     "unused": (Gossip, lambda said: (said.unused, said.power_radius)),
     "claim": (Gossip, lambda said: (said.claim_tick, said.claim_names, said.claim)),
-    "view": (Gossip, lambda said: (said.view,)),
+    "diagram_hash": (Gossip, lambda said: (said.diagram_hash,)),
     "ids": (Gossip, lambda said: (said.ids,)),
     "states": (Gossip, lambda said: (said.states,)),
     "weights": (Gossip, lambda said: (said.weight,)),
     "command": (Command, lambda said: (said.velocity, said.turn_rate)),
-    "cell": (Estimate, lambda said: (said.cell, said.neighbours, said.view)),
+    "cell": (Estimate, lambda said: (said.cell, said.neighbours, said.diagram_hash)),
     "mass": (Estimate, lambda said: (said.mass, said.load, said.unused)),
     "estimates": (Estimate, lambda said: (said.targets,)),
     "counters": (Estimate, lambda said: (counts(said.counters),)),

@@ -133,7 +133,7 @@ def first_of_one_view(journal: Journal, start: int) -> int:
     """The first tick from `start` on in which all agents have heard the same; who missed a gossip cuts another diagram for that tick."""
     views: dict[int, list[int]] = {}
     for _, estimate in journal.said(Estimate):
-        views.setdefault(estimate.tick, []).append(estimate.view)
+        views.setdefault(estimate.tick, []).append(estimate.diagram_hash)
     return next(tick for tick in sorted(views) if tick >= start and len(views[tick]) == 8 and len(set(views[tick])) == 1)
 
 

@@ -31,7 +31,7 @@ def test_a_late_comer_from_outside_is_in_every_view_and_gets_a_body_and_a_cell(c
     assert gossips[0].listening and settled <= spoke + 6  # two rounds when all of them are heard in time
     last = [message for _, message in journal.said(Estimate) if message.tick > settled + 4]
     assert {message.sender for message in last} == {f"s{number}" for number in (*range(1, 9), 20)}
-    views = [len({message.view for message in last if message.tick == stamp}) for stamp in {message.tick for message in last}]
+    views = [len({message.diagram_hash for message in last if message.tick == stamp}) for stamp in {message.tick for message in last}]
     assert statistics.median(views) == 1
     print(f"a cell {settled - spoke} ticks after its first word; mass {statistics.median(journal.masses(settled + 4)):.4f} in the median")
     assert 0.99 <= statistics.median(journal.masses(settled + 4)) <= 1.01

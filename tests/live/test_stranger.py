@@ -53,7 +53,7 @@ def test_a_stranger_takes_a_seat_keeps_what_the_others_believe_and_is_followed_b
     assert [score.mass / MASS for score in with_it] == pytest.approx([1.0] * len(with_it), abs=0.01)
     estimates = [said for _, said in journal.said(Estimate) if settled <= said.tick < last]
     assert {said.sender for said in estimates} == {"s1", "s2", "s3", "x1"}
-    assert all(len({said.view for said in estimates if said.tick == tick}) == 1 for tick in range(settled, last))
+    assert all(len({said.diagram_hash for said in estimates if said.tick == tick}) == 1 for tick in range(settled, last))
     assert not [name for said in estimates for name in said.counters if name.startswith("rejected.")]
     without = journal.after(last + 6)
     assert without and max(score.hole for score in without) <= 1e-6 and max(score.overlap for score in without) <= 1e-6
@@ -95,5 +95,5 @@ def test_in_real_time_a_stranger_moves_within_the_limits_and_cuts_the_diagram_of
     assert all(math.hypot(*said.velocity) <= 2.0 + 1e-9 and abs(said.turn_rate) <= 5.0 for said in commands)
     estimates = [said for _, said in journal.said(Estimate) if said.tick >= settled and said.sender == "x1"]
     assert max(polygon_area(said.cell) for said in estimates) > 0.0
-    views = [{said.view for _, said in journal.said(Estimate) if said.tick == tick} for tick in range(settled + 2, settled + 24)]
+    views = [{said.diagram_hash for _, said in journal.said(Estimate) if said.tick == tick} for tick in range(settled + 2, settled + 24)]
     assert sum(len(view) == 1 for view in views) >= 18, views  # the clock runs here, and a gossip may be late

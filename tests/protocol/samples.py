@@ -59,7 +59,7 @@ def _samples() -> list[Message]:
             claim_tick=3,
             claim_names=("s1", "s2", "s3"),
             claim_bytes=pack(places[:3, :3], "<f8"),
-            view=2**62,
+            diagram_hash=2**62,
             weight=0.02,
             states_bytes=pack(places, "<f4"),
             ids_bytes=pack(np.sort(rng.integers(0, 2**64, 60, dtype=np.uint64)), "<u8"),

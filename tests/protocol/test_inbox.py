@@ -125,30 +125,30 @@ def test_the_flow_remembers_a_bounded_number_of_keys() -> None:
 
 def test_patient_messages_call_the_loop_only_once_enough_of_them_have_come() -> None:
     inbox = Inbox(patient="/gossip/")
-    assert not inbox.rest(3)
+    assert not inbox.finish_pass(3)
     assert not inbox.add(Arrival("c/r/gossip/s1", b"1"))
     assert not inbox.add(Arrival("c/r/gossip/s2", b"2"))
     assert inbox.add(Arrival("c/r/gossip/s3", b"3"))
     assert payloads(inbox.take(2)) == [b"1", b"2"]
-    assert inbox.rest(1), "one that is enough is there already"
+    assert inbox.finish_pass(1), "one that is enough is there already"
     assert payloads(inbox.take(9)) == [b"3"]
-    assert not inbox.rest(2)
+    assert not inbox.finish_pass(2)
 
 
 def test_any_other_message_and_any_token_calls_the_loop_at_once() -> None:
     for urgent in (Arrival("c/r/observation/s1", b"1"), Arrival("c/r/alive/agent/s2/1", token=False)):
         inbox = Inbox(patient="/gossip/")
-        assert not inbox.rest(9)
+        assert not inbox.finish_pass(9)
         assert not inbox.add(Arrival("c/r/gossip/s1", b"1"))
         assert inbox.add(urgent)
         assert len(inbox.take(9)) == 2
-        assert not inbox.rest(9)
+        assert not inbox.finish_pass(9)
 
 
 def test_what_overflows_is_no_longer_waited_for() -> None:
     inbox = Inbox(most_entries=4, patient="/gossip/")
-    inbox.rest(5)
+    inbox.finish_pass(5)
     woken = [inbox.add(Arrival("c/r/gossip/s1", bytes([number]))) for number in range(6)]
     assert not any(woken)
     assert payloads(inbox.take(9)) == [b"\x04", b"\x05"]
-    assert not inbox.rest(1)
+    assert not inbox.finish_pass(1)

@@ -231,6 +231,32 @@ def test_a_session_that_does_not_let_go_of_its_port_is_opened_anew_on_another(mo
     asyncio.run(scene())
 
 
+def test_a_session_that_fails_after_its_subscriptions_leaves_none_behind_and_the_next_one_hears(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "RETRY_SECONDS", 0.05)
+
+    async def scene() -> None:
+        left, right = Scribe("a"), Scribe("b")
+        left.first = [Subscribe(keys.all_of(left.run, "command"))]
+        async with Pair(left, right) as pair:
+            await until(lambda: Alive("agent", "b", 1) in left.events)
+            driver, fails = pair.drivers[0], [live.zenoh.ZError("for the test")]
+            declare = driver._declare
+
+            def failing() -> None:
+                if fails:
+                    raise fails.pop()
+                declare()
+
+            monkeypatch.setattr(driver, "_declare", failing)
+            driver._carry_out(Reopen("for the test"))
+            await until(lambda: driver.counts["reopened"] == 1)
+            assert not fails
+            heard = len(left.texts())
+            await until(lambda: bool(pair.drivers[1]._carry_out(command("b", 1))) or len(left.texts()) > heard)
+
+    asyncio.run(scene())
+
+
 def test_who_is_not_there_any_more_after_the_session_was_opened_anew_is_reported_gone() -> None:
     async def scene() -> None:
         left, right = Scribe("a"), Scribe("b")

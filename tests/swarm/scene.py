@@ -98,7 +98,7 @@ def watch(
         simulation,
         result,
         masses=[sum(estimate.mass for estimate in found) for found in said],
-        views=[len({estimate.view for estimate in found}) for found in said],
+        views=[len({estimate.diagram_hash for estimate in found}) for found in said],
         living=[sorted(estimate.sender for estimate in found) for found in said],
         holes=[score.hole for score in simulation.scorer.scores],
         overlaps=[score.overlap for score in simulation.scorer.scores],

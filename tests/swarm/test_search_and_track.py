@@ -48,7 +48,7 @@ def test_every_agent_announces_a_goal_in_the_arena_within_the_way_of_a_horizon()
 
 
 def test_agents_of_another_law_announce_nothing() -> None:
-    assert {(gossip.goal, gossip.goal_load) for gossip in gossips(Simulation(scenario("lloyd", 2.0)))} == {(None, 0.0)}
+    assert {(gossip.goal, gossip.goal_utilisation) for gossip in gossips(Simulation(scenario("lloyd", 2.0)))} == {(None, 0.0)}
 
 
 def test_a_dead_agent_is_no_partner_from_its_round_on(monkeypatch: pytest.MonkeyPatch) -> None:
