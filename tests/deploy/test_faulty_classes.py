@@ -1,0 +1,251 @@
+"""Classes of a user's own that answer wrongly: each is named in one line, with what it should have returned."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.sensing import Pose
+from tests.deploy.wrong_inputs import folder, typed
+
+__all__ = ["folder"]  # a fixture
+SQUARE = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 5.0], [0.0, 5.0]])
+
+
+class Camera:
+    """A sensor model as it should be; each of the others has one fault."""
+
+    reach = 8.0
+    area = 78.5
+
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        """What is near is seen."""
+        return np.where(np.hypot(points[:, 0] - pose[0], points[:, 1] - pose[1]) < 5.0, 0.9, 0.0)
+
+    def footprint(self, pose: Pose) -> Any:
+        """A square."""
+        return SQUARE + np.array(pose[:2])
+
+
+class Shape(Camera):
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return np.zeros(7)
+
+
+class Nothing(Camera):
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return None
+
+
+class Nan(Camera):
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return np.full(len(points), np.nan)
+
+
+class Complex(Camera):
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return np.full(len(points), 1j)
+
+
+class Above(Camera):
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return np.full(len(points), 1.5)
+
+
+class Raises(Camera):
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return {}["nope"]
+
+
+class Blind(Camera):
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return np.zeros(len(points))
+
+
+class Later(Camera):
+    """Right while the scenario is checked, and wrong later."""
+
+    calls = 0
+
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        Later.calls += 1
+        return super().probability(points, pose) if Later.calls < 60 else "much"
+
+
+class Farther(Camera):
+    reach = 4.0
+
+
+class Larger(Camera):
+    area = 785.0
+
+
+class Backwards(Camera):
+    def footprint(self, pose: Pose) -> Any:
+        return SQUARE[::-1]
+
+
+class Line(Camera):
+    def footprint(self, pose: Pose) -> Any:
+        return np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])
+
+
+class Bow(Camera):
+    def footprint(self, pose: Pose) -> Any:
+        return SQUARE[[0, 2, 1, 3]]
+
+
+class Text(Camera):
+    def footprint(self, pose: Pose) -> Any:
+        return "everywhere"
+
+
+class TwoCorners(Camera):
+    def footprint(self, pose: Pose) -> Any:
+        return SQUARE[:2]
+
+
+class NoReach(Camera):
+    reach = -1.0
+
+
+class Wordy(Camera):
+    area = "large"  # type: ignore[assignment]
+
+
+class NoCamera:
+    """It cannot be built, whatever it is used as."""
+
+    def __init__(self, *_: Any) -> None:
+        raise KeyError("no camera")
+
+
+class Leaves:
+    """It ends the program, or would."""
+
+    def __init__(self, *_: Any) -> None:
+        sys.exit(0)
+
+
+class LaterLeaves:
+    def command(self, situation: Any) -> Any:
+        if situation.tick == 2:
+            sys.exit(3)
+        return (0.0, 0.0), 0.0
+
+
+class Says:
+    def command(self, situation: Any) -> Any:
+        return "forward"
+
+
+class NanLaw:
+    def command(self, situation: Any) -> Any:
+        return (float("nan"), 0.0), 0.0
+
+
+class Flat:
+    def command(self, situation: Any) -> Any:
+        return 1.0, 0.0, 0.5
+
+
+class Breaks:
+    def command(self, situation: Any) -> Any:
+        return situation.no_such_thing
+
+
+class LaterLaw:
+    def command(self, situation: Any) -> Any:
+        return "left" if situation.tick == 2 else ((0.0, 0.0), 0.0)
+
+
+class Still:
+    def __init__(self, *_: Any) -> None: ...
+
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> Any:
+        return positions
+
+
+class Lost(Still):
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> Any:
+        return positions[:-1], headings
+
+
+class Crash(Still):
+    def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> Any:
+        raise ZeroDivisionError("boom")
+
+
+PLUGGED = [
+    ("sensor", "Shape", "Shape.probability of 3 points returned an array of shape (7,)"),
+    ("sensor", "Nothing", "Nothing.probability of 3 points returned None"),
+    ("sensor", "Nan", "Nan.probability of 3 points returned an array with nan in it"),
+    ("sensor", "Complex", "type complex128: should be an array of shape (3,) of finite real numbers"),
+    ("sensor", "Above", "returned an array with 1.5 in it: should be from 0 to 1"),
+    ("sensor", "Raises", "Raises.probability of 3 points raised KeyError: 'nope'"),
+    ("sensor", "Blind", "Blind: the detection probability is 0 everywhere"),
+    ("sensor", "Later", "returned 'much': should be an array"),
+    ("sensor", "Farther", "Farther.probability is 0.9 at 5 m: should be 0 beyond reach = 4"),
+    ("sensor", "Larger", "Larger.area = 785: should be 78."),
+    ("sensor", "Backwards", "Backwards.footprint returned corners that run clockwise: should be counter-clockwise"),
+    ("sensor", "Caamera", "has no Caamera; did you mean Camera?"),
+    ("sensor", "Line", "Line.footprint returned no polygon"),
+    ("sensor", "Bow", "Bow.footprint returned no polygon"),
+    ("sensor", "Text", "Text.footprint returned 'everywhere': should be an array of shape (N, 2)"),
+    ("sensor", "TwoCorners", "TwoCorners.footprint returned 2 corners: a polygon has at least 3"),
+    ("sensor", "NoReach", "NoReach.reach = -1.0: should be a number > 0"),
+    ("sensor", "Wordy", "Wordy.area = 'large': should be a number > 0"),
+    ("sensor", "NoCamera", "NoCamera raised KeyError: 'no camera'"),
+    ("sensor", "Says", "Says lacks reach, area, probability, footprint"),
+    ("sensor", "Missing", "has no Missing"),
+    ("sensor", "Leaves", "Leaves raised SystemExit: 0"),
+    ("control", "Leaves", "raised SystemExit: 0"),
+    ("motion", "Leaves", "raised SystemExit: 0"),
+    ("control", "LaterLeaves", "LaterLeaves.command raised SystemExit: 3"),
+    ("control", "Says", "Says.command returned 'forward': should be ((vx, vy), turn_rate)"),
+    ("control", "NanLaw", "NanLaw.command returned ((nan, 0.0), 0.0)"),
+    ("control", "Flat", "Flat.command returned (1.0, 0.0, 0.5)"),
+    ("control", "Breaks", "Breaks.command raised AttributeError"),
+    ("control", "LaterLaw", "LaterLaw.command returned 'left'"),
+    ("control", "Camera", "the class needs a method command(situation)"),
+    ("control", "NoCamera", "raised KeyError: 'no camera'"),
+    ("motion", "Still", "Still.move of 2 targets returned array("),
+    ("motion", "Lost", "Lost.move of 2 targets, positions: returned an array of shape (1, 2)"),
+    ("motion", "Crash", "Crash.move of 2 targets raised ZeroDivisionError: boom"),
+    ("motion", "Says", "targets.motion = "),
+    ("motion", "NoCamera", "raised KeyError: 'no camera'"),
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "part"), PLUGGED, ids=[f"{row[0]}-{row[1]}" for row in PLUGGED])
+def test_a_class_of_the_users_own_that_answers_wrongly_is_named_in_one_line(
+    kind: str, name: str, part: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    setting = {"sensor": "sensors.X.model", "control": "control.mode", "motion": "targets.motion"}[kind]
+    words = ["simulate", "quick", "--seconds", "3", "--set", f"{setting}={__name__}:{name}"]
+    found, complaints = typed([*words, *(["--team", "2X"] if kind == "sensor" else [])], capsys)
+    complaints = [line for line in complaints if line.startswith("covey: ")]
+    assert len(complaints) == 1 and part in complaints[0] and name in complaints[0], complaints
+    assert found == 2
+
+
+@pytest.mark.parametrize("setting", ["sensors.X.model", "control.mode", "targets.motion"])
+def test_a_module_that_ends_the_program_while_it_is_imported_is_one_line(
+    setting: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "leaving.py").write_text("import sys\nsys.exit(0)\n")
+    team = ["--team", "2X"] if "X" in setting else []
+    found, complaints = typed(["simulate", "quick", "--seconds", "3", *team, "--set", f"{setting}=leaving:Any"], capsys)
+    assert found == 2
+    assert len(complaints) == 1 and "module leaving cannot be imported: SystemExit: 0" in complaints[0], complaints
+
+
+def test_the_classes_that_have_no_fault_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--seconds", "2", "--team", "2X", "--set", f"sensors.X.model={__name__}:Camera"]
+    assert typed(["simulate", "quick", *words], capsys)[0] == 0
+
+
+def test_there_are_thirty_faults_and_more() -> None:
+    assert len(PLUGGED) >= 30

@@ -1,0 +1,46 @@
+"""A folder of a user's with wrong files in it, and what a command complains about, for the tests of bad input."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy.__main__ import app
+from deploy.cli.errors import guarded
+
+FILES = {
+    "empty.toml": b"",
+    "syntax.toml": b"[run\n",
+    "binary.toml": b"\xff\xfe\x00",
+    "twice.toml": b"[run]\nseed = 1\nseed = 2\n",
+    "section.toml": b"[tagrets]\ncount = 3\n",
+    "late.toml": b"[run]\nseconds = 10.0\n[[faults]]\nat = 300.0\nverb = 'kill'\nwho = '1'\n",
+    "verb.toml": b"[[faults]]\nat = 3.0\nverb = 'kil'\nwho = '1'\n",
+    "at.toml": b"[[faults]]\nverb = 'kill'\n",
+    "member.toml": b"[members]\n'a b' = 'A'\n",
+    "class.toml": b"[members]\ns1 = 'Q'\n",
+    "open.toml": b"[network]\nlisten = ['tcp/0.0.0.0:0']\n",
+    "world.toml": b"[members]\nworld = 'A'\n",
+    "file": b"",
+    "file.mcap": b"no recording",
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of a user's, with wrong files in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COVEY_RUNS", str(tmp_path / "runs"))
+    monkeypatch.delenv("COVEY_DEBUG", raising=False)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for name, content in FILES.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "tree" / ".git").mkdir(parents=True)
+    return tmp_path
+
+
+def typed(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str]]:
+    """Exit code and lines of complaint of a command in this process, but for the line of the first one that compiles."""
+    code = guarded(lambda: app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0)
+    lines = capsys.readouterr().err.splitlines()
+    return code, [line for line in lines if not line.startswith("covey: compiling")]
