@@ -40,9 +40,9 @@ COLUMNS = 26
     KIND,
     DETECTIONS,
     WEIGHT,
-    EAST,
-    NORTH,
-    RADIUS,
+    GENERATOR_X,
+    GENERATOR_Y,
+    POWER_RADIUS,
     PARTICLES,
     SALT,
     MODEL,
@@ -61,7 +61,7 @@ NO_SCAN, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a 
 _SENSOR = struct.Struct("<5dQ4d")
 _SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE, FAR_PROB]
 _SCANNED = 11  # the place of `scanned` in `Gossip.numbers`, and those of columns
-_IN_NUMBERS = {X: 0, Y: 1, COS: 2, SIN: 3, EAST: 4, NORTH: 5, RADIUS: 6, WEIGHT: 8, DETECTIONS: 9, PARTICLES: 10}
+_IN_NUMBERS = {X: 0, Y: 1, COS: 2, SIN: 3, GENERATOR_X: 4, GENERATOR_Y: 5, POWER_RADIUS: 6, WEIGHT: 8, DETECTIONS: 9, PARTICLES: 10}
 _IN_NUMBERS |= {PLACE_NOISE: 12, HEADING_NOISE: 13}
 
 
@@ -72,7 +72,7 @@ def _sources(diagram: str) -> np.ndarray:
         sources[column] = place
     sources[_SENSOR_COLUMNS] = range(GOSSIP_NUMBERS, GOSSIP_NUMBERS + len(_SENSOR_COLUMNS))
     if diagram == "voronoi":
-        sources[[EAST, NORTH]] = sources[[X, Y]]
+        sources[[GENERATOR_X, GENERATOR_Y]] = sources[[X, Y]]
     return sources
 
 
@@ -142,7 +142,7 @@ class GossipTable:
         table = numbers.take(_SOURCES[self.diagram], axis=1)
         table[:, KIND] *= numbers[:, _SCANNED]
         if self.diagram != "power":
-            table[:, RADIUS] = 0.0
+            table[:, POWER_RADIUS] = 0.0
         if not self._is_unsure:
             table[:, PLACE_NOISE:] = 0.0
             return table
@@ -175,7 +175,7 @@ class GossipTable:
     @once
     def generators(self) -> np.ndarray:
         """The generators (N, 3): point x, y and power radius, m."""
-        return self.table[:, EAST : RADIUS + 1].copy()
+        return self.table[:, GENERATOR_X : POWER_RADIUS + 1].copy()
 
     @once
     def points(self) -> np.ndarray:

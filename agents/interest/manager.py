@@ -15,7 +15,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.coverage.capacity import place
-from agents.interest.position_table import EAST, RADIUS, beacon_row
+from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
 from agents.interest.selection import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
 from agents.interest.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
 from agents.membership.half_open_link import HalfOpenLinkDetector, WorldLinkDetector
@@ -119,7 +119,7 @@ class InterestManager:
 
     def _first_cell(self, own: Beacon, tick: int) -> np.ndarray:
         """The cell (V, 2) m that the known generators leave to this agent."""
-        generators = self._table(own, tick)[:, EAST : RADIUS + 1]
+        generators = self._table(own, tick)[:, GENERATOR_X : POWER_RADIUS + 1]
         points, radii = generators[:, :2].copy(), generators[:, 2].copy()
         return self._context.backend.cut_cells([len(radii) - 1], points, radii, self._context.arena)[0].polygon
 

@@ -13,7 +13,8 @@ from protocol.messages import Beacon, Gossip
 POSITION_ROW = struct.Struct("<6d")
 SIZE = POSITION_ROW.size  # bytes
 _NO_RADIUS = bytes(8)
-SENSOR_X, SENSOR_Y, REACH, EAST, NORTH, RADIUS = range(6)  # columns, all in m: the sensor and its reach, and the generator
+# columns, all in m: the sensor and its reach, and the generator
+SENSOR_X, SENSOR_Y, SENSOR_REACH, GENERATOR_X, GENERATOR_Y, POWER_RADIUS = range(6)
 
 
 def gossip_row(gossip: Gossip, sensor: AnnouncedSensor, diagram: str) -> bytes:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.interest.position_table import EAST, RADIUS, REACH, SENSOR_X
+from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, SENSOR_REACH, SENSOR_X
 from agents.interest.tiles import Bounds, Rectangle
 
 Distances = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (P, 2 or more) to a polygon (V, 2), m
@@ -101,12 +101,12 @@ def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, 
 
     `table` (N + 1, 6) holds the positions of the peers (`position_table`) and, last, the own one.
     """
-    generators = table[:, EAST : RADIUS + 1]
+    generators = table[:, GENERATOR_X : POWER_RADIUS + 1]
     if len(cell):
         home = cell
     else:
         home, halo = _likeliest_cell(generators, ground.arena), halo + APPEARANCE
-    observing = ground.distances(home, table[:-1, SENSOR_X:REACH]) <= halo + MARGIN + table[:-1, REACH]
+    observing = ground.distances(home, table[:-1, SENSOR_X:SENSOR_REACH]) <= halo + MARGIN + table[:-1, SENSOR_REACH]
     points = region(home, position, halo, reach, ground)
     owning, least = owners(points, generators)
     return Choice(observing | owning[:-1], _needed(home, points, least, halo, ground))

@@ -24,7 +24,7 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.gossip.inbox import RoundInbox
 from agents.interest.peer_positions import PeerPositions
-from agents.interest.position_table import EAST, NO_GENERATORS, RADIUS, UnsubscribedGenerators
+from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
 from agents.membership.peer import Peer, announced_by, in_order, plausible, restated, steady
 from protocol.agreement import disagreement, whole
@@ -372,10 +372,8 @@ class PeerTable:
                 staying = [peer for name, peer in self.interest_set.items() if name in selected]
                 added = [self.peers[name] for name in selected - self.interest_set.keys()]
                 self._set_interest(sorted([*staying, *added], key=attrgetter("rank")) if added else staying, added)
-        self.changed, self.unsubscribed = (
-            False,
-            UnsubscribedGenerators(table[:number].compress(~chosen, axis=0)[:, EAST : RADIUS + 1], names, chosen),
-        )
+        generators = table[:number].compress(~chosen, axis=0)[:, GENERATOR_X : POWER_RADIUS + 1]
+        self.changed, self.unsubscribed = False, UnsubscribedGenerators(generators, names, chosen)
 
     def _set_interest(self, interest_set: list[Peer], added: list[Peer]) -> None:
         """Make these peers the interest set, in the order of names; some of them are `added`."""
