@@ -70,9 +70,9 @@ def check_vector(field: str, values: tuple[float, ...]) -> None:
             raise Malformed("range", f"{field} = {values}: every number should be finite and within +-{FARTHEST:g}")
 
 
-def are_plain(pose: tuple[float, float, float], cod: tuple[float, float], lengths: tuple[float, ...]) -> bool:
+def surely_valid(pose: tuple[float, float, float], point: tuple[float, float], lengths: tuple[float, ...]) -> bool:
     """Whether one sum of magnitudes proves that all these numbers are in range and no length is negative; see `check_rows`."""
-    (x, y, heading), (east, north) = pose, cod
+    (x, y, heading), (east, north) = pose, point
     return abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + sum(lengths) < 0.5 * FARTHEST and min(lengths) >= 0.0
 
 
@@ -131,7 +131,7 @@ def are_label_numbers(table: bytes, numbers: bytes, count: int) -> bool:
     return len(numbers) == 2 * count and int(np.frombuffer(numbers, "<u2").max(initial=0)) < known
 
 
-def are_plain_labels(table: bytes, numbers: bytes, count: int) -> bool:
+def surely_valid_labels(table: bytes, numbers: bytes, count: int) -> bool:
     """Whether `check_labels` would refuse nothing."""
     if not table:
         return not numbers

@@ -37,14 +37,14 @@ from protocol.fields import (
     VALUE_SIZE,
     Malformed,
     Name,
-    are_plain,
-    are_plain_labels,
     check_labels,
     check_number,
     check_rows,
     check_vector,
     pack,
     read_labels,
+    surely_valid,
+    surely_valid_labels,
 )
 from protocol.message import Agreed, Count, LagNumber, Message, PaceNumber, Tick, TileNumber, Triple, Vector
 from protocol.observer_messages import Estimate, Truth
@@ -265,19 +265,19 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
                 raise Malformed("range", "ids: should be strictly ascending")
         check_components(self.components_bytes)
 
-    def is_plain(self) -> bool:
+    def is_surely_valid(self) -> bool:
         """Whether everything but the contents of the arrays is valid; `plain_arrays` proves those. False: `check` decides."""
         detections, claim, ids = len(self.detections_bytes), len(self.claim_bytes), len(self.ids_bytes)
         return (
-            are_plain(self.pose, self.cod, (self.power_radius, self.weight, self.goal_utilisation))
-            and (self.goal is None or are_plain(self.pose, self.goal, (0.0,)))
-            and (self.pose_noise is None or are_plain(self.pose, self.cod, self.pose_noise))
+            surely_valid(self.pose, self.cod, (self.power_radius, self.weight, self.goal_utilisation))
+            and (self.goal is None or surely_valid(self.pose, self.goal, (0.0,)))
+            and (self.pose_noise is None or surely_valid(self.pose, self.cod, self.pose_noise))
             and 0.0 <= self.unused <= LARGEST_AREA
             and not (detections % 8 or claim % 24 or ids % 8 or self.components_bytes)
             and detections <= 8 * MAX_DETECTIONS
             and ids <= 8 * MAX_PARTICLES
             and len(self.states_bytes) == 2 * ids
-            and are_plain_labels(self.labels_bytes, self.label_numbers_bytes, ids // 8)
+            and surely_valid_labels(self.labels_bytes, self.label_numbers_bytes, ids // 8)
             and claim == 24 * len(self.claim_names)
             and claim <= 24 * MAX_NAMES
             and (self.claim_names[0] == self.sender if claim else not ids)
@@ -291,7 +291,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         check_number("goal_utilisation", self.goal_utilisation, least=0.0)
         for number in self.pose_noise or ():
             check_number("pose_noise", number, least=0.0)
-        if are_plain(self.pose, self.cod, (self.power_radius, self.weight)) and 0.0 <= self.unused <= LARGEST_AREA:
+        if surely_valid(self.pose, self.cod, (self.power_radius, self.weight)) and 0.0 <= self.unused <= LARGEST_AREA:
             return
         check_vector("pose", self.pose)
         check_vector("cod", self.cod)

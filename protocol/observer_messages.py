@@ -18,10 +18,10 @@ from protocol.fields import (
     TARGETS,
     U8,
     Malformed,
-    are_plain,
     check_number,
     check_rows,
     check_vector,
+    surely_valid,
 )
 from protocol.message import Count, Message, PaceNumber, Tick, Triple, Vector
 from protocol.once import once
@@ -76,7 +76,7 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
                 raise Malformed("shape", f"details, labels: {details} and {labels} rows for {targets} targets")
             if labels and int(self.labels.max()) > LARGEST_LABEL:
                 raise Malformed("range", f"labels: should be at most {LARGEST_LABEL}")
-        plain = are_plain(self.pose, self.cod, (self.power_radius, self.load, self.mass))
+        plain = surely_valid(self.pose, self.cod, (self.power_radius, self.load, self.mass))
         if plain and 0.0 <= self.unused <= LARGEST_AREA and 0.0 <= self.round_seconds <= LATEST:
             return
         check_vector("pose", self.pose)

@@ -31,7 +31,7 @@ def noise_of(sensor: np.ndarray, position_noise: float, kernel: float) -> tuple[
 
 @njit
 def _density(x: float, y: float, sensor: np.ndarray, point: np.ndarray, ray: np.ndarray, noise: tuple) -> tuple[float, float]:
-    """Twin of `measuring.densities` for one particle and one detection: the squared deviation, and the peak per m^2."""
+    """Twin of `measuring.densities` for one particle and one detection: the squared Mahalanobis distance, and the peak per m^2."""
     model, along_variance, across_variance, bearing_variance = noise
     east, north, far = ray[0], ray[1], ray[2]
     if model == _POSITION:
@@ -67,7 +67,7 @@ def pairs(
 ) -> int:
     """The number of pairs of a particle in view and a detection within its gate, or -1 if `found` may be too small.
 
-    Each pair is written into `found`: row of the particle, number of the detection, squared deviation, and the peak of the density.
+    Each pair is written into `found`: row of the particle, number of the detection, squared Mahalanobis distance, peak of the density.
     """
     rows, columns, squares, peaks = found
     number, count = len(x), 0

@@ -171,7 +171,7 @@ def bin_values(task: Task, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _costs(apart: np.ndarray, radius: float) -> np.ndarray:
-    """How far a sensor is from serving places at some distances: below 0 inside of its circle."""
+    """How far a sensor is from serving places at some distances, m: beyond its circle in m, inside as a share of the radius less 1."""
     return np.where(apart <= radius, apart / radius - 1.0, apart - radius)
 
 

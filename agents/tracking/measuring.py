@@ -77,7 +77,7 @@ def noise_of(model: tuple[float, float, float], position_noise: float, kernel: f
 def densities(
     states: np.ndarray, pose: tuple[float, ...], points: np.ndarray, rays: np.ndarray, radius: float, noise: Noise
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Squared deviations (N, M) of detections at `points` (M, 2) from particles, and the peak (N, M) of each density, per m^2."""
+    """Squared Mahalanobis distances (N, M) of detections at `points` (M, 2) from particles, and peaks (N, M) of the densities, per m^2."""
     dx, dy = states[:, 0, None] - pose[0], states[:, 1, None] - pose[1]
     east, north, ranges = rays[None, :, 0], rays[None, :, 1], rays[None, :, 2]
     if noise.model == POSITION:
