@@ -68,6 +68,14 @@ def test_a_single_token_that_vanishes_while_the_agent_is_late_counts_after_the_n
         assert len(agent.outcome.belief.everyone) == everyone
 
 
+@pytest.mark.parametrize(("now", "awaited"), [(1.0, 3), (4.0, 4)])
+def test_a_token_that_vanishes_ends_the_wait_for_its_peer_unless_the_agent_was_late(now: float, awaited: int) -> None:
+    agent, _ = swarm_of(4)
+    agent.handle(see(2), now)
+    agent.handle(Gone("agent", "s2", 1), now + 0.01)
+    assert agent.awaiting == awaited
+
+
 def test_silence_counts_only_in_rounds_in_which_the_agent_was_served() -> None:
     agent, _ = swarm_of(1)
     for tick in range(2, 40):  # an agent that is late in every round: its timer comes when the next observation is there

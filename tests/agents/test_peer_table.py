@@ -248,6 +248,14 @@ def test_who_plays_every_second_tick_waits_for_as_many_rounds_of_silence_as_the_
     assert found == [0, 0, 0, 0, 0, 1]
 
 
+def test_with_neighbours_only_a_peer_is_silent_for_its_position_when_it_is_silent_for_the_diagram() -> None:
+    config = msgspec.structs.replace(CONFIG, timing=msgspec.structs.replace(CONFIG.timing, interest="neighbours", silence=4.0))
+    peers = PeerTable(msgspec.structs.replace(config, run=msgspec.structs.replace(config.run, clock="realtime", dt=0.5)), "s1")
+    assert peers.positions.silence_limit == 8
+    peers.keep_pace(2)
+    assert peers.positions.silence_limit == 4
+
+
 def test_news_are_what_the_table_does_not_hold_and_all_that_other_roles_say() -> None:
     peers, wedge = neighbours("s2"), WedgeSensor(1.0, 9.0, 0.8)
     known, other_sensor = hello("s2"), msgspec.structs.replace(hello("s2"), sensor=wedge)
