@@ -69,7 +69,7 @@ class Loss:
         """Look at the next tick; the sentence once it is due."""
         if view.tick <= self.tick:
             return None
-        if self.closed is None and self.name not in view.cells and is_taken(self.cell, view.cells):
+        if self.closed is None and self.name not in view.cells and is_taken(self.cell, view):
             self.closed, self.settled = view.tick - self.tick, view.time + SETTLE
             self.heirs = shares(self.cell, view.cells)
         if self.closed is None:
@@ -188,12 +188,12 @@ class Chronicle:
         self._open = [one for one in self._open if isinstance(one, Cut) or one.name != name]
 
 
-def is_taken(cell: np.ndarray, cells: Mapping[str, np.ndarray]) -> bool:
-    """Whether living cells cover a former cell (K, 2) in m but for the share `OPEN`; no cell is taken at once."""
-    if len(cell) < 3:
+def is_taken(cell: np.ndarray, view: ScoredTick) -> bool:
+    """Whether living cells cover a former cell (K, 2) in m but for the share `OPEN`; so they do where there is no hole at all."""
+    if len(cell) < 3 or view.hole <= CLOSED:
         return True
     former = shapely.Polygon(cell)
-    others = shapely.union_all([shapely.Polygon(other) for other in cells.values() if len(other) >= 3])
+    others = shapely.union_all([shapely.Polygon(other) for other in view.cells.values() if len(other) >= 3])
     return bool(former.difference(others).area <= OPEN * former.area)
 
 

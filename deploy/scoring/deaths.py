@@ -38,7 +38,7 @@ class Deaths:
     def see(self, view: ScoredTick, now: float) -> None:
         """Note whose former cells the cells of a tick cover."""
         for loss in self._deaths:
-            if loss.closed is None and view.tick > loss.tick and is_taken(loss.cell, view.cells):
+            if loss.closed is None and view.tick > loss.tick and is_taken(loss.cell, view):
                 loss.closed = now - loss.now, view.tick - loss.tick
 
     def kills(self) -> tuple[Kill, ...]:
