@@ -106,8 +106,9 @@ class ControlSettings(Section, frozen=True, kw_only=True):
 class SearchSettings(Section, frozen=True, kw_only=True):
     """[search] what control.mode = "search-and-track" weighs; values of 0 switch ingredients off."""
 
+    bin: Annotated[float, msgspec.Meta(ge=0.01, le=10000.0)] = 2.0  # m; all lengths of the law follow it
     horizon: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 2.0  # a goal is a place this far ahead, s
-    stale: NotNegative = 5.0  # mass out of view for longer is to be found, s
+    stale: Annotated[float, msgspec.Meta(ge=0.1, le=10000.0)] = 5.0  # mass out of view for longer is to be found, s
     weight: NotNegative = 20.0  # of mass that is to be found
     inflow: NotNegative = 0.06  # value of each bin at an open border
     confirmation: NotNegative = 4.0  # value of looking again at mass that may be no target

@@ -1,6 +1,7 @@
 """Scenarios: one TOML file each, with the options of the command line laid over it, resolved into the run.toml of a run."""
 
 import hashlib
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -10,13 +11,13 @@ import msgspec
 import tomli_w
 
 from agents.config import AgentConfig
-from agents.coverage import search_plan
 from protocol.settings import BadSetting, Fraction, NotNegative, Positive, RunSettings, Section, convert, read_toml, sensor_of
 from world.config import BodySettings, RecordedSettings, TargetSettings, WorldConfig, WorldRun
 from world.sources import recording_of
 
 LOCKSTEP_HASTE = 5  # times the messages a second that are no flood: nothing holds the world up there, and one agent alone does 700 ticks/s
 SEARCH_EXTRACTION = {"bin": 0.7, "threshold": 0.3, "beside": 0.7}  # what goes with search-and-track where the scenario says nothing
+LAWS = {"lloyd": "the paper's method", "search-and-track": "search and track"}
 MOST_SEARCH_BINS = 1_000_000  # every agent keeps in mind when each bin of the arena was last seen
 FOLDER = Path(__file__).parent / "scenarios"
 ORACLE = "oracle"  # a control mode that only simulations have (`oracle.Oracle`)
@@ -157,12 +158,11 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
         network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)
     extraction, said = scenario.extraction, data.get("extraction", {})
     if scenario.control.mode == "search-and-track":
-        bins = scenario.arena.width * scenario.arena.height / search_plan.BIN**2
-        if bins > MOST_SEARCH_BINS:
-            wrong = (
-                f"{source}: control.mode = 'search-and-track': the arena has {bins:.0f} bins of {search_plan.BIN:g} x {search_plan.BIN:g} m"
-            )
-            raise BadSetting(f"{wrong}; should be at most {MOST_SEARCH_BINS}, or each round would take seconds")
+        area, side = scenario.arena.width * scenario.arena.height, scenario.search.bin
+        if area / side**2 > MOST_SEARCH_BINS:
+            wrong = f"{source}: search.bin = {side:g}: the arena has {area / side**2:.0f} bins, and search-and-track looks at"
+            least = math.ceil(10.0 * math.sqrt(area / MOST_SEARCH_BINS)) / 10.0
+            raise BadSetting(f"{wrong} at most {MOST_SEARCH_BINS}; should be {least:g} m or more, about a fifth of what sensors reach")
         follows = {field: value for field, value in SEARCH_EXTRACTION.items() if field not in said}
         extraction = msgspec.structs.replace(extraction, **follows)
     recorded = scenario.recorded
@@ -183,6 +183,19 @@ def targets_in_words(scenario: Scenario) -> str:
         return f"{recorded.kind} of {Path(recorded.data).name}"
     crossing = " at the start, and others enter and leave" if scenario.targets.border == "cross" else ""
     return f"{scenario.targets.count} targets{crossing}"
+
+
+def law_in_words(mode: str) -> str:
+    """A control law for people."""
+    return LAWS.get(mode, mode)
+
+
+def with_deaths(scenario: Scenario) -> Scenario:
+    """The scenario, with 3 agents that die at mid-run where it has no faults."""
+    if scenario.faults:
+        return scenario
+    deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
+    return msgspec.structs.replace(scenario, faults=(deaths,))
 
 
 def recording_remarks(scenario: Scenario) -> tuple[str, ...]:

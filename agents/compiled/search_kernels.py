@@ -1,7 +1,7 @@
 """Compiled search-and-track: the bit-for-bit twins of the functions of agents/coverage/search_plan.py.
 
-Data types: bins are squares of side BIN m, rows from south and columns from west. A sensor is a row of `GossipTable.table`. Partners
-are rows (x, y, utilisation, reach, 1 where the name comes first). The settings are in the columns of `SEARCH`.
+Data types: bins are squares of `side` m, rows from south and columns from west. A sensor is a row of `GossipTable.table`. Partners
+are rows (x, y, utilisation, reach, 1 where the name comes first). The settings are in the columns `BIN` to `CAPACITY`.
 
 Rules as in agents/compiled/particle_kernels.py.
 """
@@ -16,13 +16,14 @@ from agents.compiled.correction_kernels import exp_minus
 from agents.compiled.particle_kernels import sort_by_id
 from agents.coverage.search_plan import (
     BESIDE,
-    BIN,
     DECAY,
     EDGE,
     FIRST_TURN,
     FORGOTTEN,
     HOLDS,
     LEAST,
+    LEAST_OFFSET,
+    LEAST_RADIUS,
     MARGIN,
     NEVER,
     OUTSIDE,
@@ -35,34 +36,40 @@ from agents.coverage.search_plan import (
 from agents.gossip.table import KIND, WEDGE
 
 # Columns of the settings (`config.SearchSettings`) and of the numbers of a round (`search_plan.PlanInput`)
-HORIZON, STALE, SEARCH, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(10)
+BIN, HORIZON, STALE, SEARCH, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(11)
 NOW, DT, X, Y, COS, SIN, REACH, ANGLE, OFFSET, WIDTH, HEIGHT, SPEED, TURN_RATE, OPEN, GOAL_X, GOAL_Y = range(16)
 GOAL, UTILISATION, PARTNER_REACH, FIRST = 0, 2, 3, 4  # columns of a partner
 
 
 @njit
-def _mark_view(seen: np.ndarray, table: np.ndarray, now: float) -> None:
+def _circle(reach: float, side: float) -> float:
+    """Twin of `search_plan.circle`."""
+    return max(reach - MARGIN * side, LEAST_RADIUS * side)
+
+
+@njit
+def _mark_view(seen: np.ndarray, table: np.ndarray, now: float, side: float) -> None:
     """Twin of `search_plan.mark_view`, in place."""
     rows, columns = seen.shape
     for k in range(len(table)):
         if table[k, KIND] != WEDGE:
             continue
         x, y, cos, sin, reach, cos_half = table[k, 0], table[k, 1], table[k, 2], table[k, 3], table[k, 4], table[k, 5]
-        west, east = max(int(np.floor((x - reach) / BIN)), 0), min(int(np.floor((x + reach) / BIN)), columns - 1)
-        south, north = max(int(np.floor((y - reach) / BIN)), 0), min(int(np.floor((y + reach) / BIN)), rows - 1)
+        west, east = max(int(np.floor((x - reach) / side)), 0), min(int(np.floor((x + reach) / side)), columns - 1)
+        south, north = max(int(np.floor((y - reach) / side)), 0), min(int(np.floor((y + reach) / side)), rows - 1)
         for row in range(south, north + 1):
-            dy = (row + 0.5) * BIN - y
+            dy = (row + 0.5) * side - y
             for column in range(west, east + 1):
-                dx = (column + 0.5) * BIN - x
+                dx = (column + 0.5) * side - x
                 range2 = dx * dx + dy * dy
                 if (range2 <= reach * reach) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2)):
                     seen[row, column] = now
 
 
 @njit
-def _seen_at(seen: np.ndarray, x: float, y: float) -> float:
+def _seen_at(seen: np.ndarray, x: float, y: float, side: float) -> float:
     """Twin of `search_plan._seen_at` for one point."""
-    row, column = int(np.floor(y / BIN)), int(np.floor(x / BIN))
+    row, column = int(np.floor(y / side)), int(np.floor(x / side))
     if row < 0 or column < 0 or row >= seen.shape[0] or column >= seen.shape[1]:
         return NEVER
     return seen[row, column]
@@ -76,21 +83,22 @@ def _bin_values(
     south, north, west, east = box
     tracks, search_values = np.zeros((north - south + 1, east - west + 1)), np.zeros((north - south + 1, east - west + 1))
     horizon, stale, now, width, height = search[HORIZON] + body[DT], search[STALE], body[NOW], body[WIDTH], body[HEIGHT]
+    side = search[BIN]
     for n in range(len(weights)):
         x, y, vx, vy = states[n, 0], states[n, 1], states[n, 2], states[n, 3]
         px, py = x + vx * horizon, y + vy * horizon
         if body[OPEN] == 0.0:
             px = -px if px < 0.0 else 2.0 * width - px if px > width else px
             py = -py if py < 0.0 else 2.0 * height - py if py > height else py
-        row, column = int(np.floor(py / BIN)), int(np.floor(px / BIN))
+        row, column = int(np.floor(py / side)), int(np.floor(px / side))
         if row < south or row > north or column < west or column > east or px > width or py > height:
             continue
-        last = _seen_at(seen, x, y)
+        last = _seen_at(seen, x, y, side)
         half = 0.5 * stale
         if now - last > stale:
-            last = max(last, _seen_at(seen, x - vx * half, y - vy * half))
+            last = max(last, _seen_at(seen, x - vx * half, y - vy * half, side))
         if now - last > stale:
-            last = max(last, _seen_at(seen, x - vx * stale, y - vy * stale))
+            last = max(last, _seen_at(seen, x - vx * stale, y - vy * stale, side))
         if now - last <= stale:
             tracks[row - south, column - west] += weights[n]
         else:
@@ -111,31 +119,33 @@ def _cost(apart: float, radius: float) -> float:
 
 
 @njit
-def _partners_near(partners: np.ndarray, x: float, y: float, width: float) -> np.ndarray:
+def _partners_near(partners: np.ndarray, x: float, y: float, width: float, side: float) -> np.ndarray:
     """The rows of partners that may serve a place within `width` m of a point."""
     near, number = np.empty(len(partners), np.int64), 0
     for k in range(len(partners)):
         dx, dy = partners[k, 0] - x, partners[k, 1] - y
         near[number] = k
-        number += math.sqrt(dx * dx + dy * dy) <= width + max(partners[k, PARTNER_REACH] - MARGIN, 1.0) + BESIDE + 1e-6
+        number += math.sqrt(dx * dx + dy * dy) <= width + _circle(partners[k, PARTNER_REACH], side) + BESIDE * side + 1e-6
     return near[:number]
 
 
 @njit
-def _left_over(x: float, y: float, body: np.ndarray, partners: np.ndarray, near: np.ndarray, sharing: float) -> tuple[float, float]:
+def _left_over(
+    x: float, y: float, body: np.ndarray, partners: np.ndarray, near: np.ndarray, sharing: float, side: float
+) -> tuple[float, float]:
     """Twin of `search_plan.left_over` for one place; `near` are the rows of partners that may serve it."""
-    dx, dy, radius = x - body[GOAL_X], y - body[GOAL_Y], max(body[REACH] - MARGIN, 1.0)
+    dx, dy, radius = x - body[GOAL_X], y - body[GOAL_Y], _circle(body[REACH], side)
     own, tracks, values = _cost(math.sqrt(dx * dx + dy * dy), radius), 1.0, 1.0
     for i in range(len(near)):
         k = near[i]
-        other = max(partners[k, PARTNER_REACH] - MARGIN, 1.0)
+        other = _circle(partners[k, PARTNER_REACH], side)
         dx, dy = x - partners[k, 0], y - partners[k, 1]
         apart = math.sqrt(dx * dx + dy * dy)
-        if apart > other + BESIDE:
+        if apart > other + BESIDE * side:
             continue
         cost = _cost(apart, other)
         if cost < own or (cost == own and partners[k, FIRST] != 0.0):
-            fade = 1.0 if apart <= other else exp_minus((apart - other) * (1.0 / DECAY))
+            fade = 1.0 if apart <= other else exp_minus((apart - other) * (1.0 / (DECAY * side)))
             held = min(1.0, 1.0 / max(partners[k, UTILISATION], 1e-9))
             tracks *= 1.0 - sharing * held * (fade if apart <= other else OUTSIDE * fade)
             values *= 1.0 - sharing * fade
@@ -153,17 +163,18 @@ def _worth_at(
     radius: float,
     best: float,
     falloff: float,
+    decay: float,
     terms: np.ndarray,
 ) -> None:
     """The terms of `search_plan.worth_at`, without branches."""
-    beyond, within, decay, radius2 = 1.0 / (radius - best), 1.0 / best, 1.0 / DECAY, radius * radius
+    beyond, within, rate, radius2 = 1.0 / (radius - best), 1.0 / best, 1.0 / decay, radius * radius
     for n in range(len(xs)):
         dx, dy = xs[n] - x, ys[n] - y
         apart2 = dx * dx + dy * dy
         apart = math.sqrt(apart2)
         away = (apart - best) * (beyond if apart > best else within)
         inside = tracks[n] * (1.0 - falloff * away * away) + values[n]
-        outside = (OUTSIDE * tracks[n] + values[n]) * exp_minus(max(apart - radius, 0.0) * decay)
+        outside = (OUTSIDE * tracks[n] + values[n]) * exp_minus(max(apart - radius, 0.0) * rate)
         terms[n] = inside if apart2 <= radius2 else outside
 
 
@@ -180,28 +191,29 @@ def _best_goal(
     """Twin of `search_plan.best_goal`: x, y in m, and the utilisation around the goal that was announced."""
     rows, columns = seen.shape
     gx, gy = body[GOAL_X], body[GOAL_Y]
-    radius = max(body[REACH] - MARGIN, 1.0)
-    wide = radius + WITHIN
+    side = search[BIN]
+    radius = _circle(body[REACH], side)
+    wide = radius + WITHIN * side
     box = (
-        max(int(np.floor((gy - wide) / BIN)), 0),
-        min(int(np.floor((gy + wide) / BIN)), rows - 1),
-        max(int(np.floor((gx - wide) / BIN)), 0),
-        min(int(np.floor((gx + wide) / BIN)), columns - 1),
+        max(int(np.floor((gy - wide) / side)), 0),
+        min(int(np.floor((gy + wide) / side)), rows - 1),
+        max(int(np.floor((gx - wide) / side)), 0),
+        min(int(np.floor((gx + wide) / side)), columns - 1),
     )
     tracks, values = _bin_values(states, weights, seen, body, search, box)
-    near = _partners_near(partners, gx, gy, wide)
+    near = _partners_near(partners, gx, gy, wide, side)
     size = tracks.size
     xs, ys, ts, ds, count, utilisation = np.empty(size), np.empty(size), np.empty(size), np.empty(size), 0, 0.0
     for row in range(tracks.shape[0]):
-        y = (box[0] + row + 0.5) * BIN
+        y = (box[0] + row + 0.5) * side
         for column in range(tracks.shape[1]):
             if tracks[row, column] + values[row, column] <= 0.0:
                 continue
-            x = (box[2] + column + 0.5) * BIN
+            x = (box[2] + column + 0.5) * side
             apart2 = (x - gx) * (x - gx) + (y - gy) * (y - gy)
             if apart2 > wide * wide:
                 continue
-            left_track, left_value = _left_over(x, y, body, partners, near, search[SHARING])
+            left_track, left_value = _left_over(x, y, body, partners, near, search[SHARING], side)
             track, value = tracks[row, column] * left_track, values[row, column] * left_value
             if apart2 <= radius * radius:
                 utilisation += track
@@ -209,14 +221,14 @@ def _best_goal(
             count += 1
     x, y = body[X], body[Y]
     step = search[HORIZON] * body[SPEED] * 0.5
-    best_at = min(max(body[OFFSET], 0.1), 0.9 * radius)
+    best_at = min(max(body[OFFSET], LEAST_OFFSET * side), 0.9 * radius)
     best, best_x, best_y, terms = -np.inf, x, y, np.empty(count)
     for candidate in range(2 * len(directions) + 1):
         far = 0.0 if candidate == 0 else 2.0 * step if candidate % 2 else step
         d = (candidate - 1) // 2
         qx = min(max(x + far * directions[d, 0], 0.0), body[WIDTH])
         qy = min(max(y + far * directions[d, 1], 0.0), body[HEIGHT])
-        _worth_at(qx, qy, xs[:count], ys[:count], ts[:count], ds[:count], radius, best_at, search[FALLOFF], terms)
+        _worth_at(qx, qy, xs[:count], ys[:count], ts[:count], ds[:count], radius, best_at, search[FALLOFF], DECAY * side, terms)
         total = 0.0
         for n in range(count):
             total += terms[n]
@@ -229,17 +241,25 @@ def _best_goal(
 
 @njit
 def _last_sight(
-    states: np.ndarray, ids: np.ndarray, old_ids: np.ndarray, old_last: np.ndarray, table: np.ndarray, seen: np.ndarray, now: float
+    states: np.ndarray,
+    ids: np.ndarray,
+    old_ids: np.ndarray,
+    old_last: np.ndarray,
+    table: np.ndarray,
+    seen: np.ndarray,
+    now: float,
+    search: np.ndarray,
 ) -> np.ndarray:
     """Twin of `search_plan.last_sight`."""
     last, old = np.empty(len(ids)), 0
+    side, unknown = search[BIN], UNKNOWN * search[STALE]
     for n in range(len(ids)):
         while old < len(old_ids) and old_ids[old] < ids[n]:
             old += 1
         if old < len(old_ids) and old_ids[old] == ids[n]:
             last[n] = old_last[old]
         else:
-            last[n] = max(_seen_at(seen, states[n, 0], states[n, 1]), now - UNKNOWN)
+            last[n] = max(_seen_at(seen, states[n, 0], states[n, 1], side), now - unknown)
     west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
     for n in range(len(ids)):
         west, east = min(west, states[n, 0]), max(east, states[n, 0])
@@ -285,22 +305,23 @@ def _best_turn(
     edges: np.ndarray,
 ) -> float:
     """Twin of `search_plan.best_turn` for a wedge at x, y."""
-    now, reach = body[NOW], body[REACH] - EDGE
+    side, forgotten = search[BIN], FORGOTTEN * search[STALE]
+    now, reach = body[NOW], body[REACH] - EDGE * side
     held, some = np.zeros(SECTORS), False
-    west, south = int(np.floor((x - reach) / BIN)), int(np.floor((y - reach) / BIN))
-    side = int(2.0 * reach / BIN) + 2
-    masses = np.zeros((side, side))
+    west, south = int(np.floor((x - reach) / side)), int(np.floor((y - reach) / side))
+    bins = int(2.0 * reach / side) + 2  # along a side of the box
+    masses = np.zeros((bins, bins))
     for n in range(len(weights)):
-        row, column = int(np.floor(states[n, 1] / BIN)) - south, int(np.floor(states[n, 0] / BIN)) - west
-        if row >= 0 and column >= 0 and row < side and column < side:
+        row, column = int(np.floor(states[n, 1] / side)) - south, int(np.floor(states[n, 0] / side)) - west
+        if row >= 0 and column >= 0 and row < bins and column < bins:
             masses[row, column] += weights[n]
     for n in range(len(weights)):
         dx, dy = states[n, 0] - x, states[n, 1] - y
         if dx * dx + dy * dy > reach * reach:
             continue
-        age = (now - last[n] + body[DT]) / FORGOTTEN
+        age = (now - last[n] + body[DT]) / forgotten
         value = LEAST + 1.0 - exp_minus(min(age * age, 18.0))
-        mass = masses[int(np.floor(states[n, 1] / BIN)) - south, int(np.floor(states[n, 0] / BIN)) - west]
+        mass = masses[int(np.floor(states[n, 1] / side)) - south, int(np.floor(states[n, 0] / side)) - west]
         if UNSURE[0] < mass and mass < UNSURE[1]:
             value += search[CONFIRMATION] * (1.0 - mass)
         worth = weights[n] * value * left[n]
@@ -333,18 +354,18 @@ def _best_turn(
 
 
 @njit
-def _left_to_sensor(body: np.ndarray, states: np.ndarray, partners: np.ndarray) -> np.ndarray:
+def _left_to_sensor(body: np.ndarray, states: np.ndarray, partners: np.ndarray, side: float) -> np.ndarray:
     """Twin of `search_plan.left_to_sensor` for the particles within reach; each bin is computed once."""
     x, y, reach = body[X], body[Y], body[REACH]
-    near = _partners_near(partners, x, y, reach + 2.0 * BIN)
-    west, south, side = int(np.floor((x - reach) / BIN)) - 1, int(np.floor((y - reach) / BIN)) - 1, int(2.0 * reach / BIN) + 4
-    left, found = np.full((side, side), -1.0), np.zeros(len(states))
+    near = _partners_near(partners, x, y, reach + 2.0 * side, side)
+    west, south, bins = int(np.floor((x - reach) / side)) - 1, int(np.floor((y - reach) / side)) - 1, int(2.0 * reach / side) + 4
+    left, found = np.full((bins, bins), -1.0), np.zeros(len(states))
     for n in range(len(states)):
-        row, column = int(np.floor(states[n, 1] / BIN)) - south, int(np.floor(states[n, 0] / BIN)) - west
-        if row < 0 or column < 0 or row >= side or column >= side:
+        row, column = int(np.floor(states[n, 1] / side)) - south, int(np.floor(states[n, 0] / side)) - west
+        if row < 0 or column < 0 or row >= bins or column >= bins:
             continue
         if left[row, column] < 0.0:
-            left[row, column] = _left_over((column + west + 0.5) * BIN, (row + south + 0.5) * BIN, body, partners, near, 1.0)[0]
+            left[row, column] = _left_over((column + west + 0.5) * side, (row + south + 0.5) * side, body, partners, near, 1.0, side)[0]
         found[n] = left[row, column]
     return found
 
@@ -366,12 +387,14 @@ def decide(
     now, dt, horizon = body[NOW], body[DT], search[HORIZON]
     seen, ids, last = memory
     seen = seen.copy()
-    _mark_view(seen, table, now)
+    _mark_view(seen, table, now, search[BIN])
     goal_x, goal_y, utilisation = _best_goal(body, search, states, weights, seen, partners, directions)
     vx, vy = (goal_x - body[X]) / horizon, (goal_y - body[Y]) / horizon
     order = sort_by_id(around[2], np.arange(len(around[2])))
     near_states, near_weights, near_ids = around[0][order], around[1][order], around[2][order]
-    near_last = _last_sight(near_states, near_ids, ids, last, table, seen, now)
+    near_last = _last_sight(near_states, near_ids, ids, last, table, seen, now, search)
     x, y = body[X] + vx * dt, body[Y] + vy * dt
-    turn = _best_turn(body, search, x, y, near_states, near_weights, near_last, _left_to_sensor(body, near_states, partners), edges)
+    turn = _best_turn(
+        body, search, x, y, near_states, near_weights, near_last, _left_to_sensor(body, near_states, partners, search[BIN]), edges
+    )
     return vx, vy, turn / dt, goal_x, goal_y, utilisation, (seen, near_ids, near_last)

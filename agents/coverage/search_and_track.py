@@ -37,6 +37,8 @@ class SearchAndTrack:
         shape, bounds = (sensor.reach, *self._shape), (width, height, limits.speed, limits.turn_rate)
         body = PlanInput(now, situation.dt * situation.ticks, x, y, cos, sin, *shape, *bounds, float(known.is_open), *known.goal)
         task = Task(body, self._settings, sensor, heading, known.density, known.around, known.table, known.partners)
-        velocity, turn_rate, goal, utilisation, self._memory = self._backend.decide(task, self._memory or no_memory(width, height))
+        velocity, turn_rate, goal, utilisation, self._memory = self._backend.decide(
+            task, self._memory or no_memory(width, height, self._settings.bin)
+        )
         self.intent = Intent(goal, utilisation)
         return velocity, turn_rate

@@ -1,8 +1,8 @@
 """What is worth seeing, who sees it, and where a sensor looks: the arithmetic of `search_and_track.SearchAndTrack`.
 
 Data types: a `Task` is what one agent knows in a round; a `Memory` holds when it was all last seen; a `Decision` is the answer. Bins
-are squares of side `BIN` m, rows from south and columns from west. Mass in a bin that was in view lately is a *track*. Older mass is
-to be *found*, and counts more.
+are squares of side `search.bin` m, rows from south and columns from west. Mass in a bin that was in view lately is a *track*. Older
+mass is to be *found*, and counts more. All lengths of the law are multiples of a bin, and its times follow `horizon` and `stale`.
 
 Rules. All sums run one after the other, in the order of particles, bins and partners, and only exactly rounded operations occur:
 agents/compiled/search_kernels.py computes the same bits. A sensor is taken for a circle, because it turns fast.
@@ -20,19 +20,20 @@ from agents.tracking.particles import Particles, select, total
 from agents.tracking.phd import exp_minus
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 
-BIN = 2.0  # m
-MARGIN = 1.5  # m of the reach that a goal leaves for the motion of the targets
-DECAY = 6.0  # m: the value of what lies outside of the circle falls with exp(-distance / DECAY)
-WITHIN = 15.0  # m beyond the own circle that a plan looks at
-BESIDE = 8.0  # m beyond the circle of a partner that it serves
+MARGIN = 0.75  # bins of the reach that a goal leaves for the motion of the targets
+LEAST_RADIUS = 0.5  # of a circle, bins
+LEAST_OFFSET = 0.05  # from a sensor to the place where a track is worth most, bins
+DECAY = 3.0  # bins: the value of what lies outside of the circle falls with exp(-distance / DECAY)
+WITHIN = 7.5  # bins beyond the own circle that a plan looks at
+BESIDE = 4.0  # bins beyond the circle of a partner that it serves
 OUTSIDE = 0.4  # the value of a track just outside of the circle
 NEVER = -1.0e9  # s: the time of the last sight of what was never seen
-UNKNOWN = 2.5  # s: the greatest time out of sight of a particle that is new around the cell
+UNKNOWN = 0.5  # of `stale`: the greatest time out of sight of a particle that is new around the cell
 SECTORS = 72  # of the scan
-EDGE = 0.4  # m of the reach that the scan leaves for the motion of the targets
+EDGE = 0.2  # bins of the reach that the scan leaves for the motion of the targets
 WINDOW = 0.95  # of the viewing angle counts in the scan
 LEAST = 0.05  # value of mass in view in this tick
-FORGOTTEN = 0.5  # s: mass out of sight for this time has regained most of its value
+FORGOTTEN = 0.1  # of `stale`: mass out of sight for this time has regained most of its value
 UNSURE = (0.05, 0.9)  # masses of a bin that may or may not be a target
 FIRST_TURN = 0.9  # of the viewing angle, the turn of a sensor that has nothing to look at
 HOLDS = math.pi / 4.0  # rad: `search.capacity` is the number of targets that a sensor of this angle can hold
@@ -60,10 +61,10 @@ class PlanInput(NamedTuple):
     goal_x: float  # the own one, as the last gossip announced it
     goal_y: float
 
-    @property
-    def radius(self) -> float:
-        """Radius of the circle that the sensor serves, m."""
-        return max(self.reach - MARGIN, 1.0)
+
+def circle(reach: float, side: float) -> float:
+    """Radius in m of the circle that a sensor serves, by its reach and the side of a bin, both in m."""
+    return max(reach - MARGIN * side, LEAST_RADIUS * side)
 
 
 class Memory(NamedTuple):
@@ -97,16 +98,16 @@ class Decision(NamedTuple):
     memory: Memory
 
 
-def no_memory(width: float, height: float) -> Memory:
-    """The memory before the first round, of an arena of that size in m."""
-    seen = np.full((math.ceil(height / BIN), math.ceil(width / BIN)), NEVER)
+def no_memory(width: float, height: float, side: float) -> Memory:
+    """The memory before the first round, of an arena of that size with bins of that side, m."""
+    seen = np.full((math.ceil(height / side), math.ceil(width / side)), NEVER)
     return Memory(seen, np.empty(0, dtype=np.uint64), np.empty(0))
 
 
 def decide(task: Task, memory: Memory) -> Decision:
     """The decision of a round: choose a goal, move towards it, and turn to what is worth seeing from there."""
     body, horizon = task.body, task.settings.horizon
-    seen = mark_view(memory.seen, task.table, body.now)
+    seen = mark_view(memory.seen, task.table, body.now, task.settings.bin)
     goal, utilisation = best_goal(task, seen)
     vx, vy = (goal[0] - body.x) / horizon, (goal[1] - body.y) / horizon
     around = select(task.around, np.argsort(task.around.ids, kind="stable"))
@@ -116,10 +117,10 @@ def decide(task: Task, memory: Memory) -> Decision:
     return Decision((vx, vy), turn / body.dt, goal, utilisation, Memory(seen, around.ids, last))
 
 
-def mark_view(seen: np.ndarray, table: GossipTable, now: float) -> np.ndarray:
+def mark_view(seen: np.ndarray, table: GossipTable, now: float, side: float) -> np.ndarray:
     """The times of the last sight of all bins, after the scans of a tick: those with their centre in a field of view are seen `now`."""
     rows, columns = np.indices(seen.shape)
-    centres, found = np.column_stack([(columns.ravel() + 0.5) * BIN, (rows.ravel() + 0.5) * BIN]), seen.copy()
+    centres, found = np.column_stack([(columns.ravel() + 0.5) * side, (rows.ravel() + 0.5) * side]), seen.copy()
     for sensor, pose in _views(table):
         found.ravel()[sensor.probability(centres, pose) > 0.0] = now
     return found
@@ -130,9 +131,9 @@ def _views(table: GossipTable) -> list[tuple[SensorModel, Pose]]:
     return [(each.sensor, gossip.pose) for each, gossip in zip(table.sensors, table.gossips) if gossip.scanned]
 
 
-def _seen_at(seen: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _seen_at(seen: np.ndarray, x: np.ndarray, y: np.ndarray, side: float) -> np.ndarray:
     """When the bins at some points were last in view, s (N,); `NEVER` outside of the arena."""
-    rows, columns = np.floor(y / BIN).astype(np.int64), np.floor(x / BIN).astype(np.int64)
+    rows, columns = np.floor(y / side).astype(np.int64), np.floor(x / side).astype(np.int64)
     inside = (rows >= 0) & (columns >= 0) & (rows < seen.shape[0]) & (columns < seen.shape[1])
     found = np.full(len(x), NEVER)
     found[inside] = seen[rows[inside], columns[inside]]
@@ -144,18 +145,18 @@ def bin_values(task: Task, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     A particle is of a track if its bin was in view within `stale` s, or the place where it came from was. Targets enter at open borders.
     """
-    body, settings = task.body, task.settings
+    body, settings, side = task.body, task.settings, task.settings.bin
     x, y, vx, vy = task.density.states.T
     ahead, now, stale = settings.horizon + body.dt, body.now, settings.stale
     px, py = x + vx * ahead, y + vy * ahead
     if not body.is_open:
         px = np.where(px < 0.0, -px, np.where(px > body.width, 2.0 * body.width - px, px))
         py = np.where(py < 0.0, -py, np.where(py > body.height, 2.0 * body.height - py, py))
-    last = _seen_at(seen, x, y)
+    last = _seen_at(seen, x, y, side)
     for before in (0.5 * stale, stale):
-        last = np.where(now - last > stale, np.maximum(last, _seen_at(seen, x - vx * before, y - vy * before)), last)
+        last = np.where(now - last > stale, np.maximum(last, _seen_at(seen, x - vx * before, y - vy * before, side)), last)
     inside = (px >= 0.0) & (py >= 0.0) & (px <= body.width) & (py <= body.height)
-    rows, columns = np.floor(py / BIN).astype(np.int64), np.floor(px / BIN).astype(np.int64)
+    rows, columns = np.floor(py / side).astype(np.int64), np.floor(px / side).astype(np.int64)
     inside &= (rows < seen.shape[0]) & (columns < seen.shape[1])
     track = now - last <= stale
     flat = rows * seen.shape[1] + columns
@@ -177,17 +178,17 @@ def _costs(apart: np.ndarray, radius: float) -> np.ndarray:
 
 def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple[np.ndarray, np.ndarray]:
     """The shares of tracks and of what is to be found at some places (N,) that partners with smaller cost leave."""
-    body = task.body
-    own = _costs(np.sqrt((x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)), body.radius)
+    body, side = task.body, task.settings.bin
+    own = _costs(np.sqrt((x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)), circle(body.reach, side))
     tracks, values = np.ones(len(x)), np.ones(len(x))
     for goal_x, goal_y, utilisation, reach, first in task.partners.tolist():
-        radius = max(reach - MARGIN, 1.0)
+        radius = circle(reach, side)
         dx, dy = x - goal_x, y - goal_y
         apart = np.sqrt(dx * dx + dy * dy)
         cost = _costs(apart, radius)
-        serves = (apart <= radius + BESIDE) & ((cost < own) | ((cost == own) & (first != 0.0)))
+        serves = (apart <= radius + BESIDE * side) & ((cost < own) | ((cost == own) & (first != 0.0)))
         inside, held = apart <= radius, min(1.0, 1.0 / max(utilisation, 1e-9))
-        fade = np.where(inside, 1.0, exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / DECAY)))
+        fade = np.where(inside, 1.0, exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY * side))))
         tracks = np.where(serves, tracks * (1.0 - sharing * held * np.where(inside, fade, OUTSIDE * fade)), tracks)
         values = np.where(serves, values * (1.0 - sharing * fade), values)
     return tracks, values
@@ -195,17 +196,18 @@ def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple
 
 def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]:
     """The goal in m, and the utilisation around the one that was announced: stay, or go one or half a horizon in one of 16 directions."""
-    body, settings = task.body, task.settings
+    body, settings, side = task.body, task.settings, task.settings.bin
+    radius = circle(body.reach, side)
     tracks, values = bin_values(task, seen)
     rows, columns = np.indices(seen.shape)
-    x, y = (columns.ravel() + 0.5) * BIN, (rows.ravel() + 0.5) * BIN
+    x, y = (columns.ravel() + 0.5) * side, (rows.ravel() + 0.5) * side
     apart2 = (x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)
-    wide = body.radius + WITHIN
+    wide = radius + WITHIN * side
     near = (tracks.ravel() + values.ravel() > 0.0) & (apart2 <= wide * wide)
     x, y, apart2 = x[near], y[near], apart2[near]
     left_tracks, left_values = left_over(task, x, y, settings.sharing)
     track, value = tracks.ravel()[near] * left_tracks, values.ravel()[near] * left_values
-    utilisation = total(np.where(apart2 <= body.radius * body.radius, track, 0.0))
+    utilisation = total(np.where(apart2 <= radius * radius, track, 0.0))
     step, best, goal = 0.5 * settings.horizon * body.speed, -math.inf, (body.x, body.y)
     places = [(0.0, (1.0, 0.0)), *((distance, way) for way in DIRECTIONS.tolist() for distance in (2.0 * step, step))]
     for distance, (east, north) in places:
@@ -223,21 +225,22 @@ def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarra
 
     A track is worth most at the distance of the COD. A sensor on top of a target sees it come and go.
     """
-    body, settings, radius = task.body, task.settings, task.body.radius
+    settings, side = task.settings, task.settings.bin
+    radius = circle(task.body.reach, side)
     dx, dy = x - place[0], y - place[1]
     apart2 = dx * dx + dy * dy
-    apart, best = np.sqrt(apart2), min(max(body.offset, 0.1), 0.9 * radius)
+    apart, best = np.sqrt(apart2), min(max(task.body.offset, LEAST_OFFSET * side), 0.9 * radius)
     away = (apart - best) * np.where(apart > best, 1.0 / (radius - best), 1.0 / best)
     inside = track * (1.0 - settings.falloff * away * away) + value
-    outside = (OUTSIDE * track + value) * exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / DECAY))
+    outside = (OUTSIDE * track + value) * exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY * side)))
     return total(np.where(apart2 <= radius * radius, inside, outside))
 
 
 def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) -> np.ndarray:
     """When each of the particles around the cell was last in view, s (N,). A new one counts as seen when its bin was, at most
-    `UNKNOWN` s ago."""
-    now, (x, y) = task.body.now, around.states[:, :2].T
-    last = np.maximum(_seen_at(seen, x, y), now - UNKNOWN)
+    `UNKNOWN` of `stale` ago."""
+    now, settings, (x, y) = task.body.now, task.settings, around.states[:, :2].T
+    last = np.maximum(_seen_at(seen, x, y, settings.bin), now - UNKNOWN * settings.stale)
     if len(memory.ids):
         places = np.minimum(np.searchsorted(memory.ids, around.ids), len(memory.ids) - 1)
         last = np.where(memory.ids[places] == around.ids, memory.last[places], last)
@@ -248,8 +251,9 @@ def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) 
 
 def left_to_sensor(task: Task, around: Particles) -> np.ndarray:
     """The share of each particle that the sensor looks after (N,): what partners leave of its bin."""
-    x, y = np.floor(around.states[:, 0] / BIN), np.floor(around.states[:, 1] / BIN)
-    return left_over(task, (x + 0.5) * BIN, (y + 0.5) * BIN, 1.0)[0]
+    side = task.settings.bin
+    x, y = np.floor(around.states[:, 0] / side), np.floor(around.states[:, 1] / side)
+    return left_over(task, (x + 0.5) * side, (y + 0.5) * side, 1.0)[0]
 
 
 def best_turn(task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, left: np.ndarray) -> float:
@@ -281,19 +285,20 @@ def worth_around(
 
     Mass out of view gains value with time. A bin that may hold no target is worth another look.
     """
-    body, x, y = task.body, around.states[:, 0], around.states[:, 1]
-    dx, dy, reach = x - place[0], y - place[1], body.reach - EDGE
+    body, settings, x, y = task.body, task.settings, around.states[:, 0], around.states[:, 1]
+    dx, dy, reach = x - place[0], y - place[1], body.reach - EDGE * settings.bin
     near = dx * dx + dy * dy <= reach * reach
-    rows, columns = np.floor(y / BIN), np.floor(x / BIN)
-    south, west, side = math.floor((place[1] - reach) / BIN), math.floor((place[0] - reach) / BIN), int(2.0 * reach / BIN) + 2
+    rows, columns = np.floor(y / settings.bin), np.floor(x / settings.bin)
+    south, west = math.floor((place[1] - reach) / settings.bin), math.floor((place[0] - reach) / settings.bin)
+    side = int(2.0 * reach / settings.bin) + 2  # of the box, bins
     boxed = (rows >= south) & (columns >= west) & (rows < south + side) & (columns < west + side)
     flat = ((rows - south) * side + columns - west)[boxed].astype(np.int64)
     masses = np.zeros(len(x))
     masses[boxed] = np.bincount(flat, around.weights[boxed], side * side).astype(float)[flat]
-    age = (body.now - last + body.dt) / FORGOTTEN
+    age = (body.now - last + body.dt) / (FORGOTTEN * settings.stale)
     value = LEAST + 1.0 - exp_minus(np.minimum(age * age, 18.0))
     unsure = (masses > UNSURE[0]) & (masses < UNSURE[1])
-    value = np.where(unsure, value + task.settings.confirmation * (1.0 - masses), value)
+    value = np.where(unsure, value + settings.confirmation * (1.0 - masses), value)
     return around.states[near, :2], (around.weights * value * left)[near]
 
 

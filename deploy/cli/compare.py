@@ -1,38 +1,47 @@
-"""`compare`: one scenario under two kinds of diagram, side by side on the page."""
+"""`compare`: one scenario under two diagrams or control laws, side by side on the page."""
 
 import asyncio
 import contextlib
 import logging
 
-import msgspec
-
 from deploy.cli.terminal import open_browser, stop_event
 from deploy.live.warmup import announce
 from deploy.page.comparison import ComparisonSource
 from deploy.page.server import PageServer, address_of
-from deploy.scenario import FaultSettings, Scenario
+from deploy.page.side import Side
+from deploy.scenario import Scenario, law_in_words, with_deaths
 from protocol.settings import BadSetting
 
 
-def compare(scenario: Scenario, against: str, page: bool | str, speed: float, opens: bool) -> int:
-    """Simulate both in step and show them until Ctrl-C; three agents die at mid-run unless the scenario says otherwise."""
-    kind, address = scenario.partition.kind, address_of(page or True)
-    if against == kind:
-        raise BadSetting(f"--against {against}: is the scenario's own diagram; compare it with another")
-    if not scenario.faults:
-        deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
-        scenario = msgspec.structs.replace(scenario, faults=(deaths,))
+def compare(one: Scenario, other: Scenario, page: bool | str, speed: float, opens: bool) -> int:
+    """Simulate both in step and show them until Ctrl-C; three agents die at mid-run unless the scenario says otherwise.
+
+    Both are variants of one scenario; raises BadSetting where they are the same.
+    """
+    first, second = difference(one, other)
+    address = address_of(page or True)
     assert address is not None
     announce()
-    server = PageServer(ComparisonSource(scenario, (kind, against), speed), address)
+    sides = Side(first, with_deaths(one)), Side(second, with_deaths(other))
+    server = PageServer(ComparisonSource(sides, speed), address)
     print(f"page: {(url := server.bind())}", flush=True)
-    print(f"{scenario.run.scenario}: {kind} beside {against}, seed {scenario.run.seed}; Ctrl-C ends it", flush=True)
+    print(f"{one.run.scenario}: {first} beside {second}, seed {one.run.seed}; Ctrl-C ends it", flush=True)
     if opens:
         print(open_browser(url), flush=True)
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_serve(server))
     return 0
+
+
+def difference(one: Scenario, other: Scenario) -> tuple[str, str]:
+    """What tells two variants of a scenario apart, for people: their diagrams, or their control laws. Raises BadSetting."""
+    diagrams, laws = (one.partition.kind, other.partition.kind), (one.control.mode, other.control.mode)
+    if diagrams[0] != diagrams[1]:
+        return diagrams
+    if laws[0] == laws[1]:
+        raise BadSetting(f"--against: the scenario has the {diagrams[0]} diagram and the control law {laws[0]} already; take another")
+    return law_in_words(laws[0]), law_in_words(laws[1])
 
 
 async def _serve(server: PageServer) -> None:

@@ -13,9 +13,11 @@ from deploy.live.supervisor import EXIT_CRASHED, Supervisor
 from deploy.live.zygote import Zygote
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of
+from deploy.page.side import Side
 from deploy.page.source import LiveSource
 from deploy.recording.observers import Observers, open_recorder, recording_path
-from deploy.scenario import Scenario
+from deploy.scenario import Scenario, law_in_words
+from deploy.scoring.result import Result
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import RunDirectory
 from protocol.process import JsonLines, leave
@@ -37,7 +39,8 @@ def run_in_foreground(
             if zygote is not None:
                 zygote.close()
             raise
-        server, address = page_of(supervisor, showing.page, tour=showing.stays), ""
+        other = Side(f"{law_in_words(showing.beside.control.mode)}, simulated", showing.beside) if showing.beside else None
+        server, address = page_of(supervisor, showing.page, showing.stays, other), ""
         if server is not None:
             address = server.bind()
             directory.page.write_text(address + "\n", encoding="utf-8")
@@ -59,6 +62,8 @@ def run_in_foreground(
                     display.event(f"{path}: {recorder.stopped}; the recording ended early, {recorder.lost} messages are not in it")
                 if supervisor.result is not None:
                     show_result(supervisor.result, directory.path, showing.json)
+                    if other is not None and supervisor.result.ticks:
+                        display.event(beside_in_words(supervisor.result, other))
                 if stays and code in (0, EXIT_CRASHED):
                     display.event(f"the page stays at {address} until Enter or Ctrl-C")
                     await until_key()
@@ -69,9 +74,18 @@ def run_in_foreground(
     leave(code)
 
 
-def page_of(supervisor: Supervisor, page: bool | str, tour: bool) -> PageServer | None:
-    """The page of a run; None when none is wanted. `tour`: it offers its guided tour."""
+def beside_in_words(result: Result, other: Side) -> str:
+    """How well the swarm beside did in the same world."""
+    other.play(result.ticks - 1)
+    theirs = other.simulation.result().mean_ospa
+    return f"{other.name} with the same seed and faults: mean OSPA {theirs:.2f} m; this run: {result.mean_ospa:.2f} m"
+
+
+def page_of(supervisor: Supervisor, page: bool | str, tour: bool, other: Side | None = None) -> PageServer | None:
+    """The page of a run; None when none is wanted. `tour`: it offers its guided tour. `other`: a swarm beside it."""
     address = address_of(page)
     if address is None:
         return None
-    return PageServer(LiveSource(supervisor.scorer, Picture(supervisor.scenario), supervisor.directory, tour), address)
+    scenario = supervisor.scenario
+    name = f"{law_in_words(scenario.control.mode)}, live" if other else ""
+    return PageServer(LiveSource(supervisor.scorer, Picture(scenario), supervisor.directory, tour, name, other), address)

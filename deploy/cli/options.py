@@ -35,6 +35,7 @@ class DisplayOptions:
     page: bool | str = False
     open: bool = False  # the page in a browser
     stays: bool = False  # the page stays after the end when a person uses the terminal
+    beside: "Scenario | None" = None  # what the page shows beside the run, simulated
 
 
 @dataclass

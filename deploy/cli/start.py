@@ -12,7 +12,7 @@ from deploy.cli.options import DisplayOptions
 from deploy.installation import command, environment
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
-from deploy.scenario import FaultSettings, Scenario, named, refuse_oracle, targets_in_words
+from deploy.scenario import Scenario, named, refuse_oracle, targets_in_words, with_deaths
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.kept_runs import new_run_directory
 from deploy.storage.run_directory import runs_folder
@@ -20,6 +20,7 @@ from protocol.endpoints import check_loopback
 from protocol.settings import BadSetting
 
 DETACHED = "COVEY_DETACHED"  # the environment variable that hands a detached run its name
+MOST_BESIDE = 64  # agents of a swarm that is simulated beside a demo
 DETACH_SECONDS = 90.0  # that a detached swarm may take to start
 
 
@@ -42,13 +43,18 @@ def run_live(scenario: Scenario, requested_name: str | None, title: str, showing
 
 def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions, spawn: Spawn = "zygote") -> NoReturn:
     """A scenario live, with 3 agents killed at mid-run unless the options say otherwise."""
-    if not scenario.faults:
-        deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
-        scenario = msgspec.structs.replace(scenario, faults=(deaths,))
+    scenario = with_deaths(scenario)
     agents, run = len(scenario.members), scenario.run
     who = f"{agents} agent processes and one world, {targets_in_words(scenario)}"
     title = f"{who}, {run.seconds:g} s of world time, {_pace(scenario)}; Ctrl-C ends it"
     run_live(scenario, requested_name, title, showing, spawn)
+
+
+def other_law(scenario: Scenario) -> str | None:
+    """The control law that a demo shows beside that of the scenario; None where there is none, or no time to simulate it."""
+    if scenario.recorded.kind == "mrclam" or len(scenario.members) > MOST_BESIDE:  # recorded robots drive as they drove
+        return None
+    return {"lloyd": "search-and-track", "search-and-track": "lloyd"}.get(scenario.control.mode)
 
 
 def with_pace(scenario: Scenario, pace: float) -> Scenario:

@@ -1,4 +1,4 @@
-"""Two simulations of one scenario and seed in step, as one source of a page: they differ in the diagram alone.
+"""Two simulations of one scenario and seed in step, as one source of a page: they differ in the diagram or the control law alone.
 
 Both run in this process and in virtual time. The left one is the page's picture, and the right one goes beside it in every frame. What is
 clicked happens to both, so the two remain comparable.
@@ -9,63 +9,31 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import msgspec
-
-from deploy.faults.faults import Action
-from deploy.page.frames import curves
 from deploy.page.picture import Picture
+from deploy.page.side import STRIKES, Side, about_sides
 from deploy.page.source import number_of
-from deploy.scenario import Scenario
 from deploy.scoring.result import EventReport
 from deploy.scoring.scorer import Score
-from deploy.simulation import Simulation
 from protocol.settings import BadSetting
 
 FRAME_PERIOD = 0.1  # s
 SPEEDS = (0.1, 100.0)
-BUTTONS = ("kill", "restart")
-
-
-class Side:
-    """One of the two simulations, and its picture."""
-
-    def __init__(self, scenario: Scenario, kind: str) -> None:
-        partition = msgspec.structs.replace(scenario.partition, kind=kind)
-        self.kind = kind
-        self.simulation = Simulation(msgspec.structs.replace(scenario, partition=partition))
-        self.picture = Picture(self.simulation.scenario)
-        self.simulation.scorer.on_event = self.picture.see
-
-    @property
-    def scores(self) -> Sequence[Score]:
-        """All so far, oldest first."""
-        return self.simulation.scorer.scores
-
-    def score(self) -> Score | None:
-        """The last but one: of its tick everything has been heard."""
-        return self.scores[-2] if len(self.scores) > 1 else None
-
-    def play(self, tick: int) -> None:
-        """Go on until the world has come to a tick."""
-        while (truth := self.simulation.scorer.truth) is None or truth.tick < tick:
-            if not self.simulation.bus.step():
-                return
 
 
 class ComparisonSource:
-    """One scenario under two kinds of diagram; `speed` in world seconds per second."""
+    """Two variants of one scenario; `speed` in world seconds per second."""
 
-    def __init__(self, scenario: Scenario, kinds: tuple[str, str], speed: float = 2.0) -> None:
-        self.sides = tuple(Side(scenario, kind) for kind in kinds)
+    def __init__(self, sides: tuple[Side, Side], speed: float = 2.0) -> None:
+        self.sides = sides
         self.picture = self.sides[0].picture
         self.jumps = 0
         self.period = FRAME_PERIOD
         self.playing, self.speed = True, speed
-        self._last_tick = scenario.run.ticks - 1
-        self._dt = scenario.run.dt
+        self._last_tick = self.picture.scenario.run.ticks - 1
+        self._dt = self.picture.scenario.run.dt
         self._clock = 0.0  # s of the world
         for side in self.sides:
-            side.simulation.scorer.on_report = lambda told, kind=side.kind: self._tell(kind, told)  # type: ignore[misc]
+            side.simulation.scorer.on_report = lambda told, name=side.name: self._tell(name, told)  # type: ignore[misc]
 
     @property
     def tick(self) -> int:
@@ -82,8 +50,8 @@ class ComparisonSource:
         return self.sides[1].picture, self.sides[1].score()
 
     def about(self, may_act: bool) -> dict[str, Any]:
-        beside = {"partition": self.sides[1].kind, "ospa": curves(self.sides[1].scores)["ospa"]}
-        return {"source": "comparison", "verbs": list(BUTTONS) if may_act else [], "drags": may_act, "beside": beside}
+        beside = about_sides(self.sides[0].name, self.sides[1])
+        return {"source": "comparison", "verbs": list(STRIKES) if may_act else [], "drags": may_act, "beside": beside}
 
     def extra(self) -> dict[str, Any]:
         over = {"over": True} if self.tick >= self._last_tick else {}
@@ -109,12 +77,12 @@ class ComparisonSource:
         return ""
 
     def _strike(self, verb: str, who: str) -> str:
-        if verb not in BUTTONS:
-            raise BadSetting(f"{verb!r}: should be one of {', '.join(BUTTONS)}")
+        if verb not in STRIKES:
+            raise BadSetting(f"{verb!r}: should be one of {', '.join(STRIKES)}")
         if who not in self.picture.agents:
             raise BadSetting(f"{who!r}: there is no such agent")
         for side in self.sides:
-            side.simulation.injector.strike(Action(verb, [who]))
+            side.strike(verb, who)
         text = f"{who} is {'killed' if verb == 'kill' else 'started again'} on both sides"
         self.picture.note("asked", who, text)
         return text
@@ -136,5 +104,5 @@ class ComparisonSource:
         for side in self.sides:
             side.play(tick)
 
-    def _tell(self, kind: str, told: EventReport) -> None:
-        self.picture.note("told", told.who, f"{kind}: {told.text}", told.time)
+    def _tell(self, name: str, told: EventReport) -> None:
+        self.picture.note("told", told.who, f"{name}: {told.text}", told.time)

@@ -8,12 +8,14 @@ from typing import Any, Protocol
 from deploy.faults.faults import LINK_VERBS
 from deploy.live.control import ask
 from deploy.page.picture import Picture
+from deploy.page.side import STRIKES, Side, about_sides
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Score, Scorer
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
 FRAME_PERIOD = 0.1  # s
+PLAY_PERIOD = 0.01  # s between two ticks of a swarm beside, at least
 STATE_PERIOD = 1.0  # s between two status requests
 BUTTONS = ("kill", "pause", "resume", "restart", "partition", "heal")
 
@@ -55,16 +57,28 @@ class Source(Protocol):
 
 
 class LiveSource:
-    """A running swarm. The driver of the scorer feeds the picture; the supervisor, if it can be reached, carries out clicks."""
+    """A running swarm. The driver of the scorer feeds the picture; the supervisor, if it can be reached, carries out clicks.
 
-    def __init__(self, scorer: Scorer, picture: Picture, directory: RunDirectory | None, tour: bool = False) -> None:
-        """`tour`: newcomers are offered the guided tour."""
+    A simulated swarm can go beside it, tick by tick. It is killed where the running one is.
+    """
+
+    def __init__(
+        self,
+        scorer: Scorer,
+        picture: Picture,
+        directory: RunDirectory | None,
+        tour: bool = False,
+        name: str = "",
+        other: Side | None = None,
+    ) -> None:
+        """`tour`: newcomers are offered the guided tour. `other`: the swarm beside this one, and `name` what this one is then called."""
         self.picture = picture
         self.jumps = 0
         self.period = FRAME_PERIOD
         self._scorer = scorer
         self._directory = directory
         self._tour = tour
+        self._name, self._other = name, other
         self._look_again = asyncio.Event()
         self._faults = 0  # of the supervisor's list that stand on the time line
         self._waiting = ""  # what the first tick waits for
@@ -76,12 +90,13 @@ class LiveSource:
         """The last but one: when a tick has been scored, all has been heard of the one before, its particles included."""
         return self._scorer.scores[-2] if len(self._scorer.scores) > 1 else None
 
-    def beside(self) -> None:
-        return None
+    def beside(self) -> tuple[Picture, Score | None] | None:
+        return (self._other.picture, self._other.score()) if self._other else None
 
     def about(self, may_act: bool) -> dict[str, Any]:
         possible = [verb for verb in BUTTONS if verb not in LINK_VERBS or self.picture.scenario.network.link_faults]
-        return {"source": "live", "verbs": possible if may_act and self._directory else [], "tour": self._tour}
+        beside = {"beside": about_sides(self._name, self._other)} if self._other else {}
+        return {"source": "live", "verbs": possible if may_act and self._directory else [], "tour": self._tour, **beside}
 
     def extra(self) -> dict[str, Any]:
         if self._waiting and self.picture.truth is None:
@@ -95,12 +110,25 @@ class LiveSource:
         if verb not in BUTTONS:
             raise BadSetting(f"{verb!r}: should be one of {', '.join(BUTTONS)}")
         answer = await self._control(verb, who)
+        if self._other and verb in STRIKES:
+            self._other.strike(verb, who)
         text = str(answer.get("ok", ""))
         self.picture.note("asked", who, f"from the page: {text}")
         self._look_again.set()
         return text
 
     async def chores(self) -> None:
+        """Poll the supervisor, and play the other swarm."""
+        await asyncio.gather(self._poll(), self._play())
+
+    async def _play(self) -> None:
+        """Play the other swarm to the newest tick of this one, a tick at a time: the loop has more to do."""
+        while self._other:
+            if self.picture.truth and self._other.tick < self.picture.truth.tick:
+                self._other.play(self._other.tick + 1)
+            await asyncio.sleep(PLAY_PERIOD)
+
+    async def _poll(self) -> None:
         """Poll the supervisor for what no message shows: the state of the start, paused agents, cut links."""
         while True:
             with contextlib.suppress(BadSetting, OSError, KeyError, TypeError):

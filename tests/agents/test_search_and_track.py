@@ -63,7 +63,7 @@ def test_it_is_a_law_that_scenarios_name_and_gets_the_backend_of_its_agent() -> 
 
 def test_bins_with_their_centre_in_a_field_of_view_are_seen_now() -> None:
     """East of the sensor: (55, 51) lies 5.1 m away, 11 degrees off; (59, 51) beyond 8 m; (45, 51) behind."""
-    after = mark_view(seen(-7.0), task().table, 1.0)
+    after = mark_view(seen(-7.0), task().table, 1.0, 2.0)
     assert [after[25, 27], after[25, 29], after[25, 22]] == [1.0, -7.0, -7.0]
 
 
@@ -137,7 +137,7 @@ def test_a_track_is_worth_most_at_the_distance_of_the_cod() -> None:
 
 def test_it_goes_towards_old_mass_and_announces_the_place_and_the_load() -> None:
     """Mass out of view 14 m to the west: a goal 4 m to the west, reached in 2 s at 2 m/s."""
-    decision = decide(task(particles((36.0, 50.0, 1.0))), no_memory(100.0, 100.0))
+    decision = decide(task(particles((36.0, 50.0, 1.0))), no_memory(100.0, 100.0, 2.0))
     assert decision.goal == pytest.approx((46.0, 50.0))
     assert decision.velocity == pytest.approx((-2.0, 0.0))
     assert decision.utilisation == 0.0
@@ -148,15 +148,15 @@ def test_it_goes_towards_old_mass_and_announces_the_place_and_the_load() -> None
 def test_it_leaves_to_a_partner_what_the_partner_serves() -> None:
     """The same mass, with a partner whose goal lies there: nothing is worth a step."""
     partner = np.array([[36.0, 50.0, 0.0, 8.0, 0.0]])
-    assert decide(task(particles((36.0, 50.0, 1.0)), partners=partner), no_memory(100.0, 100.0)).goal == (50.0, 50.0)
+    assert decide(task(particles((36.0, 50.0, 1.0)), partners=partner), no_memory(100.0, 100.0, 2.0)).goal == (50.0, 50.0)
 
 
 def test_it_turns_to_mass_out_of_view_and_not_to_mass_that_a_partner_watches() -> None:
     """Mass 5 m to the north; a turn of 1.25 rad is 14 sectors of 5 degrees."""
     north = particles((50.0, 55.0, 1.0))
-    assert 0.25 * decide(task(around=north), no_memory(100.0, 100.0)).turn_rate == pytest.approx(math.radians(70.0))
+    assert 0.25 * decide(task(around=north), no_memory(100.0, 100.0, 2.0)).turn_rate == pytest.approx(math.radians(70.0))
     partner = np.array([[50.0, 55.0, 0.0, 8.0, 0.0]])
-    idle = decide(task(around=north, partners=partner), no_memory(100.0, 100.0)).turn_rate
+    idle = decide(task(around=north, partners=partner), no_memory(100.0, 100.0, 2.0)).turn_rate
     assert 0.25 * idle == pytest.approx(0.9 * math.pi / 4.0)  # the first turn of a sensor that has nothing to look at
 
 

@@ -93,8 +93,9 @@ IN_TROUBLE: dict[str, Any] = {  # settings that act only when words are late or 
 }
 TROUBLE = (fault(0.0, "delay", value=0.02, jitter=0.12), fault(0.5, "partition", "2", seconds=1.5), fault(1.0, "kill", "1", seconds=1.0))
 IN_SEARCH: dict[str, Any] = {  # settings that act only under search-and-track
+    "search.bin": 3.0,
     "search.horizon": 3.0,
-    "search.stale": 0.0,
+    "search.stale": 0.1,
     "search.weight": 1000.0,
     "search.inflow": 0.5,
     "search.confirmation": 0.0,

@@ -1,23 +1,33 @@
-"""Two diagrams in step: what is compared differs in the diagram alone, and what is clicked happens to both."""
+"""Two variants in step: what is compared differs in the diagram or the law alone, and what is clicked happens to both."""
 
 import asyncio
 import struct
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from deploy.cli.compare import compare
+from deploy.cli.compare import compare, difference
+from deploy.cli.start import other_law
 from deploy.page.comparison import ComparisonSource
 from deploy.page.frames import frame, greeting
+from deploy.page.picture import Picture
+from deploy.page.side import Side
+from deploy.page.source import LiveSource
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
+from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
 
+def side(name: str, **settings: Any) -> Side:
+    return Side(name, resolve("quick", {"run.seconds": 20.0, **settings}))
+
+
 def played(ticks: int = 12, **settings: Any) -> ComparisonSource:
-    source = ComparisonSource(resolve("quick", {"run.seconds": 20.0, **settings}), ("power", "voronoi"))
+    source = ComparisonSource((side("power", **settings), side("voronoi", **{**settings, "partition.kind": "voronoi"})))
     source.play(ticks)
     return source
 
@@ -34,7 +44,7 @@ def test_both_sides_are_at_one_tick_with_the_same_targets_and_other_cells() -> N
     assert [one["cell"] for one in left["agents"]] != [one["cell"] for one in right["agents"]]
     assert len(data) == 4 + length + 2 * left["grid"][0] * left["grid"][1]
     hello = msgspec.json.decode(greeting(source.picture, source.scores(), source.about(True)))
-    assert (hello["source"], hello["beside"]["partition"], len(hello["beside"]["ospa"])) == ("comparison", "voronoi", 12)
+    assert (hello["source"], hello["beside"]["names"], len(hello["beside"]["ospa"])) == ("comparison", ["power", "voronoi"], 12)
 
 
 def test_the_left_side_is_the_run_that_is_simulated_alone() -> None:
@@ -77,6 +87,75 @@ def test_recorded_targets_cannot_be_dragged() -> None:
         simulation.move_target(1, (1.0, 1.0))
 
 
-def test_a_diagram_is_not_compared_with_itself() -> None:
-    with pytest.raises(BadSetting, match="--against power: is the scenario's own diagram"):
-        compare(resolve("quick", {}), "power", False, 2.0, False)
+def test_two_variants_are_called_by_what_differs() -> None:
+    scenario = resolve("quick", {})
+    assert difference(scenario, resolve("quick", {"partition.kind": "voronoi"})) == ("power", "voronoi")
+    searching = resolve("quick", {"control.mode": "search-and-track"})
+    assert difference(scenario, searching) == ("the paper's method", "search and track")
+    assert difference(searching, resolve("quick", {"control.mode": "pursuit"})) == ("search and track", "pursuit")
+
+
+def test_a_scenario_is_not_compared_with_itself() -> None:
+    with pytest.raises(BadSetting, match="--against: the scenario has the power diagram and the control law lloyd already; take another"):
+        compare(resolve("quick", {}), resolve("quick", {}), False, 2.0, False)
+
+
+def live_beside_simulated(directory: Path) -> tuple[LiveSource, Simulation, Side]:
+    """A source of a running swarm, here simulated as well, with search and track beside it."""
+    running = Simulation(resolve("quick", {"run.seconds": 20.0}))
+    picture = Picture(running.scenario)
+    running.scorer.on_event = picture.see
+    other = side("search and track, simulated", **{"control.mode": "search-and-track"})
+    return LiveSource(running.scorer, picture, RunDirectory(directory), name="the paper's method, live", other=other), running, other
+
+
+def test_the_swarm_beside_a_live_one_is_played_to_its_tick_and_no_further(tmp_path: Path) -> None:
+    source, running, _ = live_beside_simulated(tmp_path)
+    while running.scorer.truth is None or running.scorer.truth.tick < 5:
+        running.bus.step()
+
+    async def some_chores() -> None:
+        chores = asyncio.create_task(source.chores())
+        while (beside := source.beside()) is None or beside[0].truth is None or beside[0].truth.tick < 5:
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.1)
+        chores.cancel()
+
+    asyncio.run(some_chores())
+    beside = source.beside()
+    assert beside is not None and beside[0].truth is not None and beside[0].truth.tick == 5
+    assert np.array_equal(beside[0].truth.targets, running.scorer.truth.targets)
+    hello = msgspec.json.decode(greeting(source.picture, source.scores(), source.about(True)))
+    assert hello["beside"]["names"] == ["the paper's method, live", "search and track, simulated"]
+
+
+def test_who_is_killed_in_the_live_swarm_dies_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, _, other = live_beside_simulated(tmp_path)
+    asked: list[tuple[str, str]] = []
+
+    async def supervisor(directory: RunDirectory, verb: str, who: str) -> dict[str, Any]:
+        asked.append((verb, who))
+        return {"ok": f"{verb} {who}"}
+
+    monkeypatch.setattr("deploy.page.source.ask", supervisor)
+    other.play(3)
+    assert asyncio.run(source.ask({"verb": "kill", "who": "s2"})) == "kill s2"
+    assert asyncio.run(source.ask({"verb": "pause", "who": "s3"})) == "pause s3"
+    assert asked == [("kill", "s2"), ("pause", "s3")]
+    other.play(6)
+    assert [name for name, known in other.picture.agents.items() if known.state == "dead"] == ["s2"]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "law"),
+    [
+        ("convergence", {}, "search-and-track"),
+        ("convergence", {"control.mode": "search-and-track"}, "lloyd"),
+        ("convergence", {"control.mode": "random"}, None),
+        ("efficacy", {"team.composition": "65A"}, None),
+    ],
+)
+def test_a_demo_shows_search_and_track_beside_the_paper_unless_the_team_is_large(
+    name: str, settings: dict[str, Any], law: str | None
+) -> None:
+    assert other_law(resolve(name, settings)) == law

@@ -158,8 +158,8 @@ def test_a_scenario_that_spells_out_its_members_is_not_asked_for_a_team(tmp_path
         ),
         (
             {"control.mode": "search-and-track", "arena.width": 2010.0, "arena.height": 2000.0},
-            "control.mode = 'search-and-track': the arena has 1005000 bins of 2 x 2 m; should be at most 1000000, "
-            "or each round would take seconds",
+            "search.bin = 2: the arena has 1005000 bins, and search-and-track looks at at most 1000000; should be 2.1 m or more, "
+            "about a fifth of what sensors reach",
         ),
         ({"sensors.X.angle": 90.0, "team.composition": "3X"}, "sensors.X: a wedge needs an angle (degrees) and a radius (m)"),
     ],

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from deploy.cli.app import RUN, OpenPage, Options, PageAddress, RecordFile, ScenarioName, TraceFile, app
 from deploy.cli.options import FLAG, DisplayOptions, RunOptions
 
+DIAGRAMS = ("power", "voronoi", "voronoi-cod")
 DEMO_SECONDS = 80.0  # that the world time of a demo takes
 
 
@@ -22,7 +23,8 @@ def demo(
 ) -> int:
     """Watch a swarm work: 16 agents, 8 targets, 3 deaths at mid-run, a table; or another scenario.
 
-    At a pace that the eye can follow (80 s), or --fast. In a terminal the page stays until Enter or Ctrl-C.
+    At a pace that the eye can follow (80 s), or --fast. Beside it the page shows the same world under search-and-track, simulated in step.
+    In a terminal the page stays until Enter or Ctrl-C.
     """
     from deploy.cli import start
 
@@ -31,29 +33,35 @@ def demo(
     resolved = chosen.scenario(scenario)
     if paced and not resolved.run.pace:
         resolved = start.with_pace(resolved, resolved.run.seconds / DEMO_SECONDS)
-    start.demo(
-        resolved, chosen.requested_name(resolved), DisplayOptions(options.json, record, page or open, open, stays=True), options.spawn
-    )
+    showing = DisplayOptions(options.json, record, page or open, open, stays=True)
+    if paced and showing.page and (law := start.other_law(resolved)):
+        showing = replace(showing, beside=start.with_deaths(replace(chosen, control=law).scenario(scenario)))
+    start.demo(resolved, chosen.requested_name(resolved), showing, options.spawn)
 
 
-@app.command(group=RUN, help_epilogue="Example: covey compare convergence --seed 3 --open")
+@app.command(
+    group=RUN, help_epilogue="Example: covey compare convergence --seed 3 --open\n         covey compare --against search-and-track"
+)
 def compare(
     scenario: ScenarioName = "convergence",
     /,
     *,
-    against: Literal["power", "voronoi", "voronoi-cod"] = "voronoi",
+    against: str = "voronoi",
     page: PageAddress = True,
     open: OpenPage = False,
     speed: float = 2.0,
     options: Options = RunOptions(),
 ) -> int:
-    """Simulate a scenario under two diagrams, side by side on the page.
+    """Simulate a scenario under two diagrams or two control laws, side by side on the page.
 
-    Same seed, in step: what differs is the diagram. --speed: world seconds per second.
+    Same seed, in step: nothing else differs. --against: power, voronoi, voronoi-cod, or a law such as search-and-track or module:Class.
+    --speed: world seconds per second.
     """
     from deploy.cli import compare
 
-    return compare.compare(options.scenario(scenario), against, page, speed, open)
+    setting = "partition.kind" if against in DIAGRAMS else "control.mode"
+    other = replace(options, settings=[*options.settings, f"{setting}={against}"])
+    return compare.compare(options.scenario(scenario), other.scenario(scenario), page, speed, open)
 
 
 @app.command(group=RUN, help_epilogue="Example: covey up efficacy --team 3 --rate 2 --page")

@@ -13,7 +13,7 @@ export class Arena {
     this.view = view;
     this.density = document.createElement("canvas");
     this.scale = 1;
-    this.title = ""; // of one of two arenas: its diagram
+    this.title = ""; // of one of two arenas: what its swarm differs in
   }
 
   // The colour of an agent's cell, by its place in the team.

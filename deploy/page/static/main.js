@@ -68,14 +68,15 @@ function hello(message) {
   state.order = new Map(message.agents.map((agent, index) => [agent.name, index]));
   state.scene.begin(message, message.trails);
   besides.begin(message, { bodies: {}, targets: {} });
-  const diagrams = message.beside ? `${message.partition} (left) and ${message.beside.partition} diagram` : `${message.partition} diagram`;
-  $("title").textContent = `${message.run}: ${message.scenario.split("/").pop()}, ${message.agents.length} agents, ${diagrams}, seed ${message.seed}`;
+  const names = message.beside ? message.beside.names : ["", ""];
+  const what = message.beside ? `${names[0]} (left) beside ${names[1]}` : `${message.partition} diagram`;
+  $("title").textContent = `${message.run}: ${message.scenario.split("/").pop()}, ${message.agents.length} agents, ${what}, seed ${message.seed}`;
   $("title").title = $("title").textContent;
   document.title = `${message.run} – Covey`;
   $("beside").hidden = !message.beside;
-  arenas.forEach((arena, index) => { arena.title = message.beside ? [message.partition, message.beside.partition][index] : ""; });
+  arenas.forEach((arena, index) => { arena.title = names[index]; });
   document.body.classList.toggle("compares", Boolean(message.beside));
-  if (message.beside) CHARTS[0].lines = [["ospa", message.partition], ["beside", message.beside.partition]];
+  if (message.beside) CHARTS[0].lines = [["ospa", names[0]], ["beside", names[1]]];
   player.begin(message);
   $("hold").hidden = player.plays;
   charts[charts.length - 1][0].parentElement.hidden = message.source !== "live"; // how fast messages came is a matter of the live run

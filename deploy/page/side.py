@@ -1,0 +1,52 @@
+"""A simulated swarm beside another one of the same scenario and seed: a simulation that is played tick by tick, and its picture."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from deploy.faults.faults import Action
+from deploy.page.frames import curves
+from deploy.page.picture import Picture
+from deploy.scenario import Scenario
+from deploy.scoring.scorer import Score
+from deploy.simulation import Simulation
+
+STRIKES = ("kill", "restart")  # what can be done to it from the page
+
+
+def about_sides(left: str, right: "Side") -> dict[str, Any]:
+    """What a page must know to show two swarms: their names, and the errors of the right one so far."""
+    return {"names": [left, right.name], "ospa": curves(right.scores)["ospa"]}
+
+
+class Side:
+    """One of two swarms in the same arena; `name` says how it differs from the other."""
+
+    def __init__(self, name: str, scenario: Scenario) -> None:
+        self.name = name
+        self.simulation = Simulation(scenario)
+        self.picture = Picture(self.simulation.scenario)
+        self.simulation.scorer.on_event = self.picture.see
+
+    @property
+    def tick(self) -> int:
+        """The newest tick of the world; -1 before the first."""
+        truth = self.simulation.scorer.truth
+        return truth.tick if truth else -1
+
+    @property
+    def scores(self) -> Sequence[Score]:
+        """All so far, oldest first."""
+        return self.simulation.scorer.scores
+
+    def score(self) -> Score | None:
+        """The last but one: of its tick everything has been heard."""
+        return self.scores[-2] if len(self.scores) > 1 else None
+
+    def play(self, tick: int) -> None:
+        """Go on until the world has come to a tick, or to its end."""
+        while self.tick < tick and self.simulation.bus.step():
+            pass
+
+    def strike(self, verb: str, who: str) -> None:
+        """Kill an agent, or start it again."""
+        self.simulation.injector.strike(Action(verb, [who]))
