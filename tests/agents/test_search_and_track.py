@@ -188,3 +188,35 @@ def test_a_utilisation_that_is_no_number_is_refused(value: float) -> None:
 def test_an_agent_without_a_goal_counts_as_one_that_stays() -> None:
     with_goal = Gossip(sender="s2", incarnation=1, tick=4, pose=(3.0, 4.0, 0.0), cod=(0, 0), power_radius=1.0, unused=1.0, goal=(7.0, 8.0))
     assert table([gossip("s1", (1.0, 2.0, 0.0)), with_goal]).plans.tolist() == [[1.0, 2.0, 0.0], [7.0, 8.0, 0.0]]
+
+
+def test_a_world_of_another_size_and_pace_is_searched_alike() -> None:
+    """All lengths times 64 and all times times 4, the side of a bin and the times of the law included: the decision is the same, to the
+    last bit."""
+    far, long = 64.0, 4.0
+    rng = np.random.default_rng(8)
+    slow = SearchSettings(bin=2.0 * far, horizon=2.0 * long, stale=5.0 * long)
+    large = WedgeSensor(NARROW.angle, NARROW.radius * far, 0.9)
+    searched = 0
+    for seed in range(20):
+        rows = [(*rng.uniform(30.0, 70.0, 2), rng.uniform(0.0, 0.3), *rng.normal(0.0, 1.0, 2)) for _ in range(60)]
+        partners = np.column_stack([rng.uniform(35.0, 65.0, (3, 2)), rng.uniform(0.5, 2.0, 3), [8.0, 8.0, 20.0], [1.0, 0.0, 1.0]])
+        times = rng.uniform(-9.0, 1.0, (50, 50))
+        small_task = task(particles(*rows), particles(*rows), partners, is_open=bool(seed % 2), goal=(51.0, 49.0))
+        one = decide(small_task, Memory(times, np.empty(0, dtype=np.uint64), np.empty(0)))
+        wide = [(x * far, y * far, weight, vx * far / long, vy * far / long) for x, y, weight, vx, vy in rows]
+        body = small_task.body
+        lengths = {name: getattr(body, name) * far for name in ("x", "y", "reach", "offset", "width", "height", "goal_x", "goal_y")}
+        rates = {"speed": body.speed * far / long, "turn_rate": body.turn_rate / long}
+        large_body = body._replace(**lengths, **rates, now=body.now * long, dt=body.dt * long)
+        own = table([gossip("s1", (50.0 * far, 50.0 * far, 0.0))], large)
+        farther = partners * [far, far, 1.0, far, 1.0]
+        other = decide(
+            Task(large_body, slow, large, 0.0, particles(*wide), particles(*wide), own, farther),
+            Memory(times * long, np.empty(0, dtype=np.uint64), np.empty(0)),
+        )
+        assert (other.goal[0] / far, other.goal[1] / far, other.utilisation) == (*one.goal, one.utilisation)
+        assert (other.turn_rate * long, other.velocity[0] * long / far) == (one.turn_rate, one.velocity[0])
+        assert np.array_equal(other.memory.last, one.memory.last * long)
+        searched += one.goal != (50.0, 50.0)
+    assert searched > 10
