@@ -16,6 +16,7 @@ from protocol.settings import BadSetting
 
 FRAME_PERIOD = 0.1  # s
 PLAY_PERIOD = 0.01  # s between two ticks of a swarm beside, at least
+RECENT_SCORES = 20  # among which two swarms have one of the same tick
 STATE_PERIOD = 1.0  # s between two status requests
 BUTTONS = ("kill", "pause", "resume", "restart", "partition", "heal")
 
@@ -88,10 +89,18 @@ class LiveSource:
 
     def score(self) -> Score | None:
         """The last but one: when a tick has been scored, all has been heard of the one before, its particles included."""
+        if self._other:
+            return self._of_one_tick(self._other)[0]
         return self._scorer.scores[-2] if len(self._scorer.scores) > 1 else None
 
     def beside(self) -> tuple[Picture, Score | None] | None:
-        return (self._other.picture, self._other.score()) if self._other else None
+        return (self._other.picture, self._of_one_tick(self._other)[1]) if self._other else None
+
+    def _of_one_tick(self, other: Side) -> tuple[Score | None, Score | None]:
+        """The scores of the newest tick of which everything has been heard in both swarms."""
+        mine, theirs = ({score.tick: score for score in scores[-RECENT_SCORES:-1]} for scores in (self._scorer.scores, other.scores))
+        tick = max(mine.keys() & theirs.keys(), default=-1)
+        return mine.get(tick), theirs.get(tick)
 
     def about(self, may_act: bool) -> dict[str, Any]:
         possible = [verb for verb in BUTTONS if verb not in LINK_VERBS or self.picture.scenario.network.link_faults]

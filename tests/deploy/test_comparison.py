@@ -125,6 +125,14 @@ def test_the_swarm_beside_a_live_one_is_played_to_its_tick_and_no_further(tmp_pa
     beside = source.beside()
     assert beside is not None and beside[0].truth is not None and beside[0].truth.tick == 5
     assert np.array_equal(beside[0].truth.targets, running.scorer.truth.targets)
+    assert (source.score().tick, beside[1].tick) == (3, 3)  # type: ignore[union-attr]
+    running.bus.step()
+    while running.scorer.truth.tick < 7:
+        running.bus.step()
+    data = frame(source.picture, source.score(), source.extra(), source.beside())
+    left = msgspec.json.decode(data[4 : 4 + struct.unpack_from("<I", data)[0]])
+    assert left["tick"] == left["beside"]["tick"] == 3  # the other one is two ticks behind
+    assert left["targets"] == left["beside"]["targets"]
     hello = msgspec.json.decode(greeting(source.picture, source.scores(), source.about(True)))
     assert hello["beside"]["names"] == ["the paper's method, live", "search and track, simulated"]
 
