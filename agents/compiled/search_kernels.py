@@ -33,12 +33,12 @@ from agents.coverage.search_plan import (
     WINDOW,
     WITHIN,
 )
-from agents.gossip.table import KIND, WEDGE
+from agents.gossip import table as sensors
 
 # Columns of the settings (`config.SearchSettings`) and of the numbers of a round (`search_plan.PlanInput`)
 BIN, HORIZON, STALE, SEARCH, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(11)
 NOW, DT, X, Y, COS, SIN, REACH, ANGLE, OFFSET, WIDTH, HEIGHT, SPEED, TURN_RATE, OPEN, GOAL_X, GOAL_Y = range(16)
-GOAL, UTILISATION, PARTNER_REACH, FIRST = 0, 2, 3, 4  # columns of a partner
+GOAL_EAST, GOAL_NORTH, UTILISATION, PARTNER_REACH, FIRST = range(5)  # columns of a partner
 
 
 @njit
@@ -52,9 +52,10 @@ def _mark_view(seen: np.ndarray, table: np.ndarray, now: float, side: float) -> 
     """Twin of `search_plan.mark_view`, in place."""
     rows, columns = seen.shape
     for k in range(len(table)):
-        if table[k, KIND] != WEDGE:
+        if table[k, sensors.KIND] != sensors.WEDGE:
             continue
-        x, y, cos, sin, reach, cos_half = table[k, 0], table[k, 1], table[k, 2], table[k, 3], table[k, 4], table[k, 5]
+        x, y, reach = table[k, sensors.X], table[k, sensors.Y], table[k, sensors.REACH]
+        cos, sin, cos_half = table[k, sensors.COS], table[k, sensors.SIN], table[k, sensors.COS_HALF]
         west, east = max(int(np.floor((x - reach) / side)), 0), min(int(np.floor((x + reach) / side)), columns - 1)
         south, north = max(int(np.floor((y - reach) / side)), 0), min(int(np.floor((y + reach) / side)), rows - 1)
         for row in range(south, north + 1):
@@ -123,7 +124,7 @@ def _partners_near(partners: np.ndarray, x: float, y: float, width: float, side:
     """The rows of partners that may serve a place within `width` m of a point."""
     near, number = np.empty(len(partners), np.int64), 0
     for k in range(len(partners)):
-        dx, dy = partners[k, 0] - x, partners[k, 1] - y
+        dx, dy = partners[k, GOAL_EAST] - x, partners[k, GOAL_NORTH] - y
         near[number] = k
         number += math.sqrt(dx * dx + dy * dy) <= width + _circle(partners[k, PARTNER_REACH], side) + BESIDE * side + 1e-6
     return near[:number]
@@ -139,7 +140,7 @@ def _left_over(
     for i in range(len(near)):
         k = near[i]
         other = _circle(partners[k, PARTNER_REACH], side)
-        dx, dy = x - partners[k, 0], y - partners[k, 1]
+        dx, dy = x - partners[k, GOAL_EAST], y - partners[k, GOAL_NORTH]
         apart = math.sqrt(dx * dx + dy * dy)
         if apart > other + BESIDE * side:
             continue
@@ -265,10 +266,10 @@ def _last_sight(
         west, east = min(west, states[n, 0]), max(east, states[n, 0])
         south, north = min(south, states[n, 1]), max(north, states[n, 1])
     for k in range(len(table)):
-        x, y, reach = table[k, 0], table[k, 1], table[k, 4]
-        if table[k, KIND] != WEDGE or x + reach < west or x - reach > east or y + reach < south or y - reach > north:
+        x, y, reach = table[k, sensors.X], table[k, sensors.Y], table[k, sensors.REACH]
+        if table[k, sensors.KIND] != sensors.WEDGE or x + reach < west or x - reach > east or y + reach < south or y - reach > north:
             continue
-        cos, sin, cos_half = table[k, 2], table[k, 3], table[k, 5]
+        cos, sin, cos_half = table[k, sensors.COS], table[k, sensors.SIN], table[k, sensors.COS_HALF]
         for n in range(len(ids)):
             dx, dy = states[n, 0] - x, states[n, 1] - y
             range2 = dx * dx + dy * dy

@@ -10,6 +10,7 @@ from numba import njit
 
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import distance
+from agents.interest.position_table import GENERATOR_X, GENERATOR_Y, POWER_RADIUS, SENSOR_REACH, SENSOR_X, SENSOR_Y
 
 Limits = tuple[float, float, float, float]
 BLOCK = 4  # points of a grid along each side of a block
@@ -39,15 +40,16 @@ def _rivals(points: np.ndarray, table: np.ndarray, spacing: float) -> np.ndarray
     number, limit = len(table), np.inf
     least = np.empty(number)
     for n in range(number):
-        dx, dy = table[n, 3] - x, table[n, 4] - y
-        away, squared = math.sqrt(dx * dx + dy * dy), table[n, 5] * table[n, 5]
+        dx, dy, power_radius = table[n, GENERATOR_X] - x, table[n, GENERATOR_Y] - y, table[n, POWER_RADIUS]
+        away, squared = math.sqrt(dx * dx + dy * dy), power_radius * power_radius
         near, far = max(away - radius, 0.0), away + radius
         least[n] = near * near - squared
         limit = min(limit, far * far - squared)
     found, count = np.empty((number, 4)), 0
     for n in range(number):
         if least[n] <= limit:
-            found[count, 0], found[count, 1], found[count, 2], found[count, 3] = n, table[n, 3], table[n, 4], table[n, 5] * table[n, 5]
+            x, y, power_radius = table[n, GENERATOR_X], table[n, GENERATOR_Y], table[n, POWER_RADIUS]
+            found[count, 0], found[count, 1], found[count, 2], found[count, 3] = n, x, y, power_radius * power_radius
             count += 1
     return found[:count]
 
@@ -153,7 +155,7 @@ def _likeliest_cell(table: np.ndarray, arena: np.ndarray, around: float, spacing
     for p in range(len(best)):
         px[p], py[p] = west + across * (p % columns), south + up * (p // columns)
     for n in range(number - 1):
-        there_x, there_y, radius = table[n, 3], table[n, 4], table[n, 5]
+        there_x, there_y, radius = table[n, GENERATOR_X], table[n, GENERATOR_Y], table[n, POWER_RADIUS]
         for p in range(len(best)):  # without branches, for several at once
             dx, dy = there_x - px[p], there_y - py[p]
             best[p] = min(best[p], dx * dx + dy * dy - radius * radius)
@@ -193,7 +195,7 @@ def wanted(
     chosen = owning[:number]
     for n in range(number):
         if not chosen[n]:
-            x, y, width = table[n, 0], table[n, 1], halo + margin + table[n, 2]
+            x, y, width = table[n, SENSOR_X], table[n, SENSOR_Y], halo + margin + table[n, SENSOR_REACH]
             away = max(max(west - x, x - east), max(south - y, y - north))  # a lower bound of the distance
             chosen[n] = away <= width + 1e-6 and distance(home, x, y) <= width
     look = halo + margin + bounds[0] + drift

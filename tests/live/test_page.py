@@ -78,6 +78,9 @@ def test_the_page_of_the_demo_is_the_first_thing_said_and_is_alive_soon(covey: C
     print(f"from the address to the page that is alive: {taken:.2f} s")
     assert taken < ALIVE_SECONDS * BUSY
     until(page, "covey.frame && covey.frame.tick > 4 && covey.frame.agents.every((agent) => agent.state === 'alive')")
+    until(page, "covey.frame.beside && covey.frame.score && covey.frame.tick === covey.frame.beside.tick")
+    assert page.evaluate("covey.frame.targets.join() === covey.frame.beside.targets.join()")
+    assert page.evaluate("covey.hello.beside.names") == ["the paper's method, live", "search and track, simulated"]
     page.set_viewport_size({"width": 1440, "height": 900})
     until(page, f"{bottom('#row-s16')} <= {bottom('#team')}")  # the last row is seen whole
     page.set_viewport_size({"width": 420, "height": 900})
