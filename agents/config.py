@@ -106,13 +106,13 @@ class ControlSettings(Section, frozen=True, kw_only=True):
 class SearchSettings(Section, frozen=True, kw_only=True):
     """[search] what control.mode = "search-and-track" weighs; values of 0 switch ingredients off."""
 
-    bin: Annotated[float, msgspec.Meta(ge=0.01, le=10000.0)] = 2.0  # m; all lengths of the law follow it
-    horizon: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 2.0  # a goal is a place this far ahead, s
+    bin: Annotated[float, msgspec.Meta(ge=0.01, le=10000.0)] = 2.0  # m, about a fifth of what sensors reach; lengths of the law follow it
+    horizon: Annotated[float, msgspec.Meta(ge=0.1, le=10000.0)] = 2.0  # a goal is a place this far ahead, s; at least run.dt
     stale: Annotated[float, msgspec.Meta(ge=0.1, le=10000.0)] = 5.0  # mass out of view for longer is to be found, s
     weight: NotNegative = 20.0  # of mass that is to be found
     inflow: NotNegative = 0.06  # value of each bin at an open border
     confirmation: NotNegative = 4.0  # value of looking again at mass that may be no target
-    sharing: Fraction = 1.0  # of what is worth seeing: the share that nearer sensors leave to each other
+    sharing: Fraction = 1.0  # when goals are chosen: the share of a place's value that a farther sensor leaves to a nearer one
     falloff: Fraction = 0.4  # a track on top of the sensor or at the edge of its circle is worth this much less than one at the COD
     look_ahead: NotNegative = 0.7  # weight of the heading after the next
     step_cost: NotNegative = 0.02  # of moving the goal by the way of a horizon

@@ -158,11 +158,15 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
         network = msgspec.structs.replace(network, most_per_second=LOCKSTEP_HASTE * network.most_per_second)
     extraction, said = scenario.extraction, data.get("extraction", {})
     if scenario.control.mode == "search-and-track":
+        if scenario.search.horizon < scenario.run.dt:
+            raise BadSetting(f"{source}: search.horizon = {scenario.search.horizon:g}: should be run.dt ({scenario.run.dt:g} s) or more")
         area, side = scenario.arena.width * scenario.arena.height, scenario.search.bin
         if area / side**2 > MOST_SEARCH_BINS:
             wrong = f"{source}: search.bin = {side:g}: the arena has {area / side**2:.0f} bins, and search-and-track looks at"
             least = math.ceil(10.0 * math.sqrt(area / MOST_SEARCH_BINS)) / 10.0
-            raise BadSetting(f"{wrong} at most {MOST_SEARCH_BINS}; should be {least:g} m or more, about a fifth of what sensors reach")
+            raise BadSetting(
+                f"{wrong} at most {MOST_SEARCH_BINS}; should be at least {least:g} m; about a fifth of what sensors reach is usual"
+            )
         follows = {field: value for field, value in SEARCH_EXTRACTION.items() if field not in said}
         extraction = msgspec.structs.replace(extraction, **follows)
     recorded = scenario.recorded
@@ -196,6 +200,11 @@ def with_deaths(scenario: Scenario) -> Scenario:
         return scenario
     deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
     return msgspec.structs.replace(scenario, faults=(deaths,))
+
+
+def unsimulated(scenario: Scenario) -> set[str]:
+    """The processes of a live run that a simulation does not have, so that no fault can strike them there."""
+    return {"world", *(f"{member}.body" for member in scenario.members)}
 
 
 def recording_remarks(scenario: Scenario) -> tuple[str, ...]:

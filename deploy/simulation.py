@@ -18,7 +18,7 @@ from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults, pl
 from deploy.faults.injector import Build, Injector
 from deploy.faults.links import Links, describe
 from deploy.oracle import Oracle, without_oracle
-from deploy.scenario import ORACLE, Scenario, bodies_of, world_config, world_names
+from deploy.scenario import ORACLE, Scenario, bodies_of, unsimulated, world_config, world_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer
 from protocol.observer_messages import Truth
@@ -72,7 +72,7 @@ class Simulation:
     ) -> None:
         check_faults(scenario.faults, list(scenario.members))
         for name in [name.strip() for fault in scenario.faults for name in fault.who.split(",")]:
-            if name in ("world", *(f"{member}.body" for member in scenario.members)):
+            if name in unsimulated(scenario):
                 raise BadSetting(f"faults: a simulation has no process to strike whose name is {name}; `covey up` has")
         self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock, pace=0.0))
         self.links = Links(scenario.run.seed, list(scenario.members))

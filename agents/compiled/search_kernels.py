@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+import agents.gossip.table as sensors
 from agents.compiled.cache import cached
 from agents.compiled.correction_kernels import exp_minus
 from agents.compiled.particle_kernels import sort_by_id
@@ -33,10 +34,9 @@ from agents.coverage.search_plan import (
     WINDOW,
     WITHIN,
 )
-from agents.gossip import table as sensors
 
 # Columns of the settings (`config.SearchSettings`) and of the numbers of a round (`search_plan.PlanInput`)
-BIN, HORIZON, STALE, SEARCH, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(11)
+BIN, HORIZON, STALE, WEIGHT, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(11)
 NOW, DT, X, Y, COS, SIN, REACH, ANGLE, OFFSET, WIDTH, HEIGHT, SPEED, TURN_RATE, OPEN, GOAL_X, GOAL_Y = range(16)
 GOAL_EAST, GOAL_NORTH, UTILISATION, PARTNER_REACH, FIRST = range(5)  # columns of a partner
 
@@ -83,11 +83,11 @@ def _bin_values(
     """Twin of `search_plan.bin_values` for the bins of a box: first and last row, first and last column."""
     south, north, west, east = box
     tracks, search_values = np.zeros((north - south + 1, east - west + 1)), np.zeros((north - south + 1, east - west + 1))
-    horizon, stale, now, width, height = search[HORIZON] + body[DT], search[STALE], body[NOW], body[WIDTH], body[HEIGHT]
+    ahead, stale, now, width, height = search[HORIZON] + body[DT], search[STALE], body[NOW], body[WIDTH], body[HEIGHT]
     side = search[BIN]
     for n in range(len(weights)):
         x, y, vx, vy = states[n, 0], states[n, 1], states[n, 2], states[n, 3]
-        px, py = x + vx * horizon, y + vy * horizon
+        px, py = x + vx * ahead, y + vy * ahead
         if body[OPEN] == 0.0:
             px = -px if px < 0.0 else 2.0 * width - px if px > width else px
             py = -py if py < 0.0 else 2.0 * height - py if py > height else py
@@ -103,7 +103,7 @@ def _bin_values(
         if now - last <= stale:
             tracks[row - south, column - west] += weights[n]
         else:
-            search_values[row - south, column - west] += search[SEARCH] * weights[n]
+            search_values[row - south, column - west] += search[WEIGHT] * weights[n]
     if body[OPEN] != 0.0:
         rows, columns = seen.shape
         for row in range(south, north + 1):
@@ -233,7 +233,8 @@ def _best_goal(
         total = 0.0
         for n in range(count):
             total += terms[n]
-        total -= search[STEP_COST] * math.sqrt((qx - gx) * (qx - gx) + (qy - gy) * (qy - gy)) / (2.0 * step)
+        if step > 0.0:
+            total -= search[STEP_COST] * math.sqrt((qx - gx) * (qx - gx) + (qy - gy) * (qy - gy)) / (2.0 * step)
         if total > best:
             best, best_x, best_y = total, qx, qy
     held = search[CAPACITY] * body[ANGLE] / HOLDS
@@ -307,7 +308,7 @@ def _best_turn(
 ) -> float:
     """Twin of `search_plan.best_turn` for a wedge at x, y."""
     side, forgotten = search[BIN], FORGOTTEN * search[STALE]
-    now, reach = body[NOW], body[REACH] - EDGE * side
+    now, reach = body[NOW], max(body[REACH] - EDGE * side, 0.0)
     held, some = np.zeros(SECTORS), False
     west, south = int(np.floor((x - reach) / side)), int(np.floor((y - reach) / side))
     bins = int(2.0 * reach / side) + 2  # along a side of the box
@@ -355,9 +356,9 @@ def _best_turn(
 
 
 @njit
-def _left_to_sensor(body: np.ndarray, states: np.ndarray, partners: np.ndarray, side: float) -> np.ndarray:
-    """Twin of `search_plan.left_to_sensor` for the particles within reach; each bin is computed once."""
-    x, y, reach = body[X], body[Y], body[REACH]
+def _left_to_sensor(body: np.ndarray, x: float, y: float, states: np.ndarray, partners: np.ndarray, side: float) -> np.ndarray:
+    """Twin of `search_plan.left_to_sensor` for the particles within reach of x, y; each bin is computed once."""
+    reach = body[REACH]
     near = _partners_near(partners, x, y, reach + 2.0 * side, side)
     west, south, bins = int(np.floor((x - reach) / side)) - 1, int(np.floor((y - reach) / side)) - 1, int(2.0 * reach / side) + 4
     left, found = np.full((bins, bins), -1.0), np.zeros(len(states))
@@ -396,6 +397,6 @@ def decide(
     near_last = _last_sight(near_states, near_ids, ids, last, table, seen, now, search)
     x, y = body[X] + vx * dt, body[Y] + vy * dt
     turn = _best_turn(
-        body, search, x, y, near_states, near_weights, near_last, _left_to_sensor(body, near_states, partners, search[BIN]), edges
+        body, search, x, y, near_states, near_weights, near_last, _left_to_sensor(body, x, y, near_states, partners, search[BIN]), edges
     )
     return vx, vy, turn / dt, goal_x, goal_y, utilisation, (seen, near_ids, near_last)

@@ -2,7 +2,8 @@
 
 Data types: a `Task` is what one agent knows in a round; a `Memory` holds when it was all last seen; a `Decision` is the answer. Bins
 are squares of side `search.bin` m, rows from south and columns from west. Mass in a bin that was in view lately is a *track*. Older
-mass is to be *found*, and counts more. All lengths of the law are multiples of a bin, and its times follow `horizon` and `stale`.
+mass is to be *found*, and counts more. All lengths of the law are multiples of a bin, but for the way to a goal, and its times follow
+`horizon` and `stale`.
 
 Rules. All sums run one after the other, in the order of particles, bins and partners, and only exactly rounded operations occur:
 agents/compiled/search_kernels.py computes the same bits. A sensor is taken for a circle, because it turns fast.
@@ -29,10 +30,10 @@ BESIDE = 4.0  # bins beyond the circle of a partner that it serves
 OUTSIDE = 0.4  # the value of a track just outside of the circle
 NEVER = -1.0e9  # s: the time of the last sight of what was never seen
 UNKNOWN = 0.5  # of `stale`: the greatest time out of sight of a particle that is new around the cell
-SECTORS = 72  # of the scan
-EDGE = 0.2  # bins of the reach that the scan leaves for the motion of the targets
-WINDOW = 0.95  # of the viewing angle counts in the scan
-LEAST = 0.05  # value of mass in view in this tick
+SECTORS = 72  # of a full turn, among which a heading is chosen
+EDGE = 0.2  # bins of the reach that the choice of a heading leaves for the motion of the targets
+WINDOW = 0.95  # of the viewing angle counts when a heading is chosen
+LEAST = 0.05  # value of mass that is in view without a break
 FORGOTTEN = 0.1  # of `stale`: mass out of sight for this time has regained most of its value
 UNSURE = (0.05, 0.9)  # masses of a bin that may or may not be a target
 FIRST_TURN = 0.9  # of the viewing angle, the turn of a sensor that has nothing to look at
@@ -51,7 +52,7 @@ class PlanInput(NamedTuple):
     cos: float  # of the heading
     sin: float
     reach: float  # m
-    angle: float  # of view, rad; of another sensor than a wedge that of a wedge of its area
+    angle: float  # of view, rad; where the sensor is no wedge: 2 x area / reach^2, at most 2 pi
     offset: float  # m from the sensor to its COD
     width: float  # of the arena, m
     height: float
@@ -213,7 +214,9 @@ def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]
     for distance, (east, north) in places:
         place = min(max(body.x + distance * east, 0.0), body.width), min(max(body.y + distance * north, 0.0), body.height)
         dx, dy = place[0] - body.goal_x, place[1] - body.goal_y
-        worth = worth_at(task, place, x, y, track, value) - settings.step_cost * math.sqrt(dx * dx + dy * dy) / (2.0 * step)
+        worth = worth_at(task, place, x, y, track, value)
+        if step > 0.0:
+            worth -= settings.step_cost * math.sqrt(dx * dx + dy * dy) / (2.0 * step)
         if worth > best:
             best, goal = worth, place
     held = settings.capacity * body.angle / HOLDS
@@ -286,15 +289,15 @@ def worth_around(
     Mass out of view gains value with time. A bin that may hold no target is worth another look.
     """
     body, settings, x, y = task.body, task.settings, around.states[:, 0], around.states[:, 1]
-    dx, dy, reach = x - place[0], y - place[1], body.reach - EDGE * settings.bin
+    dx, dy, reach = x - place[0], y - place[1], max(body.reach - EDGE * settings.bin, 0.0)
     near = dx * dx + dy * dy <= reach * reach
     rows, columns = np.floor(y / settings.bin), np.floor(x / settings.bin)
     south, west = math.floor((place[1] - reach) / settings.bin), math.floor((place[0] - reach) / settings.bin)
-    side = int(2.0 * reach / settings.bin) + 2  # of the box, bins
-    boxed = (rows >= south) & (columns >= west) & (rows < south + side) & (columns < west + side)
-    flat = ((rows - south) * side + columns - west)[boxed].astype(np.int64)
+    bins = int(2.0 * reach / settings.bin) + 2  # along a side of the box
+    boxed = (rows >= south) & (columns >= west) & (rows < south + bins) & (columns < west + bins)
+    flat = ((rows - south) * bins + columns - west)[boxed].astype(np.int64)
     masses = np.zeros(len(x))
-    masses[boxed] = np.bincount(flat, around.weights[boxed], side * side).astype(float)[flat]
+    masses[boxed] = np.bincount(flat, around.weights[boxed], bins * bins).astype(float)[flat]
     age = (body.now - last + body.dt) / (FORGOTTEN * settings.stale)
     value = LEAST + 1.0 - exp_minus(np.minimum(age * age, 18.0))
     unsure = (masses > UNSURE[0]) & (masses < UNSURE[1])

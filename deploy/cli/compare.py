@@ -6,9 +6,9 @@ import logging
 
 from deploy.cli.terminal import open_browser, stop_event
 from deploy.live.warmup import announce
-from deploy.page.comparison import ComparisonSource
+from deploy.page.comparison import SPEEDS, ComparisonSource
 from deploy.page.server import PageServer, address_of
-from deploy.page.side import Side
+from deploy.page.simulated_swarm import SimulatedSwarm
 from deploy.scenario import Scenario, law_in_words, with_deaths
 from protocol.settings import BadSetting
 
@@ -16,13 +16,16 @@ from protocol.settings import BadSetting
 def compare(one: Scenario, other: Scenario, page: bool | str, speed: float, opens: bool) -> int:
     """Simulate both in step and show them until Ctrl-C; three agents die at mid-run unless the scenario says otherwise.
 
-    Both are variants of one scenario; raises BadSetting where they are the same.
+    Both are variants of one scenario; raises BadSetting where they are the same. `speed`: world seconds per second.
     """
     first, second = difference(one, other)
-    address = address_of(page or True)
-    assert address is not None
+    address = address_of(page)
+    if address is None:
+        raise BadSetting("--no-page: a comparison is seen on its page alone; `covey simulate` gives figures without one")
+    if not SPEEDS[0] <= speed <= SPEEDS[1]:
+        raise BadSetting(f"--speed {speed:g}: should be a number from {SPEEDS[0]:g} to {SPEEDS[1]:g}")
     announce()
-    sides = Side(first, with_deaths(one)), Side(second, with_deaths(other))
+    sides = SimulatedSwarm(first, with_deaths(one)), SimulatedSwarm(second, with_deaths(other))
     server = PageServer(ComparisonSource(sides, speed), address)
     print(f"page: {(url := server.bind())}", flush=True)
     print(f"{one.run.scenario}: {first} beside {second}, seed {one.run.seed}; Ctrl-C ends it", flush=True)
@@ -40,7 +43,9 @@ def difference(one: Scenario, other: Scenario) -> tuple[str, str]:
     if diagrams[0] != diagrams[1]:
         return diagrams
     if laws[0] == laws[1]:
-        raise BadSetting(f"--against: the scenario has the {diagrams[0]} diagram and the control law {laws[0]} already; take another")
+        raise BadSetting(
+            f"--against: should differ from {diagrams[0]} and {laws[0]}, which the scenario has: voronoi, search-and-track, ..."
+        )
     return law_in_words(laws[0]), law_in_words(laws[1])
 
 

@@ -13,7 +13,7 @@ from deploy.live.supervisor import EXIT_CRASHED, Supervisor
 from deploy.live.zygote import Zygote
 from deploy.page.picture import Picture
 from deploy.page.server import PageServer, address_of
-from deploy.page.side import Side
+from deploy.page.simulated_swarm import SimulatedSwarm
 from deploy.page.source import LiveSource
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.scenario import Scenario, law_in_words
@@ -39,7 +39,7 @@ def run_in_foreground(
             if zygote is not None:
                 zygote.close()
             raise
-        other = Side(f"{law_in_words(showing.beside.control.mode)}, simulated", showing.beside) if showing.beside else None
+        other = SimulatedSwarm(f"{law_in_words(showing.beside.control.mode)}, simulated", showing.beside) if showing.beside else None
         server, address = page_of(supervisor, showing.page, showing.stays, other), ""
         if server is not None:
             address = server.bind()
@@ -74,14 +74,14 @@ def run_in_foreground(
     leave(code)
 
 
-def beside_in_words(result: Result, other: Side) -> str:
+def beside_in_words(result: Result, other: SimulatedSwarm) -> str:
     """How well the swarm beside did in the same world."""
     other.play(result.ticks - 1)
     theirs = other.simulation.result().mean_ospa
-    return f"{other.name} with the same seed and faults: mean OSPA {theirs:.2f} m; this run: {result.mean_ospa:.2f} m"
+    return f"{other.name} in the same world: mean OSPA {theirs:.2f} m; this run: {result.mean_ospa:.2f} m"
 
 
-def page_of(supervisor: Supervisor, page: bool | str, tour: bool, other: Side | None = None) -> PageServer | None:
+def page_of(supervisor: Supervisor, page: bool | str, tour: bool, other: SimulatedSwarm | None = None) -> PageServer | None:
     """The page of a run; None when none is wanted. `tour`: it offers its guided tour. `other`: a swarm beside it."""
     address = address_of(page)
     if address is None:

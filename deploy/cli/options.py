@@ -125,17 +125,24 @@ class RunOptions:
         return {f"network.{field}": str(self.keys.absolute() / file) if self.keys else None for field, file in files.items()}
 
     def scenario(self, name: str) -> "Scenario":
-        """The resolved scenario; raises BadSetting naming what is wrong."""
+        """The resolved scenario, and remarks on a recording for people; raises BadSetting naming what is wrong."""
+        from deploy.cli.errors import tell_remarks
+        from deploy.scenario import recording_remarks
+
+        scenario = self.variant(name)
+        tell_remarks(recording_remarks(scenario))
+        return scenario
+
+    def variant(self, name: str, *settings: str) -> "Scenario":
+        """The resolved scenario with further settings such as control.mode=random; raises BadSetting naming what is wrong."""
         import msgspec
 
-        from deploy.cli.errors import tell_remarks
         from deploy.cli.scenario_checks import check_scenario
-        from deploy.scenario import recording_remarks, resolve
+        from deploy.scenario import parse_set, resolve
 
-        scenario = resolve(name, self.overrides())
+        scenario = resolve(name, {**self.overrides(), **dict(map(parse_set, settings))})
         scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *self.faults()))
         check_scenario(scenario)
-        tell_remarks(recording_remarks(scenario))
         return scenario
 
     def requested_name(self, scenario: "Scenario") -> str | None:

@@ -12,7 +12,7 @@ from deploy.cli.options import DisplayOptions
 from deploy.installation import command, environment
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
-from deploy.scenario import Scenario, named, refuse_oracle, targets_in_words, with_deaths
+from deploy.scenario import Scenario, named, refuse_oracle, targets_in_words, unsimulated, with_deaths
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.kept_runs import new_run_directory
 from deploy.storage.run_directory import runs_folder
@@ -51,9 +51,10 @@ def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions
 
 
 def other_law(scenario: Scenario) -> str | None:
-    """The control law that a demo shows beside that of the scenario; None where there is none, or no time to simulate it."""
-    if scenario.recorded.kind == "mrclam" or len(scenario.members) > MOST_BESIDE:  # recorded robots drive as they drove
-        return None
+    """The control law that a demo shows beside that of the scenario; None where there is none, or it cannot be simulated in time."""
+    struck = {name.strip() for fault in scenario.faults for name in fault.who.split(",")}
+    if scenario.recorded.kind == "mrclam" or len(scenario.members) > MOST_BESIDE or struck & unsimulated(scenario):
+        return None  # recorded robots drive as they drove
     return {"lloyd": "search-and-track", "search-and-track": "lloyd"}.get(scenario.control.mode)
 
 

@@ -1,4 +1,4 @@
-"""Two simulations of one scenario and seed in step, as one source of a page: they differ in the diagram or the control law alone.
+"""Two simulations of one scenario and seed in step, as one source of a page: what is compared is all that differs.
 
 Both run in this process and in virtual time. The left one is the page's picture, and the right one goes beside it in every frame. What is
 clicked happens to both, so the two remain comparable.
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deploy.page.picture import Picture
-from deploy.page.side import STRIKES, Side, about_sides
+from deploy.page.simulated_swarm import DONE_TO_BOTH, SimulatedSwarm, about_two
 from deploy.page.source import number_of
 from deploy.scoring.result import EventReport
 from deploy.scoring.scorer import Score
@@ -23,7 +23,7 @@ SPEEDS = (0.1, 100.0)
 class ComparisonSource:
     """Two variants of one scenario; `speed` in world seconds per second."""
 
-    def __init__(self, sides: tuple[Side, Side], speed: float = 2.0) -> None:
+    def __init__(self, sides: tuple[SimulatedSwarm, SimulatedSwarm], speed: float = 2.0) -> None:
         self.sides = sides
         self.picture = self.sides[0].picture
         self.jumps = 0
@@ -50,8 +50,8 @@ class ComparisonSource:
         return self.sides[1].picture, self.sides[1].score()
 
     def about(self, may_act: bool) -> dict[str, Any]:
-        beside = about_sides(self.sides[0].name, self.sides[1])
-        return {"source": "comparison", "verbs": list(STRIKES) if may_act else [], "drags": may_act, "beside": beside}
+        beside = about_two(self.sides[0].name, self.sides[1])
+        return {"source": "comparison", "verbs": list(DONE_TO_BOTH) if may_act else [], "drags": may_act, "beside": beside}
 
     def extra(self) -> dict[str, Any]:
         over = {"over": True} if self.tick >= self._last_tick else {}
@@ -77,10 +77,10 @@ class ComparisonSource:
         return ""
 
     def _strike(self, verb: str, who: str) -> str:
-        if verb not in STRIKES:
-            raise BadSetting(f"{verb!r}: should be one of {', '.join(STRIKES)}")
+        if verb not in DONE_TO_BOTH:
+            raise BadSetting(f"{verb!r}: should be one of {', '.join(DONE_TO_BOTH)}")
         if who not in self.picture.agents:
-            raise BadSetting(f"{who!r}: there is no such agent")
+            raise BadSetting(f"{who!r}: there is no such agent; known are {', '.join(self.picture.agents)}")
         for side in self.sides:
             side.strike(verb, who)
         text = f"{who} is {'killed' if verb == 'kill' else 'started again'} on both sides"

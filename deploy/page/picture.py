@@ -23,7 +23,7 @@ from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
 
-TRAIL = 12.0  # s of the world that trails reach back
+TRAIL = 12.0  # s of the world that trails reach back, and `MOST_TICKS` at least
 MOST_HAPPENINGS = 2000
 UNKNOWN = 0  # incarnation of an agent that has not been heard
 MOST_TICKS = 24  # kept of what an agent said
@@ -255,7 +255,7 @@ class Picture:
             return
         self.truth = truth
         self.trail.append(truth)
-        while self.trail[0].time < truth.time - TRAIL or self.trail[0].time > truth.time:
+        while (self.trail[0].time < truth.time - TRAIL and len(self.trail) > MOST_TICKS) or self.trail[0].time > truth.time:
             self.trail.popleft()
         self._settle()
 

@@ -1,4 +1,4 @@
-"""Sources of a page: a running swarm or a recording. The server takes pictures from a source and forwards clicks to it."""
+"""What a page shows and whom its clicks reach: what every source has, and the source of a running swarm."""
 
 import asyncio
 import contextlib
@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from deploy.faults.faults import LINK_VERBS
 from deploy.live.control import ask
 from deploy.page.picture import Picture
-from deploy.page.side import STRIKES, Side, about_sides
+from deploy.page.simulated_swarm import DONE_TO_BOTH, SimulatedSwarm, about_two
 from deploy.scoring.result import Fault
 from deploy.scoring.scorer import Score, Scorer
 from deploy.storage.run_directory import RunDirectory
@@ -42,7 +42,7 @@ class Source(Protocol):
         """The score of the moment that the picture shows."""
 
     def beside(self) -> tuple[Picture, Score | None] | None:
-        """A second swarm in the same arena and at the same tick, and its score; None: there is none."""
+        """A second swarm in the same arena, and its score of the tick of `score`; None: there is none. Without scores it may be behind."""
 
     def about(self, may_act: bool) -> dict[str, Any]:
         """What a newcomer must know: the kind of source, and what may be clicked."""
@@ -60,7 +60,7 @@ class Source(Protocol):
 class LiveSource:
     """A running swarm. The driver of the scorer feeds the picture; the supervisor, if it can be reached, carries out clicks.
 
-    A simulated swarm can go beside it, tick by tick. It is killed where the running one is.
+    A simulated swarm can go beside it, tick by tick. Who is killed or restarted on the page is so in both.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class LiveSource:
         directory: RunDirectory | None,
         tour: bool = False,
         name: str = "",
-        other: Side | None = None,
+        other: SimulatedSwarm | None = None,
     ) -> None:
         """`tour`: newcomers are offered the guided tour. `other`: the swarm beside this one, and `name` what this one is then called."""
         self.picture = picture
@@ -96,7 +96,7 @@ class LiveSource:
     def beside(self) -> tuple[Picture, Score | None] | None:
         return (self._other.picture, self._of_one_tick(self._other)[1]) if self._other else None
 
-    def _of_one_tick(self, other: Side) -> tuple[Score | None, Score | None]:
+    def _of_one_tick(self, other: SimulatedSwarm) -> tuple[Score | None, Score | None]:
         """The scores of the newest tick of which everything has been heard in both swarms."""
         mine, theirs = ({score.tick: score for score in scores[-RECENT_SCORES:-1]} for scores in (self._scorer.scores, other.scores))
         tick = max(mine.keys() & theirs.keys(), default=-1)
@@ -104,7 +104,7 @@ class LiveSource:
 
     def about(self, may_act: bool) -> dict[str, Any]:
         possible = [verb for verb in BUTTONS if verb not in LINK_VERBS or self.picture.scenario.network.link_faults]
-        beside = {"beside": about_sides(self._name, self._other)} if self._other else {}
+        beside = {"beside": about_two(self._name, self._other)} if self._other else {}
         return {"source": "live", "verbs": possible if may_act and self._directory else [], "tour": self._tour, **beside}
 
     def extra(self) -> dict[str, Any]:
@@ -119,7 +119,7 @@ class LiveSource:
         if verb not in BUTTONS:
             raise BadSetting(f"{verb!r}: should be one of {', '.join(BUTTONS)}")
         answer = await self._control(verb, who)
-        if self._other and verb in STRIKES:
+        if self._other and verb in DONE_TO_BOTH:
             self._other.strike(verb, who)
         text = str(answer.get("ok", ""))
         self.picture.note("asked", who, f"from the page: {text}")
@@ -154,5 +154,5 @@ class LiveSource:
     async def _control(self, verb: str, who: str) -> dict[str, Any]:
         """The supervisor's answer; raises BadSetting with its complaint."""
         if self._directory is None:
-            raise BadSetting("this run has no supervisor that could be asked")
+            raise BadSetting("this page only watches; use `covey kill` and the like, or the page of `covey up --page`")
         return await ask(self._directory, verb, who)

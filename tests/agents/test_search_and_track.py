@@ -220,3 +220,19 @@ def test_a_world_of_another_size_and_pace_is_searched_alike() -> None:
         assert np.array_equal(other.memory.last, one.memory.last * long)
         searched += one.goal != (50.0, 50.0)
     assert searched > 10
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0])
+def test_plain_and_compiled_decisions_agree_when_a_tick_is_long(speed: float) -> None:
+    """Up to 4 m in a tick of 2 s, which is two bins; a body may also stand, and only turn."""
+    fast = pytest.importorskip("agents.compiled.backend").FAST
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        rows = [(*rng.uniform(35.0, 65.0, 2), rng.uniform(0.0, 0.3), *rng.normal(0.0, 1.0, 2)) for _ in range(80)]
+        partners = np.column_stack([rng.uniform(35.0, 65.0, (3, 2)), rng.uniform(0.5, 2.0, 3), [8.0, 8.0, 20.0], [1.0, 0.0, 1.0]])
+        known = task(particles(*rows), particles(*rows), partners, goal=(51.0, 49.0))
+        known = known._replace(body=known.body._replace(dt=2.0, turn_rate=1.0, speed=speed))
+        memory = Memory(rng.uniform(-9.0, 1.0, (50, 50)), np.empty(0, dtype=np.uint64), np.empty(0))
+        plain, compiled = decide(known, memory), fast.decide(known, memory)
+        assert plain[:4] == compiled[:4]
+        assert all(np.array_equal(one, other) for one, other in zip(plain.memory, compiled.memory))

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from deploy.cli.compare import compare, difference
+from deploy.cli.options import RunOptions
 from deploy.cli.start import other_law
 from deploy.page.comparison import ComparisonSource
 from deploy.page.frames import frame, greeting
 from deploy.page.picture import Picture
-from deploy.page.side import Side
+from deploy.page.simulated_swarm import SimulatedSwarm
 from deploy.page.source import LiveSource
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
@@ -22,8 +23,8 @@ from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
 
-def side(name: str, **settings: Any) -> Side:
-    return Side(name, resolve("quick", {"run.seconds": 20.0, **settings}))
+def side(name: str, **settings: Any) -> SimulatedSwarm:
+    return SimulatedSwarm(name, resolve("quick", {"run.seconds": 20.0, **settings}))
 
 
 def played(ticks: int = 12, **settings: Any) -> ComparisonSource:
@@ -96,11 +97,19 @@ def test_two_variants_are_called_by_what_differs() -> None:
 
 
 def test_a_scenario_is_not_compared_with_itself() -> None:
-    with pytest.raises(BadSetting, match="--against: the scenario has the power diagram and the control law lloyd already; take another"):
-        compare(resolve("quick", {}), resolve("quick", {}), False, 2.0, False)
+    with pytest.raises(BadSetting, match="--against: should differ from power and lloyd, which the scenario has"):
+        compare(resolve("quick", {}), resolve("quick", {}), True, 2.0, False)
 
 
-def live_beside_simulated(directory: Path) -> tuple[LiveSource, Simulation, Side]:
+@pytest.mark.parametrize(
+    ("page", "speed", "complaint"), [(False, 2.0, "--no-page: a comparison is seen"), (True, 0.0, "--speed 0: should be")]
+)
+def test_a_comparison_needs_a_page_and_a_speed(page: bool, speed: float, complaint: str) -> None:
+    with pytest.raises(BadSetting, match=complaint):
+        compare(resolve("quick", {}), resolve("quick", {"partition.kind": "voronoi"}), page, speed, False)
+
+
+def live_beside_simulated(directory: Path) -> tuple[LiveSource, Simulation, SimulatedSwarm]:
     """A source of a running swarm, here simulated as well, with search and track beside it."""
     running = Simulation(resolve("quick", {"run.seconds": 20.0}))
     picture = Picture(running.scenario)
@@ -167,3 +176,24 @@ def test_a_demo_shows_search_and_track_beside_the_paper_unless_the_team_is_large
     name: str, settings: dict[str, Any], law: str | None
 ) -> None:
     assert other_law(resolve(name, settings)) == law
+
+
+def test_the_demo_of_a_world_that_dies_has_one_arena() -> None:
+    """A simulation has no process of the world that could be killed."""
+    assert other_law(RunOptions(kill=["world@5"]).variant("quick")) is None
+    assert other_law(RunOptions(kill=["s2@5"]).variant("quick")) == "search-and-track"
+
+
+def test_the_law_beside_a_demo_outweighs_a_law_that_was_set_in_another_way() -> None:
+    chosen = RunOptions(settings=["control.mode=search-and-track"])
+    law = other_law(chosen.variant("quick"))
+    assert law == "lloyd"
+    assert chosen.variant("quick", f"control.mode={law}").control.mode == "lloyd"
+
+
+def test_the_page_draws_the_tick_of_its_figures_where_ticks_are_long() -> None:
+    """Ticks of 5 s: in the 12 s of a trail there are hardly three."""
+    source = played(8, **{"run.dt": 5.0, "run.seconds": 100.0})
+    assert len(source.picture.trail) == 9
+    source.picture.show(2)
+    assert source.picture.shown is not None and source.picture.shown.tick == 2

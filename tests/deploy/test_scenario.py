@@ -158,9 +158,10 @@ def test_a_scenario_that_spells_out_its_members_is_not_asked_for_a_team(tmp_path
         ),
         (
             {"control.mode": "search-and-track", "arena.width": 2010.0, "arena.height": 2000.0},
-            "search.bin = 2: the arena has 1005000 bins, and search-and-track looks at at most 1000000; should be 2.1 m or more, "
-            "about a fifth of what sensors reach",
+            "search.bin = 2: the arena has 1005000 bins, and search-and-track looks at at most 1000000; should be at least 2.1 m; "
+            "about a fifth of what sensors reach is usual",
         ),
+        ({"control.mode": "search-and-track", "run.dt": 2.5}, "search.horizon = 2: should be run.dt (2.5 s) or more"),
         ({"sensors.X.angle": 90.0, "team.composition": "3X"}, "sensors.X: a wedge needs an angle (degrees) and a radius (m)"),
     ],
     ids=str,

@@ -35,7 +35,7 @@ def demo(
         resolved = start.with_pace(resolved, resolved.run.seconds / DEMO_SECONDS)
     showing = DisplayOptions(options.json, record, page or open, open, stays=True)
     if paced and showing.page and (law := start.other_law(resolved)):
-        showing = replace(showing, beside=start.with_deaths(replace(chosen, control=law).scenario(scenario)))
+        showing = replace(showing, beside=start.with_deaths(chosen.variant(scenario, f"control.mode={law}")))
     start.demo(resolved, chosen.requested_name(resolved), showing, options.spawn)
 
 
@@ -54,14 +54,14 @@ def compare(
 ) -> int:
     """Simulate a scenario under two diagrams or two control laws, side by side on the page.
 
-    Same seed, in step: nothing else differs. --against: power, voronoi, voronoi-cod, or a law such as search-and-track or module:Class.
+    Same seed and faults, in step. --against: power, voronoi, voronoi-cod, or a law such as search-and-track or module:Class.
     --speed: world seconds per second.
     """
     from deploy.cli import compare
 
     setting = "partition.kind" if against in DIAGRAMS else "control.mode"
-    other = replace(options, settings=[*options.settings, f"{setting}={against}"])
-    return compare.compare(options.scenario(scenario), other.scenario(scenario), page, speed, open)
+    one, other = options.scenario(scenario), options.variant(scenario, f"{setting}={against}")
+    return compare.compare(one, other, page, speed, open)
 
 
 @app.command(group=RUN, help_epilogue="Example: covey up efficacy --team 3 --rate 2 --page")

@@ -10,15 +10,15 @@ from deploy.scenario import Scenario
 from deploy.scoring.scorer import Score
 from deploy.simulation import Simulation
 
-STRIKES = ("kill", "restart")  # what can be done to it from the page
+DONE_TO_BOTH = ("kill", "restart")  # verbs of the page
 
 
-def about_sides(left: str, right: "Side") -> dict[str, Any]:
+def about_two(left: str, right: "SimulatedSwarm") -> dict[str, Any]:
     """What a page must know to show two swarms: their names, and the errors of the right one so far."""
     return {"names": [left, right.name], "ospa": curves(right.scores)["ospa"]}
 
 
-class Side:
+class SimulatedSwarm:
     """One of two swarms in the same arena; `name` says how it differs from the other."""
 
     def __init__(self, name: str, scenario: Scenario) -> None:
