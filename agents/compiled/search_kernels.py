@@ -11,7 +11,6 @@ import math
 import numpy as np
 from numba import njit
 
-import agents.gossip.table as sensors
 from agents.compiled.cache import cached
 from agents.compiled.correction_kernels import exp_minus
 from agents.compiled.particle_kernels import sort_by_id
@@ -34,6 +33,12 @@ from agents.coverage.search_plan import (
     WINDOW,
     WITHIN,
 )
+from agents.gossip.table import COS as SENSOR_COS
+from agents.gossip.table import COS_HALF, KIND, WEDGE
+from agents.gossip.table import REACH as SENSOR_REACH
+from agents.gossip.table import SIN as SENSOR_SIN
+from agents.gossip.table import X as SENSOR_X
+from agents.gossip.table import Y as SENSOR_Y
 
 # Columns of the settings (`config.SearchSettings`) and of the numbers of a round (`search_plan.PlanInput`)
 BIN, HORIZON, STALE, WEIGHT, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(11)
@@ -52,10 +57,10 @@ def _mark_view(seen: np.ndarray, table: np.ndarray, now: float, side: float) -> 
     """Twin of `search_plan.mark_view`, in place."""
     rows, columns = seen.shape
     for k in range(len(table)):
-        if table[k, sensors.KIND] != sensors.WEDGE:
+        if table[k, KIND] != WEDGE:
             continue
-        x, y, reach = table[k, sensors.X], table[k, sensors.Y], table[k, sensors.REACH]
-        cos, sin, cos_half = table[k, sensors.COS], table[k, sensors.SIN], table[k, sensors.COS_HALF]
+        x, y, reach = table[k, SENSOR_X], table[k, SENSOR_Y], table[k, SENSOR_REACH]
+        cos, sin, cos_half = table[k, SENSOR_COS], table[k, SENSOR_SIN], table[k, COS_HALF]
         west, east = max(int(np.floor((x - reach) / side)), 0), min(int(np.floor((x + reach) / side)), columns - 1)
         south, north = max(int(np.floor((y - reach) / side)), 0), min(int(np.floor((y + reach) / side)), rows - 1)
         for row in range(south, north + 1):
@@ -267,10 +272,10 @@ def _last_sight(
         west, east = min(west, states[n, 0]), max(east, states[n, 0])
         south, north = min(south, states[n, 1]), max(north, states[n, 1])
     for k in range(len(table)):
-        x, y, reach = table[k, sensors.X], table[k, sensors.Y], table[k, sensors.REACH]
-        if table[k, sensors.KIND] != sensors.WEDGE or x + reach < west or x - reach > east or y + reach < south or y - reach > north:
+        x, y, reach = table[k, SENSOR_X], table[k, SENSOR_Y], table[k, SENSOR_REACH]
+        if table[k, KIND] != WEDGE or x + reach < west or x - reach > east or y + reach < south or y - reach > north:
             continue
-        cos, sin, cos_half = table[k, sensors.COS], table[k, sensors.SIN], table[k, sensors.COS_HALF]
+        cos, sin, cos_half = table[k, SENSOR_COS], table[k, SENSOR_SIN], table[k, COS_HALF]
         for n in range(len(ids)):
             dx, dy = states[n, 0] - x, states[n, 1] - y
             range2 = dx * dx + dy * dy
