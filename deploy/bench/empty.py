@@ -12,7 +12,7 @@ import numpy as np
 
 from agents import agent
 from agents.membership.peer_table import PeerTable
-from agents.round import AgentContext, RoundResult
+from agents.round import AgentContext, Replay, RoundResult
 from agents.tracking.belief import Belief, Copies
 from agents.tracking.claims import make_claim
 from agents.tracking.extraction import Tracks
@@ -48,8 +48,10 @@ def main() -> None:
     command_line.main()
 
 
-def play(me: AgentContext, last: RoundResult, peer_table: PeerTable, mine: Gossip, heard: dict[str, Gossip]) -> RoundResult:
-    """The outcome of a round in which nothing was computed."""
+def play(
+    me: AgentContext, last: RoundResult, peer_table: PeerTable, mine: Gossip, heard: dict[str, Gossip], replay: Replay | None = None
+) -> RoundResult:
+    """The outcome of a round in which nothing was computed; what `agents.round.run_round` takes."""
     config = me.config
     names = (me.name, *list(heard)[:BOUNDS])
     bounds = np.array([(*mine.cod, mine.power_radius), *([(0.0, 0.0, 1.0)] * (len(names) - 1))])

@@ -4,13 +4,13 @@ import pytest
 
 from agents.round import run_round
 from deploy.__main__ import app
-from deploy.bench import central
+from deploy.bench import central, empty
 from deploy.bench.__main__ import bench
 from deploy.bench.capture import capture, cold
 from deploy.bench.simulations import scale
 from deploy.bench.timing import in_turns, median_seconds, table
 from deploy.scenario import Scenario, resolve
-from deploy.simulation import compiled, simulate
+from deploy.simulation import Simulation, compiled, simulate
 from protocol.settings import BadSetting
 
 
@@ -80,3 +80,11 @@ def test_the_command_runs_the_program_and_passes_on_its_complaint_and_its_exit_c
     code = app(["bench", *words.split()], exit_on_error=False, result_action="return_value")
     told = capfd.readouterr().err
     assert code == 2 and told.startswith(f"covey: {line}") and told.count("\n") == 1
+
+
+def test_agents_with_empty_rounds_say_as_much_and_play_every_tick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agents.agent.run_round", empty.play)
+    simulation = Simulation(resolve("quick", {"run.seconds": 3.0}))
+    result = simulation.run()
+    assert (result.rounds, result.ticks) == (6 * 12, 12)
+    assert {agent.counters["late"] for agent in simulation.agents.values()} == {0}
