@@ -9,6 +9,7 @@ from deploy.page.picture import Picture
 from deploy.scenario import Scenario
 from deploy.scoring.scorer import Score
 from deploy.simulation import Simulation
+from protocol.settings import BadSetting
 
 DONE_TO_BOTH = ("kill", "restart")  # verbs of the page
 
@@ -43,9 +44,13 @@ class SimulatedSwarm:
         return self.scores[-2] if len(self.scores) > 1 else None
 
     def play(self, tick: int) -> None:
-        """Go on until the world has come to a tick, or to its end."""
-        while self.tick < tick and self.simulation.bus.step():
-            pass
+        """Go on until the world has come to a tick, or to its end. A scheduled fault that finds too few agents is noted and left out."""
+        goes_on = True
+        while goes_on and self.tick < tick:
+            try:
+                goes_on = self.simulation.bus.step()
+            except BadSetting as refused:
+                self.picture.note("told", "", f"{self.name}: {refused}")
 
     def strike(self, verb: str, who: str) -> None:
         """Kill an agent, or start it again."""

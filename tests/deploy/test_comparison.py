@@ -17,7 +17,7 @@ from deploy.page.frames import frame, greeting
 from deploy.page.picture import Picture
 from deploy.page.simulated_swarm import SimulatedSwarm
 from deploy.page.source import LiveSource
-from deploy.scenario import resolve
+from deploy.scenario import resolve, with_deaths
 from deploy.simulation import Simulation
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
@@ -197,3 +197,15 @@ def test_the_page_draws_the_tick_of_its_figures_where_ticks_are_long() -> None:
     assert len(source.picture.trail) == 9
     source.picture.show(2)
     assert source.picture.shown is not None and source.picture.shown.tick == 2
+
+
+def test_a_scheduled_fault_that_finds_too_few_agents_is_noted_and_the_swarm_goes_on() -> None:
+    """Four of six are killed by hand before three are to die at mid-run."""
+    swarm = SimulatedSwarm("power", with_deaths(resolve("quick", {"run.seconds": 10.0})))
+    swarm.play(5)
+    for name in ("s1", "s2", "s3", "s4"):
+        swarm.strike("kill", name)
+    swarm.play(30)
+    assert swarm.tick == 30
+    assert "power: kill '3': only 2 agents qualify" in [one.text for one in swarm.picture.happenings]
+    assert [score.tick for score in swarm.scores] == list(range(len(swarm.scores)))
