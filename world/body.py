@@ -143,7 +143,7 @@ class Body(Node):
             return []
         if self._roster.hear(hello):
             self._changed = now
-        return self._try_start(now)
+        return self._try_start(now) or ([] if self._started else self._follow(now))
 
     def _greet(self, event: Alive, now: float) -> list[Effect]:
         self._alive[event.role].add(event.name)
@@ -195,6 +195,8 @@ class Body(Node):
         if self._due is None:
             return []
         if self._lockstep:
+            if not self._started and self.name in self._alive["agent"] and not self._roster.speaks(self.name):
+                return []  # its first tick would not wait for the command
             tick = self._count.majority(self._ring)
             late = tick - self.tick >= (2 if self._waiting else 1)  # an agent that answers may be one tick behind the fastest
             return self._open(tick, now) if late else []

@@ -218,7 +218,7 @@ class RecorderNode(Node):
             self._due = now + FLUSH_SECONDS
             return [Subscribe(all_of(self.run, kind)) for kind in KINDS]
         self._recorder.see(event, now)
-        for truth in self._witness.take(event) if self._witness is not None else ():
+        for truth in self._witness.take(event, now) if self._witness is not None else ():
             self._recorder.see(received(truth, payloads=(encode(truth),)), now)
         if self._due is not None and now >= self._due:
             self._due = now + FLUSH_SECONDS

@@ -1,6 +1,6 @@
 """The scorer: a Node that receives truth and estimates and scores every tick. It is the same live and in a simulation.
 
-A tick is scored when the estimates of all live agents have arrived, or when the world is `lag` ticks ahead. Hole and overlap are exact
+A tick is scored when the estimates of all live agents have arrived, or when the world is far ahead. Hole and overlap are exact
 areas of the published cells of live agents, as shares of the arena.
 """
 
@@ -27,15 +27,18 @@ from protocol.keys import all_of, order
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
+from world.newest_tick import NewestTick
 from world.score import errors
 from world.witness import Witness
 
 LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
+LAG_SECONDS = {"realtime": 0.0, "lockstep": 2.0}  # for which the world must have been so far ahead
 
 
 def witness_of(scenario: Scenario, name: str, incarnation: int) -> Witness | None:
     """Who computes the Truths for a watcher of this name; None where a world says them."""
-    return Witness(world_config(scenario), name, incarnation, LAG[scenario.run.clock]) if bodies_of(scenario) else None
+    clock = scenario.run.clock
+    return Witness(world_config(scenario), name, incarnation, LAG[clock], LAG_SECONDS[clock]) if bodies_of(scenario) else None
 
 
 @dataclass
@@ -86,6 +89,7 @@ class Scorer(Node):
         self._coverage = Coverage(scenario)
         self.tracks = TrackLog(scenario)
         self._lag = LAG[scenario.run.clock]
+        self._ahead = NewestTick(LAG_SECONDS[scenario.run.clock])
         self._fresh = max(agent_config(scenario).rounds_of_silence, 2 * scenario.timing.estimate_every)  # ticks
         self._names = list(scenario.members)
         self._alive: dict[str, int] = {}
@@ -110,7 +114,7 @@ class Scorer(Node):
         """Take one event and return what to do. Without a world the Truths come from the witness."""
         self._take(event, now)
         if self._witness is not None:
-            for truth in self._witness.take(event):
+            for truth in self._witness.take(event, now):
                 self._take(received(truth, payloads=(encode(truth),)), now)
         if isinstance(event, Started):
             kinds = "truth", "estimate", "gossip", "observation", "command", "hello", "halt"
@@ -165,6 +169,7 @@ class Scorer(Node):
             return
         self.tick_rate.tick(now, truth.tick)
         self._truths[truth.tick] = self.truth = truth
+        self._ahead.hear(truth.tick, now)
         self.on_truth(truth)
 
     def _hear_estimate(self, estimate: Estimate) -> None:
@@ -206,7 +211,7 @@ class Scorer(Node):
 
     def _score_what_is_complete(self, now: float) -> None:
         while self.truth is not None and not self._finished:
-            late = self.truth.tick - self._next >= self._lag
+            late = self._ahead.at(now) - self._next >= self._lag
             truth = self._truths.get(self._next)
             if truth is None and late:
                 self._forget(self._next)
@@ -317,9 +322,9 @@ class Scorer(Node):
             if was_paused and verb != "resume" and name not in self._alive and self.truth is not None and not self._finished:
                 self.deaths.lose(name, self.truth.tick, self.truth.time, now, self._last_cell(name))
 
-    def is_up_to_date(self) -> bool:
-        """Whether every truth that was heard has been scored."""
-        return not self._truths
+    def is_up_to_date(self, *, whole: bool = False) -> bool:
+        """Whether every truth that was heard has been scored; with `whole`, up to the last tick of the run."""
+        return not self._truths and not (whole and self.truth is not None and self.truth.tick < self.last_tick)
 
     def alive(self) -> dict[str, int]:
         """Live agents and their incarnations, by their tokens, in team order."""

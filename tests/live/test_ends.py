@@ -11,7 +11,7 @@ import pytest
 
 from deploy.scenario import resolve
 from deploy.simulation import simulate
-from tests.live.harness import PATIENT, Covey
+from tests.live.harness import BOUND, PATIENT, Covey
 
 pytestmark = pytest.mark.live
 FEW = ("up", "quick", "--team", "A2", "--seconds", "100000", "--rate", "4")
@@ -74,6 +74,23 @@ def end_by(covey: Covey, numbers: list[signal.Signals], code: int) -> float:
 
 
 ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal.SIGINT], 130)]
+
+
+@pytest.mark.parametrize("bodies", ["world", "own"])
+def test_a_monitor_that_was_behind_scores_what_was_said_before_the_end(covey: Covey, bodies: str) -> None:
+    words = ("convergence", "--lockstep", "--bodies", bodies, "--team", "E4", "--seconds", "15", "--seed", "3", "--set", "run.pace=5")
+    supervisor = covey.start("up", *words, "--json", *PATIENT)
+    covey.running()
+    supervisor.send_signal(signal.SIGSTOP)
+    end = time.monotonic() + BOUND
+    while any("-m\0world\0" in Path(f"/proc/{pid}/cmdline").read_text() for pid in covey.processes()):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    supervisor.send_signal(signal.SIGCONT)
+    output, complaints = supervisor.communicate(timeout=BOUND)
+    assert supervisor.returncode == 0, complaints
+    scenario = resolve("convergence", {"team.composition": "E4", "run.seconds": 15.0, "run.seed": 3})
+    assert json.loads(output.splitlines()[-1])["transcript"] == simulate(scenario).transcript
 
 
 @pytest.mark.parametrize(("numbers", "code"), [ENDS[0], *(pytest.param(*end, marks=pytest.mark.slow) for end in ENDS[1:])])

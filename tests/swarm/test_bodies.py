@@ -10,8 +10,9 @@ import pytest
 from agents.compiled.backend import FAST
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import Simulation
-from protocol.messages import Halt
-from protocol.node import Effect, Event, Node, Started, Stop
+from protocol.message import Message
+from protocol.messages import Command, Gossip, Halt, Hello, Observation
+from protocol.node import Alive, Effect, Event, Node, Started, Stop, Timer, received
 from protocol.streams import key
 from tests.swarm.scene import fault, ledger
 from world.body import Body
@@ -258,3 +259,24 @@ def test_clocks_50_ms_apart_and_messages_up_to_20_ms_late_cost_less_than_a_tenth
         assert all(body._clock.corrections == 0 for body in bodies(simulation).values())
     print(f"ratios {min(ratios):.4f} to {max(ratios):.4f}, median {statistics.median(ratios):.4f}")
     assert statistics.median(ratios) <= 1.1
+
+
+def test_a_body_in_lockstep_that_hears_the_others_begin_first_waits_for_word_of_its_own_agent() -> None:
+    simulation, said = swarm("own", "lockstep"), list[Message]()
+    publish = simulation.bus._publish
+    simulation.bus._publish = lambda endpoint, message: (said.append(message), publish(endpoint, message))[1]  # type: ignore
+    while not any(isinstance(message, Command) for message in said):
+        simulation.bus.step()
+    body = Body(bodies(simulation)["s3"]._config, "s3", 1)
+    body.handle(Started(), 0.0)
+    for name in simulation.agents:
+        body.handle(Alive("agent", name, 1), 0.0)
+        body.handle(Alive("body", name, 1), 0.0)
+    gossips = [message for message in said if isinstance(message, Gossip) and message.sender != "s3"]
+    assert len(gossips) == 7
+    assert not [effect for gossip in gossips for effect in body.handle(received(gossip), 0.1)]
+    own = [message for message in said if isinstance(message, Hello) and message.sender == "s3"]
+    [observation] = body.handle(received(own[-1]), 0.2)
+    assert isinstance(observation, Observation) and observation.tick == 0
+    later = body.handle(Timer(), 5.0)  # the round takes longer than a tick of real time
+    assert not later and body.tick == 0 and body.late_commands == 0

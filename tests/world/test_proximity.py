@@ -84,7 +84,7 @@ def test_bodies_start_with_room_around_them_and_every_process_knows_where() -> N
     poses = start_poses(crowd)
     assert min(math.dist(one[:2], other[:2]) for one, other in combinations(poses.values(), 2)) >= 2.0 * (0.8 + ROOM)
     assert World(crowd, 1).bodies.poses == poses
-    assert Witness(crowd, "monitor", 1, 4)._poses == poses
+    assert Witness(crowd, "monitor", 1, 4, 0.0)._poses == poses
     points = world_config(resolve("quick", {"team.composition": "A20", "run.seed": 4}))
     assert sum(poses[name] == pose for name, pose in start_poses(points).items()) >= 10  # who had room stayed
 
