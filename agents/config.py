@@ -114,7 +114,7 @@ class SearchSettings(Section, frozen=True, kw_only=True):
     confirmation: NotNegative = 4.0  # value of looking again at mass that may be no target
     sharing: Fraction = 1.0  # when goals are chosen: the share of a place's value that a farther sensor leaves to a nearer one
     falloff: Fraction = 0.4  # a track on top of the sensor or at the edge of its circle is worth this much less than one at the COD
-    look_ahead: NotNegative = 0.7  # weight of the heading after the next
+    second_heading: NotNegative = 0.7  # weight of the heading after the next
     step_cost: NotNegative = 0.02  # of moving the goal by the way of a horizon
     capacity: NotNegative = 1.5  # targets that a sensor of 45 degrees can hold; 0: any number
 

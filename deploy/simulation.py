@@ -74,14 +74,14 @@ class Simulation:
         for name in [name.strip() for fault in scenario.faults for name in fault.who.split(",")]:
             if name in unsimulated(scenario):
                 raise BadSetting(f"faults: a simulation has no process to strike whose name is {name}; `covey up` has")
-        self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock, pace=0.0))
+        self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock, max_rate=0.0))
         self.links = Links(scenario.run.seed, list(scenario.members))
         faulty = any(plain_verb(fault.verb) in LINK_VERBS for fault in scenario.faults)
-        pace = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
-        self.bus = VirtualBus(link=link or (self.links if faulty else None), pace=pace)
+        period = scenario.run.dt / scenario.run.rate if clock == "lockstep" else 0.0  # virtual time passes as fast as the world's
+        self.bus = VirtualBus(link=link or (self.links if faulty else None), command_delay=period)
         self.scorer = Scorer(self.scenario, scores=scores)
         run = self.scenario.run  # the world waits longer for a command than a command takes
-        patient = msgspec.structs.replace(self.scenario, run=msgspec.structs.replace(run, patience=max(run.patience, 2.0 * pace)))
+        patient = msgspec.structs.replace(self.scenario, run=msgspec.structs.replace(run, patience=max(run.patience, 2.0 * period)))
         self.world = World(world_config(patient), 1)
         given = self.scenario
         if scenario.control.mode == ORACLE:

@@ -43,7 +43,7 @@ class RunSettings(Section, frozen=True, kw_only=True):
     dt: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.25  # world time between ticks, s
     clock: Literal["realtime", "lockstep"] = "realtime"
     rate: Positive = 1.0  # world seconds per wall second, realtime only
-    pace: NotNegative = 0.0  # lockstep: at most so many world seconds per wall second; 0 = as fast as it goes
+    max_rate: NotNegative = 0.0  # lockstep: at most so many world seconds per wall second; 0 = as fast as it goes
     patience: Positive = 5.0  # lockstep: how long a missing peer is waited for, wall s
     start_timeout: Positive = 60.0  # how long the start line waits for the next of the expected agents, once one is there, wall s
     strict: bool = False  # never start without all of them

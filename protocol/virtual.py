@@ -46,8 +46,8 @@ _Entry = tuple[BusEndpoint, Item | _Done] | Delivery | _Call  # of the queue
 class VirtualBus:
     """Drives nodes in virtual time; `now` is in s."""
 
-    def __init__(self, *, link: Link | None = None, pace: float = 0.0) -> None:
-        """`pace`: the delay of every Command, s, so that time passes in a world that waits for nothing else."""
+    def __init__(self, *, link: Link | None = None, command_delay: float = 0.0) -> None:
+        """`command_delay`: the delay of every Command, s, so that time passes in a world that waits for nothing else."""
         self.now = 0.0
         self.stopped: dict[str, Stop] = {}  # label -> reason, of nodes that left by themselves
         self.messages = 0  # published
@@ -56,7 +56,7 @@ class VirtualBus:
         self.tap: Callable[[Node, Event], None] | None = None  # called after a node has taken an event
         self.batches = True  # messages of one instant are handed over together; False: one by one, for comparison
         self._link = link
-        self._pace = pace
+        self._command_delay = command_delay
         self._endpoints: dict[str, BusEndpoint] = {}
         self._ready: deque[_Entry] = deque()
         self._boxed: list[BusEndpoint] = []  # endpoints with a box that may hold messages
@@ -334,8 +334,8 @@ class VirtualBus:
         payload = codec.encode(message)
         self.messages += 1
         self.bytes += len(payload)
-        pace = self._pace if isinstance(message, Command) else 0.0
-        if self._link is None and pace == 0.0:
+        held = self._command_delay if isinstance(message, Command) else 0.0
+        if self._link is None and held == 0.0:
             self._ready.append(Delivery(listeners, endpoint, type(message), key, payload))
             self.deliveries += len(listeners)
             return
@@ -347,12 +347,12 @@ class VirtualBus:
                     self.deliveries += 1
                     if arrived is not payload:
                         [corrupt] = read_all([(key, arrived)])
-                        self._schedule(listener, corrupt, pace + delay)
-                    elif pace + delay <= 0.0:
+                        self._schedule(listener, corrupt, held + delay)
+                    elif held + delay <= 0.0:
                         at_once.append(listener)
                     else:
                         decoded = decoded or read_all([(key, payload)])[0]
-                        self._schedule(listener, decoded, pace + delay)
+                        self._schedule(listener, decoded, held + delay)
         if at_once:
             self._ready.append(Delivery(at_once, endpoint, type(message), key, payload))
 

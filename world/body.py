@@ -56,7 +56,8 @@ class Body(Node):
         self._scene.sensors[name] = sensor_of(config, config.members[name])
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
-        self._pause = config.run.dt / config.run.pace if self._lockstep and config.run.pace else 0.0
+        max_rate = config.run.max_rate if self._lockstep else 0.0
+        self._pause = config.run.dt / max_rate if max_rate else 0.0
         self._hold_seconds = max(config.bodies.hold, 2.0 * self._period, 2.0 * self._pause)
         epoch = config.bodies.epoch if not self._lockstep else 0.0
         self._clock = TickClock(self._period, epoch - unix if epoch else None)

@@ -1,8 +1,8 @@
 """The World node: moves the targets, owns the bodies, hands out detections and says the truth to watchers.
 
 A tick k: publish Observation(k) to every agent that is alive, and Truth(k); then wait for the Commands (lockstep) or for the clock
-(real time); then move bodies and targets to k + 1. Tick 0 is the state at the start, before anything has moved. With `run.pace` lockstep
-waits for both: the Commands are those of the tick whatever the clock says, so the pace changes no bit of the run.
+(real time); then move bodies and targets to k + 1. Tick 0 is the state at the start, before anything has moved. With
+`run.max_rate` lockstep waits for both: the Commands are those of the tick whatever the clock says, so it changes no bit of the run.
 """
 
 import math
@@ -58,7 +58,8 @@ class World(Node):
         self._watchdog = SessionWatchdog(self.name, config.members)
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
-        self._pause = config.run.dt / config.run.pace if self._lockstep and config.run.pace else 0.0  # s between two ticks, at least
+        max_rate = config.run.max_rate if self._lockstep else 0.0
+        self._pause = config.run.dt / max_rate if max_rate else 0.0  # s between two ticks, at least
         self._not_before = 0.0  # lockstep: when the tick may end
         self._last_poses: dict[str, Pose] = {}  # of a restored run
         self._poses_before: dict[str, Pose] = {}  # of the bodies, one tick ago

@@ -277,7 +277,7 @@ def best_turn(task: Task, place: tuple[float, float], around: Particles, last: n
     dx, dy = points[:, 0] - place[0], points[:, 1] - place[1]
     sectors = sector_of(dx * body.cos + dy * body.sin, dy * body.cos - dx * body.sin)
     half = min(math.floor(0.5 * WINDOW * body.angle / width), SECTORS // 2 - 1)
-    values = window_values(np.bincount(sectors, worth, SECTORS), half, order, task.settings.look_ahead)
+    values = window_values(np.bincount(sectors, worth, SECTORS), half, order, task.settings.second_heading)
     return order[values.index(max(values))] * width
 
 
@@ -318,7 +318,7 @@ def sector_of(ahead: np.ndarray, left: np.ndarray) -> np.ndarray:
     return low
 
 
-def window_values(held: np.ndarray, half: int, order: Sequence[int], look_ahead: float) -> list[float]:
+def window_values(held: np.ndarray, half: int, order: Sequence[int], second_heading: float) -> list[float]:
     """What the window of 2 half + 1 sectors holds around each heading of `order`, with the best that the next turn can add in part."""
     sums, most, found = [0.0], max(order), []
     for k in range(3 * SECTORS):
@@ -328,5 +328,5 @@ def window_values(held: np.ndarray, half: int, order: Sequence[int], look_ahead:
         for shift in range(1, most + 1):
             new = min(shift, 2 * half + 1, SECTORS - 2 * half - 1)
             then = max(then, sums[high + shift] - sums[high + shift - new], sums[low - shift + new] - sums[low - shift])
-        found.append(sums[high] - sums[low] + look_ahead * then)
+        found.append(sums[high] - sums[low] + second_heading * then)
     return found

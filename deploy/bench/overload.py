@@ -77,7 +77,7 @@ def play(profile: LoadProfile, seed: int) -> BenchRow:
     samples: list[StatusSample] = []
     words = ["--seed", str(seed), "--rate", profile.rate]
     if profile.rate == "auto":
-        words += ["--set", "run.pace=2"]
+        words += ["--set", "run.max_rate=2"]
     with swarm(profile.agents, "zygote", words, prefix=NICE if profile.loops else ()) as running:
         watch(running, SETTLE + CALM, samples)
         begin = time.monotonic()

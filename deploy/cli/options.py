@@ -116,7 +116,7 @@ class RunOptions:
     def _clock(self) -> dict[str, str | float | None]:
         """How time passes. A world that waits for its agents, but is no faster than real time, slows down to what they can do."""
         if self.rate == "auto":
-            return {"run.clock": "lockstep", "run.pace": 1.0}
+            return {"run.clock": "lockstep", "run.max_rate": 1.0}
         return {"run.rate": self.rate, "run.clock": "lockstep" if self.lockstep else "realtime" if self.rate is not None else None}
 
     def _certificates(self) -> dict[str, str | None]:

@@ -46,7 +46,7 @@ def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions
     scenario = with_deaths(scenario)
     agents, run = len(scenario.members), scenario.run
     who = f"{agents} agent processes and one world, {targets_in_words(scenario)}"
-    title = f"{who}, {run.seconds:g} s of world time, {_pace(scenario)}; Ctrl-C ends it"
+    title = f"{who}, {run.seconds:g} s of world time, {_speed(scenario)}; Ctrl-C ends it"
     run_live(scenario, requested_name, title, showing, spawn)
 
 
@@ -58,18 +58,18 @@ def other_law(scenario: Scenario) -> str | None:
     return {"lloyd": "search-and-track", "search-and-track": "lloyd"}.get(scenario.control.mode)
 
 
-def with_pace(scenario: Scenario, pace: float) -> Scenario:
+def with_max_rate(scenario: Scenario, rate: float) -> Scenario:
     """The scenario at so many world seconds per second, at most."""
-    return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, pace=pace))
+    return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, max_rate=rate))
 
 
-def _pace(scenario: Scenario) -> str:
+def _speed(scenario: Scenario) -> str:
     """How fast time passes, for people."""
     run = scenario.run
     if run.clock == "realtime":
         return f"{run.rate:g} x real time"
-    if run.pace:
-        return f"at most {run.pace:g} x real time ({run.seconds / run.pace:.0f} s; --fast for as fast as it goes)"
+    if run.max_rate:
+        return f"at most {run.max_rate:g} x real time ({run.seconds / run.max_rate:.0f} s; --fast for as fast as it goes)"
     return "as fast as it goes"
 
 
@@ -78,8 +78,8 @@ def up(scenario: Scenario, requested_name: str | None, detach: bool, showing: Di
     if detach:
         _detach(scenario, requested_name)
     run = scenario.run
-    pace = "lockstep" if run.clock == "lockstep" else f"rate {run.rate:g}"
-    title = f"{run.scenario}, {len(scenario.members)} agents, {pace}; other terminal: covey ps | kill | watch"
+    clock = "lockstep" if run.clock == "lockstep" else f"rate {run.rate:g}"
+    title = f"{run.scenario}, {len(scenario.members)} agents, {clock}; other terminal: covey ps | kill | watch"
     run_live(scenario, requested_name, title, showing, spawn)
 
 

@@ -18,7 +18,7 @@ SLOW = 0.9  # of the ticks that were asked for
 def asked_per_s(scenario: Scenario) -> float | None:
     """Ticks a second of the wall clock that the scenario asks for; None: as fast as it goes."""
     run = scenario.run
-    rate = run.rate if run.clock == "realtime" else run.pace
+    rate = run.rate if run.clock == "realtime" else run.max_rate
     return rate / run.dt if rate else None
 
 

@@ -59,7 +59,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {  # search-and-track without one of its 
     "no-distance": {"search.falloff": 0.0},
     "no-load": {"search.capacity": 0.0},
     "no-confirmation": {"search.confirmation": 0.0},
-    "no-look-ahead": {"search.look_ahead": 0.0},
+    "no-second-heading": {"search.second_heading": 0.0},
     "no-inflow": {"search.inflow": 0.0},
     "short-horizon": {"search.horizon": 1.0},
     "paper-extraction": {"extraction.bin": 1.0, "extraction.threshold": 0.5, "extraction.beside": 0.0},

@@ -101,7 +101,7 @@ IN_SEARCH: dict[str, Any] = {  # settings that act only under search-and-track
     "search.confirmation": 0.0,
     "search.sharing": 0.0,
     "search.falloff": 0.0,
-    "search.look_ahead": 0.0,
+    "search.second_heading": 0.0,
     "search.step_cost": 0.5,
     "search.capacity": 0.1,
 }

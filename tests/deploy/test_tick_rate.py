@@ -29,7 +29,7 @@ def run_at(pace: TickRateMeter, per_second: float, seconds: float, skipped: int 
 
 def test_what_is_asked_is_the_rate_of_real_time_or_the_pace_of_lockstep() -> None:
     assert asked_per_s(scenario(clock="realtime", rate=2.0)) == 8.0
-    assert asked_per_s(scenario(clock="lockstep", pace=2.5)) == 10.0
+    assert asked_per_s(scenario(clock="lockstep", max_rate=2.5)) == 10.0
     assert asked_per_s(scenario(clock="lockstep")) is None
 
 
@@ -81,7 +81,7 @@ def test_there_is_no_advice_in_the_first_seconds_nor_in_lockstep() -> None:
     early = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(early, 8.0, 2.0, skipped=100)
     assert early.now().advice == ""
-    patient = TickRateMeter(scenario(clock="lockstep", pace=2.5))
+    patient = TickRateMeter(scenario(clock="lockstep", max_rate=2.5))
     run_at(patient, 1.0, 10.0, skipped=100)
     assert patient.now().advice == ""
 
@@ -106,7 +106,7 @@ def test_what_is_nothing_is_not_said() -> None:
 
 
 def test_a_slow_world_says_its_factor_and_who_is_slow_or_stalled_is_named() -> None:
-    meter = TickRateMeter(scenario(clock="lockstep", pace=2.5))
+    meter = TickRateMeter(scenario(clock="lockstep", max_rate=2.5))
     run_at(meter, 4.0, 10.0)
     for name, stalled in (("s1", 0), ("s2", 900), ("s3", 0), ("s4", 0), ("s5", 0)):
         meter.count(told(name, 1, {"stalled_ms": stalled} if stalled else {}, pace=1 if name == "s2" else 4))

@@ -78,7 +78,7 @@ ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal
 
 @pytest.mark.parametrize("bodies", ["world", "own"])
 def test_a_monitor_that_was_behind_scores_what_was_said_before_the_end(covey: Covey, bodies: str) -> None:
-    words = ("convergence", "--lockstep", "--bodies", bodies, "--team", "E4", "--seconds", "15", "--seed", "3", "--set", "run.pace=5")
+    words = ("convergence", "--lockstep", "--bodies", bodies, "--team", "E4", "--seconds", "15", "--seed", "3", "--set", "run.max_rate=5")
     supervisor = covey.start("up", *words, "--json", *PATIENT)
     covey.running()
     supervisor.send_signal(signal.SIGSTOP)

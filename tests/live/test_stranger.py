@@ -32,7 +32,7 @@ def seat(covey: Covey, *words: str) -> subprocess.Popen[str]:
 def test_a_stranger_takes_a_seat_keeps_what_the_others_believe_and_is_followed_by_them(covey: Covey) -> None:
     """The arena holds no targets and no detections, so the expected number of targets must stay what it is, whoever owns it."""
     (covey.folder / "three.toml").write_text(LEDGER.replace("L8", "L3"))
-    covey.start("up", "three.toml", "--run", "seat", "--lockstep", "--set", "run.pace=8", "--seconds", "1000", "--record", *PATIENT)
+    covey.start("up", "three.toml", "--run", "seat", "--lockstep", "--set", "run.max_rate=8", "--seconds", "1000", "--record", *PATIENT)
     covey.running()
     stranger = seat(covey, "240", "8", "1e-12", "30")
     there = covey.wait(lambda data: rows(data).get("x1", {}).get("cell", 0.0) > 0.0)
@@ -62,7 +62,7 @@ def test_a_stranger_takes_a_seat_keeps_what_the_others_believe_and_is_followed_b
 
 def test_when_a_peer_of_ours_dies_the_stranger_takes_its_part_of_the_cell_with_what_was_believed_there(covey: Covey) -> None:
     (covey.folder / "three.toml").write_text(LEDGER.replace("L8", "L3"))
-    covey.start("up", "three.toml", "--run", "seat", "--lockstep", "--set", "run.pace=8", "--seconds", "1000", "--record", *PATIENT)
+    covey.start("up", "three.toml", "--run", "seat", "--lockstep", "--set", "run.max_rate=8", "--seconds", "1000", "--record", *PATIENT)
     covey.running()
     seat(covey, "240", "8", "1e-12", "30")
     settled = covey.wait(lambda data: rows(data).get("x1", {}).get("cell", 0.0) > 0.0)["swarm"]["tick"]

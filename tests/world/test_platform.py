@@ -137,7 +137,7 @@ def test_in_a_paced_lockstep_a_command_holds_for_the_whole_of_a_long_tick() -> N
         "team.composition": "A1",
         "bodies.host": "own",
         "run.clock": "lockstep",
-        "run.pace": 0.25,
+        "run.max_rate": 0.25,
         "run.dt": 0.25,
         "targets.count": 1,
     }

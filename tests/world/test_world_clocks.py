@@ -34,7 +34,7 @@ def test_lockstep_goes_on_without_a_silent_agent_and_its_body_stands_still() -> 
 
 
 def test_a_paced_lockstep_holds_a_tick_back_until_its_time_and_changes_nothing_else() -> None:
-    world, _ = started(config(pace=0.25), now=10.0)  # 0.5 s of the world in 2 s
+    world, _ = started(config(max_rate=0.25), now=10.0)  # 0.5 s of the world in 2 s
     assert feed(world, command("s1", 0), command("s2", 0), now=10.1) == []
     assert world.deadline() == 12.0
     assert feed(world, Timer(), now=11.9) == []
@@ -49,7 +49,7 @@ def test_a_paced_lockstep_holds_a_tick_back_until_its_time_and_changes_nothing_e
 
 
 def test_a_paced_lockstep_waits_for_the_slow_as_ever_and_makes_up_for_less_than_one_tick() -> None:
-    world, _ = started(config(pace=0.25))
+    world, _ = started(config(max_rate=0.25))
     assert world.deadline() == 5.0  # the patience
     feed(world, command("s1", 0))
     assert of_kind(Truth, feed(world, command("s2", 0), now=3.0))[0].tick == 1  # 1 s late

@@ -31,8 +31,8 @@ def demo(
     paced = not fast and not options.lockstep and options.rate is None
     chosen = replace(options, lockstep=options.lockstep or options.rate is None)
     resolved = chosen.scenario(scenario)
-    if paced and not resolved.run.pace:
-        resolved = start.with_pace(resolved, resolved.run.seconds / DEMO_SECONDS)
+    if paced and not resolved.run.max_rate:
+        resolved = start.with_max_rate(resolved, resolved.run.seconds / DEMO_SECONDS)
     showing = DisplayOptions(options.json, record, page or open, open, stays=True)
     if paced and showing.page and (law := start.other_law(resolved)):
         showing = replace(showing, beside=start.with_deaths(chosen.variant(scenario, f"control.mode={law}")))
