@@ -37,7 +37,7 @@ from protocol.tokens import ALONE_SECONDS, Tokens
 from protocol.transport import session_values
 
 CLOSE_SECONDS = 2.0
-SO_LINGER_SECONDS = 0.5  # between two passes over new sockets; links live for the lease at least
+SO_LINGER_SHARE = 0.25  # of the lease between two passes over new sockets; links live for the lease at least
 RETRY_SECONDS = 0.5  # between attempts to open a session anew
 MOST_TRIES = 4  # on the same port, then on any port
 SETTLE_SECONDS = 2.0  # in which a new session sees again the tokens that the old one saw
@@ -125,7 +125,7 @@ class Driver:
         """Take SO_LINGER off new sockets, now and periodically, so that a dead link does not block the others."""
         self._sockets.clear_so_linger()
         if not self._stopped.done():
-            self._loop.call_later(SO_LINGER_SECONDS, self._clear_so_linger)
+            self._loop.call_later(SO_LINGER_SHARE * self._settings.lease, self._clear_so_linger)
 
     def _declare(self) -> None:
         """Subscribe to the tokens of all participants, then declare the own token: a peer that sees it finds this node ready."""

@@ -8,6 +8,7 @@ acknowledged, which never happens. So the option is taken off every new socket, 
 import contextlib
 import os
 import socket
+import stat
 import struct
 
 FOLDER = "/proc/self/fd"
@@ -18,19 +19,19 @@ class Sockets:
     """The sockets of this process without the option. A new socket that lacks it may get it later, so it is examined again."""
 
     def __init__(self) -> None:
-        self._done: set[str] = set()  # "socket:[inode]"
+        self._done: set[int] = set()  # inodes
 
     def clear_so_linger(self) -> int:
         """Take SO_LINGER off every new socket; return the number of sockets that had it."""
-        there, changed = set(), set()
+        there, changed = set[int](), set[int]()
         with contextlib.suppress(OSError):  # the folder exists on Linux alone
-            for number in os.listdir(FOLDER):
+            for number in map(int, os.listdir(FOLDER)):
                 with contextlib.suppress(OSError):  # closed meanwhile
-                    name = os.readlink(f"{FOLDER}/{number}")
-                    if name.startswith("socket:"):
-                        there.add(name)
-                        if name not in self._done and _clear_so_linger(int(number)):
-                            changed.add(name)
+                    found = os.fstat(number)
+                    if stat.S_ISSOCK(found.st_mode):
+                        there.add(found.st_ino)
+                        if found.st_ino not in self._done and _clear_so_linger(number):
+                            changed.add(found.st_ino)
         self._done = (self._done & there) | changed
         return len(changed)
 
