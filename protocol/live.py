@@ -113,13 +113,18 @@ class Driver:
         finally:
             self._disarm()
             await self._close()
-            log.info("left the run", extra={"counts": dict(self.counts), "superseded": self._inbox.dropped})
+            log.info("left the run", extra={"counts": dict(self.counts), "unread": self.unread})
 
     def stop(self, code: int, reason: str) -> None:
         """End `serve` with this exit code; the first call counts."""
         if not self._stopped.done():
             log.info("stopping: %s", reason)
             self._stopped.set_result(code)
+
+    @property
+    def unread(self) -> int:
+        """Messages that the node has not received, because newer ones of the same key came before it had the time."""
+        return self._inbox.dropped
 
     def _clear_so_linger(self) -> None:
         """Take SO_LINGER off new sockets, now and periodically, so that a dead link does not block the others."""

@@ -2,7 +2,8 @@
 
 A swarm of 32 agents runs at rate 2, twice as fast as real time. After it has settled, something happens for some seconds: nothing,
 busy loops beside a swarm of low priority, a stop of all processes at once, or a death under load. The status is read several times a
-second. The lockstep figures are those of a simulation of the same scenario and seed, over the same ticks.
+second. The supervisor, which measures, keeps its priority. Starved like the agents it would leave out messages, and call cells a hole of
+which it has not read yet. The lockstep figures are those of a simulation of the same scenario and seed, over the same ticks.
 """
 
 import contextlib
@@ -15,6 +16,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from deploy.bench.processes import Swarm, swarm
@@ -26,7 +28,7 @@ from deploy.simulation import Simulation
 SETTLE, CALM, AFTER = 12.0, 4.0, 8.0  # wall s: until the swarm tracks, before and after what happens
 POLL = 0.2  # wall s between two looks at the status
 BACK = 2.0  # wall s after the end of a load or a death until all must be well again
-NICE = ("nice", "-n", "15")
+LOW = 15  # niceness of a swarm of low priority
 
 
 class LoadProfile(NamedTuple):
@@ -78,7 +80,9 @@ def play(profile: LoadProfile, seed: int) -> BenchRow:
     words = ["--seed", str(seed), "--rate", profile.rate]
     if profile.rate == "auto":
         words += ["--set", "run.max_rate=2"]
-    with swarm(profile.agents, "zygote", words, prefix=NICE if profile.loops else ()) as running:
+    with swarm(profile.agents, "zygote", words) as running:
+        if profile.loops:
+            lower_children(running.pid)
         watch(running, SETTLE + CALM, samples)
         begin = time.monotonic()
         with busy(profile.loops):
@@ -121,6 +125,15 @@ def busy(loops: int) -> Iterator[None]:
         for process in processes:
             process.kill()
             process.wait()
+
+
+def lower_children(pid: int) -> None:
+    """Give the children of a process a low priority, and theirs, with all their threads. What they start later inherits it."""
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        for child in map(int, (task / "children").read_text(encoding="utf-8").split()):
+            for thread in Path(f"/proc/{child}/task").iterdir():
+                os.setpriority(os.PRIO_PROCESS, int(thread.name), LOW)
+            lower_children(child)
 
 
 def freeze(running: Swarm, seconds: float) -> None:

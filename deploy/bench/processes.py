@@ -99,13 +99,13 @@ class Swarm:
 
 
 @contextmanager
-def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False, prefix: tuple[str, ...] = ()) -> Iterator[Swarm]:
-    """A swarm of processes of section IV-B; ended at the latest when the context is left. `prefix`: words before the command."""
+def swarm(agents: int, spawn: str, words: list[str], *, empty: bool = False) -> Iterator[Swarm]:
+    """A swarm of processes of section IV-B; ended at the latest when the context is left."""
     before = os.environ.get("COVEY_RUNS")
     with tempfile.TemporaryDirectory() as folder:
         os.environ["COVEY_RUNS"] = folder
         program = installation.command("deploy.bench.empty") if empty else installation.command("deploy")
-        command = [*prefix, *program, "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
+        command = [*program, "up", "efficacy", "--team", TEAMS[agents], "--run", NAME, "--json", "--spawn", spawn]
         process = subprocess.Popen(
             [*command, "--seconds", "1000000", *words],
             cwd=installation.ROOT,

@@ -115,7 +115,7 @@ class Supervisor:
             monitor = asyncio.create_task(driver.serve())
             await control.open()
             start = asyncio.create_task(self._start.start_all(self._tell))
-            return await self._watch(monitor, start)
+            return await self._watch(driver, monitor, start)
         finally:
             if start is not None:
                 start.cancel()
@@ -129,7 +129,7 @@ class Supervisor:
             if monitor is not None:
                 await asyncio.gather(monitor, return_exceptions=True)
 
-    async def _watch(self, monitor: "asyncio.Task[int]", start: "asyncio.Task[None]") -> int:
+    async def _watch(self, driver: Driver, monitor: "asyncio.Task[int]", start: "asyncio.Task[None]") -> int:
         """Report the status twice a second until the run is over."""
         assert self._over is not None
         while not self._over.done():
@@ -137,6 +137,7 @@ class Supervisor:
             self._reap()  # in case a signal was merged with another
             self._notice_pauses()
             self._end_without_world()
+            self.scorer.tick_rate.unread = driver.unread
             status = self._status()
             self._on_status(status)
             if status.tick_rate.advice and not self._advised:

@@ -40,6 +40,7 @@ class TickRateMeter:
     """Measures the tick rate from the ticks of the world and the counters of the agents."""
 
     def __init__(self, scenario: Scenario) -> None:
+        self.unread = 0  # messages for which the monitor has found no time
         self._scenario = scenario
         self._asked = asked_per_s(scenario)
         self._ticks: deque[tuple[float, int]] = deque()  # times and ticks of the last `WINDOW` s
@@ -102,7 +103,14 @@ class TickRateMeter:
         return found
 
     def _advice(self, found: TickRate) -> str:
-        """A line when rounds are skipped or ticks fall behind; empty in lockstep, where a slow machine takes longer and loses nothing."""
+        """A line when rounds are skipped, ticks fall behind, or the monitor does; else empty.
+
+        In lockstep a slow machine takes longer and loses nothing, as long as the monitor hears everything.
+        """
+        if self.unread:
+            return (
+                f"the monitor found no time for {self.unread} messages: holes and errors are overstated; the agents need a lower priority"
+            )
         counts = [count for (name, _), count in self._counts.items() if name not in self._excused]
         rounds, skipped = (sum(count[column] for count in counts) for column in (0, 1))
         run, share = self._scenario.run, skipped / max(1, rounds + skipped)

@@ -86,6 +86,16 @@ def test_there_is_no_advice_in_the_first_seconds_nor_in_lockstep() -> None:
     assert patient.now().advice == ""
 
 
+@pytest.mark.parametrize("clock", ["realtime", "lockstep"])
+def test_a_monitor_that_misses_messages_says_that_its_figures_are_too_bad(clock: str) -> None:
+    meter = TickRateMeter(scenario(clock=clock))
+    run_at(meter, 8.0, 1.0)
+    meter.unread = 7872
+    assert meter.now().advice == (
+        "the monitor found no time for 7872 messages: holes and errors are overstated; the agents need a lower priority"
+    )
+
+
 def test_too_many_agents_for_the_cores_are_known_before_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3})
     wanted = {"team.composition": "48E", "run.dt": 0.25, "run.clock": "realtime"}
