@@ -99,14 +99,17 @@ class TickRateMeter:
         found.slowest = [name for name, pace in self._paces.items() if pace == found.pace > 1]
         newest = self._ticks[-1][0] if self._ticks else 0.0
         found.stalled = [name for name, (_, when) in self._stalls.items() if newest - when <= window]
-        found.advice = self._advice(found)
+        found.advice = self._advice(found) or self._own_advice()
         return found
 
-    def _advice(self, found: TickRate) -> str:
-        """A line when rounds are skipped, ticks fall behind, or the monitor does; else empty.
+    def _own_advice(self) -> str:
+        """A line when the monitor falls behind, in lockstep, too; else empty."""
+        if not self.unread:
+            return ""
+        return f"the monitor found no time for {self.unread} messages: holes and errors are overstated; the agents need a lower priority"
 
-        In lockstep a slow machine takes longer and loses nothing, as long as the monitor hears everything.
-        """
+    def _advice(self, found: TickRate) -> str:
+        """A line when rounds are skipped or ticks fall behind; empty in lockstep, where a slow machine takes longer and loses nothing."""
         if self.unread:
             return (
                 f"the monitor found no time for {self.unread} messages: holes and errors are overstated; the agents need a lower priority"

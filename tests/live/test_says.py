@@ -232,7 +232,8 @@ def test_a_paused_agent_is_paused_everywhere_and_the_dead_own_no_cell(covey: Cov
     data = covey.wait(lambda data: not rows(data)["s2"]["alive"])
     assert (rows(data)["s2"]["cell"], rows(data)["s2"]["mass"], rows(data)["s2"]["targets"]) == (0.0, 0.0, 0)
     assert covey.run("resume", "s1")[0] == 0
-    covey.wait(lambda data: rows(data)["s1"]["alive"] and rows(data)["s1"]["cell"] > 0.0)
+    back = rows(covey.wait(lambda data: rows(data)["s1"]["alive"] and rows(data)["s1"]["cell"] > 0.0))["s1"]["tick"]
+    covey.wait(lambda data: data["swarm"]["tick"] >= back)  # it is told when that tick is scored
     assert covey.run("down")[0] == 0
     output = supervisor.stdout.read()
     assert supervisor.wait(BOUND) == 0
