@@ -99,7 +99,8 @@ class TickRateMeter:
         found.slowest = [name for name, pace in self._paces.items() if pace == found.pace > 1]
         newest = self._ticks[-1][0] if self._ticks else 0.0
         found.stalled = [name for name, (_, when) in self._stalls.items() if newest - when <= window]
-        found.advice = self._advice(found) or self._own_advice()
+        if self._first is not None and newest - self._first[0] >= LEAST:
+            found.advice = self._advice(found) or self._own_advice()
         return found
 
     def _own_advice(self) -> str:
@@ -110,14 +111,10 @@ class TickRateMeter:
 
     def _advice(self, found: TickRate) -> str:
         """A line when rounds are skipped or ticks fall behind; empty in lockstep, where a slow machine takes longer and loses nothing."""
-        if self.unread:
-            return (
-                f"the monitor found no time for {self.unread} messages: holes and errors are overstated; the agents need a lower priority"
-            )
         counts = [count for (name, _), count in self._counts.items() if name not in self._excused]
         rounds, skipped = (sum(count[column] for count in counts) for column in (0, 1))
         run, share = self._scenario.run, skipped / max(1, rounds + skipped)
-        if run.clock != "realtime" or self._first is None or self._ticks[-1][0] - self._first[0] < LEAST:
+        if run.clock != "realtime":
             return ""
         speed = 1.0 if found.ticks_per_s is None or self._asked is None else min(1.0, found.ticks_per_s / self._asked)
         if share <= BAD_SHARE and speed >= SLOW:
