@@ -12,8 +12,6 @@ mathematics.
 from collections import Counter
 from dataclasses import replace
 
-import msgspec
-
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.coverage.keep_apart import keep_apart
@@ -28,6 +26,7 @@ from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
+from agents.round_alone import own_gossip, play_alone
 from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
@@ -64,7 +63,6 @@ class Agent(Node):
         self._rounds = OpenRounds(self.context)
         self._own_pose = OwnPose(config, self.context.sensor)
         self._fresh: list[Gossip] = []  # of the last round
-        self._said: Gossip | None = None  # the own one of the last round
         self._awaited: set[str] = set()  # peers for whose gossips the round that is due waits
         self._listening_rounds = 0  # rounds left in which the agent listens and has no cell
         self._rounds_alone = 0  # listening rounds left without any gossip, before the agent takes itself to be alone
@@ -73,7 +71,8 @@ class Agent(Node):
         self._opened_at = 0.0
         self._newest_tick = -1  # of the newest observation, played or not
         self._asked_at: float | None = None  # when the driver was asked to come back at once: the next event shows for how long it was busy
-        self._spared = 0  # observations since the last round that were left out to keep the pace
+        self._spared: list[Observation] = []  # of ticks since the last round that its peers leave out; those that are not played yet
+        self._left_out = 0  # the number of all of them
         self._pace = Pace(config.run.dt / config.run.rate, measured=config.run.clock == "realtime")
         self._health = LocalHealth(measured=config.run.clock == "realtime")
 
@@ -158,8 +157,8 @@ class Agent(Node):
             self._listening_rounds = self.config.timing.listening_rounds if observation.tick > 0 else 0
             self._rounds_alone = 2 * self.config.timing.silent_rounds
         elif observation.tick > self.tick + 1:
-            self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._spared)
-        self._spared, observation = 0, self._own_pose.take(observation)
+            self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._left_out)
+        self._left_out, observation = 0, self._own_pose.take(observation)
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
         self.membership.announcements.observation_arrived(now)
         if self._interest is not None and not self._interest.settled:
@@ -167,16 +166,37 @@ class Agent(Node):
         return [*effects, *self._open_round(observation, now)]
 
     def _spare(self, observation: Observation) -> list[Effect]:
-        """Leave a tick out to keep the pace: the estimates of the last round move on with their targets."""
-        self._spared += 1
+        """Take the observation of a tick in which no gossips are sent, to keep the pace."""
+        self._left_out += 1
         self.counters["spared"] += 1
-        said, last = self._said, self.outcome
-        if said is None or observation.tick % self.config.timing.estimate_every:
+        if self.outcome.frame is None:  # no round has been played yet
             return []
+        observation = self._own_pose.take(observation)
+        self._spared.append(observation)
+        effects = self._play_spared()
+        if observation.tick % self.config.timing.estimate_every:
+            return effects
+        last, own = self.outcome, own_gossip(self.context, self.incarnation, self.outcome, observation, None)
         moved = forecast(last.tracks, (observation.tick - last.belief.stamp) * self.config.run.dt)
         work = outbox.RoundCost(self.counters, 0.0, self._pace.current)
-        now_there = msgspec.structs.replace(said, tick=observation.tick, pose=observation.pose)
-        return [outbox.estimate(self.context, self.incarnation, replace(last, tracks=moved), now_there, work)]
+        return [outbox.estimate(self.context, self.incarnation, replace(last, tracks=moved), own, work), *effects]
+
+    def _play_spared(self) -> list[Effect]:
+        """Play the spared ticks alone, unless a shared round is still open; the effect is the command of the last one."""
+        if self._rounds:
+            return []
+        context, pace, last = self.context, self._pace.current, None
+        spared, self._spared = self._spared, []
+        for observation in spared:
+            if self._is_held(observation.tick):
+                own = own_gossip(context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+                self.outcome, last = play_alone(context, self.outcome, own, pace), observation
+        if last is None:
+            return []
+        if self.config.limits.radius:
+            self._keep_apart(last)
+        self._own_pose.drive(self.outcome.command)
+        return [outbox.command(context, self.incarnation, self.outcome, last.tick)]
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
@@ -208,10 +228,15 @@ class Agent(Node):
 
     def _hold_claim(self) -> None:
         """Keep the claim over skipped rounds, as long as peers keep the generator of the silent agent."""
-        belief, timing = self.outcome.belief, self.config.timing
-        most = max(self.config.rounds_of_silence, timing.silent_rounds * self._pace.need)
-        if self._health.due is not None and not self._rounds and 0 <= belief.stamp < self.tick - 1 <= belief.stamp + most:
+        belief = self.outcome.belief
+        if self._health.due is not None and not self._rounds and self._is_held(self.tick - 1):
             self.outcome = replace(self.outcome, belief=self.context.tracker.hold(belief, Step(self.config, self.tick)))
+
+    def _is_held(self, tick: int) -> bool:
+        """Whether the claim of the last round still counts at a later tick."""
+        belief, timing = self.outcome.belief, self.config.timing
+        most = max(self.config.rounds_of_silence, timing.silent_rounds * self._pace.current)
+        return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
 
     def _join(self, now: float) -> list[Effect]:
         """Ask for peers until the interest manager is settled. Then start the filter around the expected cell and open the first round."""
@@ -357,17 +382,16 @@ class Agent(Node):
         if self.config.limits.radius:
             self._keep_apart(observation)
         self._keep_pace(now)
-        self._observation, self._gossip, self._close_at, self._said = None, None, None, gossip
+        self._observation, self._gossip, self._close_at = None, None, None
         self._awaited = set()
         self._ask_back(now)
         self._own_pose.drive(self.outcome.command)
         command = outbox.command(self.context, self.incarnation, self.outcome, self.tick)
         effects = self._update_interest(self._interest, gossip, now) if self._interest else []
-        if self.tick % self.config.timing.estimate_every:
-            return [*effects, command]
-        seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
-        work = outbox.RoundCost(self.counters, seconds, self._pace.current)
-        return [*effects, outbox.estimate(self.context, self.incarnation, self.outcome, gossip, work), command]
+        if self.tick % self.config.timing.estimate_every == 0:
+            work = outbox.RoundCost(self.counters, max(0.0, now - self._opened_at), self._pace.current)  # a clock may have jumped
+            effects.append(outbox.estimate(self.context, self.incarnation, self.outcome, gossip, work))
+        return [*effects, *(self._play_spared() or [command])]
 
     def _keep_apart(self, observation: Observation) -> None:
         """Keep the body away from those of the peers and from what it senses."""

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from agents.config import AgentConfig
-from agents.gossip.table import AnnouncedSensor, GossipTable, announced_sensor, gossip_table
+from agents.gossip.table import AnnouncedSensor, GossipTable, gossip_table
 from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, Frame, RoundResult, result_of
 from agents.tracking.claims import NO_CLAIM
@@ -81,7 +81,7 @@ class RecentTicks:
         heard = self._said.get(own.tick, {})
         said = [heard[name] for name in sorted(heard.keys() - {own.sender}, key=order)]
         place = bisect_left([gossip.sender for gossip, _ in said], order(own.sender), key=order)
-        said.insert(place, (own, self._own_sensor()))
+        said.insert(place, (own, self._context.announced))
         return gossip_table([gossip for gossip, _ in said], [sensor for _, sensor in said], self._context.config)
 
     def own(self, tick: int, nearest: Gossip) -> Gossip:
@@ -91,7 +91,7 @@ class RecentTicks:
 
     def put_own(self, gossip: Gossip) -> None:
         """Keep an own gossip."""
-        self._said.setdefault(gossip.tick, {})[gossip.sender] = gossip, self._own_sensor()
+        self._said.setdefault(gossip.tick, {})[gossip.sender] = gossip, self._context.announced
 
     def at_or_before(self, stamp: int, newest: TrackerState) -> TrackerState:
         """The newest belief that is not later than the tick `stamp`, `newest` included; the oldest that is kept if all are later."""
@@ -108,10 +108,6 @@ class RecentTicks:
             extraction = msgspec.structs.replace(config.extraction, threshold=share * config.extraction.threshold)
             self._blurred[ticks] = msgspec.structs.replace(config, extraction=extraction)
         return self._blurred[ticks]
-
-    def _own_sensor(self) -> AnnouncedSensor:
-        context = self._context
-        return announced_sensor(context.name, context.sensor, context.config.detection.clutter)
 
 
 def replayed_density(

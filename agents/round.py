@@ -50,6 +50,11 @@ class AgentContext(NamedTuple):
     arena: np.ndarray  # corners (4, 2), m
     sensor_class: str = ""
 
+    @property
+    def announced(self) -> AnnouncedSensor:
+        """The own sensor, as peers know it."""
+        return announced_sensor(self.name, self.sensor, self.config.detection.clutter)
+
 
 def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
     """The context of the agent `name` with a sensor of that class. Raises BadSetting for an unknown class."""
@@ -84,6 +89,7 @@ class RoundResult:
     command: ControlInput = STAND
     intent: Intent | None = None  # for the next gossip
     frame: Frame | None = None  # of the round; None: none was played
+    density: Any = None  # around the cell, as the tracker represents it; with it a round that is played alone begins
 
     @property
     def power_radius(self) -> float:
@@ -123,7 +129,9 @@ def run_round(
         horizon=HORIZON if peer_table.local else math.inf,
     )
     belief = context.tracker.belief_after(received, region, near, diagram, step)
-    return result_of(context, own, Frame(region, generator_table), near, table, received, belief, peer_table.pace)
+    return result_of(
+        context, own, Frame(region, generator_table), near, table, received, belief, min(peer_table.pace, own.tick - last.belief.stamp)
+    )
 
 
 def result_of(
@@ -150,6 +158,7 @@ def result_of(
         command=context.law.command(situation),
         intent=context.law.intent if isinstance(context.law, SearchAndTrack) else None,
         frame=frame,
+        density=context.tracker.nearby(near),
     )
 
 
@@ -180,7 +189,7 @@ def _with_own(context: AgentContext, peer_table: PeerTable, fresh: dict[str, Gos
     """The gossips in the order of names, the own one in its place."""
     gossips, sensors, place = [*fresh.values()], _sensors(peer_table, fresh), bisect_left([*fresh], order(own.sender), key=order)
     gossips.insert(place, own)
-    sensors.insert(place, announced_sensor(context.name, context.sensor, context.config.detection.clutter))
+    sensors.insert(place, context.announced)
     return gossip_table(gossips, sensors, context.config)
 
 

@@ -166,17 +166,20 @@ class ParticlePhd(NamedTuple):
             particles = predict(particles, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=Copies(particles))
 
-    def hold(self, belief: Belief, step: Step) -> Belief:
+    def hold(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
         """See `Tracker.hold`: all particles move by the keyed noise of the missed ticks; the owned ones are rounded as on the wire.
 
         Particles may leave the cell meanwhile, so a held claim counts only where all hold the claims of one diagram (`merge`).
         """
         missed = tuple([step._replace(tick=tick) for tick in range(belief.stamp + 1, step.tick)])
-        particles = belief.mine.particles
-        for each in missed:
-            particles = predict(particles, each)
-        particles = select(particles, particles.weights > 0.0)
-        particles = particles._replace(states=particles.states.astype(WIRE).astype(float))
+        if alone is not None:
+            particles = alone.resampled
+        else:
+            particles = belief.mine.particles
+            for each in missed:
+                particles = predict(particles, each)
+            particles = select(particles, particles.weights > 0.0)
+            particles = particles._replace(states=particles.states.astype(WIRE).astype(float))
         mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
         copies = Copies(belief.copies.near, belief.copies.round, (*belief.copies.held, *missed))
         return Belief(step.tick - 1, mine, copies, belief.everyone, belief.known_names, held_since=belief.claim_tick)
@@ -213,6 +216,10 @@ class ParticlePhd(NamedTuple):
     ) -> list[RegionUpdate]:
         """See `Tracker.update` and `regions.update_regions`."""
         return self.backend.update_regions(table, received, self.backend.background_births(step), regions, step)
+
+    def nearby(self, update: RegionUpdate) -> Particles:
+        """See `Tracker.nearby`."""
+        return update.updated
 
     def belief_after(
         self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step

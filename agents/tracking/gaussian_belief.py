@@ -154,12 +154,12 @@ class MixturePhd(NamedTuple):
             copies = _moved(copies, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=copies)
 
-    def hold(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
+    def hold(self, belief: MixtureBelief, step: Step, alone: MixtureUpdate | None = None) -> MixtureBelief:
         """See `Tracker.hold`: all components move by the missed ticks, and those in the held claim are owned."""
         moved = _released(belief).copies
         for tick in range(belief.stamp + 1, step.tick):
             moved = _moved(moved, step._replace(tick=tick))
-        mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step))
+        mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step) if alone is None else alone.inside)
         copies = pick(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
         return MixtureBelief(step.tick - 1, mine, copies, belief.everyone, belief.known_names, held_since=belief.claim_tick)
 
@@ -187,6 +187,10 @@ class MixturePhd(NamedTuple):
         """See `Tracker.update`."""
         peaks, corrected = filter_step(received_mixture(received), table, step)
         return [_region_of(corrected, peaks, region, step) for region in regions]
+
+    def nearby(self, update: MixtureUpdate) -> Mixture:
+        """See `Tracker.nearby`."""
+        return update.around
 
     def belief_after(
         self, received: GossipTable | Mixture, region: RegionInput, update: MixtureUpdate, diagram: Diagram, step: Step

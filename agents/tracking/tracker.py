@@ -133,14 +133,20 @@ class Tracker(Protocol[B, R, U]):
     def catch_up(self, belief: B, step: Step) -> B:
         """The belief after missed rounds: that at the tick before `step.tick`, which claims nothing. `update` predicts the rest."""
 
-    def hold(self, belief: B, step: Step) -> B:
-        """The belief at the tick before `step.tick`, of an agent that skipped rounds: it holds its claim."""
+    def hold(self, belief: B, step: Step, alone: U | None = None) -> B:
+        """The belief at the tick before `step.tick`, of an agent that skipped rounds: it holds its claim.
+
+        `alone`: its own update of that tick, if there was one; what that left in the cell is owned.
+        """
 
     def merge(self, belief: B, table: GossipTable, step: Step) -> R | GossipTable:
         """The density that counts at the tick before, given the gossips of this tick; the table itself if nothing else counts."""
 
     def update(self, received: R | GossipTable, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> Sequence[U]:
         """For each owner the density around its cell one step later, corrected with the scans of the table, with moments and estimates."""
+
+    def nearby(self, update: U) -> R:
+        """The density around the cell after an update."""
 
     def belief_after(self, received: R | GossipTable, region: RegionInput, update: U, diagram: Diagram, step: Step) -> B:
         """The belief after the round: the owned state for the next gossip, and the copies of the others."""

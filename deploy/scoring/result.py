@@ -123,7 +123,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _tick_rate_rows(tick_rate: TickRate) -> list[tuple[str, str]]:
-    spared = [("rounds left out in step", str(tick_rate.spared))] if tick_rate.spared else []
+    spared = [("ticks played alone", str(tick_rate.spared))] if tick_rate.spared else []
     stalled = [("agents that were stalled", f"{len(tick_rate.stalled)}: {', '.join(tick_rate.stalled)}")] if tick_rate.stalled else []
     done = "-" if tick_rate.ticks_per_s is None else f"{tick_rate.ticks_per_s:.1f}"
     asked = "as fast as it goes" if tick_rate.asked_per_s is None else f"asked {tick_rate.asked_per_s:g}"

@@ -1,0 +1,165 @@
+"""Ticks in which no gossips are sent: an agent plays them with its own scan alone."""
+
+import numpy as np
+import pytest
+
+from agents.agent import Agent
+from agents.backend import Backend
+from agents.compiled.backend import FAST
+from agents.config import AgentConfig, FilterSettings
+from agents.tracking.regions import predict
+from agents.tracking.step import Step
+from protocol.fields import pack
+from protocol.messages import Command, Gossip, Hello, Observation
+from protocol.node import Alive, Effect, Received, Started, received
+from protocol.observer_messages import Estimate
+from protocol.sensing import SENSOR_CLASSES
+from protocol.settings import ArenaSettings, RunSettings
+
+PERIOD = 0.25  # s between two ticks
+TARGET = (12.0, 20.0)
+CLOCK = RunSettings(dt=0.5, rate=0.5 / PERIOD, clock="realtime")
+
+
+def config(kind: str = "particles") -> AgentConfig:
+    return AgentConfig(
+        run=CLOCK, arena=ArenaSettings(width=40.0, height=40.0), members={"s1": "A", "s2": "B"}, filter=FilterSettings(kind=kind)
+    )  # type: ignore[arg-type]
+
+
+def see(tick: int, *places: tuple[float, float]) -> Received:
+    found = pack(np.array(places).reshape(-1, 2), "<f4")
+    said = Observation(
+        sender="world", incarnation=1, recipient="s1", tick=tick, time=0.5 * tick, pose=(10.0, 20.0, 0.0), detections_bytes=found
+    )
+    return received(said)
+
+
+def hear(tick: int, pace: int) -> Received:
+    """The gossip of s2, which needs that pace."""
+    pose, cod = (30.0, 20.0, 0.0), (32.0, 20.0)
+    return received(Gossip(sender="s2", incarnation=1, tick=tick, pose=pose, cod=cod, power_radius=2.0, unused=20.0, pace=pace))
+
+
+class Swarm:
+    """s1 beside a peer that needs a pace, from the end of round 0 on, in which both see the target."""
+
+    def __init__(self, pace: int, kind: str = "particles", backend: Backend = FAST) -> None:
+        self.pace = pace
+        self.agent = Agent(config(kind), "s1", backend=backend)
+        self.agent.handle(Started(), 0.0)
+        self.agent.handle(Alive("agent", "s2", 1), 0.0)
+        self.agent.handle(received(Hello(sender="s2", incarnation=1, sensor_class="B", sensor=SENSOR_CLASSES["B"])), 0.0)
+        self.see(0, TARGET)
+        self.hear(0)
+
+    def see(self, tick: int, *places: tuple[float, float]) -> list[Effect]:
+        return self.agent.handle(see(tick, *places), PERIOD * (tick + 1))
+
+    def hear(self, tick: int) -> list[Effect]:
+        return self.agent.handle(hear(tick, self.pace), PERIOD * (tick + 1))
+
+
+def said(effects: list[Effect], kind: type) -> list[int]:
+    return [effect.tick for effect in effects if isinstance(effect, kind)]
+
+
+def stated(effects: list[Effect]) -> float:
+    """Expected targets within 3 m of the target, as the gossip among these effects states them."""
+    [gossip] = [effect for effect in effects if isinstance(effect, Gossip)]
+    assert gossip.claim_tick == 0 and gossip.claim_names[0] == "s1"
+    if gossip.components_bytes:
+        found = gossip.components
+        return float(found["weight"][np.hypot(*(found["place"] - TARGET).T) < 3.0].sum())
+    return float(gossip.weight * (np.hypot(*(gossip.states[:, :2] - TARGET).T) < 3.0).sum())
+
+
+def test_the_agent_says_estimate_and_command_and_no_gossip() -> None:
+    effects = Swarm(2).see(1, TARGET)
+    assert said(effects, Estimate) == said(effects, Command) == [1] and not said(effects, Gossip)
+
+
+@pytest.mark.parametrize("kind", ["particles", "gaussian-mixture"])
+def test_the_next_gossip_states_what_the_own_scans_have_shown(kind: str) -> None:
+    masses = []
+    for places in ((), (TARGET,)):
+        swarm = Swarm(4, kind)
+        for tick in (1, 2, 3):
+            swarm.see(tick, *places)
+        masses.append(stated(swarm.see(4)))
+    assert masses[0] < 0.2 and 0.5 < masses[1] < 1.3
+
+
+def test_a_scan_that_comes_while_a_round_is_open_is_played_when_it_closes() -> None:
+    swarm = Swarm(2)
+    swarm.see(1, TARGET)
+    assert said(swarm.see(2, TARGET), Gossip) == [2]
+    effects = swarm.see(3, TARGET)
+    assert said(effects, Estimate) == [3] and not said(effects, Command) and swarm.agent.outcome.belief.stamp == 1
+    effects = swarm.hear(2)
+    assert said(effects, Estimate) == [2] and said(effects, Command) == [3]
+    assert swarm.agent.outcome.belief.stamp == 3 and swarm.agent.outcome.belief.claim_tick == 2
+
+
+def test_a_round_that_never_completes_is_closed_by_the_next_one_and_its_scans_are_played_before() -> None:
+    swarm = Swarm(4)
+    for tick in (1, 2, 3):
+        swarm.see(tick, TARGET)
+    assert said(swarm.see(4, TARGET), Gossip) == [4]
+    for tick in (5, 6, 7):
+        swarm.see(tick, TARGET)
+    effects = swarm.see(8, TARGET)
+    assert said(effects, Command) == [7] and said(effects, Gossip) == [8]
+    assert swarm.agent.outcome.belief.stamp == 7 and swarm.agent.outcome.belief.claim_tick == 4
+
+
+def test_ticks_that_were_missed_are_played_without_a_scan() -> None:
+    """A second scan makes a target likely. Two ticks without any make it no likelier, and not unlikely as two empty scans do."""
+    masses = []
+    for places in (None, (), (TARGET,)):
+        swarm = Swarm(4)
+        for tick in (1, 2) if places is not None else ():
+            swarm.see(tick, *places)
+        swarm.see(3, TARGET)
+        assert swarm.agent.outcome.belief.stamp == 3
+        masses.append(stated(swarm.see(4)))
+    missed, empty, seen = masses
+    assert missed > 0.5 and empty < 0.5 * missed and missed < 0.95 * seen
+
+
+def test_in_ticks_that_were_missed_particles_move() -> None:
+    swarm = Swarm(4)
+    moved = swarm.agent.outcome.density
+    swarm.see(3)
+    for tick in (1, 2, 3):
+        moved = predict(moved, Step(swarm.agent.config, tick))
+    places = dict(zip(moved.ids.tolist(), moved.states.tolist()))
+    found = swarm.agent.outcome.density
+    still = [(places[number], state) for number, state in zip(found.ids.tolist(), found.states.tolist()) if number in places]
+    assert len(still) > 100 and all(before == after for before, after in still)
+
+
+def test_an_old_observation_is_not_played() -> None:
+    swarm = Swarm(4)
+    swarm.see(2, TARGET)
+    belief = swarm.agent.outcome.belief
+    assert not said(swarm.see(1, TARGET), Command) and swarm.agent.outcome.belief is belief
+
+
+def test_a_claim_is_held_no_longer_than_peers_keep_the_generator() -> None:
+    """Peers keep the generator of a silent agent for 4 rounds of this pace, or a second: 16 ticks."""
+    swarm = Swarm(4)
+    assert said(swarm.see(15, TARGET), Command) == [15]
+    late = Swarm(4)
+    assert not said(late.see(17, TARGET), Command) and late.agent.outcome.belief.stamp == 0
+
+
+def test_particles_stay_in_the_cell_of_the_last_round() -> None:
+    swarm = Swarm(4)
+    for tick in (1, 2, 3):
+        swarm.see(tick, TARGET)
+    belief, frame = swarm.agent.outcome.belief, swarm.agent.outcome.frame
+    assert frame is not None and belief.mine.claim is frame.region.claim
+    assert (belief.mine.particles.states[:, 0] <= frame.region.polygon[:, 0].max() + 1e-6).all()
+    moved = swarm.agent.context.tracker.hold(belief, Step(swarm.agent.config, 5))
+    assert moved.stamp == 4 and moved.claim_tick == 0
