@@ -2,8 +2,9 @@
 
 A swarm of 32 agents runs at rate 2, twice as fast as real time. After it has settled, something happens for some seconds: nothing,
 busy loops beside a swarm of low priority, a stop of all processes at once, or a death under load. The status is read several times a
-second. The supervisor, which measures, keeps its priority. Starved like the agents it would leave out messages, and call cells a hole of
-which it has not read yet. The lockstep figures are those of a simulation of the same scenario and seed, over the same ticks.
+second, and the scores of all ticks at the end. The supervisor, which measures, keeps its priority. Starved like the agents it would
+leave out messages, and call cells a hole of which it has not read yet. The lockstep figures are those of a simulation of the same
+scenario and seed, over the same ticks.
 """
 
 import contextlib
@@ -19,11 +20,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.bench.processes import Swarm, swarm
+from deploy.bench.processes import NAME, Swarm, swarm
 from deploy.bench.timing import BenchRow
 from deploy.scenario import resolve
-from deploy.scoring.scores import Score
+from deploy.scoring.scores import Score, read_scores
 from deploy.simulation import Simulation
+from deploy.storage.run_directory import RunDirectory
 
 SETTLE, CALM, AFTER = 12.0, 4.0, 8.0  # wall s: until the swarm tracks, before and after what happens
 POLL = 0.2  # wall s between two looks at the status
@@ -60,9 +62,6 @@ class StatusSample(NamedTuple):
 
     at: float  # wall s
     tick: int
-    ospa: float
-    hole: float
-    overlap: float
     rounds: int
     skipped: int
 
@@ -98,7 +97,8 @@ def play(profile: LoadProfile, seed: int) -> BenchRow:
         end = time.monotonic()
         watch(running, AFTER, samples)
         result = running.end()
-    return figures(profile, seed, samples, begin, end, result)
+        scores = read_scores(RunDirectory(NAME).scores)
+    return figures(profile, seed, samples, scores, begin, end, result)
 
 
 def watch(running: Swarm, seconds: float, samples: list[StatusSample]) -> None:
@@ -107,11 +107,7 @@ def watch(running: Swarm, seconds: float, samples: list[StatusSample]) -> None:
     while time.monotonic() < end:
         status = running.status()["swarm"]
         rate = status["tick_rate"]
-        samples.append(
-            StatusSample(
-                time.monotonic(), status["tick"], status["ospa"], status["hole"], status["overlap"], rate["rounds"], rate["skipped"]
-            )
-        )
+        samples.append(StatusSample(time.monotonic(), status["tick"], rate["rounds"], rate["skipped"]))
         time.sleep(POLL)
 
 
@@ -147,22 +143,32 @@ def freeze(running: Swarm, seconds: float) -> None:
             time.sleep(seconds)
 
 
-def figures(profile: LoadProfile, seed: int, samples: list[StatusSample], begin: float, end: float, result: dict[str, Any]) -> BenchRow:
-    """The row of a run: while it lasted, and from `BACK` s after its end on (of a freeze: from 1 s on)."""
+def figures(
+    profile: LoadProfile,
+    seed: int,
+    samples: list[StatusSample],
+    scores: list[Score],
+    begin: float,
+    end: float,
+    result: dict[str, Any],
+) -> BenchRow:
+    """The row of a run: while it lasted, and from `BACK` s after its end on (of a freeze: from 1 s on).
+
+    Every tick counts once, live and in lockstep. The newest score at a look would not do: bad ticks are scored later, and stand for longer.
+    """
     if profile.frozen:
         begin += profile.frozen + 1.0
     during = [sample for sample in samples if begin <= sample.at <= end]
     after = [sample for sample in samples if sample.at > end + BACK]
     lockstep = reference(profile, seed, samples[-1].tick)
-    rounds, skipped = (during[-1][column] - during[0][column] for column in (5, 6))
+    rounds, skipped = (during[-1][column] - during[0][column] for column in (2, 3))
     row: BenchRow = {"ticks per s": (during[-1].tick - during[0].tick) / (during[-1].at - during[0].at)}
     row |= {"skipped, %": 100.0 * skipped / max(1, rounds + skipped)}
     for label, part in (("", during), (" after", after)):
-        first, last = part[0].tick, part[-1].tick
-        exact = mean([score.ospa for score in lockstep if first <= score.tick <= last])
-        row |= {f"OSPA{label}, m": mean([sample.ospa for sample in part]), f"lockstep{label}, m": exact}
-        row |= {f"hole{label}, %": 100.0 * mean([sample.hole for sample in part])}
-        row |= {f"most overlap{label}, %": 100.0 * max(sample.overlap for sample in part)}
+        live, exact = ([score for score in each if part[0].tick <= score.tick <= part[-1].tick] for each in (scores, lockstep))
+        row |= {f"OSPA{label}, m": mean([score.ospa for score in live]), f"lockstep{label}, m": mean([score.ospa for score in exact])}
+        row |= {f"hole{label}, %": 100.0 * mean([score.hole for score in live])}
+        row |= {f"most overlap{label}, %": 100.0 * max(score.overlap for score in live)}
     row["ratio"] = row["OSPA, m"] / max(row["lockstep, m"], 1e-9)
     row["false deaths"] = len(result["kills"]) - profile.deaths
     if profile.deaths:

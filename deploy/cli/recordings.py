@@ -18,7 +18,8 @@ from deploy.installation import need_study_packages
 from deploy.page.server import PageServer, address_of
 from deploy.recording.recording import DRAWING, Recording, find_recording
 from deploy.recording.replay import ReplayNode, ReplaySource
-from deploy.recording.rescore import difference, rescore, write_scores
+from deploy.recording.rescore import difference, rescore
+from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import new_run_directory
 from protocol.endpoints import free_port
 from protocol.live import Driver

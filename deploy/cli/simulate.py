@@ -16,6 +16,7 @@ from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
 from deploy.scoring.result import Result
+from deploy.scoring.scores import Score, write_scores
 from deploy.simulation import Simulation
 from deploy.storage.kept_runs import link_latest, new_run_directory
 from protocol.observer_messages import Truth
@@ -36,15 +37,16 @@ def simulate_here(
     if trace is not None:
         check_trace(trace)
     if requested_name is None and record is not True:
-        result, path = _simulate(scenario, clock, recording_path(record, Path()), trace)
+        result, _, path = _simulate(scenario, clock, recording_path(record, Path()), trace)
         _show(result, None, as_json, path)
         return 0
     directory, lock = new_run_directory(requested_name, scenario.run.scenario)
     scenario = named(scenario, directory.name)
     directory.write_config(scenario, simulated=True)
     link_latest(directory)
-    result, path = _simulate(scenario, clock, recording_path(record, directory.path), trace)
+    result, scores, path = _simulate(scenario, clock, recording_path(record, directory.path), trace)
     directory.result.write_text(result.to_json() + "\n", encoding="utf-8")
+    write_scores(directory.scores, scores)
     os.close(lock)
     _show(result, directory.path, as_json, path)
     return 0
@@ -52,8 +54,8 @@ def simulate_here(
 
 def _simulate(
     scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None, trace: Path | None
-) -> tuple[Result, Path | None]:
-    """The result, and where it was recorded."""
+) -> tuple[Result, list[Score], Path | None]:
+    """The result, the scores of all ticks, and where the run was recorded."""
     announce()
     simulation = Simulation(scenario, clock=clock)
     series = Trace(simulation)
@@ -75,7 +77,7 @@ def _simulate(
         result = simulation.run()
     if trace is not None:
         series.write(trace, result)
-    return result, path
+    return result, simulation.scorer.scores, path
 
 
 def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | None) -> None:

@@ -24,6 +24,7 @@ from deploy.live.zygote import Zygote
 from deploy.scenario import FaultSettings, Scenario, bodies_of, check_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer, Status
+from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import link_latest
 from deploy.storage.run_directory import RunDirectory
 from protocol.codec import encode
@@ -194,6 +195,7 @@ class Supervisor:
         self.result = msgspec.structs.replace(result, exit_code=code, tick_rate=self.scorer.tick_rate.whole())
         try:
             self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
+            write_scores(self.directory.scores, self.scorer.scores)
         except OSError as error:
             self._tell(f"{self.directory.result}: {error.strerror}; the result is not kept")
 

@@ -15,7 +15,7 @@ from mcap.writer import Writer
 from deploy.page.picture import Picture
 from deploy.recording.moments import colour_of, moments
 from deploy.recording.recording import Recording
-from deploy.recording.rescore import COLUMNS
+from deploy.scoring.scores import COLUMNS
 
 Json = dict[str, Any]
 SCENE_SCHEMA = Path(__file__).with_name("foxglove_scene.json")  # of the message that Foxglove knows by this name

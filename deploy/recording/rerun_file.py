@@ -13,8 +13,8 @@ import numpy as np
 from deploy.page.picture import Picture
 from deploy.recording.moments import colour_of, moments
 from deploy.recording.recording import Recording
-from deploy.recording.rescore import COLUMNS
 from deploy.scoring.scorer import Score
+from deploy.scoring.scores import COLUMNS
 from protocol.settings import BadSetting
 
 if TYPE_CHECKING:

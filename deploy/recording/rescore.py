@@ -1,6 +1,5 @@
 """Scores from a recording alone: the same scorer receives the recorded events in the same order."""
 
-import csv
 import math
 from collections import deque
 from collections.abc import Iterator
@@ -10,14 +9,13 @@ import msgspec
 
 from deploy.recording.recording import Recording, event_of
 from deploy.scoring.result import Result
-from deploy.scoring.scorer import Score, Scorer
+from deploy.scoring.scorer import Scorer
 
 FIGURES = (
     *("mean_ospa", "steady_ospa", "final_ospa", "mean_gospa", "steady_gospa", "final_gospa"),
     *("cardinality_error", "hole_area", "overlap_area", "share_in_view", "mass_residual"),
     *("id_switches", "idf1", "hota", "mota", "track_ospa"),
 )
-COLUMNS = Score.__dataclass_fields__.keys()
 
 
 def rescore(recording: Recording) -> Scorer:
@@ -40,14 +38,6 @@ def rescore_slowly(recording: Recording, scorer: Scorer) -> Iterator[float]:
             scorer.note_fault(fault.verb, fault.text, fault.who, now)
         yield entry.time
     scorer.finish(now)
-
-
-def write_scores(path: Path, scores: list[Score]) -> None:
-    """The scores as CSV, one tick a line, every digit."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows([getattr(score, column) for column in COLUMNS] for score in scores)
 
 
 def difference(recording: Path, result: Result) -> float | None:

@@ -13,9 +13,9 @@ from pyarrow import csv, parquet
 
 from deploy.recording.moments import messages
 from deploy.recording.recording import Recording
-from deploy.recording.rescore import COLUMNS
 from deploy.scenario import Scenario
 from deploy.scoring.scorer import Scorer
+from deploy.scoring.scores import COLUMNS
 from protocol.geometry import polygon_area
 from protocol.measuring import places_of
 from protocol.messages import Gossip

@@ -1,10 +1,13 @@
 """Scores of one tick and their means over a run: error, its parts, and coverage."""
 
+import csv
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+import msgspec
 import numpy as np
 import shapely
 
@@ -38,6 +41,23 @@ class Score:
     missed: float = 0.0
     false: float = 0.0
     coverage: float = 0.0  # share of the arena inside some footprint, read every `COVERAGE_EVERY` ticks
+
+
+COLUMNS = Score.__dataclass_fields__.keys()
+
+
+def write_scores(path: Path, scores: Sequence[Score]) -> None:
+    """The scores as CSV, one tick a line, every digit."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows([getattr(score, column) for column in COLUMNS] for score in scores)
+
+
+def read_scores(path: Path) -> list[Score]:
+    """The scores of such a file."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return msgspec.convert(list(csv.DictReader(file)), list[Score], strict=False)
 
 
 NO_SCORE = Score(-1, 0.0, 0.0, 0.0, 0, 0, 0, 0.0, 1.0, 0.0)

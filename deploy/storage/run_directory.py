@@ -5,6 +5,7 @@
                 versions.json  software, Python, machine
                 logs/          one file per process, JSON lines
                 result.json    the result, once there is one
+                scores.csv     the scores of every tick, with the result
                 recording.mcap the recording, if one was asked for
                 lock           held by the supervisor or the simulation as long as the run runs
                 control.json   where the supervisor's control socket is
@@ -48,6 +49,7 @@ class RunDirectory:
         self.versions = self.path / "versions.json"
         self.logs = self.path / "logs"
         self.result = self.path / "result.json"
+        self.scores = self.path / "scores.csv"
         self.lock = self.path / "lock"
         self.control = self.path / "control.json"
         self.truth = self.path / "truth.msgpack"
@@ -83,7 +85,7 @@ class RunDirectory:
     def clear(self) -> None:
         """Remove what an earlier run left, and check that a run finds room; raises BadSetting when it does not."""
         with self._writing():
-            for file in (self.config, self.agents, self.versions, self.result, self.control, self.truth):
+            for file in (self.config, self.agents, self.versions, self.result, self.scores, self.control, self.truth):
                 file.unlink(missing_ok=True)
             shutil.rmtree(self.logs, ignore_errors=True)
             self.logs.mkdir()

@@ -16,9 +16,10 @@ from mcap.stream_reader import StreamReader
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.recorder import CHUNK_SECONDS, Recorder, message_schema
 from deploy.recording.recording import Recording, event_of, find_recording
-from deploy.recording.rescore import difference, rescore, write_scores
+from deploy.recording.rescore import difference, rescore
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.scoring.result import Fault, Result
+from deploy.scoring.scores import read_scores, write_scores
 from deploy.simulation import Simulation
 from protocol import codec
 from protocol.keys import message_key
@@ -127,12 +128,12 @@ def test_the_difference_to_another_run_is_not_stated(tmp_path: Path) -> None:
     assert difference(tmp_path / "a.mcap", result) is None
 
 
-def test_scores_are_written_with_every_digit(tmp_path: Path) -> None:
+def test_scores_are_written_and_read_with_every_digit(tmp_path: Path) -> None:
     simulation, _ = recorded_run(tmp_path / "a.mcap", scenario())
     write_scores(tmp_path / "scores.csv", simulation.scorer.scores)
-    head, *lines = (tmp_path / "scores.csv").read_text(encoding="utf-8").splitlines()
-    column = head.split(",").index("ospa")
-    assert [float(line.split(",")[column]) for line in lines] == [score.ospa for score in simulation.scorer.scores]
+    head = (tmp_path / "scores.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert head.startswith("tick,time,ospa,gospa")
+    assert read_scores(tmp_path / "scores.csv") == simulation.scorer.scores
 
 
 def test_chunks_are_smaller_than_the_mcap_library_makes_them_by_itself(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import urllib.request
 import pytest
 
 from deploy.scenario import resolve
+from deploy.scoring.scores import read_scores
 from deploy.simulation import simulate
 from tests.live.harness import BOUND, PATIENT, ROOT, Covey, rows
 
@@ -142,7 +143,9 @@ def test_a_run_that_ctrl_c_stops_prints_its_table_and_where_it_is_kept(covey: Co
     assert "OSPA, mean / steady / final" in output and "kept in runs/hunt" in output
     kept = json.loads(covey.run("runs", "--json")[1])[0]
     assert (kept["name"], kept["state"]) == ("hunt", "interrupted")
-    assert json.loads((covey.runs / "hunt" / "result.json").read_text())["exit_code"] == 130
+    result = json.loads((covey.runs / "hunt" / "result.json").read_text())
+    assert result["exit_code"] == 130
+    assert [score.tick for score in read_scores(covey.runs / "hunt" / "scores.csv")] == [*range(result["ticks"])]
 
 
 @pytest.mark.slow
