@@ -73,6 +73,8 @@ class Agent(Node):
         self._asked_at: float | None = None  # when the driver was asked to come back at once: the next event shows for how long it was busy
         self._spared: list[Observation] = []  # of ticks since the last round that its peers leave out; those that are not played yet
         self._left_out = 0  # the number of all of them
+        self._estimated = -1  # tick of the newest estimate
+        self._round_seconds = 0.0  # from the opening of the last shared round to its end
         self._pace = Pace(config.run.dt / config.run.rate, measured=config.run.clock == "realtime")
         self._health = LocalHealth(measured=config.run.clock == "realtime")
 
@@ -171,32 +173,48 @@ class Agent(Node):
         self.counters["spared"] += 1
         if self.outcome.frame is None:  # no round has been played yet
             return []
-        observation = self._own_pose.take(observation)
-        self._spared.append(observation)
-        effects = self._play_spared()
-        if observation.tick % self.config.timing.estimate_every:
-            return effects
-        last, own = self.outcome, own_gossip(self.context, self.incarnation, self.outcome, observation, None)
-        moved = forecast(last.tracks, (observation.tick - last.belief.stamp) * self.config.run.dt)
-        work = outbox.RoundCost(self.counters, 0.0, self._pace.current)
-        return [outbox.estimate(self.context, self.incarnation, replace(last, tracks=moved), own, work), *effects]
+        self._spared.append(self._own_pose.take(observation))
+        return self._play_spared()
 
     def _play_spared(self) -> list[Effect]:
-        """Play the spared ticks alone, unless a shared round is still open; the effect is the command of the last one."""
+        """Play the spared ticks alone, unless a shared round is still open; the effects are their estimates and commands."""
         if self._rounds:
             return []
-        context, pace, last = self.context, self._pace.current, None
         spared, self._spared = self._spared, []
+        effects: list[Effect] = []
         for observation in spared:
-            if self._is_held(observation.tick):
-                own = own_gossip(context, self.incarnation, self.outcome, observation, self._own_pose.noise)
-                self.outcome, last = play_alone(context, self.outcome, own, pace), observation
-        if last is None:
+            own = own_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            if self._is_held(own.tick):
+                self.outcome = self._play_alone(own, observation)
+                effects += [*self._estimate(self.outcome, own), self._drive(self.outcome, own.tick)]
+            else:
+                moved = forecast(self.outcome.tracks, (own.tick - self.outcome.belief.stamp) * self.config.run.dt)
+                effects += self._estimate(replace(self.outcome, tracks=moved), own)
+        return effects
+
+    def _play_ahead(self, own: Gossip, observation: Observation) -> list[Effect]:
+        """At a slower pace, play the tick of an open round alone on a copy: the gossips for which it waits may come late."""
+        if self._pace.current == 1 or self._rounds.due != own.tick or not self._is_held(own.tick):
             return []
-        if self.config.limits.radius:
-            self._keep_apart(last)
-        self._own_pose.drive(self.outcome.command)
-        return [outbox.command(context, self.incarnation, self.outcome, last.tick)]
+        ahead = self._play_alone(own, observation)
+        return [*self._estimate(ahead, own), self._drive(ahead, own.tick)]
+
+    def _play_alone(self, own: Gossip, observation: Observation) -> RoundResult:
+        """The result of a tick that the agent plays alone."""
+        return self._keep_apart(play_alone(self.context, self.outcome, own, self._pace.current), observation)
+
+    def _estimate(self, outcome: RoundResult, own: Gossip) -> list[Effect]:
+        """The estimate of the tick of `own`, where one is due and none has been said."""
+        if own.tick % self.config.timing.estimate_every or own.tick <= self._estimated:
+            return []
+        self._estimated = own.tick
+        work = outbox.RoundCost(self.counters, self._round_seconds, self._pace.current)
+        return [outbox.estimate(self.context, self.incarnation, outcome, own, work)]
+
+    def _drive(self, outcome: RoundResult, tick: int) -> Effect:
+        """The command of a result to the own body."""
+        self._own_pose.drive(outcome.command)
+        return outbox.command(self.context, self.incarnation, outcome, tick)
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
@@ -205,7 +223,7 @@ class Agent(Node):
         self._hold_claim()
         listening, need, lag = self._listening_rounds > 0, self._pace.need, self._rounds.lag.need
         behind = self._rounds.behind(self.tick, self.outcome.belief.stamp)
-        self._gossip = outbox.gossip(
+        own = self._gossip = outbox.gossip(
             self.context,
             self.incarnation,
             self.outcome,
@@ -216,10 +234,10 @@ class Agent(Node):
             lag=lag,
             pose_noise=self._own_pose.noise,
         )
-        self._rounds.open(self._gossip, self.outcome.belief, now)
+        self._rounds.open(own, self.outcome.belief, now)
         self._await()
         self._close_at = now + self.config.gossip_timeout(missed=self.peer_table.any_missed()) * self._pace.current
-        return [self._gossip, *self._close_if_complete(now)]
+        return [own, *(self._close_if_complete(now) or self._play_ahead(own, observation))]
 
     def _await(self) -> None:
         """Determine the round that is due, and the gossips for which it waits."""
@@ -379,26 +397,24 @@ class Agent(Node):
         if self.outcome.belief.stamp < self.tick:
             self.outcome = look_ahead(self._rounds.recent, self.context, self.outcome, gossip, self.peer_table)
             self.counters["looked_ahead"] += 1
-        if self.config.limits.radius:
-            self._keep_apart(observation)
+        self.outcome = self._keep_apart(self.outcome, observation)
         self._keep_pace(now)
         self._observation, self._gossip, self._close_at = None, None, None
         self._awaited = set()
         self._ask_back(now)
-        self._own_pose.drive(self.outcome.command)
-        command = outbox.command(self.context, self.incarnation, self.outcome, self.tick)
+        self._round_seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
+        command = self._drive(self.outcome, self.tick)
         effects = self._update_interest(self._interest, gossip, now) if self._interest else []
-        if self.tick % self.config.timing.estimate_every == 0:
-            work = outbox.RoundCost(self.counters, max(0.0, now - self._opened_at), self._pace.current)  # a clock may have jumped
-            effects.append(outbox.estimate(self.context, self.incarnation, self.outcome, gossip, work))
-        return [*effects, *(self._play_spared() or [command])]
+        return [*effects, *self._estimate(self.outcome, gossip), command, *self._play_spared()]
 
-    def _keep_apart(self, observation: Observation) -> None:
-        """Keep the body away from those of the peers and from what it senses."""
+    def _keep_apart(self, outcome: RoundResult, observation: Observation) -> RoundResult:
+        """The result with a command that keeps the body away from those of the peers and from what it senses."""
+        if not self.config.limits.radius:
+            return outcome
         others = [other.pose[:2] for other in self._fresh] + [(x, y) for x, y in observation.obstacles.tolist()]
         seconds = self.config.run.dt * self._pace.current
-        command = keep_apart(self.outcome.command, observation.pose[:2], others, self.config.limits, seconds)
-        self.outcome = replace(self.outcome, command=command)
+        command = keep_apart(outcome.command, observation.pose[:2], others, self.config.limits, seconds)
+        return replace(outcome, command=command)
 
     def _keep_pace(self, now: float) -> None:
         """Judge the pace and the lag at the end of a tick."""

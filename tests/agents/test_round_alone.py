@@ -90,14 +90,33 @@ def test_the_next_gossip_states_what_the_own_scans_have_shown(kind: str) -> None
     assert masses[0] < 0.2 and 0.5 < masses[1] < 1.3
 
 
+def test_the_estimate_of_a_shared_round_does_not_wait_for_gossips_and_nothing_of_its_copy_is_kept() -> None:
+    swarm = Swarm(2)
+    swarm.see(1, TARGET)
+    before = swarm.agent.outcome
+    effects = swarm.see(2, TARGET)
+    assert said(effects, Gossip) == said(effects, Estimate) == said(effects, Command) == [2]
+    assert swarm.agent.outcome.density is before.density and swarm.agent.outcome.belief.stamp == 1
+    [estimate] = [effect for effect in effects if isinstance(effect, Estimate)]
+    assert len(estimate.targets) == 1 and np.hypot(*(estimate.targets[0] - TARGET)) < 2.0
+    effects = swarm.hear(2)
+    assert not said(effects, Estimate) and said(effects, Command) == [2] and swarm.agent.outcome.belief.claim_tick == 2
+
+
+def test_at_pace_1_an_estimate_is_that_of_the_shared_round() -> None:
+    swarm = Swarm(1)
+    effects = swarm.see(1, TARGET)
+    assert said(effects, Gossip) == [1] and not said(effects, Estimate) and not said(effects, Command)
+    assert said(swarm.hear(1), Estimate) == [1]
+
+
 def test_a_scan_that_comes_while_a_round_is_open_is_played_when_it_closes() -> None:
     swarm = Swarm(2)
     swarm.see(1, TARGET)
     assert said(swarm.see(2, TARGET), Gossip) == [2]
-    effects = swarm.see(3, TARGET)
-    assert said(effects, Estimate) == [3] and not said(effects, Command) and swarm.agent.outcome.belief.stamp == 1
+    assert not swarm.see(3, TARGET) and swarm.agent.outcome.belief.stamp == 1
     effects = swarm.hear(2)
-    assert said(effects, Estimate) == [2] and said(effects, Command) == [3]
+    assert said(effects, Estimate) == [3] and said(effects, Command) == [2, 3]
     assert swarm.agent.outcome.belief.stamp == 3 and swarm.agent.outcome.belief.claim_tick == 2
 
 
@@ -109,7 +128,7 @@ def test_a_round_that_never_completes_is_closed_by_the_next_one_and_its_scans_ar
     for tick in (5, 6, 7):
         swarm.see(tick, TARGET)
     effects = swarm.see(8, TARGET)
-    assert said(effects, Command) == [7] and said(effects, Gossip) == [8]
+    assert said(effects, Estimate) == [5, 6, 7] and said(effects, Command) == [4, 5, 6, 7] and said(effects, Gossip) == [8]
     assert swarm.agent.outcome.belief.stamp == 7 and swarm.agent.outcome.belief.claim_tick == 4
 
 
