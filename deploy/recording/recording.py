@@ -1,7 +1,7 @@
 """Reading a recording: its messages in order of arrival, and its scenario.
 
-The index at the end of the file is used when it is there. When the recorder was killed it is not, and the file is read from its
-beginning as far as it is whole.
+The index at the end of the file is used when it is there. When the recorder was killed, or is still writing, it is not, and the file is
+read from its beginning as far as it is whole.
 """
 
 import struct
@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 import msgspec
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -32,7 +34,7 @@ from protocol.settings import BadSetting, convert
 NAME = "recording.mcap"
 DRAWING = ".foxglove.mcap"  # how the files of `covey export --to foxglove` end
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
-BROKEN = (McapError, ValueError, struct.error, EOFError, IndexError, KeyError, MemoryError)
+BROKEN = (McapError, ValueError, struct.error, EOFError, IndexError, KeyError, MemoryError, OverflowError, zstandard.ZstdError)
 
 
 class RecordedEntry(NamedTuple):
@@ -86,18 +88,30 @@ class Recording:
         return (last.published - first.published) / 1e9
 
     def entries(self, first: int = 0, last: int | None = None) -> Iterator[RecordedEntry]:
-        """What the chunks number `first` to `last` (excluded) hold, in order."""
+        """What the chunks number `first` to `last` (excluded) hold, in order; raises BadSetting when one is damaged.
+
+        In a file without an index they end at the first that is not whole: a recorder that still writes puts one large chunk in the
+        place of the small ones of its tail.
+        """
         with self.path.open("rb") as file:
             for span in self.spans[first:last]:
                 file.seek(span.offset)
-                yield from self._entries_of(_read_chunk(file))
+                try:
+                    found = self._entries_of(_read_chunk(file))
+                except BROKEN as error:
+                    if not self.is_whole:
+                        return
+                    raise BadSetting(f"{self.path}: the chunk at byte {span.offset} is damaged: {error}") from None
+                yield from found
 
-    def _entries_of(self, chunk: Chunk) -> Iterator[RecordedEntry]:
-        for record in breakup_chunk(chunk):
+    def _entries_of(self, chunk: Chunk) -> list[RecordedEntry]:
+        found = []
+        for record in breakup_chunk(chunk, validate_crc=True):
             if isinstance(record, Message):
-                yield RecordedEntry(self._topics[record.channel_id], record.log_time / 1e9, record.data, record.publish_time)
+                found.append(RecordedEntry(self._topics[record.channel_id], record.log_time / 1e9, record.data, record.publish_time))
             elif isinstance(record, Channel):
                 self._topics[record.id] = record.topic
+        return found
 
     def _read_index(self, file: IO[bytes]) -> dict[str, str] | None:
         """The metadata of a whole file, its spans and channels; None when there is no index."""
@@ -148,8 +162,10 @@ class Recording:
 
 
 def _read_chunk(file: IO[bytes]) -> Chunk:
-    """The chunk that begins here."""
-    _, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+    """The chunk that begins here; raises one of BROKEN when there is none."""
+    opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+    if opcode != Opcode.CHUNK:
+        raise ValueError(f"no chunk begins here: opcode {opcode}")
     return Chunk.read(ReadDataStream(BytesIO(file.read(length))))
 
 

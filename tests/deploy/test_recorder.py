@@ -193,6 +193,42 @@ def test_one_large_chunk_takes_the_place_of_the_small_ones_and_what_is_read_stay
     assert [entry.payload for entry in recording.entries()] == payloads_of(truths)
 
 
+def test_a_file_that_is_read_while_a_large_chunk_takes_the_place_of_the_small_ones_ends_where_it_is_not_whole(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", scenario())
+    truths, before, after = heard_truths(scenario()), b"", b""
+    for truth in truths:
+        before = (tmp_path / "a.mcap").read_bytes()
+        opened = Recording(tmp_path / "a.mcap")
+        recorder.see(truth, 0.0)
+        after = (tmp_path / "a.mcap").read_bytes()
+        if len(after) < len(before):  # the small chunks went
+            break
+        recorder.flush()
+    recorder.close()
+    (tmp_path / "a.mcap").write_bytes(after)
+    payloads = payloads_of(truths)
+    replaced = [entry.payload for entry in opened.entries()]
+    assert 0 < len(replaced) and replaced == payloads[: len(replaced)]
+
+    settled = opened.spans[0].offset
+    for place in range(settled, len(after), max(1, (len(after) - settled) // 50)):  # as far as the large one has been written
+        (tmp_path / "b.mcap").write_bytes(after[:place] + before[place:])
+        recording = Recording(tmp_path / "b.mcap")
+        assert not recording.is_whole
+        found = [entry.payload for entry in recording.entries()]
+        assert found == payloads[: len(found)]
+
+
+def test_a_damaged_chunk_of_a_whole_file_is_named(tmp_path: Path) -> None:
+    recorded_run(tmp_path / "a.mcap", scenario())
+    offset = Recording(tmp_path / "a.mcap").spans[1].offset
+    data = bytearray((tmp_path / "a.mcap").read_bytes())
+    data[offset + 200] ^= 0xFF
+    (tmp_path / "a.mcap").write_bytes(data)
+    with pytest.raises(BadSetting, match=rf"a\.mcap: the chunk at byte {offset} is damaged"):
+        list(Recording(tmp_path / "a.mcap").entries())
+
+
 def test_the_recording_of_a_simulation_is_the_same_to_the_last_byte_every_time(tmp_path: Path) -> None:
     for name in ("a.mcap", "b.mcap"):
         recorded_run(tmp_path / name, scenario())
