@@ -208,7 +208,7 @@ def test_a_file_that_is_read_while_a_large_chunk_takes_the_place_of_the_small_on
     (tmp_path / "a.mcap").write_bytes(after)
     payloads = payloads_of(truths)
     replaced = [entry.payload for entry in opened.entries()]
-    assert 0 < len(replaced) and replaced == payloads[: len(replaced)]
+    assert len(replaced) > 0 and replaced == payloads[: len(replaced)]
 
     settled = opened.spans[0].offset
     for place in range(settled, len(after), max(1, (len(after) - settled) // 50)):  # as far as the large one has been written
