@@ -128,9 +128,9 @@ class Agent(Node):
         return len(self._awaited) if self._gossip else MANY
 
     @property
-    def newest_only(self) -> str:
-        """An agent that plays every tick needs the newest observation only (Node). At a slower pace the newest may be one to leave out."""
-        return "/observation/" if self._pace.current == 1 else ""
+    def newest_only(self) -> tuple[str, int]:
+        """Of the observations that wait the newest are enough: among as many as the pace is one to play (Node)."""
+        return "/observation/", self._pace.current
 
     def deadline(self) -> float | None:
         """When to call with `Timer`, s (Node): when the first of these is due.
@@ -418,7 +418,7 @@ class Agent(Node):
 
     def _keep_pace(self, now: float) -> None:
         """Judge the pace and the lag at the end of a tick."""
-        self._pace.close(gossip.pace for gossip in self._fresh)
+        self._pace.close(self.tick, self.peer_table.slow_paces())
         if self._pace.current != self.peer_table.pace:
             self.peer_table.keep_pace(self._pace.current)
         self._rounds.end_tick(self.tick, self._pace.current, now)
@@ -431,10 +431,12 @@ class Agent(Node):
         self._asked_at = now if self._health.due is not None else None
 
     def _was_responsive(self, now: float) -> bool:
-        """Whether the agent was served in time in the open round, so that the silence of a peer says something."""
+        """Whether the silence of a peer in the open round says something: the agent was served in time, and all keep its pace."""
         assert self._close_at is not None
         overdue = now - self._close_at > MOST_OVERDUE * (self._close_at - self._opened_at)
-        return self._health.due is None or not (overdue or self._health.has_stalled_since(self._opened_at))
+        if self._health.due is None:
+            return True
+        return not (overdue or self._health.has_stalled_since(self._opened_at) or self._pace.has_just_fallen(self.tick))
 
     def _count_listening_round(self, fresh: int, missing: int) -> None:
         """Count a listening round, in which the agent has no cell.

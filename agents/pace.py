@@ -5,16 +5,17 @@ So all skip in step: a pace is a power of two, and an agent of pace n plays the 
 which the faster ones play as well.
 
 Every gossip states the pace that its sender *needs*, from what it measures: how long after its tick a round begins, how long the driver is
-busy with it, and which ticks were missed. Waiting for peers does not count. An agent *keeps* the slowest pace that it or
-one of its peers needs. Nothing that is kept is stated, so a pace falls as soon as the need has gone. In lockstep the world waits, and
-the pace is 1.
+busy with it, and which ticks were missed. Waiting for peers does not count. An agent *keeps* the slowest pace that it needs itself or that
+one of its peers has stated, so all keep the same one. A need of its own beyond a second counts when it has been stated: nobody is silent
+for long without having said so. Nothing that is kept is stated, so a pace falls as soon as the need has gone. In lockstep the world waits,
+and the pace is 1.
 """
 
 import statistics
 from collections import deque
 from collections.abc import Iterable
 
-LONGEST = 1.0  # s between two rounds, at most
+LONGEST, MOST = 1.0, 8  # between two rounds are at most so many s, or so many ticks where these are longer
 FULL, FREE = 0.9, 0.6  # share of the time between two rounds that a round may take; that it may take at a faster pace
 IDLE = 0.25  # the same share, when one round is enough to judge by
 JUDGED, CALM = 3, 2  # rounds by whose median the need rises, and by whose longest it falls
@@ -27,21 +28,28 @@ class Pace:
     def __init__(self, period: float, *, measured: bool) -> None:
         """`period`: s between two ticks; `measured` false: the pace stays 1."""
         self.need = 1  # stated in the gossip
+        self._stated = 1  # of the open round
         self.current = 1  # the agent plays the ticks that this number divides
         self._period, self._measured = period, measured
-        self._most = 1
-        while measured and 2 * self._most * period <= LONGEST:
-            self._most *= 2
+        self._unannounced = 1  # the slowest pace that the agent may keep before it has stated it
+        while measured and 2 * self._unannounced * period <= LONGEST:
+            self._unannounced *= 2
+        self._most = max(self._unannounced, MOST) if measured else 1
         self._begins: deque[tuple[float, float]] = deque()  # time of an observation, and when tick 0 would have been observed by it
         self._began = 0.0  # when the newest tick began
         self._played = -1  # tick of the newest round
+        self._uneven_until = -1  # the tick until which peers may keep a slower pace
         self._began_late = self._spent = 0.0  # s from the beginning of the tick to its round, and s for which the driver was busy since
-        self._durations: deque[float] = deque(maxlen=JUDGED)  # of the last rounds, the sum of both, in ticks
-        self._gaps: deque[int] = deque(maxlen=JUDGED)  # ticks between the last rounds that were more than the pace; else 1
+        self._durations = deque([0.0] * JUDGED, maxlen=JUDGED)  # of the last rounds, the sum of both, in ticks
+        self._gaps = deque([1] * JUDGED, maxlen=JUDGED)  # ticks between the last rounds that were more than the pace; else 1
 
     def plays(self, tick: int) -> bool:
         """Whether the agent plays a tick."""
         return tick % self.current == 0
+
+    def has_just_fallen(self, tick: int) -> bool:
+        """Whether a peer may still keep the slower pace of before, because it has not heard that nobody needs it any more."""
+        return tick <= self._uneven_until
 
     def observe(self, tick: int, now: float) -> None:
         """Note that the observation of a tick has come."""
@@ -53,13 +61,16 @@ class Pace:
         self._began = min([begin for _, begin in self._begins]) + tick * self._period
 
     def forget(self) -> None:
-        """Forget what was measured: the agent was stalled, or its clock has jumped, which says nothing about its rounds."""
-        for measured in (self._begins, self._durations, self._gaps):
-            measured.clear()
-        self._played, self._began_late, self._spent = -1, 0.0, 0.0
+        """Forget when ticks began, and which was played last: the agent was stalled, or its clock has jumped.
+
+        How long its rounds took still counts. An agent whose rounds are long is stalled by each of them, and one long stall is no median.
+        """
+        self._begins.clear()
+        self._played = -1
 
     def open(self, tick: int, now: float) -> None:
-        """A round of a tick opens."""
+        """A round of a tick opens, and the need is stated."""
+        self._stated = self.need
         gap = tick - self._played if self._played >= 0 else 1
         self._gaps.append(gap if gap > self.current else 1)
         self._played, self._began_late = tick, now - self._began
@@ -68,18 +79,22 @@ class Pace:
         """The driver was busy for some seconds with what the agent told it to do."""
         self._spent += max(0.0, seconds)
 
-    def close(self, needs: Iterable[int]) -> None:
-        """A round ends. `needs`: those that fresh gossips of peers state."""
+    def close(self, tick: int, needs: Iterable[int]) -> None:
+        """The round of a tick ends. `needs`: the paces above 1 that peers have stated last."""
         if not self._measured:
             return
-        self._durations.append((self._began_late + self._spent) / self._period)
-        self._spent = 0.0
-        duration, gap = statistics.median_low(self._durations), statistics.median_low(self._gaps or [1])
+        took, self._spent = (self._began_late + self._spent) / self._period, 0.0
+        if took <= self._most:  # else the agent was stopped: no pace could have been kept
+            self._durations.append(took)
+        duration, gap = statistics.median(self._durations), statistics.median(self._gaps)
         slower = self._power(max(duration / FULL, gap))
         calm = min(max(list(self._durations)[-CALM:]) / FREE, self._durations[-1] / IDLE)
         faster = self._power(max(calm, gap))
         self.need = slower if slower > self.need else min(self.need, faster)
-        self.current = min(self._most, max([self.need, *needs]))
+        own = max(self._stated, min(self.need, self._unannounced))
+        before, self.current = self.current, min(self._most, max([own, *needs]))
+        if self.current < before:
+            self._uneven_until = tick + 2 * before
 
     def _power(self, number: float) -> int:
         """The smallest power of two that is not below a number, at most the slowest pace."""

@@ -67,7 +67,7 @@ class BusEndpoint:
     paused: bool = False
     waiting: list[Event] = field(default_factory=list)  # what arrived while it was paused or at work
     clock: float = 0.0  # offset of its clock from the time of the bus, s
-    work: float = 0.0  # time that it takes for one observation, s
+    work: float = 0.0  # time that it takes for one round, s
     starved: Callable[[], float] | None = None  # draws the time that its next round takes, s; None: none
     at_work: bool = False
     armed: float | None = None  # the deadline for which the timer is set
@@ -94,12 +94,14 @@ class BusEndpoint:
         return [*in_batches(items)]
 
     def catch_up(self) -> list[Event]:
-        """The events that waited, of observations only the newest: a slow node skips ticks."""
+        """The events that waited, of observations as many as the node needs, the newest: a slow node skips ticks."""
         events, self.waiting = self.waiting, []
-        if not self.node.newest_only:
+        part, most = self.node.newest_only
+        if not part:
             return events
-        newest = max((place for place, event in enumerate(events) if is_observation(event)), default=0)
-        return [event for place, event in enumerate(events) if place >= newest or not is_observation(event)]
+        places = [place for place, event in enumerate(events) if is_observation(event)]
+        old = set(places[:-most])
+        return [event for place, event in enumerate(events) if place not in old]
 
 
 def is_observation(event: Event) -> bool:

@@ -4,7 +4,7 @@ Pure bookkeeping without sockets, for the live driver.
 """
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from typing import Any, NamedTuple
 
 MOST_ENTRIES = 4096
@@ -106,10 +106,10 @@ class Inbox:
             self._called = True
             return True
 
-    def take(self, most: int, newest: str = "") -> list[Arrival]:
+    def take(self, most: int, newest_only: tuple[str, int] = ("", 0)) -> list[Arrival]:
         """The oldest entries, at most `most`. After an empty list the next `add` calls the loop again.
 
-        `newest` marks keys by a part of their text: only the newest message of a session counts, so a slow node skips the others.
+        `newest_only`: see `Node`. Messages of each session count by themselves.
         """
         with self._lock:
             if len(self._queue) <= most:
@@ -120,7 +120,7 @@ class Inbox:
                 self._bytes -= sum([len(arrival.payload) for arrival in batch])
                 self._waiting -= sum(map(self.waits, batch))
             self._called = bool(batch)
-            return self._without_old(batch, newest) if newest else batch
+            return self._without_old(batch, *newest_only) if newest_only[0] else batch
 
     def finish_pass(self, enough: int) -> bool:
         """End a pass of the loop; `enough` patient messages call it again. True when the queue already calls for it."""
@@ -133,12 +133,18 @@ class Inbox:
         """Whether an arrival can wait for others of its kind."""
         return self._patient != "" and arrival.token is None and self._patient in arrival.key
 
-    def _without_old(self, batch: list[Arrival], newest: str) -> list[Arrival]:
-        """The batch without messages that a newer one of the same key and session replaces, in the batch or in the queue."""
-        last = {(arrival.key, arrival.source): arrival for arrival in (*batch, *self._queue) if newest in arrival.key}
-        if not last:
+    def _without_old(self, batch: list[Arrival], part: str, most: int) -> list[Arrival]:
+        """The batch without messages of a key with `part` of which `most` newer ones of the session are in the batch or in the queue."""
+        newer = Counter((arrival.key, arrival.source) for arrival in (*batch, *self._queue) if part in arrival.key)
+        if not newer:
             return batch
-        kept = [arrival for arrival in batch if newest not in arrival.key or last[arrival.key, arrival.source] is arrival]
+        kept = []
+        for arrival in batch:
+            if part in arrival.key:
+                newer[arrival.key, arrival.source] -= 1
+                if newer[arrival.key, arrival.source] >= most:
+                    continue
+            kept.append(arrival)
         self.dropped += len(batch) - len(kept)
         return kept
 

@@ -155,9 +155,9 @@ class Node(Protocol):
     sees_all_tokens: bool = True  # False: the driver shows only the liveliness tokens to which the node subscribes
 
     @property
-    def newest_only(self) -> str:
-        """A part of the keys of messages of which only the newest that waits is handed over; empty: none."""
-        return ""
+    def newest_only(self) -> tuple[str, int]:
+        """A part of keys, and how many messages of such a key are handed over if more wait: the newest. An empty part: all are."""
+        return "", 0
 
     @property
     def awaiting(self) -> int:

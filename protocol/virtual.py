@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import codec
-from protocol.delivery import BOXED, BusEndpoint, Delivery, Item, MessageRun, is_observation, place_of
+from protocol.delivery import BOXED, BusEndpoint, Delivery, Item, MessageRun, place_of
 from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.message import Message
 from protocol.messages import Command, Gossip
@@ -129,7 +129,7 @@ class VirtualBus:
         self._endpoints[name].armed = None
 
     def slow(self, name: str, seconds: float) -> None:
-        """Let a node work for `seconds` on every observation and take no other event meanwhile; 0: no work."""
+        """Let a node work for `seconds` on every round, from its gossip on, and take no other event meanwhile; 0: no work."""
         self._endpoints[name].work = seconds
 
     def starve(self, name: str, seconds: Callable[[], float] | None) -> None:
@@ -237,7 +237,7 @@ class VirtualBus:
             return
         if effects is NO_EFFECTS and endpoint.armed is not None:
             return
-        if endpoint.work > 0.0 and is_observation(event):
+        if endpoint.work > 0.0 and any(isinstance(effect, Gossip) for effect in effects):
             endpoint.at_work = True
             self._schedule(endpoint, _Done(), endpoint.work)
         elif endpoint.deadline() != endpoint.armed:

@@ -283,6 +283,11 @@ class PeerTable:
             elif self._paces:
                 self._paces.pop(gossip.sender, None)
 
+    def slow_paces(self) -> list[int]:
+        """The paces that peers have stated last, where they do not play every tick. Those that have left or fallen silent do not count."""
+        peers = [(self.interest_set.get(name), pace) for name, pace in self._paces.items()]
+        return [pace for peer, pace in peers if peer is not None and peer.left_at is None and peer.missed < self._silence_limit]
+
     def keep_pace(self, pace: int) -> None:
         """From now on play the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
         timing = self._config.timing

@@ -4,7 +4,7 @@ The words are the same in a scenario's [[faults]], on the command line, in a sim
 
     kill, restart        a process vanishes; comes back under its name with its body where it stands
     pause, resume        a process is stopped in its tracks; goes on
-    slow                 it takes `value` s over every observation
+    slow                 it takes `value` s over every round
     starve               it gets this share of the time that it needs to play every tick
     freeze               all processes, the world included, stand still for `value` s
     join, twin           a newcomer (options.class), or a second process of a name

@@ -27,6 +27,8 @@ from protocol.streams import stream
 CALM_START, CHAOS, SETTLE, CALM_END = 2.0, 20.0, 5.0, 2.0  # s
 HEAL_AT = CALM_START + CHAOS
 KINDS = ("crash", "stop", "cut", "loss", "copies", "delay", "reorder", "spoilt", "clock", "slow", "twin", "join")
+SLOWED = {"stop", "clock", "slow", "starve"}  # kinds after which a pace may still be slow
+SLOW_SETTLE = 20  # ticks in which it falls and all is well: two rounds of the slowest pace, and four of silence
 LOADS = ("starve", "freeze")  # kinds of overload, drawn from a stream of their own
 MIXED = "mixed"  # the profile of all kinds
 PROFILES = {  # of a slow or bad network, played with the look-ahead and without; the first kind always strikes
@@ -83,7 +85,9 @@ def draw(seed: int, profile: str = MIXED) -> Case:
         if loads.random() < 0.3:
             kinds, faults = (), ()
         kinds, faults = (*kinds, load), (*faults, *strike(load, loads, ""))
-    return Case(seed, msgspec.structs.replace(scenario, faults=faults + healing()), is_ledger, kinds)
+    longer = max(0.0, SLOW_SETTLE * dt - SETTLE) if SLOWED & set(kinds) else 0.0
+    run = msgspec.structs.replace(scenario.run, seconds=scenario.run.seconds + longer)
+    return Case(seed, msgspec.structs.replace(scenario, run=run, faults=faults + healing()), is_ledger, kinds)
 
 
 def _draw_network(seed: int, profile: str) -> Case:
@@ -177,7 +181,7 @@ def healing() -> tuple[FaultSettings, ...]:
 
 def settled_at(scenario: Scenario) -> float:
     """World time in s from which on the swarm must be one. Messages that are on their way at the healing come up to a look-ahead later."""
-    return HEAL_AT + scenario.timing.look_ahead + SETTLE
+    return scenario.run.seconds - CALM_END
 
 
 def play(case: Case, build: Build = Agent, backend: Backend | None = None) -> str | None:

@@ -1,5 +1,7 @@
 """The pace of an agent follows the time that a round takes it, in powers of two, and falls when the load has gone."""
 
+import pytest
+
 from agents.pace import Pace
 
 PERIOD = 0.125
@@ -18,7 +20,7 @@ def play(pace: Pace, ticks: range, busy: float, needs: list[int] | None = None, 
         pace.open(tick, now)
         pace.spend(busy)
         free = now + busy
-        pace.close(needs or [])
+        pace.close(tick, needs or [])
         kept.append(pace.current)
     return kept
 
@@ -50,6 +52,63 @@ def test_one_hiccup_is_no_reason_to_slow_down() -> None:
     assert set(play(pace, range(15, 40), 0.01)) == {1}
 
 
-def test_no_pace_is_longer_than_a_second_and_none_is_kept_in_lockstep() -> None:
-    assert set(play(Pace(PERIOD, measured=True), range(200), 3.0)[4:]) == {8}
+def test_an_agent_keeps_the_pace_that_it_has_stated_until_its_next_gossip_states_less() -> None:
+    pace = Pace(PERIOD, measured=True)
+    play(pace, range(80), 2.5 * PERIOD)
+    assert pace.current == 4
+    assert play(pace, range(80, 81), 0.01) == [4] and pace.need == 1  # the peers have read 4
+    assert play(pace, range(84, 85), 0.01) == [1]
+
+
+def test_a_need_of_more_than_a_second_counts_once_it_has_been_stated() -> None:
+    pace, seen = Pace(0.5, measured=True), []
+    for tick in (0, 1, 2, 4, 8):
+        pace.observe(tick, tick * 0.5)
+        pace.open(tick, tick * 0.5)
+        stated = pace.need
+        pace.spend(1.25 if tick < 4 else 0.0)
+        pace.close(tick, [])
+        seen.append((stated, pace.need, pace.current))
+    assert seen[1:3] == [(1, 4, 2), (4, 4, 4)]  # two ticks are a second: that much is kept at once
+
+
+def test_an_agent_whose_rounds_are_stalls_slows_down_as_well() -> None:
+    pace, free, kept = Pace(0.5, measured=True), 0.0, 1
+    for tick in range(40):
+        now = max(tick * 0.5, free)
+        if now >= (tick + 1) * 0.5 and kept == 1:
+            continue
+        pace.observe(tick, now)
+        if pace.plays(tick):
+            pace.open(tick, now)
+            free = now + 1.25
+            pace.spend(1.25)
+            pace.forget()  # as `LocalHealth` tells it after each of these rounds
+            pace.close(tick, [])
+            kept = pace.current
+    assert kept == 4
+
+
+def test_stops_of_the_process_are_no_reason_to_slow_down() -> None:
+    pace = Pace(PERIOD, measured=True)
+    play(pace, range(10), 0.01)
+    for tick in (40, 70, 100):  # a stop in the middle of a round, so that ticks are missed as well
+        now = tick * PERIOD
+        pace.observe(tick, now)
+        pace.open(tick, now)
+        pace.spend(20.0 * PERIOD)
+        pace.forget()
+        pace.close(tick, [])
+    assert pace.need == 1
+    assert set(play(pace, range(120, 140), 0.01)) == {1}
+
+
+@pytest.mark.parametrize(("period", "most"), [(0.05, 16), (0.125, 8), (0.25, 8), (0.5, 8)])
+def test_the_longest_pace_is_a_second_or_eight_ticks(period: float, most: int) -> None:
+    pace = Pace(period, measured=True)
+    pace.close(0, [64])
+    assert pace.current == most
+
+
+def test_no_pace_is_kept_in_lockstep() -> None:
     assert set(play(Pace(PERIOD, measured=False), range(40), 0.3, [8])) == {1}

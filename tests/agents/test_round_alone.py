@@ -103,6 +103,11 @@ def test_the_estimate_of_a_shared_round_does_not_wait_for_gossips_and_nothing_of
     assert not said(effects, Estimate) and said(effects, Command) == [2] and swarm.agent.outcome.belief.claim_tick == 2
 
 
+@pytest.mark.parametrize("pace", [1, 2, 4])
+def test_of_the_observations_that_wait_as_many_as_the_pace_are_enough(pace: int) -> None:
+    assert Swarm(pace).agent.newest_only == ("/observation/", pace)
+
+
 def test_at_pace_1_an_estimate_is_that_of_the_shared_round() -> None:
     swarm = Swarm(1)
     effects = swarm.see(1, TARGET)
@@ -128,7 +133,7 @@ def test_a_round_that_never_completes_is_closed_by_the_next_one_and_its_scans_ar
     for tick in (5, 6, 7):
         swarm.see(tick, TARGET)
     effects = swarm.see(8, TARGET)
-    assert said(effects, Estimate) == [5, 6, 7] and said(effects, Command) == [4, 5, 6, 7] and said(effects, Gossip) == [8]
+    assert said(effects, Estimate) == [5, 6, 7, 8] and said(effects, Command) == [4, 5, 6, 7, 8] and said(effects, Gossip) == [8]
     assert swarm.agent.outcome.belief.stamp == 7 and swarm.agent.outcome.belief.claim_tick == 4
 
 

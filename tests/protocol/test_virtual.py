@@ -21,6 +21,7 @@ class Scribe(Node):
     due: float | None = None
     events: list[tuple[float, Event]] = field(default_factory=list)
     answers: list[Effect] = field(default_factory=list)  # to the next event
+    most: int = 1  # observations that it needs
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         self.events.append((now, event))
@@ -32,8 +33,8 @@ class Scribe(Node):
         return answers
 
     @property
-    def newest_only(self) -> str:
-        return "/observation/"
+    def newest_only(self) -> tuple[str, int]:
+        return "/observation/", self.most
 
     def deadline(self) -> float | None:
         return self.due
@@ -133,10 +134,23 @@ def test_a_stopped_node_finds_all_that_arrived_but_of_observations_the_newest_on
     assert one.heard() == [(4.0, 1), (4.0, 2), (4.0, 3), (4.0, 3)]
 
 
-def test_a_slow_node_looks_at_nothing_while_it_works_over_an_observation() -> None:
+def test_a_stopped_node_finds_as_many_observations_as_it_needs() -> None:
+    world, one = Scribe("world", role="world"), Scribe("a", most=2)
+    bus = bus_of(world, one)
+    bus.pause("a")
+    for tick in (1, 2, 3, 4):
+        say(bus, world, observation(tick))
+    bus.resume("a")
+    bus.run(4.0)
+    assert [tick for _, tick in one.heard()] == [3, 4]
+
+
+def test_a_slow_node_looks_at_nothing_while_it_works_over_a_round() -> None:
     world, one, two = Scribe("world", role="world"), Scribe("a"), Scribe("b")
     bus = bus_of(world, one, two)
     bus.slow("a", 0.2)
+    bus.run(0.0)
+    one.answers = [gossip("a", 1)]
     say(bus, world, observation(1))
     say(bus, two, command("b", 1))
     bus.run(0.1)

@@ -60,6 +60,20 @@ def test_starved_agents_skip_in_step_keep_their_claims_and_come_back(share: floa
     assert {agent.peer_table.pace for agent in simulation.agents.values()} == {1}
 
 
+@pytest.mark.parametrize(("dt", "share"), [(0.25, 0.4), (0.25, 0.2), (0.5, 0.4)])
+def test_agents_whose_rounds_last_longer_than_a_stall_slow_down_as_well(dt: float, share: float) -> None:
+    options = {"team.composition": "A3,C6,D3", "run.seed": 3, "run.seconds": 160.0 * dt, "run.rate": 1.0, "run.dt": dt, "targets.count": 12}
+    scenario = resolve("efficacy", {**options, "arena.width": 60.0, "arena.height": 60.0})
+    fault = FaultSettings(at=40.0 * dt, verb="starve", who="100%", value=share)
+    simulation = Simulation(msgspec.structs.replace(scenario, faults=(fault,)), clock="realtime")
+    simulation.run()
+    during = between(simulation, 56.0 * dt, 160.0 * dt)
+    assert given_up(simulation) == 0
+    assert sum(score.hole for score in during) <= 0.03 * len(during)
+    assert max(score.overlap for score in during) < 0.30
+    assert statistics.mean([score.ospa for score in during]) < 3.0  # without a slower pace: 4.8 to 9.9
+
+
 @pytest.mark.parametrize(("share", "most"), [(0.6, 1.8), (0.4, 2.1)])
 def test_starved_agents_lose_little_since_they_use_their_own_scans_between_rounds(share: float, most: float) -> None:
     """Without these scans the error is 2.5 and 3.1 times that of agents with time."""
