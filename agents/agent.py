@@ -11,6 +11,7 @@ mathematics.
 
 from collections import Counter
 from dataclasses import replace
+from itertools import chain
 
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
@@ -19,6 +20,7 @@ from agents.gossip import outbox
 from agents.interest.manager import InterestManager
 from agents.look_ahead import OpenRound, look_ahead
 from agents.membership.announcements import SOON
+from agents.membership.listening import Listening
 from agents.membership.local_health import LocalHealth
 from agents.membership.membership import Membership
 from agents.membership.peer_table import ACCEPTED, OWN, UNASKED, PeerTable
@@ -26,7 +28,7 @@ from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
-from agents.round_alone import own_gossip, play_alone
+from agents.round_alone import own_gossip, play_alone, play_unseen
 from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
@@ -64,8 +66,7 @@ class Agent(Node):
         self._own_pose = OwnPose(config, self.context.sensor)
         self._fresh: list[Gossip] = []  # of the last round
         self._awaited: set[str] = set()  # peers for whose gossips the round that is due waits
-        self._listening_rounds = 0  # rounds left in which the agent listens and has no cell
-        self._rounds_alone = 0  # listening rounds left without any gossip, before the agent takes itself to be alone
+        self._listening = Listening(config.timing)
         self._close_at: float | None = None
         self._answer_at: float | None = None
         self._opened_at = 0.0
@@ -74,6 +75,7 @@ class Agent(Node):
         self._spared: list[Observation] = []  # of ticks since the last round that its peers leave out; those that are not played yet
         self._left_out = 0  # the number of all of them
         self._estimated = -1  # tick of the newest estimate
+        self._ahead_at: float | None = None  # at a slower pace, when the own gossip was sent: before a command is computed
         self._round_seconds = 0.0  # from the opening of the last shared round to its end
         self._pace = Pace(config.run.dt / config.run.rate, measured=config.run.clock == "realtime")
         self._health = LocalHealth(measured=config.run.clock == "realtime")
@@ -113,8 +115,9 @@ class Agent(Node):
             return self._on_beacons([message for message in batch.messages if message.sender != self.name], now)
         if batch.kind is Hello:
             return self.membership.take_hellos(batch, now)
+        self._ask_back(now)
         observed = [self._on_observation(message, now) for message in batch.messages if isinstance(message, Observation)]
-        return observed[0] if len(observed) == 1 else [effect for effects in observed for effect in effects]
+        return [*chain.from_iterable(observed), *self._play_spared()]
 
     def _expressions(self) -> list[str]:
         """The key expressions to which the agent subscribes at the start."""
@@ -137,7 +140,7 @@ class Agent(Node):
 
         They are the end of the tick, a Hello, a beat of the local health, an answer to a beacon, and the next step of joining.
         """
-        times = [self._close_at, self.membership.announcements.due, self._health.due, self._asked_at]
+        times = [self._close_at, self._ahead_at, self.membership.announcements.due, self._health.due, self._asked_at]
         if self._interest is not None:
             times += [self._answer_at, self._interest.due]
         return min([time for time in times if time is not None], default=None)
@@ -152,12 +155,12 @@ class Agent(Node):
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
         if not self._pace.plays(observation.tick):
-            return self._spare(observation)
-        effects = self._close(now, forced=True) if self._gossip else []
+            self._spare(observation)
+            return []
+        effects = self._close(now, forced=True) if self._gossip else self._play_spared()
         if self.tick < 0:
             self._health.start(now)
-            self._listening_rounds = self.config.timing.listening_rounds if observation.tick > 0 else 0
-            self._rounds_alone = 2 * self.config.timing.silent_rounds
+            self._listening.start(is_late=observation.tick > 0)
         elif observation.tick > self.tick + 1:
             self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._left_out)
         self._left_out, observation = 0, self._own_pose.take(observation)
@@ -167,17 +170,15 @@ class Agent(Node):
             return [*effects, *self._interest.start(observation, self.outcome, now)]
         return [*effects, *self._open_round(observation, now)]
 
-    def _spare(self, observation: Observation) -> list[Effect]:
+    def _spare(self, observation: Observation) -> None:
         """Take the observation of a tick in which no gossips are sent, to keep the pace."""
         self._left_out += 1
         self.counters["spared"] += 1
-        if self.outcome.frame is None:  # no round has been played yet
-            return []
-        self._spared.append(self._own_pose.take(observation))
-        return self._play_spared()
+        if self.outcome.frame is not None:  # else no round has been played yet
+            self._spared.append(self._own_pose.take(observation))
 
     def _play_spared(self) -> list[Effect]:
-        """Play the spared ticks alone, unless a shared round is still open; the effects are their estimates and commands."""
+        """Play the spared ticks alone, unless a shared round is still open: their estimates, and the command of the last."""
         if self._rounds:
             return []
         spared, self._spared = self._spared, []
@@ -185,23 +186,27 @@ class Agent(Node):
         for observation in spared:
             own = own_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             if self._is_held(own.tick):
-                self.outcome = self._play_alone(own, observation)
-                effects += [*self._estimate(self.outcome, own), self._drive(self.outcome, own.tick)]
+                steers = self._pace.has_time and observation is spared[-1]
+                self.outcome = self._play_alone(own, observation, steers=steers)
+                effects += [*self._estimate(self.outcome, own), *([self._drive(self.outcome, own.tick)] if steers else [])]
             else:
                 moved = forecast(self.outcome.tracks, (own.tick - self.outcome.belief.stamp) * self.config.run.dt)
                 effects += self._estimate(replace(self.outcome, tracks=moved), own)
         return effects
 
-    def _play_ahead(self, own: Gossip, observation: Observation) -> list[Effect]:
-        """At a slower pace, play the tick of an open round alone on a copy: the gossips for which it waits may come late."""
-        if self._pace.current == 1 or self._rounds.due != own.tick or not self._is_held(own.tick):
+    def _play_ahead(self, *, steers: bool) -> list[Effect]:
+        """Play the tick of the open round alone on a copy, for gossips may come late: its estimate or, if it steers, its command."""
+        own, observation = self._gossip, self._observation
+        assert own is not None and observation is not None
+        if self._rounds.due != own.tick or not self._is_held(own.tick):
             return []
-        ahead = self._play_alone(own, observation)
-        return [*self._estimate(ahead, own), self._drive(ahead, own.tick)]
+        ahead = self._play_alone(own, observation, steers=steers)
+        return [self._drive(ahead, own.tick)] if steers else self._estimate(ahead, own)
 
-    def _play_alone(self, own: Gossip, observation: Observation) -> RoundResult:
-        """The result of a tick that the agent plays alone."""
-        return self._keep_apart(play_alone(self.context, self.outcome, own, self._pace.current), observation)
+    def _play_alone(self, own: Gossip, observation: Observation, *, steers: bool) -> RoundResult:
+        """The result of a tick that the agent plays alone; with a command if it steers."""
+        played = play_alone(self.context, self.outcome, own, self._pace.current if steers else 0)
+        return self._keep_apart(played, observation) if steers else played
 
     def _estimate(self, outcome: RoundResult, own: Gossip) -> list[Effect]:
         """The estimate of the tick of `own`, where one is due and none has been said."""
@@ -220,8 +225,8 @@ class Agent(Node):
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
         self._pace.open(self.tick, now)
         self._ask_back(now)
-        self._hold_claim()
-        listening, need, lag = self._listening_rounds > 0, self._pace.need, self._rounds.lag.need
+        self._hold_claim(observation)
+        listening, need, lag = bool(self._listening), self._pace.need, self._rounds.lag.need
         behind = self._rounds.behind(self.tick, self.outcome.belief.stamp)
         own = self._gossip = outbox.gossip(
             self.context,
@@ -237,18 +242,21 @@ class Agent(Node):
         self._rounds.open(own, self.outcome.belief, now)
         self._await()
         self._close_at = now + self.config.gossip_timeout(missed=self.peer_table.any_missed()) * self._pace.current
-        return [own, *(self._close_if_complete(now) or self._play_ahead(own, observation))]
+        if self._pace.current > 1:
+            self._ahead_at = now
+            return [own, *self._play_ahead(steers=False)]
+        return [own, *self._close_if_complete(now)]
 
     def _await(self) -> None:
         """Determine the round that is due, and the gossips for which it waits."""
         due = self._rounds.find_due(self.tick)
-        self._awaited = set() if due is None else self.peer_table.missing(due, newcomer=self._listening_rounds > 0)
+        self._awaited = set() if due is None else self.peer_table.missing(due, newcomer=bool(self._listening))
 
-    def _hold_claim(self) -> None:
-        """Keep the claim over skipped rounds, as long as peers keep the generator of the silent agent."""
-        belief = self.outcome.belief
+    def _hold_claim(self, observation: Observation) -> None:
+        """Keep the claim over ticks of which nothing was seen, as long as peers keep the generator of the silent agent."""
         if self._health.due is not None and not self._rounds and self._is_held(self.tick - 1):
-            self.outcome = replace(self.outcome, belief=self.context.tracker.hold(belief, Step(self.config, self.tick)))
+            own = own_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            self.outcome = play_unseen(self.context, self.outcome, own, self._pace.current)
 
     def _is_held(self, tick: int) -> bool:
         """Whether the claim of the last round still counts at a later tick."""
@@ -332,6 +340,10 @@ class Agent(Node):
         effects = self.membership.announce_if_due(now, has_observed=self.tick >= 0)
         if self._interest is not None:
             effects += self._on_interest_timer(self._interest, now)
+        if self._ahead_at is not None:
+            self._ahead_at = None
+            self._ask_back(now)
+            effects += self._close_if_complete(now) or self._play_ahead(steers=True)
         if self._close_at is not None and now >= self._close_at:
             self.counters["late"] += 1
             effects += self._close(now, forced=True)
@@ -373,19 +385,18 @@ class Agent(Node):
 
     def _holds(self, due: int, now: float) -> bool:
         """Whether the round that is due waits for another tick, because hardly any gossip has come."""
-        if self._listening_rounds or self._pace.current > 1 or not self._was_responsive(now):
+        if self._listening or self._pace.current > 1 or not self._was_responsive(now):
             return False
         return self._rounds.holds(self.tick, self._awaited, len(self.peer_table.fresh(due)))
 
     def _play(self, opened: OpenRound, now: float) -> None:
         """Play a round."""
-        gossip, newcomer = opened.gossip, self._listening_rounds > 0
+        gossip, newcomer = opened.gossip, bool(self._listening)
         fresh = self.peer_table.fresh(gossip.tick)
         self.outcome = run_round(self.context, self.outcome, self.peer_table, gossip, fresh, self._rounds.replay(opened, fresh))
         self._rounds.recent.keep(self.outcome.belief)
         missing = self.peer_table.close(gossip.tick, newcomer=newcomer, responsive=self._was_responsive(now))
-        if self._listening_rounds:
-            self._count_listening_round(len(fresh), missing)
+        self._listening.count(len(fresh), missing)
         self._fresh = list(fresh.values())
         self.counters["missing"] += missing
         self.counters["rounds"] += 1
@@ -399,7 +410,7 @@ class Agent(Node):
             self.counters["looked_ahead"] += 1
         self.outcome = self._keep_apart(self.outcome, observation)
         self._keep_pace(now)
-        self._observation, self._gossip, self._close_at = None, None, None
+        self._observation, self._gossip, self._close_at, self._ahead_at = None, None, None, None
         self._awaited = set()
         self._ask_back(now)
         self._round_seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
@@ -437,14 +448,3 @@ class Agent(Node):
         if self._health.due is None:
             return True
         return not (overdue or self._health.has_stalled_since(self._opened_at) or self._pace.has_just_fallen(self.tick))
-
-    def _count_listening_round(self, fresh: int, missing: int) -> None:
-        """Count a listening round, in which the agent has no cell.
-
-        Listening ends with a complete round, after `listening_rounds` incomplete rounds, or after more rounds without any gossip.
-        """
-        if fresh:
-            self._listening_rounds = self._listening_rounds - 1 if missing else 0
-        else:
-            self._rounds_alone -= 1
-            self._listening_rounds = self._listening_rounds if self._rounds_alone > 0 else 0

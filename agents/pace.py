@@ -30,6 +30,8 @@ class Pace:
         self.need = 1  # stated in the gossip
         self._stated = 1  # of the open round
         self.current = 1  # the agent plays the ticks that this number divides
+        self.has_time = True  # since the last round, nothing in the ticks between has taken longer than a tick
+        self._is_open, self._ends = False, False  # a round is open; one has just ended, and the time of its end is still to come
         self._period, self._measured = period, measured
         self._unannounced = 1  # the slowest pace that the agent may keep before it has stated it
         while measured and 2 * self._unannounced * period <= LONGEST:
@@ -70,7 +72,7 @@ class Pace:
 
     def open(self, tick: int, now: float) -> None:
         """A round of a tick opens, and the need is stated."""
-        self._stated = self.need
+        self._stated, self._is_open, self._ends = self.need, True, False
         gap = tick - self._played if self._played >= 0 else 1
         self._gaps.append(gap if gap > self.current else 1)
         self._played, self._began_late = tick, now - self._began
@@ -78,11 +80,16 @@ class Pace:
     def spend(self, seconds: float) -> None:
         """The driver was busy for some seconds with what the agent told it to do."""
         self._spent += max(0.0, seconds)
+        if self._ends:
+            self._ends, self.has_time = False, True
+        elif not self._is_open:
+            self.has_time &= seconds <= self._period
 
     def close(self, tick: int, needs: Iterable[int]) -> None:
         """The round of a tick ends. `needs`: the paces above 1 that peers have stated last."""
         if not self._measured:
             return
+        self._is_open, self._ends = False, True
         took, self._spent = (self._began_late + self._spent) / self._period, 0.0
         if took <= self._most:  # else the agent was stopped: no pace could have been kept
             self._durations.append(took)

@@ -144,10 +144,13 @@ def result_of(
     belief: TrackerState,
     ticks: int,
 ) -> RoundResult:
-    """The result of an update `near` the own cell at the pose of `own`; `ticks`: until the next command."""
-    situation = _situation(context, own, frame.region.polygon, near, frame.generators, table, ticks)
-    if isinstance(context.law, SearchAndTrack):
-        situation = situation._replace(known=_surroundings(context, own, received, near, table, frame.generators))
+    """The result of an update `near` the own cell at the pose of `own`; `ticks`: until the next command, 0: there is none."""
+    command = STAND
+    if ticks:
+        situation = _situation(context, own, frame.region.polygon, near, frame.generators, table, ticks)
+        if isinstance(context.law, SearchAndTrack):
+            situation = situation._replace(known=_surroundings(context, own, received, near, table, frame.generators))
+        command = context.law.command(situation)
     return RoundResult(
         belief=belief,
         unused=unused_capacity(context.facts.capability, near.detected, near.load, context.config.capacity),
@@ -155,7 +158,7 @@ def result_of(
         mass=near.mass,
         cell=frame.region.polygon,
         tracks=near.tracks,
-        command=context.law.command(situation),
+        command=command,
         intent=context.law.intent if isinstance(context.law, SearchAndTrack) else None,
         frame=frame,
         density=context.tracker.nearby(near),

@@ -6,6 +6,8 @@ claim and the generators of all agents stay those of the last shared round. What
 estimates and commands are those of now.
 """
 
+import dataclasses
+
 from msgspec.structs import replace
 
 from agents.coverage.capacity import place
@@ -31,10 +33,21 @@ def own_gossip(context: AgentContext, incarnation: int, last: RoundResult, obser
     )
 
 
+def play_unseen(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
+    """The result of the ticks since `last` and before that of `own`, of which the agent saw nothing; it has no command.
+
+    At a slower pace particles come into the cell meanwhile, and leave it: its peers count on that. At pace 1 peers have met in these
+    ticks, and the agent keeps what it owned.
+    """
+    if pace == 1 or last.frame is None:
+        return dataclasses.replace(last, belief=context.tracker.hold(last.belief, Step(context.config, own.tick)))
+    return play_alone(context, last, replace(own, tick=own.tick - 1, scanned=False, detections_bytes=b""), pace=0)
+
+
 def play_alone(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
     """The result of the tick of `own`, a later one than that of `last`, in the cell of `last`.
 
-    A command is expected after as many ticks as have passed, at most `pace`.
+    A command is expected after as many ticks as have passed, at most `pace`. 0: the result has none.
     """
     tracker, frame, stamp = context.tracker, last.frame, last.belief.stamp
     assert frame is not None

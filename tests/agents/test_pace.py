@@ -110,5 +110,20 @@ def test_the_longest_pace_is_a_second_or_eight_ticks(period: float, most: int) -
     assert pace.current == most
 
 
+def test_after_a_tick_between_that_took_too_long_there_is_no_time_until_the_next_round_has_ended() -> None:
+    pace, seen = Pace(PERIOD, measured=True), []
+    pace.open(0, 0.0)
+    pace.spend(3 * PERIOD)  # a round may take longer than a tick
+    pace.close(0, [8])
+    for seconds in (2 * PERIOD, 0.5 * PERIOD, 2 * PERIOD, 0.1 * PERIOD):  # the end of the round, and three ticks between
+        pace.spend(seconds)
+        seen.append(pace.has_time)
+    pace.open(8, 8 * PERIOD)
+    pace.close(8, [8])
+    seen.append(pace.has_time)
+    pace.spend(2 * PERIOD)
+    assert [*seen, pace.has_time] == [True, True, False, False, False, True]
+
+
 def test_no_pace_is_kept_in_lockstep() -> None:
     assert set(play(Pace(PERIOD, measured=False), range(40), 0.3, [8])) == {1}

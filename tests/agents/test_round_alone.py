@@ -9,9 +9,11 @@ from agents.compiled.backend import FAST
 from agents.config import AgentConfig, FilterSettings
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
+from deploy.scenario import resolve
+from deploy.simulation import Simulation
 from protocol.fields import pack
 from protocol.messages import Command, Gossip, Hello, Observation
-from protocol.node import Alive, Effect, Received, Started, received
+from protocol.node import Alive, Effect, Received, Started, Timer, received
 from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, RunSettings
@@ -54,7 +56,10 @@ class Swarm:
         self.hear(0)
 
     def see(self, tick: int, *places: tuple[float, float]) -> list[Effect]:
-        return self.agent.handle(see(tick, *places), PERIOD * (tick + 1))
+        """What the agent says to an observation, and as soon as that has been sent."""
+        now = PERIOD * (tick + 1)
+        effects = self.agent.handle(see(tick, *places), now)
+        return [*effects, *(self.agent.handle(Timer(), now) if said(effects, Gossip) else [])]
 
     def hear(self, tick: int) -> list[Effect]:
         return self.agent.handle(hear(tick, self.pace), PERIOD * (tick + 1))
@@ -108,6 +113,14 @@ def test_of_the_observations_that_wait_as_many_as_the_pace_are_enough(pace: int)
     assert Swarm(pace).agent.newest_only == ("/observation/", pace)
 
 
+def test_at_a_slower_pace_the_gossip_goes_out_before_a_command_is_computed() -> None:
+    swarm = Swarm(2)
+    swarm.see(1, TARGET)
+    effects = swarm.agent.handle(see(2, TARGET), 3 * PERIOD)
+    assert [type(effect) for effect in effects] == [Gossip, Estimate] and swarm.agent.deadline() == 3 * PERIOD
+    assert said(swarm.agent.handle(Timer(), 3 * PERIOD), Command) == [2]
+
+
 def test_at_pace_1_an_estimate_is_that_of_the_shared_round() -> None:
     swarm = Swarm(1)
     effects = swarm.see(1, TARGET)
@@ -133,7 +146,9 @@ def test_a_round_that_never_completes_is_closed_by_the_next_one_and_its_scans_ar
     for tick in (5, 6, 7):
         swarm.see(tick, TARGET)
     effects = swarm.see(8, TARGET)
-    assert said(effects, Estimate) == [5, 6, 7, 8] and said(effects, Command) == [4, 5, 6, 7, 8] and said(effects, Gossip) == [8]
+    assert (
+        said(effects, Estimate) == [5, 6, 7, 8] and said(effects, Command) == [4, 7, 8] and said(effects, Gossip) == [8]
+    )  # of 5 to 7 the last steers
     assert swarm.agent.outcome.belief.stamp == 7 and swarm.agent.outcome.belief.claim_tick == 4
 
 
@@ -187,3 +202,17 @@ def test_particles_stay_in_the_cell_of_the_last_round() -> None:
     assert (belief.mine.particles.states[:, 0] <= frame.region.polygon[:, 0].max() + 1e-6).all()
     moved = swarm.agent.context.tracker.hold(belief, Step(swarm.agent.config, 5))
     assert moved.stamp == 4 and moved.claim_tick == 0
+
+
+def test_ticks_of_which_nothing_was_seen_keep_the_particles_that_enter_the_cell() -> None:
+    """A swarm whose mass must not change, at a pace of 8. One agent sees no observation of a tick between."""
+    options = {"team.composition": "L6", "targets.count": 0, "detection.clutter": 0.0, "filter.lifetime": 0.0, "filter.border": "reflect"}
+    options |= {"filter.prior_density": 0.01, "birth.background": False, "birth.measurement": False, "run.seconds": 30.0, "run.rate": 1.0}
+    options |= {"arena.width": 40.0, "arena.height": 40.0, "sensors.L.angle": 240.0, "sensors.L.radius": 8.0}
+    simulation = Simulation(resolve("efficacy", {**options, "sensors.L.prob_detection": 1e-12}), clock="realtime")
+    for agent in simulation.agents.values():
+        agent._pace.close = lambda tick, needs, pace=agent._pace: setattr(pace, "current", 8)  # type: ignore[method-assign]
+    simulation.agents["s2"]._spare = lambda observation: None  # type: ignore[method-assign]
+    simulation.run()
+    masses = [score.mass for score in simulation.scorer.scores]
+    assert min(masses[16::8]) > 0.999 * masses[0]

@@ -132,6 +132,18 @@ def test_without_a_command_for_half_a_second_it_is_stopped_once(monkeypatch: pyt
     assert Robot.told[2:] == [((1.0, 0.0), 0.5)]
 
 
+def test_a_late_command_drives_a_body_with_a_size_for_two_ticks_from_its_own_and_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch, **{"limits.radius": 0.25})
+    for now in (0.0, 0.25):
+        body.handle(Timer(), now)
+    body.handle(command(0), 0.4)
+    assert Robot.told == [((1.0, 0.0), 0.5)]
+    body.handle(Timer(), 0.5)
+    assert Robot.told[1:] == ["stop"], "who asked knew no places of later ticks"
+    body.handle(command(1), 0.8)
+    assert Robot.told[2:] == [], "its time is over"
+
+
 def test_in_a_paced_lockstep_a_command_holds_for_the_whole_of_a_long_tick() -> None:
     settings = {
         "team.composition": "A1",
