@@ -57,6 +57,12 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
         """(M, 2) float64."""
         return TARGETS.read(self.targets_bytes)
 
+    def targets_at(self, tick: int, dt: float) -> np.ndarray:
+        """(M, 2) m: the targets at another tick, for a watcher that has heard nothing newer. Each moves on by its velocity; `dt` in s."""
+        if tick == self.tick:
+            return self.targets
+        return self.targets + self.details[:, :2] * ((tick - self.tick) * dt)
+
     @once
     def details(self) -> np.ndarray:
         """(M, 6) float32: velocity vx, vy in m/s, covariance xx, xy, yy of the position in m^2, existence; zeros if not stated."""

@@ -31,6 +31,7 @@ from world.newest_tick import NewestTick
 from world.score import errors
 from world.witness import Witness
 
+NO_POINTS = np.empty((0, 2))
 LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
 LAG_SECONDS = {"realtime": 0.0, "lockstep": 2.0}  # for which the world must have been so far ahead
 
@@ -198,7 +199,7 @@ class Scorer(Node):
             self._chronicle.lose(name, "died", self.truth.tick, self.truth.time)
 
     def _last_cell(self, name: str) -> np.ndarray:
-        return self._latest[name].cell if name in self._latest else np.empty((0, 2))
+        return self._latest[name].cell if name in self._latest else NO_POINTS
 
     def _gain(self, name: str, incarnation: int) -> None:
         is_new = name not in self._alive
@@ -248,7 +249,8 @@ class Scorer(Node):
                 self._transcript.update(said[name].targets_bytes + said[name].labels_bytes)
         counted = [said.get(name) or self._latest[name] for name in self._names if name in self._alive and name in self._latest]
         counted = [estimate for estimate in counted if estimate.tick >= truth.tick - max(self._fresh, 2 * estimate.pace)]
-        targets = np.frombuffer(b"".join([estimate.targets_bytes for estimate in counted]), dtype="<f8").reshape(-1, 2)
+        dt = self._scenario.run.dt
+        targets = np.concatenate([NO_POINTS, *[estimate.targets_at(truth.tick, dt) for estimate in counted]])
         one_view = len({estimate.diagram_hash for estimate in counted}) == 1
         hole, overlap = hole_and_overlap([estimate.cell for estimate in counted], self._area, one_view=one_view)
         distance, parts = errors(truth.targets, targets, self._scenario.study.cutoff)

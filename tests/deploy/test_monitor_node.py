@@ -11,7 +11,7 @@ from deploy.scenario import Scenario, agent_config, resolve
 from deploy.scoring.scorer import Scorer, hole_and_overlap
 from protocol.fields import pack
 from protocol.geometry import polygon_area
-from protocol.message import Agreed
+from protocol.message import Agreed, Vector
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Gone, Received, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
@@ -50,8 +50,11 @@ def truth(tick: int, alive: tuple[str, ...] = ("a", "b")) -> Received:
     )
 
 
-def estimate(name: str, tick: int, cell: np.ndarray, targets: np.ndarray | None = None, mass: float = 0.5) -> Received:
+def estimate(
+    name: str, tick: int, cell: np.ndarray, targets: np.ndarray | None = None, mass: float = 0.5, velocity: Vector | None = None
+) -> Received:
     targets = np.empty((0, 2)) if targets is None else targets
+    details = b"" if velocity is None else pack(np.tile([*velocity, 1.0, 0.0, 1.0, 1.0], (targets.size // 2, 1)), "<f4")
     return received(
         Estimate(
             sender=name,
@@ -64,6 +67,7 @@ def estimate(name: str, tick: int, cell: np.ndarray, targets: np.ndarray | None 
             mass=mass,
             cell_bytes=pack(cell, "<f8"),
             targets_bytes=pack(targets, "<f8"),
+            details_bytes=details,
             counters={"rounds": tick + 1},
         ),
         payloads=[bytes(50)],

@@ -68,6 +68,18 @@ def test_who_has_been_silent_for_longer_than_it_stays_a_generator_is_not_scored(
     assert estimated[:8] == [2] * 5 + [1] * 3
 
 
+def test_the_targets_of_an_old_estimate_have_moved_on_by_their_velocity(scenario: Scenario) -> None:
+    """Its agent says nothing after tick 0; in the ticks since, the estimate comes closer to the target by 1 m in each."""
+    scorer = started(scenario)
+    speed = 1.0 / scenario.run.dt
+    for tick in range(40):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("a", tick, LEFT), float(tick))
+        if tick == 0:
+            scorer.handle(estimate("b", tick, RIGHT, np.add(TARGET, [0.0, 4.0]), velocity=(0.0, -speed)), 0.0)
+    assert [score.ospa for score in scorer.scores[:5]] == pytest.approx([4.0, 3.0, 2.0, 1.0, 0.0], abs=1e-6)
+
+
 def test_between_rare_estimates_the_last_ones_count() -> None:
     simulation = Simulation(resolve("quick", {"run.seconds": 10.0, "timing.estimate_every": 10}))
     simulation.run()
