@@ -199,6 +199,7 @@ def printed(words: tuple[str, ...]) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", table("Computed again by the tests"), ids=lambda row: row.cells[0])
 def test_the_cheap_figures_are_what_their_commands_print(row: Row) -> None:
     """A change of the method moves them: then the page is to be changed with it."""

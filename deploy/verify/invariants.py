@@ -25,8 +25,7 @@ from protocol.observer_messages import Estimate, Truth
 GENTLE = {"loss", "copies", "reorder", "freeze"}  # profiles under which the cells hardly move apart
 LOADS = {"starve", "freeze"}  # profiles in which nobody dies
 MOST_HOLE, MOST_OVERLAP = 0.03, 0.10  # mean shares of the arena in a gentle profile
-MASS_KEPT = {True: 0.01, False: 0.05}  # of the mass, in ledger mode after everything has healed: one kind of fault, several
-MASS_KEPT_TRYING = 0.1  # the same where agents die or stall while messages are lost: one such case in fifty loses more than 0.05
+MASS_KEPT = {True: 0.01, False: 0.06}  # of the mass, in ledger mode after everything has healed: one kind of fault, several
 MASS_KEPT_REDRAWN = {True: 0.15, False: 0.4}  # the same where every tick particles are new, or have new ids
 SILENT_ROUNDS = 4  # that a silent peer stays a generator
 SLACK = 1.0 + 1e-9
@@ -91,8 +90,6 @@ class InvariantChecker:
             filters.least_particles > 100 or filters.compact
         )  # in each tick, so that the id does not tell a copy from another particle
         self._mass_kept = (MASS_KEPT_REDRAWN if renumbered else MASS_KEPT)[len(kinds) <= 1]
-        if "loss" in kinds and {"crash", "stop"} & set(kinds):
-            self._mass_kept = max(self._mass_kept, MASS_KEPT_TRYING)
         self._outcomes: dict[str, RoundResult] = {}
         self._newest: dict[tuple[str, int, str], int] = {}  # (name, incarnation, other's name) -> the youngest incarnation it has seen
         self._prints: dict[tuple[str, int], Fingerprint] = {}

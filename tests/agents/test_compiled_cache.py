@@ -50,6 +50,7 @@ def run(place: Path) -> tuple[float, int, Path]:
     return float(found), int(hits), Path(path)
 
 
+@pytest.mark.slow
 def test_a_loop_is_compiled_anew_when_one_that_it_calls_in_another_file_changes(tmp_path: Path) -> None:
     package = tmp_path / "agents" / "compiled"
     package.mkdir(parents=True)

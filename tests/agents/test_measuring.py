@@ -191,19 +191,21 @@ def error(seeds: tuple[int, ...], options: dict[str, Any]) -> float:
     return float(np.mean([Simulation(resolve("efficacy", {**run, "run.seed": seed})).run().steady_ospa for seed in seeds]))
 
 
-@pytest.mark.parametrize("kind", ["particles", "gaussian-mixture"])
+@pytest.mark.parametrize("kind", ["particles", pytest.param("gaussian-mixture", marks=pytest.mark.slow)])
 def test_a_filter_that_knows_of_its_pose_errors_beats_one_that_does_not(kind: str) -> None:
     """Sigma 0.3 m and 3 degrees; the mean of two seeds."""
     wrong = PLACE_AND_HEADING | {"filter.kind": kind}
     assert error((1, 2), wrong | BELIEVED) < 0.7 * error((1, 2), wrong)
 
 
+@pytest.mark.slow
 def test_a_filter_that_knows_of_its_errors_in_time_beats_one_that_does_not() -> None:
     """Sigma 0.2 s; the mean of four seeds."""
     wrong = {"bodies.time_error": 0.2}
     assert error((1, 2, 3, 4), wrong | {"pose.time_noise": 0.2}) < 0.9 * error((1, 2, 3, 4), wrong)
 
 
+@pytest.mark.slow
 def test_poses_averaged_over_two_seconds_take_most_of_the_loss_away() -> None:
     """Sigma 0.3 m, 3 degrees and 0.1 s; the mean of four seeds."""
     wrong = PLACE_AND_HEADING | BELIEVED | {"bodies.time_error": 0.1, "pose.time_noise": 0.1}

@@ -108,6 +108,7 @@ def offered(words: list[str], folder: Path) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
 def test_a_real_bash_completes_commands_options_scenarios_files_runs_agents_and_settings(tmp_path: Path) -> None:
     config = tmp_path / "runs" / "hunt" / "run.toml"

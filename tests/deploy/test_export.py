@@ -161,6 +161,7 @@ def test_a_figure_is_a_pdf_with_real_fonts_and_a_png(run: Run, tmp_path: Path) -
         assert image.size[0] > 2000
 
 
+@pytest.mark.slow
 def test_the_pictures_of_the_method_are_of_the_tick_before_the_first_death(run: Run, tmp_path: Path) -> None:
     names = [file.stem for file in method_figures.write_figures(run[1], tmp_path)]
     assert names == ["footprints", "cod", "power-cells", "unused-capacity", "goal", "claim", "copies", "round", "death"]

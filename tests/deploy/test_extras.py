@@ -45,6 +45,7 @@ def test_under_the_launcher_the_same_command_is_started_again_with_the_extra_and
     assert again.returncode == 2 and "needs matplotlib" in again.stderr
 
 
+@pytest.mark.slow
 def test_everything_else_works_without_them(tmp_path: Path) -> None:
     done = run(tmp_path, "simulate", "quick", "--seconds", "2", "--record", "--trace", "x.csv", "--run", "kept", "--json")
     assert done.returncode == 0, done.stderr

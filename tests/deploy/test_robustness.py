@@ -49,6 +49,7 @@ def test_a_fresh_team_is_the_one_that_the_kill_leaves_alive() -> None:
     assert set(fresh.resolve().members.items()) < set(resolve("efficacy", SMALL).members.items())
 
 
+@pytest.mark.slow
 def test_the_bouts_of_a_seed_are_the_same_until_the_fault_strikes() -> None:
     calm, *others = [play(bout(*cell)) for cell in ((NONE, 0.0), ("kill", 0.5), ("loss", 0.5), ("delay", 2.0), ("partition", 12.0))]
     for other in others:

@@ -39,6 +39,7 @@ def test_efficacy_makes_figure_4_and_the_paired_differences(tmp_path: Path) -> N
     assert plt.get_fignums() == []
 
 
+@pytest.mark.slow
 def test_the_same_data_make_the_same_files_and_other_data_others(tmp_path: Path) -> None:
     first, again, other = (draw(rows(worse=worse), tmp_path / name) for name, worse in (("a", 0.5), ("b", 0.5), ("c", 0.6)))
     assert [file.read_bytes() for file in first] == [file.read_bytes() for file in again]

@@ -32,6 +32,7 @@ def run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., dic
     return go
 
 
+@pytest.mark.slow
 def test_a_study_that_was_cut_short_goes_on_and_ends_with_the_same_table(run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     whole = run()
     lines = (tmp_path / "study" / "trials.jsonl").read_text().splitlines(keepends=True)
@@ -44,6 +45,7 @@ def test_a_study_that_was_cut_short_goes_on_and_ends_with_the_same_table(run: Ca
     assert kept[:2] == [lines[2], lines[0]] and len(kept) == 4  # nothing was run twice
 
 
+@pytest.mark.slow
 def test_workers_give_the_rows_that_this_process_gives(run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     run()
     rows = StudyFolder(tmp_path / "study").finished()

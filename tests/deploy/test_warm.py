@@ -36,6 +36,7 @@ print(sorted(compiled() - before))
 """
 
 
+@pytest.mark.slow
 def test_after_warming_up_no_fault_makes_anybody_compile() -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=ROOT, capture_output=True, text=True, timeout=110, check=False)
     assert (done.stdout, done.returncode) == ("[]\n", 0), done.stdout + done.stderr

@@ -64,6 +64,7 @@ def test_plain_arithmetic_gives_the_same_record() -> None:
     assert difference(read(SHORT), play(SHORT, backend=PLAIN)) == ""
 
 
+@pytest.mark.slow
 def test_the_order_of_hashes_does_not_matter() -> None:
     environment = {**os.environ, "PYTHONHASHSEED": "4711", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "tests.golden.make", "--check", str(SHORT)]

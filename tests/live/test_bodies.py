@@ -34,6 +34,7 @@ def speeds(journal: Journal, name: str, start: float, end: float = math.inf) -> 
     return [(at, distance) for at, distance in moved if start <= at <= end]
 
 
+@pytest.mark.slow
 def test_eight_agents_and_eight_bodies_walk_the_way_of_the_world_driven_run_to_the_last_bit(covey: Covey) -> None:
     result = covey.result("up", "convergence", "--lockstep", "--record", *TEAM, *PATIENT)
     assert result["transcript"] == simulated()

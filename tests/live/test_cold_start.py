@@ -100,6 +100,7 @@ def test_ctrl_c_ends_a_start_at_any_moment(covey: Covey, moments: tuple[float, .
         assert took <= BUSY * GONE
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_while_it_compiles_terminal_and_page_say_so_and_down_ends_it(covey: Covey) -> None:
     process = covey.start(*FEW, "--page", "0", variables=cold(covey))
@@ -128,6 +129,7 @@ def dying(covey: Covey, *words: str) -> tuple[int, str, str]:
     return covey.run(*SHORT, "--team", "4D", *settings, *words)
 
 
+@pytest.mark.slow
 def test_a_swarm_without_a_member_that_died_at_the_start_says_so(covey: Covey) -> None:
     code, output, complaints = dying(covey, "--json")
     assert code == 0, complaints
@@ -144,6 +146,7 @@ def test_a_strict_swarm_refuses_to_start_without_a_member(covey: Covey) -> None:
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
 def test_a_zygote_that_dies_before_it_is_ready_is_replaced_by_agents_that_start_by_themselves(covey: Covey) -> None:
     (covey.folder / "sitecustomize.py").write_text(SLOW.replace("time.sleep(6.0)", "sys.exit('no room')"))
     process = covey.start(*SHORT, "--team", "A3", "--json", variables={"PYTHONPATH": f"{covey.folder}:{ROOT}"})

@@ -76,6 +76,7 @@ def end_by(covey: Covey, numbers: list[signal.Signals], code: int) -> float:
 ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal.SIGINT], 130)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bodies", ["world", "own"])
 def test_a_monitor_that_was_behind_scores_what_was_said_before_the_end(covey: Covey, bodies: str) -> None:
     words = ("convergence", "--lockstep", "--bodies", bodies, "--team", "E4", "--seconds", "15", "--seed", "3", "--set", "run.max_rate=5")
@@ -134,6 +135,7 @@ def test_a_killed_zygote_takes_its_agents_along_and_they_can_be_started_again(co
     covey.wait_until_gone()
 
 
+@pytest.mark.slow
 def test_two_runs_on_one_machine_do_not_hear_each_other(covey: Covey) -> None:
     seeds = (3, 4)
     runs = [

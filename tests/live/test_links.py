@@ -11,6 +11,7 @@ pytestmark = pytest.mark.live
 ALLOWED = ("--set", "network.link_faults=true")
 
 
+@pytest.mark.slow
 def test_a_partition_covers_the_arena_twice_and_heals_to_one_claim_per_place(covey: Covey) -> None:
     covey.start("up", "quick", "--seconds", "100000", "--rate", "2", *ALLOWED)
     covey.running()
@@ -56,6 +57,7 @@ def test_who_hears_neighbours_only_covers_the_arena_on_each_side_of_a_cut_and_me
     assert heal.verb == "heal" and healed <= 3.0
 
 
+@pytest.mark.slow
 def test_link_faults_are_out_of_reach_unless_the_scenario_allows_them(covey: Covey) -> None:
     covey.start("up", "quick", "--seconds", "100000", "--rate", "2")
     covey.running()

@@ -87,9 +87,10 @@ def test_the_pace_of_a_lockstep_run_changes_no_bit_of_it(covey: Covey) -> None:
     assert result["tick_rate"]["ticks_per_s"] <= 1.05 * result["tick_rate"]["asked_per_s"]
 
 
-ENDS = [(b"\r", None), pytest.param(b"\x03", None, marks=pytest.mark.slow), pytest.param(b"", signal.SIGTERM, marks=pytest.mark.slow)]
+ENDS = [(b"\r", None), (b"\x03", None), (b"", signal.SIGTERM)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "number"), ENDS, ids=["Enter", "Ctrl-C", "TERM"])
 def test_in_a_terminal_the_end_of_a_demo_stays_with_its_page_until_a_key(covey: Covey, key: bytes, number: signal.Signals | None) -> None:
     terminal = Terminal(covey, "demo", "--fast", "--team", "A4", "--seconds", "10", "--page", "0")
@@ -134,6 +135,7 @@ def test_a_detached_run_says_where_its_page_is(covey: Covey) -> None:
     assert covey.run("down")[0] == 0
 
 
+@pytest.mark.slow
 def test_a_run_that_ctrl_c_stops_prints_its_table_and_where_it_is_kept(covey: Covey) -> None:
     supervisor = covey.start("up", *FEW, "--run", "hunt")
     covey.running()

@@ -183,6 +183,7 @@ def test_nothing_that_a_stranger_or_an_insider_forges_is_delivered_and_strangers
         assert '"rejected"' not in log.read_text() and '"error"' not in log.read_text(), log
 
 
+@pytest.mark.slow
 def test_a_seed_with_a_foreign_certificate_learns_nothing_from_those_who_dial_it(tmp_path: Path) -> None:
     make_keys(["s1", "s2"], tmp_path / "ours")
     make_keys(["s1"], tmp_path / "theirs")

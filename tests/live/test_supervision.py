@@ -13,6 +13,7 @@ pytestmark = pytest.mark.live
 LONG = ("quick", "--seconds", "100000", "--set", "run.rate=4")
 
 
+@pytest.mark.slow
 def test_no_process_survives_a_killed_supervisor_not_even_a_paused_one(covey: Covey) -> None:
     supervisor = covey.start("up", *LONG)
     covey.running()

@@ -27,6 +27,7 @@ def test_sixteen_processes_in_lockstep_follow_the_simulation_to_the_last_bit(cov
     assert result["kills"] == []
 
 
+@pytest.mark.slow
 def test_a_live_swarm_that_searches_and_tracks_follows_the_simulation_to_the_last_bit(covey: Covey) -> None:
     words = ("--team", "A2,B2", "--seconds", "10", "--seed", "3", "--control", "search-and-track", *PATIENT)
     result = covey.result("up", "quick", "--lockstep", *words)

@@ -68,7 +68,7 @@ def test_mutants_are_chosen_by_number_or_by_a_part_of_the_name() -> None:
 )
 def test_a_mutant_is_killed_by_a_failing_test_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, test: str, what: str) -> None:
     if what == "TIMEOUT":
-        monkeypatch.setattr(run, "LIMIT", 8.0)
+        monkeypatch.setattr(run, "LIMIT", 2.0)
     (tmp_path / "doubling.py").write_text("def double(x):\n    return 2 * x\n")
     (tmp_path / "test_it.py").write_text(f"from doubling import double\n\ndef test_it():\n    {test}\n")
     (tmp_path / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["."]\nmarkers = ["slow"]\n')

@@ -93,6 +93,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planted", PLANTED)
 def test_a_planted_error_is_found_within_ten_seeds(planted: str) -> None:
     apart = standard_errors([swarm(seed) - oracle(seed, *PLANTED[planted]) for seed in range(10)])

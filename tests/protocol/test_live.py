@@ -175,6 +175,7 @@ def test_unsubscribing_ends_delivery_only_after_as_many_times_as_subscribing() -
     asyncio.run(scene())
 
 
+@pytest.mark.slow
 def test_a_session_that_is_opened_anew_keeps_its_subscriptions_and_reports_nobody_who_is_still_there() -> None:
     async def scene() -> None:
         left, right = Scribe("a"), Scribe("b")

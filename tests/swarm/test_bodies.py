@@ -123,9 +123,10 @@ PROCESSES = [f"s{number}{kind}" for number in range(1, 9) for kind in ("", ".bod
 TRIPLES = sorted(itertools.combinations(PROCESSES, 3), key=lambda names: key(27, "triple", *names))  # all 560 of them, shuffled
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "share",
-    [slice(0, 8), pytest.param(slice(8, None), marks=[pytest.mark.slow, pytest.mark.nightly, pytest.mark.timeout(1800)])],
+    [slice(0, 8), pytest.param(slice(8, None), marks=[pytest.mark.nightly, pytest.mark.timeout(1800)])],
     ids=["some", "the rest"],
 )
 def test_after_the_deaths_of_any_three_processes_the_hole_is_closed_within_a_second_no_mass_is_lost_and_nobody_else_stops(

@@ -18,6 +18,7 @@ def excess(team: str, seed: int, seconds: float) -> float:
     return math.fsum(both.swarm[steady:]) / math.fsum(both.central[steady:]) - 1.0
 
 
+@pytest.mark.slow
 def test_the_error_is_within_two_per_cent_of_the_central_filter() -> None:
     assert abs(excess("2", seed=100, seconds=60.0)) <= 0.02
 

@@ -276,6 +276,7 @@ class Runaway(Robot):
         pass
 
 
+@pytest.mark.slow
 def test_the_contract_is_kept_by_the_example_and_broken_by_a_robot_that_does_not_stop() -> None:
     parameters = {"bodies.parameters": {"places": {"s1": [5.0, 5.0, 0.0]}}}
     example = config("covey.examples.robots:DifferentialDrive", **parameters)
