@@ -2,6 +2,7 @@
 
 import os
 import signal
+from types import FrameType
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))  # Ctrl-C while this file imports; nothing runs yet
@@ -18,9 +19,19 @@ from deploy.cli.commands import control, keep, look, run, setup, study  # noqa: 
 
 def main() -> None:
     """Run the command line; exit codes 0 done, 1 failed, 2 bad input, 130 / 143 on signals."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, interrupt)
     errors.open_standard_files()
     sys.exit(errors.guarded(lambda: app(exit_on_error=False, print_error=False, result_action="return_value") or 0))
+
+
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """Ctrl-C raises KeyboardInterrupt. While a module is being imported it ends the program: compiled modules may swallow the exception."""
+    at = frame
+    while at is not None:
+        if at.f_code.co_filename.startswith("<frozen importlib"):
+            os._exit(errors.INTERRUPTED)
+        at = at.f_back
+    signal.default_int_handler(number, frame)
 
 
 if __name__ == "__main__":

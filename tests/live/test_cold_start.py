@@ -24,6 +24,16 @@ import sys, time
 if "deploy.live.zygote" in sys.orig_argv:
     time.sleep(6.0)
 """
+SWALLOWING = """
+import contextlib, os, signal, time
+with contextlib.suppress(KeyboardInterrupt):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(1.0)
+from protocol.sensing import WedgeSensor
+
+def Sensor():
+    return WedgeSensor(2.0, 12.0, 0.9)
+"""
 DYING = """
 import os, signal, sys
 from protocol.sensing import WedgeSensor
@@ -98,6 +108,14 @@ def test_ctrl_c_ends_a_start_at_any_moment(covey: Covey, moments: tuple[float, .
         took = end_at(covey, moment, loop, number)
         print(f"Ctrl-C {f'in loop {loop}' if loop else f'after {moment} s'}: all gone after {took:.2f} s")
         assert took <= BUSY * GONE
+
+
+def test_ctrl_c_ends_an_import_that_swallows_the_exception(covey: Covey) -> None:
+    """As compiled modules of numpy and scipy do, for a few microseconds each."""
+    (covey.folder / "swallowing.py").write_text(SWALLOWING)
+    process = covey.start("simulate", *SHORT[1:], "--team", "S2", "--set", "sensors.S.model=swallowing:Sensor", limit=hears_ctrl_c)
+    output, complaints = process.communicate(timeout=BOUND)
+    assert (process.returncode, output, complaints) == (130, "", "")
 
 
 @pytest.mark.slow
