@@ -358,6 +358,7 @@ def test_erratum_no_improvement_at_level_1() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_conjecture_1_the_gain_over_equal_weights_is_larger_at_level_3_than_at_level_1() -> None:
     """IV-C, Conjecture 1: the power diagram's gain rises with L. One pair of 150 s a level, against the same control with weight 0."""
     gains = []

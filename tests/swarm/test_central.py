@@ -24,7 +24,8 @@ def test_the_error_is_within_two_per_cent_of_the_central_filter() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("team", ["4", *(pytest.param(team, marks=pytest.mark.nightly) for team in ("3", "20E+10G"))])
+@pytest.mark.nightly
+@pytest.mark.parametrize("team", ["4", "3", "20E+10G"])
 def test_it_is_so_for_the_teams_of_the_paper(team: str) -> None:
     found = [excess(team, seed, seconds=150.0) for seed in (100, 101)]
     assert abs(math.fsum(found)) / len(found) <= 0.02, f"--team {team}: {found}"

@@ -92,7 +92,8 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [4, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(5, 12))])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(4, 12))
 def test_it_does_so_for_many_seeds(seed: int) -> None:
     (_, everything), (_, all_the_same) = (play(large(seed, "4", interest, seconds=100.0)) for interest in ("all", "neighbours"))
     assert everything == all_the_same
