@@ -26,7 +26,9 @@ SHORT = case_of("20E10G-all/deaths/1")
 NIGHTLY = pytest.mark.nightly  # continuous integration plays one seed of everything
 RUNS = [pytest.param(partition, seed, marks=NIGHTLY if seed > OSPA_SEEDS[0] else ()) for partition in PARTITIONS for seed in OSPA_SEEDS]
 OTHERS = [pytest.param(case, id=str(case), marks=NIGHTLY if case.seed > 1 else ()) for case in CASES if str(case) not in QUICK]
-KINDS = [pytest.param(case, id=str(case), marks=() if case.group == "20E10G-neighbours" else NIGHTLY) for case in CASES if case.seed == 1]
+KINDS = [
+    pytest.param(case, id=str(case), marks=() if str(case) == "20E10G-neighbours/loss/1" else NIGHTLY) for case in CASES if case.seed == 1
+]
 
 
 @pytest.mark.parametrize("case", [case_of(name) for name in QUICK], ids=str)
@@ -60,6 +62,7 @@ def test_every_kind_of_case_gives_the_same_record_when_watched_and_one_by_one(ca
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_plain_arithmetic_gives_the_same_record() -> None:
     assert difference(read(SHORT), play(SHORT, backend=PLAIN)) == ""
 

@@ -76,8 +76,7 @@ def end_by(covey: Covey, numbers: list[signal.Signals], code: int) -> float:
 ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal.SIGINT], 130)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("bodies", ["world", "own"])
+@pytest.mark.parametrize("bodies", ["world", pytest.param("own", marks=pytest.mark.slow)])
 def test_a_monitor_that_was_behind_scores_what_was_said_before_the_end(covey: Covey, bodies: str) -> None:
     words = ("convergence", "--lockstep", "--bodies", bodies, "--team", "E4", "--seconds", "15", "--seed", "3", "--set", "run.max_rate=5")
     supervisor = covey.start("up", *words, "--json", *PATIENT)
