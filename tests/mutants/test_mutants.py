@@ -1,6 +1,7 @@
 """The table of mutants is in order, its runner tells the killed from the rest, and (nightly) every mutant is killed."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,13 @@ TABLE = read_table()
 LEAST = 200
 
 
-def test_every_mutant_can_be_planted_and_names_tests_that_exist() -> None:
+def slow_tests(file: str) -> set[str]:
+    """The tests of a file that are slow whatever their parameters: the runner leaves them out."""
+    marked = re.findall(r"^@pytest\.mark\.slow\n(?:^[@ \])].*\n)*?^def (test_\w+)", (ROOT / file).read_text(), re.MULTILINE)
+    return set(marked)
+
+
+def test_every_mutant_can_be_planted_and_names_fast_tests_that_exist() -> None:
     for mutant in TABLE:
         assert mutant.tests, f"{mutant.name}: no test"
         for edit in mutant.edits:
@@ -24,6 +31,7 @@ def test_every_mutant_can_be_planted_and_names_tests_that_exist() -> None:
             file, _, name = test.partition("::")
             assert (ROOT / file).is_file(), f"{mutant.name}: there is no {file}"
             assert f"def {name.partition('[')[0]}" in (ROOT / file).read_text(), f"{mutant.name}: there is no {test}"
+            assert name.partition("[")[0] not in slow_tests(file), f"{mutant.name}: {test} is slow"
 
 
 def test_mutants_have_names_of_their_own_and_are_many() -> None:
