@@ -28,7 +28,7 @@ from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
-from agents.round_alone import own_gossip, play_alone, play_unseen
+from agents.round_alone import is_held, own_gossip, play_alone, play_unseen
 from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
@@ -72,10 +72,10 @@ class Agent(Node):
         self._opened_at = 0.0
         self._newest_tick = -1  # of the newest observation, played or not
         self._asked_at: float | None = None  # when the driver was asked to come back at once: the next event shows for how long it was busy
-        self._spared: list[Observation] = []  # of ticks since the last round that its peers leave out; those that are not played yet
-        self._left_out = 0  # the number of all of them
+        self._spared: list[Observation] = []  # of ticks that the pace spares; those that are not played yet
+        self._spared_since = 0  # how many ticks were spared since the last shared one
         self._estimated = -1  # tick of the newest estimate
-        self._ahead_at: float | None = None  # at a slower pace, when the own gossip was sent: before a command is computed
+        self._ahead_at: float | None = None  # at a slower pace: when to compute a command early, once the own gossip is out
         self._round_seconds = 0.0  # from the opening of the last shared round to its end
         self._pace = Pace(config.run.dt / config.run.rate, measured=config.run.clock == "realtime")
         self._health = LocalHealth(measured=config.run.clock == "realtime")
@@ -138,7 +138,8 @@ class Agent(Node):
     def deadline(self) -> float | None:
         """When to call with `Timer`, s (Node): when the first of these is due.
 
-        They are the end of the tick, a Hello, a beat of the local health, an answer to a beacon, and the next step of joining.
+        They are the end of the tick, the early command of a slower pace, a Hello, a beat of the local health, the question for how long the
+        driver was busy, an answer to a beacon, and the next step of joining.
         """
         times = [self._close_at, self._ahead_at, self.membership.announcements.due, self._health.due, self._asked_at]
         if self._interest is not None:
@@ -154,7 +155,7 @@ class Agent(Node):
         self.membership.session_watchdog.speak(observation.sender, now)
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
-        if not self._pace.plays(observation.tick):
+        if not self._pace.shares(observation.tick):
             self._spare(observation)
             return []
         effects = self._close(now, forced=True) if self._gossip else self._play_spared()
@@ -162,8 +163,8 @@ class Agent(Node):
             self._health.start(now)
             self._listening.start(is_late=observation.tick > 0)
         elif observation.tick > self.tick + 1:
-            self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._left_out)
-        self._left_out, observation = 0, self._own_pose.take(observation)
+            self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._spared_since)
+        self._spared_since, observation = 0, self._own_pose.take(observation)
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
         self.membership.announcements.observation_arrived(now)
         if self._interest is not None and not self._interest.settled:
@@ -172,7 +173,7 @@ class Agent(Node):
 
     def _spare(self, observation: Observation) -> None:
         """Take the observation of a tick in which no gossips are sent, to keep the pace."""
-        self._left_out += 1
+        self._spared_since += 1
         self.counters["spared"] += 1
         if self.outcome.frame is not None:  # else no round has been played yet
             self._spared.append(self._own_pose.take(observation))
@@ -185,7 +186,7 @@ class Agent(Node):
         effects: list[Effect] = []
         for observation in spared:
             own = own_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
-            if self._is_held(own.tick):
+            if is_held(self.config, self.outcome.belief, own.tick, self._pace.current):
                 steers = self._pace.has_time and observation is spared[-1]
                 self.outcome = self._play_alone(own, observation, steers=steers)
                 effects += [*self._estimate(self.outcome, own), *([self._drive(self.outcome, own.tick)] if steers else [])]
@@ -198,7 +199,7 @@ class Agent(Node):
         """Play the tick of the open round alone on a copy, for gossips may come late: its estimate or, if it steers, its command."""
         own, observation = self._gossip, self._observation
         assert own is not None and observation is not None
-        if self._rounds.due != own.tick or not self._is_held(own.tick):
+        if self._rounds.due != own.tick or not is_held(self.config, self.outcome.belief, own.tick, self._pace.current):
             return []
         ahead = self._play_alone(own, observation, steers=steers)
         return [self._drive(ahead, own.tick)] if steers else self._estimate(ahead, own)
@@ -254,15 +255,9 @@ class Agent(Node):
 
     def _hold_claim(self, observation: Observation) -> None:
         """Keep the claim over ticks of which nothing was seen, as long as peers keep the generator of the silent agent."""
-        if self._health.due is not None and not self._rounds and self._is_held(self.tick - 1):
+        if self._health.is_measuring and not self._rounds and is_held(self.config, self.outcome.belief, self.tick - 1, self._pace.current):
             own = own_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             self.outcome = play_unseen(self.context, self.outcome, own, self._pace.current)
-
-    def _is_held(self, tick: int) -> bool:
-        """Whether the claim of the last round still counts at a later tick."""
-        belief, timing = self.outcome.belief, self.config.timing
-        most = max(self.config.rounds_of_silence, timing.silent_rounds * self._pace.current)
-        return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
 
     def _join(self, now: float) -> list[Effect]:
         """Ask for peers until the interest manager is settled. Then start the filter around the expected cell and open the first round."""
@@ -375,7 +370,10 @@ class Agent(Node):
         return self._close(now)
 
     def _close(self, now: float, *, forced: bool = False) -> list[Effect]:
-        """Play the rounds that are due, and end the tick. Each waits for its gossips, unless the end of the tick is `forced`."""
+        """Play the rounds that are due, and end the tick. Each waits for its gossips, unless the end of the tick is `forced`.
+
+        Even then a round that has heard hardly anybody may be left for a later tick (`_holds`).
+        """
         while self._rounds.due is not None:
             if self._awaited and (not forced or self._holds(self._rounds.due, now)):
                 break
@@ -439,12 +437,12 @@ class Agent(Node):
 
     def _ask_back(self, now: float) -> None:
         """Ask the driver for an event as soon as it has done what it is told, which shows how long that took."""
-        self._asked_at = now if self._health.due is not None else None
+        self._asked_at = now if self._health.is_measuring else None
 
     def _was_responsive(self, now: float) -> bool:
         """Whether the silence of a peer in the open round says something: the agent was served in time, and all keep its pace."""
         assert self._close_at is not None
         overdue = now - self._close_at > MOST_OVERDUE * (self._close_at - self._opened_at)
-        if self._health.due is None:
+        if not self._health.is_measuring:
             return True
         return not (overdue or self._health.has_stalled_since(self._opened_at) or self._pace.has_just_fallen(self.tick))

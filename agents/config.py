@@ -175,8 +175,8 @@ class AgentConfig(Common, frozen=True, kw_only=True):
         return [other for other in self.members if other != name]
 
     @property
-    def rounds_of_silence(self) -> int:
-        """The rounds for which a silent peer stays a generator: in real time those of `timing.silence` s, if that is longer."""
+    def ticks_of_silence(self) -> int:
+        """The ticks for which a silent peer stays a generator; in real time those of `timing.silence` s, if that is longer."""
         if self.run.clock == "lockstep":
             return self.timing.silent_rounds
         return max(self.timing.silent_rounds, math.ceil(self.timing.silence * self.run.rate / self.run.dt))

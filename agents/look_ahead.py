@@ -158,7 +158,7 @@ def around(polygon: np.ndarray, own: Gossip, reach: float, margin: float) -> np.
 
 
 def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, own: Gossip, peer_table: PeerTable) -> RoundResult:
-    """The result of a round as it stands at the tick of `own`, some ticks later: the belief is that of the round, all else is of now."""
+    """The result of a round as it stands at the tick of `own`, ticks later: all of now but the belief, which stays that of the round."""
     frame, belief, tracker, config = last.frame, last.belief, context.tracker, context.config
     if frame is None:  # no round has been played yet
         return last

@@ -1,8 +1,9 @@
-"""The pace of an agent: it plays every tick, or every second, fourth, eighth one, as its time allows.
+"""The pace of an agent: it shares every tick, or every second, fourth, eighth one, as its time allows.
 
 Data type: a `Pace`. An agent that cannot play every tick would skip rounds at random, and agents that skip at random meet in no round.
-So all skip in step: a pace is a power of two, and an agent of pace n plays the ticks that n divides. Slow agents play only in ticks in
-which the faster ones play as well.
+So all leave out the same ticks: a pace is a power of two, and an agent of pace n shares the ticks that n divides. Slow agents share only
+ticks that the faster ones share as well. A tick is *shared* when its round is played with the gossips of the peers, *spared* when the pace
+leaves it out and the agent plays it alone, and *skipped* when its observation came too late to be played at all.
 
 Every gossip states the pace that its sender *needs*, from what it measures: how long after its tick a round begins, how long the driver is
 busy with it, and which ticks were missed. Waiting for peers does not count. An agent *keeps* the slowest pace that it needs itself or that
@@ -29,7 +30,7 @@ class Pace:
         """`period`: s between two ticks; `measured` false: the pace stays 1."""
         self.need = 1  # stated in the gossip
         self._stated = 1  # of the open round
-        self.current = 1  # the agent plays the ticks that this number divides
+        self.current = 1  # the agent shares the ticks that this number divides
         self.has_time = True  # since the last round, nothing in the ticks between has taken longer than a tick
         self._is_open, self._ends = False, False  # a round is open; one has just ended, and the time of its end is still to come
         self._period, self._measured = period, measured
@@ -45,8 +46,8 @@ class Pace:
         self._durations = deque([0.0] * JUDGED, maxlen=JUDGED)  # of the last rounds, the sum of both, in ticks
         self._gaps = deque([1] * JUDGED, maxlen=JUDGED)  # ticks between the last rounds that were more than the pace; else 1
 
-    def plays(self, tick: int) -> bool:
-        """Whether the agent plays a tick."""
+    def shares(self, tick: int) -> bool:
+        """Whether the agent plays a tick with its peers."""
         return tick % self.current == 0
 
     def has_just_fallen(self, tick: int) -> bool:

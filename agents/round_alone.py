@@ -1,19 +1,21 @@
-"""The rounds that an agent plays alone, in the ticks in which no gossips are sent.
+"""The ticks that an agent plays alone: those that a slower pace spares, and a shared one while its gossips are still out.
 
 At a slower pace a gossip states particles and scan of every n-th tick. The world goes on meanwhile, and so does the body: its sensor scans
 in every tick. The owner of a cell is the authority for the particles in it, so it corrects them with these scans by itself. Its cell, its
-claim and the generators of all agents stay those of the last shared round. What the scans have taught it goes into its next gossip, and
-estimates and commands are those of now.
+claim and the generators of all agents stay those of the last shared round. What the scans of spared ticks have taught it goes into its next
+gossip. What it computes early for a shared tick only gives its estimate and its command in time: the round begins without it.
 """
 
 import dataclasses
 
 from msgspec.structs import replace
 
+from agents.config import AgentConfig
 from agents.coverage.capacity import place
 from agents.gossip.table import gossip_table
 from agents.round import AgentContext, Frame, RoundResult, result_of
 from agents.tracking.step import Step
+from agents.tracking.tracker import TrackerState
 from protocol.message import Vector
 from protocol.messages import Gossip, Observation
 
@@ -33,11 +35,17 @@ def own_gossip(context: AgentContext, incarnation: int, last: RoundResult, obser
     )
 
 
+def is_held(config: AgentConfig, belief: TrackerState, tick: int, pace: int) -> bool:
+    """Whether the claim of a belief still counts at a later tick: for as long as peers keep the generator of a silent agent."""
+    most = max(config.ticks_of_silence, config.timing.silent_rounds * pace)
+    return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
+
+
 def play_unseen(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
     """The result of the ticks since `last` and before that of `own`, of which the agent saw nothing; it has no command.
 
-    At a slower pace particles come into the cell meanwhile, and leave it: its peers count on that. At pace 1 peers have met in these
-    ticks, and the agent keeps what it owned.
+    At a slower pace its peers left these ticks out as well, so nobody else has moved the particles that come into the cell meanwhile: the
+    agent does. At pace 1 its peers have played them, and the agent keeps what it owned, as it does before its first round.
     """
     if pace == 1 or last.frame is None:
         return dataclasses.replace(last, belief=context.tracker.hold(last.belief, Step(context.config, own.tick)))
@@ -47,7 +55,7 @@ def play_unseen(context: AgentContext, last: RoundResult, own: Gossip, pace: int
 def play_alone(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
     """The result of the tick of `own`, a later one than that of `last`, in the cell of `last`.
 
-    A command is expected after as many ticks as have passed, at most `pace`. 0: the result has none.
+    `pace`: the ticks that the command is to last at most; it lasts as many as have passed since `last`. 0: the result has no command.
     """
     tracker, frame, stamp = context.tracker, last.frame, last.belief.stamp
     assert frame is not None

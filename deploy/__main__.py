@@ -1,4 +1,7 @@
-"""`python -m deploy` and the installed command `covey`: signals and environment first, then the command line."""
+"""`python -m deploy`, which the script `./covey` runs, and the installed command `covey`, which calls `main`.
+
+Signals and environment first, then the command line.
+"""
 
 import os
 import signal
@@ -6,7 +9,7 @@ from types import FrameType
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))  # Ctrl-C while this file imports; nothing runs yet
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # the launcher has blocked it while Python started
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # the script `./covey` has blocked it while Python started
 
 import sys
 

@@ -28,7 +28,7 @@ from protocol.once import once
 
 
 class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
-    """From an agent to watchers: its estimate after round `tick`, and its counters."""
+    """From an agent to watchers: its estimate for `tick`, at a slower pace without the scans of its peers, and its counters."""
 
     tick: Tick
     pose: Triple
@@ -44,8 +44,8 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     diagram_hash: Count = 0  # hash of the generators from which the cell was cut
     neighbours: tuple[str, ...] = ()  # the agents that bound the cell
     counters: dict[str, int] = {}  # rounds, late, missing, skipped, rejected.<reason>, heard, ...
-    round_seconds: float = 0.0  # duration of the round; 0 in virtual time
-    pace: PaceNumber = 1  # the sender plays the ticks that this number divides
+    round_seconds: float = 0.0  # from the opening of the last shared round to its end, waiting included; 0 in virtual time
+    pace: PaceNumber = 1  # the sender shares with its peers the ticks that this number divides
 
     @once
     def cell(self) -> np.ndarray:

@@ -95,12 +95,12 @@ class RoundCost(NamedTuple):
     """What a round cost, for observers."""
 
     counters: Mapping[str, int]
-    seconds: float  # from the opening of the round to its end
-    pace: int  # the agent plays the ticks that this number divides
+    seconds: float  # from the opening of the last shared round to its end, waiting included
+    pace: int  # the agent shares the ticks that this number divides
 
 
 def estimate(context: AgentContext, incarnation: int, outcome: RoundResult, sent: Gossip, work: RoundCost) -> Estimate:
-    """The estimate for observers: the result of the round in which the agent `sent` a gossip, and what it cost."""
+    """The estimate for observers: a result for the tick of the own gossip `sent`, and what the last shared round cost."""
     return Estimate(
         sender=context.name,
         incarnation=incarnation,

@@ -12,7 +12,7 @@ class PeerPositions(PositionTable):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
-        self.silence_limit = config.rounds_of_silence  # rounds; the peer table keeps it equal to its own
+        self.silence_limit = config.ticks_of_silence  # rounds; the peer table keeps it equal to its own
         self._diagram = config.partition.kind
         self._pending: dict[str, Gossip] = {}  # the newest gossip of each peer in closed rounds, not noted yet
         self.needed: Rectangle | None = None  # outside of this no new peer matters before the next selection

@@ -1,7 +1,7 @@
 """How long a newcomer listens before it takes a cell.
 
 Data type: a `Listening`, true while the agent listens. It ends with a complete round, after `timing.listening_rounds` incomplete ones, or
-when the agent has heard nobody for twice `timing.silent_rounds`: then it is alone.
+after twice `timing.silent_rounds` in which nobody was heard, counted in all: then the agent is alone.
 """
 
 from agents.config import TimingSettings

@@ -24,6 +24,11 @@ class LocalHealth:
         """Plan the first beat."""
         self.due = now + BEAT if self._measured else None
 
+    @property
+    def is_measuring(self) -> bool:
+        """Whether beats are planned: in real time, from the first observation on."""
+        return self.due is not None
+
     def stall_ended(self, now: float) -> bool:
         """Note that the agent takes an event; whether a stall has just ended."""
         if self.due is None:

@@ -2,7 +2,7 @@
 
 A *peer* is another agent that is known. The loss of its liveliness token suggests its death and does not prove it. When the token
 vanishes, the peer stops being a generator at once. A later gossip of the same incarnation brings it back, if it cannot have been sent
-before. A peer that falls silent with its token up stays a generator for `rounds_of_silence` rounds after the newest tick of which a
+before. A peer that falls silent with its token up stays a generator for the rounds of `ticks_of_silence` after the newest tick of which a
 generator of it is known. Its own gossips state these, and so do the claims of its neighbours, with their ages. Only rounds in which this
 agent was served in time count.
 
@@ -49,13 +49,13 @@ class PeerTable:
         self.known_names = frozenset[str]()  # local: the peers with a known position at the last selection
         self._version = -1  # local: of the positions at that selection
         self.changed = False  # local: a peer has come or gone since the last selection
-        self._config, self._silence_limit = config, config.rounds_of_silence  # rounds
+        self._config, self._silence_limit = config, config.ticks_of_silence  # rounds
         self._measures_pace = config.run.clock == "realtime"
         self._responsive_rounds: deque[int] = deque(maxlen=self._silence_limit)  # ticks of the last ones
         self._name, self.settings, self._others = name, config.agreed(), config.others(name)
         self.digest = whole(self.settings)
         self.inbox = RoundInbox()
-        self.pace = 1  # this agent plays the ticks that this number divides
+        self.pace = 1  # this agent shares the ticks that this number divides
         self._paces: dict[str, int] = {}  # of the peers that need a slower pace than every tick
         self.given_up = 0  # how often a peer with its token up has been silent for too long
         self._last_known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
@@ -284,14 +284,14 @@ class PeerTable:
                 self._paces.pop(gossip.sender, None)
 
     def slow_paces(self) -> list[int]:
-        """The paces that peers have stated last, where they do not play every tick. Those that have left or fallen silent do not count."""
+        """The paces that peers have stated last, where they do not share every tick. Those that have left or fallen silent do not count."""
         peers = [(self.interest_set.get(name), pace) for name, pace in self._paces.items()]
         return [pace for peer, pace in peers if peer is not None and peer.left_at is None and peer.missed < self._silence_limit]
 
     def keep_pace(self, pace: int) -> None:
-        """From now on play the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
+        """From now on share the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
         timing = self._config.timing
-        self.pace, self._silence_limit = pace, max(timing.silent_rounds, math.ceil(self._config.rounds_of_silence / pace))
+        self.pace, self._silence_limit = pace, max(timing.silent_rounds, math.ceil(self._config.ticks_of_silence / pace))
         self.positions.silence_limit = self._silence_limit
 
     def _count_silent(self, missing: set[str]) -> None:

@@ -91,7 +91,7 @@ class Scorer(Node):
         self.tracks = TrackLog(scenario)
         self._lag = LAG[scenario.run.clock]
         self._ahead = NewestTick(LAG_SECONDS[scenario.run.clock])
-        self._fresh = max(agent_config(scenario).rounds_of_silence, 2 * scenario.timing.estimate_every)  # ticks
+        self._fresh = max(agent_config(scenario).ticks_of_silence, 2 * scenario.timing.estimate_every)  # ticks
         self._names = list(scenario.members)
         self._alive: dict[str, int] = {}
         self._gone_at: dict[str, tuple[float, int]] = {}  # when an agent was lost last, s, and its incarnation then

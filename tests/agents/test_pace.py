@@ -15,7 +15,7 @@ def play(pace: Pace, ticks: range, busy: float, needs: list[int] | None = None, 
         if now >= (tick + 1) * PERIOD + lag and pace.current == 1:
             continue  # an agent that plays every tick takes the newest observation only
         pace.observe(tick, now)
-        if not pace.plays(tick):
+        if not pace.shares(tick):
             continue
         pace.open(tick, now)
         pace.spend(busy)
@@ -79,7 +79,7 @@ def test_an_agent_whose_rounds_are_stalls_slows_down_as_well() -> None:
         if now >= (tick + 1) * 0.5 and kept == 1:
             continue
         pace.observe(tick, now)
-        if pace.plays(tick):
+        if pace.shares(tick):
             pace.open(tick, now)
             free = now + 1.25
             pace.spend(1.25)
