@@ -8,6 +8,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -105,6 +107,7 @@ echo "$1" >> {tmp_path}/calls
     assert (tmp_path / "calls").read_text().split() == ["venv", "pip", "venv", "pip"]
 
 
+@pytest.mark.slow
 def test_two_launchers_at_once_set_up_one_after_the_other(tmp_path: Path) -> None:
     """The second waits, finds all done, and runs its command."""
     fake_environment(tmp_path / ".venv")

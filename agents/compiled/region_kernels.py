@@ -124,7 +124,10 @@ def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: 
         weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, candidate_ids[k]
         known += 1
     end = known + born
-    states[known:end], weights[known:end], ids[known:end], labels[known:end] = births
+    for k in range(born):  # numba takes seconds to compile an assignment of arrays whose shapes it must check
+        for column in range(4):
+            states[known + k, column] = births[0][k, column]
+        weights[known + k], ids[known + k], labels[known + k] = births[1][k], births[2][k], births[3][k]
     return states[:end, 0].copy(), states[:end, 1].copy(), states, weights, ids, labels, known
 
 

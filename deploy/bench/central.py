@@ -87,7 +87,7 @@ class Central:
             settings.bin,
             settings.threshold,
             settings.beside,
-            stamp_of(np.uint64(self._tick)),
+            np.uint64(stamp_of(np.uint64(self._tick))),  # as in `update_regions`, or everything is compiled again
         )[0][:, :2]
         score, _ = errors(self._targets.positions, estimates)
         self._bodies.move(commands)

@@ -227,7 +227,8 @@ def test_estimate_targets(seed: int, count: int, weight: float, size: float, thr
             assert bits(plain) == bits(NO_TRACKS)
             continue
         states, weights, _, labels = particles
-        found, names = extraction_kernels.estimate_tracks(states, weights, labels, size, threshold, beside, stamp_of(np.uint64(7)))
+        stamp = np.uint64(stamp_of(np.uint64(7)))  # a Python number is another signature: everything would be compiled again
+        found, names = extraction_kernels.estimate_tracks(states, weights, labels, size, threshold, beside, stamp)
         assert bits(plain) == bits((found[:, :2], found[:, 2:], names))
 
 

@@ -183,7 +183,7 @@ def test_the_compiled_rules_give_the_same_labels() -> None:
         states = np.column_stack([rng.integers(0, 9, (number, 2)), np.zeros((number, 2))]).astype(float)
         ids = np.arange(number, dtype=np.uint64)
         every = Particles(states, rng.random(number) * 0.3, ids, choices[rng.integers(0, 7, number)])
-        stamp = label_kernels.stamp_of(np.uint64(tick))
+        stamp = np.uint64(label_kernels.stamp_of(np.uint64(tick)))
         size = float(rng.choice([0.5, 1.0, 1.5]))
         plain = name_peaks(peaks, places, middles(every), tick, size)
         around = states, every.weights, every.labels

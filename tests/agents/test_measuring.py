@@ -49,8 +49,8 @@ def rays_of(points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     "others",
     [
-        {},
-        {"pose.position_noise": 0.1, "pose.heading_noise": 0.03},
+        pytest.param({}, marks=pytest.mark.slow),
+        pytest.param({"pose.position_noise": 0.1, "pose.heading_noise": 0.03}, marks=pytest.mark.slow),
         {"pose.time_noise": 0.1, "pose.memory": 1.0, "bodies.time_error": 0.1},
         {"sensors.P.prob_detection_far": 0.2},
     ],

@@ -32,7 +32,7 @@ BASE: dict[str, Any] = {
     "arena.width": 36.0,
     "arena.height": 30.0,
     "run.dt": 0.25,
-    "run.seconds": 4.0,
+    "run.seconds": 2.0,
     "detection.clutter": 2.0,
     "filter.least_particles": 20,
     "birth.background_particles": 40,

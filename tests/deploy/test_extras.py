@@ -23,9 +23,9 @@ def run(folder: Path, *words: str, **environment: str) -> "subprocess.CompletedP
     ("words", "what"),
     [
         (("study", "convergence", "--quick"), "study"),
-        (("study", "robustness", "--quick"), "study"),
-        (("figures", "kept"), "figures"),
-        (("export", "kept"), "export"),
+        pytest.param(("study", "robustness", "--quick"), "study", marks=pytest.mark.slow),
+        pytest.param(("figures", "kept"), "figures", marks=pytest.mark.slow),
+        pytest.param(("export", "kept"), "export", marks=pytest.mark.slow),
         (("simulate", "quick", "--trace", "x.parquet"), "--trace x.parquet"),
     ],
 )

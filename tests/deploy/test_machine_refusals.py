@@ -116,7 +116,7 @@ def test_what_the_machine_refuses_a_swarm_is_one_line(line: str, part: str, fold
 
 
 @pytest.mark.live
-@pytest.mark.parametrize("line", ["up quick --seconds 2 --lockstep", "simulate quick --seconds 2"])
+@pytest.mark.parametrize("line", ["up quick --seconds 2 --lockstep", pytest.param("simulate quick --seconds 2", marks=pytest.mark.slow)])
 def test_a_run_whose_output_has_no_room_ends_with_one_line(line: str, folder: Path) -> None:
     with open("/dev/full", "wb") as full:
         code, complaints = started(program(*shlex.split(line)), folder, stdout=full)

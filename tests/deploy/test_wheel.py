@@ -40,6 +40,7 @@ def test_an_import_that_would_bind_another_name_is_refused(line: str) -> None:
         rewritten(line + "\n")
 
 
+@pytest.mark.slow
 def test_every_module_can_be_rewritten_line_by_line() -> None:
     for path in (path for room in ROOMS for path in (ROOT / room).rglob("*.py")):
         before = path.read_text(encoding="utf-8")

@@ -8,15 +8,14 @@ import sys
 import pytest
 
 from agents.backend import PLAIN
-from tests.golden.cases import CASES, INTERESTS, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of
+from tests.golden.cases import CASES, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of
 from tests.golden.fields import FIELDS
 from tests.golden.make import ROOT, check, steady_ospa
 from tests.golden.record import difference, play, record_of
 from tests.golden.stored import FOLDER, read, read_ospa
 
-QUICK = [  # some ten seconds
+QUICK = [  # some seconds
     "efficacy-all/lockstep/1",
-    "efficacy-neighbours/realtime/2",
     "20E10G-all/realtime/1",
     "20E10G-all/deaths/1",
     "20E10G-neighbours/loss/1",
@@ -48,7 +47,7 @@ def test_steady_ospa_is_that_of_the_golden_record(partition: str, seed: int) -> 
     assert steady_ospa((partition, seed)) == read_ospa()[partition, seed]
 
 
-@pytest.mark.parametrize("interest", INTERESTS)
+@pytest.mark.parametrize("interest", ["neighbours", pytest.param("all", marks=pytest.mark.slow)])
 def test_a_bus_that_delivers_one_by_one_gives_the_same_record(interest: str) -> None:
     case = SHORT._replace(interest=interest)
     assert difference(read(case), play(case, batches=False)) == ""

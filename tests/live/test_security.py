@@ -310,6 +310,7 @@ def test_an_endpoint_beyond_this_machine_needs_tls_or_the_word_insecure(covey: C
     assert "needs certificates; `covey keys` makes them" in complaints
 
 
+@pytest.mark.slow
 def test_certificates_that_are_missing_or_unreadable_are_one_clear_line(covey: Covey) -> None:
     code, _, complaints = covey.run("up", "quick", "--keys", "nowhere")
     assert (code, complaints.count("\n")) == (2, 1)

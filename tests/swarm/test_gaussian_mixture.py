@@ -71,6 +71,7 @@ def test_without_loss_the_swarm_is_its_central_run_to_the_last_bit() -> None:
     assert differences(small_scenario("gaussian-mixture"), small()) == [0.0] * 22
 
 
+@pytest.mark.slow
 def test_in_the_large_arena_of_the_paper_it_is_so_too() -> None:
     assert differences(large_scenario("gaussian-mixture"), large()) == [0.0] * 18
 
@@ -122,6 +123,7 @@ def test_the_invariants_hold_under_the_faults_of_a_seed(seed: int) -> None:
     assert fuzz.play(mixtures, backend=compiled()) is None
 
 
+@pytest.mark.slow
 def test_a_gossip_has_a_quarter_of_the_bytes_that_it_has_with_particles() -> None:
     particles = overheard(large_scenario("particles"))
     mixed, cloudy = ([gossip for gossips in said.values() for gossip in gossips.values()] for said in (large(), particles))

@@ -120,7 +120,7 @@ def test_the_dead_are_taken_over_and_a_restarted_agent_gets_a_cell() -> None:
     assert len(simulation.agents) == 30
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_sensor_wider_than_all_of_the_team_joins_without_an_overlap(seed: int) -> None:
     """Nobody was told of class D: it sees three times as far as those who are there, and its cell is the largest."""
     scenario = large(seed, "A6,C8", "neighbours", FaultSettings(at=10.0, verb="join", who="s99", options={"class": "D"}), seconds=40.0)

@@ -51,7 +51,7 @@ def test_laws_that_ask_for_the_same_place_do_not_bring_bodies_together() -> None
 
 
 @pytest.mark.parametrize("host", ["world", "own"])
-@pytest.mark.parametrize("share", [0.6, 0.15])
+@pytest.mark.parametrize("share", [pytest.param(0.6, marks=pytest.mark.slow), 0.15])
 def test_the_late_commands_of_starved_agents_bring_no_two_bodies_together(host: str, share: float) -> None:
     """A command is for the places of its tick: who drives on it when it comes drives to where another one is now."""
     given = resolve("quick", {**CROWD, "team.composition": "A8", "run.seconds": 15.0, "control.mode": "random", "bodies.host": host})

@@ -22,6 +22,7 @@ def test_loss_moves_the_mean_mass_hole_and_overlap_by_little(loss: float, mass: 
     assert np.mean(seen.holes) <= hole and np.mean(seen.overlaps) <= overlap
 
 
+@pytest.mark.slow
 def test_at_ten_per_cent_loss_nobody_is_taken_for_dead() -> None:
     worst: list[int] = []
 
@@ -74,7 +75,7 @@ def test_messages_half_a_second_late_in_real_time_keep_the_ledger_within_two_per
 
 @pytest.mark.parametrize("tokens", [True, False], ids=["sessions lost", "sessions up"])
 @pytest.mark.parametrize("kind", ["both", "one-way", "bridge"])
-@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+@pytest.mark.parametrize("clock", [pytest.param("lockstep", marks=pytest.mark.slow), "realtime"])
 def test_a_partition_heals_to_one_claim_per_place(kind: str, tokens: bool, clock: str) -> None:
     seen = watch(ledger(fault(5.0, "partition", "50%", seconds=6.0, kind=kind, tokens=tokens), run__seconds=18.0), clock=clock)
     healed = seen.at(11.0 + 3.0)

@@ -23,9 +23,9 @@ SMALL = {
 }
 
 
-@pytest.mark.parametrize("team, side, targets", SMALL.values(), ids=SMALL)
-def test_without_loss_the_swarm_is_the_central_filter_to_the_last_bit(team: str, side: float, targets: int) -> None:
-    apart = compare(swarm(team, side, targets, seconds=30.0), backend=compiled())
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name != "short sensors" else ()) for name in SMALL])
+def test_without_loss_the_swarm_is_the_central_filter_to_the_last_bit(name: str) -> None:
+    apart = compare(swarm(*SMALL[name], seconds=30.0), backend=compiled())
     assert len(apart) == 120
     assert [found for found in apart if found != (0, 0, 0.0, 0.0)] == []
 
