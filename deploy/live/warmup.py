@@ -9,6 +9,8 @@ import time
 from collections.abc import Iterator
 from typing import Literal
 
+import numpy as np
+
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
 from agents.compiled.cache import compiled_before, loops_on_disk, tidy
@@ -50,7 +52,10 @@ def warm() -> None:
 
 
 def _compile_on_two_cores(fast: Backend) -> None:
-    """Leave the loops on disk: one half is compiled here, the other by a second process, which ends with this one."""
+    """Leave the loops on disk: one half is compiled here, the other by a second process, which ends with this one.
+
+    The half that is compiled here is longer. So the second process begins with a part of it, which is found on disk when its turn comes.
+    """
     other = subprocess.Popen(command("deploy.live.warmup"), cwd=ROOT, stdin=subprocess.PIPE)
     try:
         _play_all(PLAIN._replace(**{name: getattr(fast, name) for name in HALF}))
@@ -61,11 +66,13 @@ def _compile_on_two_cores(fast: Backend) -> None:
 
 
 def main() -> None:
-    """Be the second process: compile everything but the first half."""
+    """Be the second process: compile a part of the first half, and then everything else."""
     from agents.compiled.backend import FAST
+    from agents.compiled.extraction_kernels import estimate_tracks
     from protocol.process import die_with_parent
 
     die_with_parent()
+    estimate_tracks(np.zeros((1, 4)), np.ones(1), np.zeros(1, np.uint64), 1.0, 0.5, 0.5, np.uint64(0))
     _play_all(FAST._replace(**{name: getattr(PLAIN, name) for name in HALF}))
 
 

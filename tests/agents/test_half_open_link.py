@@ -85,7 +85,7 @@ def test_when_two_of_sixteen_do_not_hear_each_other_both_ask_for_a_new_session_a
     assert {name for name, count in reopened.items() if count} == split.pair
 
 
-@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+@pytest.mark.parametrize("clock", [pytest.param("lockstep", marks=pytest.mark.slow), "realtime"])
 def test_who_is_cut_off_from_the_world_alone_asks_for_a_new_session_and_nobody_else_does(clock: Literal["lockstep", "realtime"]) -> None:
     split = Split()
     simulation = Simulation(ledger(agents=9, side=60.0, run__seconds=24.0, timing__interest="neighbours"), link=split, clock=clock)

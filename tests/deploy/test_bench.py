@@ -19,6 +19,7 @@ def small(seconds: float = 30.0) -> Scenario:
     return resolve("efficacy", options)
 
 
+@pytest.mark.slow
 def test_the_central_reference_does_the_same_work() -> None:
     """The swarm is one central filter cut into cells; estimates at borders and starts differ a little."""
     assert central.play(small(), compiled()) == pytest.approx(simulate(small()).steady_ospa, abs=0.5)

@@ -72,7 +72,9 @@ def namespaced(kind: str, script: str, folder: Path) -> tuple[int, list[str]]:
 
 
 @pytest.mark.parametrize("line", ["up quick --lockstep --seconds 2", "up quick --detach", "demo --no-page", "check quick"])
-@pytest.mark.parametrize(("options", "reason"), [("size=8k", "No space left on device"), ("ro", "Read-only file system")])
+@pytest.mark.parametrize(
+    ("options", "reason"), [("size=8k", "No space left on device"), pytest.param("ro", "Read-only file system", marks=pytest.mark.slow)]
+)
 def test_a_disk_that_is_full_or_may_not_be_written_is_told_before_anything_starts(
     line: str, options: str, reason: str, folder: Path
 ) -> None:

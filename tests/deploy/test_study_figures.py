@@ -75,6 +75,7 @@ def test_one_method_alone_has_nothing_to_be_paired_with(tmp_path: Path) -> None:
     assert [file.name for file in draw(alone, tmp_path)] == ["errors.pdf", "errors.png"]
 
 
+@pytest.mark.slow
 def test_figures_go_into_the_folder_of_the_study_or_where_one_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = StudyFolder(tmp_path / "study")
     with folder.claimed():

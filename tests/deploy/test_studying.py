@@ -60,6 +60,7 @@ def test_rows_of_another_program_are_not_mixed_in(run: Callable[..., dict[str, A
         run()
 
 
+@pytest.mark.slow
 def test_a_trial_that_fails_names_its_command() -> None:
     bad = Trial(scenario="quick", seed=1, team="A1", targets=3, method="power", options={"targets.motion": "nowhere:Motion"})
     with pytest.raises(TrialFailed, match=r"covey simulate quick .*nowhere"):

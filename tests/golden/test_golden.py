@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from agents.backend import PLAIN
-from tests.golden.cases import CASES, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of
+from tests.golden.cases import CASES, INTERESTS, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of
 from tests.golden.fields import FIELDS
 from tests.golden.make import ROOT, check, steady_ospa
 from tests.golden.record import difference, play, record_of
@@ -47,7 +47,8 @@ def test_steady_ospa_is_that_of_the_golden_record(partition: str, seed: int) -> 
     assert steady_ospa((partition, seed)) == read_ospa()[partition, seed]
 
 
-@pytest.mark.parametrize("interest", ["neighbours", pytest.param("all", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("interest", INTERESTS)
 def test_a_bus_that_delivers_one_by_one_gives_the_same_record(interest: str) -> None:
     case = SHORT._replace(interest=interest)
     assert difference(read(case), play(case, batches=False)) == ""

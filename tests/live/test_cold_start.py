@@ -156,6 +156,7 @@ def test_a_swarm_without_a_member_that_died_at_the_start_says_so(covey: Covey) -
     assert json.loads(output.splitlines()[-1])["missing"] == ["s3"]
 
 
+@pytest.mark.slow
 def test_a_strict_swarm_refuses_to_start_without_a_member(covey: Covey) -> None:
     code, output, complaints = dying(covey, "--strict")
     assert code == 2

@@ -96,24 +96,24 @@ def test_a_killed_world_stops_the_clock_and_a_restarted_one_goes_on_where_it_sto
     covey.wait_until_gone()
 
 
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (("up", "nowhere"), "scenario 'nowhere' does not exist; known are anisotropic, convergence"),
-        (("up", "missing.toml"), "missing.toml: there is no such file"),
-        (("up", "bad.toml"), "bad.toml: arena.widht: there is no such field; did you mean width?"),
-        (("up", "quick", "--set", "sensors.X.radius=-3", "--set", "sensors.X.angle=90", "--team", "2X"), "sensors.X.radius = -3"),
-        (("up", "quick", "--team", "2Q"), "sensor class 'Q' does not exist; known are A"),
-        (("up", "quick", "--dt", "-1"), "run.dt = -1.0"),
-        (("up", "quick", "--kill", "s77@1"), "s77"),
-        (("up", "quick", "--set", "network.listen=['tcp/0.0.0.0:0']"), "network.listen = 'tcp/0.0.0.0:0': leaves this machine without TLS"),
-        (("up", "quick", "--nonsense"), "--nonsense"),
-        (("nonsense",), "nonsense"),
-        (("up", "twin.toml"), "members.world: this name belongs to the world"),
-        (("up", "quick", "--seed", "one"), "seed"),
-        (("watch", "--run", "nobody"), "--run nobody: no run of this name is running"),
-    ],
-)
+WRONG = [
+    (("up", "nowhere"), "scenario 'nowhere' does not exist; known are anisotropic, convergence"),
+    (("up", "missing.toml"), "missing.toml: there is no such file"),
+    (("up", "bad.toml"), "bad.toml: arena.widht: there is no such field; did you mean width?"),
+    (("up", "quick", "--set", "sensors.X.radius=-3", "--set", "sensors.X.angle=90", "--team", "2X"), "sensors.X.radius = -3"),
+    (("up", "quick", "--team", "2Q"), "sensor class 'Q' does not exist; known are A"),
+    (("up", "quick", "--dt", "-1"), "run.dt = -1.0"),
+    (("up", "quick", "--kill", "s77@1"), "s77"),
+    (("up", "quick", "--set", "network.listen=['tcp/0.0.0.0:0']"), "network.listen = 'tcp/0.0.0.0:0': leaves this machine without TLS"),
+    (("up", "quick", "--nonsense"), "--nonsense"),
+    (("nonsense",), "nonsense"),
+    (("up", "twin.toml"), "members.world: this name belongs to the world"),
+    (("up", "quick", "--seed", "one"), "seed"),
+    (("watch", "--run", "nobody"), "--run nobody: no run of this name is running"),
+]
+
+
+@pytest.mark.parametrize(("words", "complaint"), [*WRONG[:6], *(pytest.param(*wrong, marks=pytest.mark.slow) for wrong in WRONG[6:])])
 def test_bad_input_is_one_line_that_says_what_would_be_right(covey: Covey, words: tuple[str, ...], complaint: str) -> None:
     (covey.folder / "bad.toml").write_text("[arena]\nwidht = 3.0\n")
     (covey.folder / "twin.toml").write_text('[members]\nworld = "A"\n')
@@ -134,6 +134,7 @@ def test_a_port_in_use_is_one_line_and_nobody_stays_behind(covey: Covey) -> None
     assert complaints == f"covey: network.listen = {endpoint}: the port is in use; choose a free one, or port 0 for any\n"
 
 
+@pytest.mark.slow
 def test_a_process_that_refuses_its_settings_ends_the_run_with_its_own_words(covey: Covey) -> None:
     """A motion that only the process of the world cannot make: the command has found nothing wrong with it."""
     lines = [

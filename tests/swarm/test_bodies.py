@@ -62,6 +62,7 @@ def test_no_node_is_called_world_and_no_truth_is_sent() -> None:
     assert kinds == {"Hello", "Gossip", "Observation", "Command", "Estimate"}
 
 
+@pytest.mark.slow
 def test_clocks_50_ms_apart_are_no_event() -> None:
     simulation = swarm("own", **{"bodies.epoch": 2.0})
     for number, name in enumerate(bodies(simulation)):
@@ -74,7 +75,7 @@ def test_clocks_50_ms_apart_are_no_event() -> None:
     assert result.steady_ospa <= 1.1 * swarm("world").run().steady_ospa
 
 
-@pytest.mark.parametrize("step", [1.0, -1.0])
+@pytest.mark.parametrize("step", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_a_clock_that_steps_by_a_second_is_set_right_by_the_neighbours_and_moves_no_other(step: float) -> None:
     simulation = swarm("own")
     play(simulation, 5.0)

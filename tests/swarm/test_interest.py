@@ -111,6 +111,7 @@ def test_who_owns_nothing_agrees_with_all_the_others() -> None:
     assert [one.tick for one in unsure if not len(one.cell)] == [] and len(unsure) < 0.01 * len(said)
 
 
+@pytest.mark.slow
 def test_the_dead_are_taken_over_and_a_restarted_agent_gets_a_cell() -> None:
     faults = (FaultSettings(at=5.0, verb="kill", who="s3,s7,s11"), FaultSettings(at=10.0, verb="restart", who="s3,s7,s11"))
     simulation = Simulation(large(5, "20E+10G", "neighbours", *faults, seconds=25.0))

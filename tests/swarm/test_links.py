@@ -156,7 +156,7 @@ def test_who_hears_neighbours_only_covers_the_arena_on_each_side_and_meets_again
     assert mass <= masses.min() and masses.max() <= 1.01
 
 
-@pytest.mark.parametrize("seconds", [2.0, 4.0])
+@pytest.mark.parametrize("seconds", [2.0, pytest.param(4.0, marks=pytest.mark.slow)])
 def test_who_hears_neighbours_only_meets_again_after_a_cut_shorter_than_anybodys_memory(seconds: float) -> None:
     """The silent are still known then, and the first beacon says that they are back; so it is when their tokens stayed up."""
     cut = fault(5.0, "partition", "50%", seconds=seconds, tokens=False)
