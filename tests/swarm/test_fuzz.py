@@ -1,5 +1,6 @@
 """The fuzzer: the kept seeds pass, many seeds pass, cases repeat themselves, and mutants are caught."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -11,21 +12,26 @@ from deploy.verify.fuzz import HEAL_AT, KINDS, LOADS, PROFILES, Case, Failure, d
 from tests.swarm.mutants import MUTANTS, Mutant, no_dedupe_by_id
 
 KEPT = [int(line.split()[0]) for line in (Path(__file__).parent / "seeds.txt").read_text().splitlines() if not line.startswith("#")]
-SLOW_SEEDS = [pytest.param(seed, marks=pytest.mark.slow) for seed in range(5, 13)]
 
 
-@pytest.mark.parametrize("seed", [*KEPT[:3], *(pytest.param(seed, marks=pytest.mark.slow) for seed in KEPT[3:])])
+def fast(number: int, seeds: Sequence[int]) -> pytest.MarkDecorator:
+    """The test takes these seeds, and is slow for all but the first few."""
+    slow = [pytest.param(seed, marks=pytest.mark.slow) for seed in seeds[number:]]
+    return pytest.mark.parametrize("seed", [*seeds[:number], *slow])
+
+
+@fast(3, KEPT)
 def test_what_once_broke_holds(seed: int) -> None:
     assert play(draw(seed)) is None
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4, *SLOW_SEEDS])
-def test_the_first_seeds_hold(seed: int) -> None:
+@fast(4, range(1, 13))
+def test_the_first_dozen_seeds_hold(seed: int) -> None:
     assert play(draw(seed)) is None
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("seed", [1, *SLOW_SEEDS[:3]])
+@fast(1, range(1, 5))
 def test_the_first_seeds_of_slow_and_bad_networks_hold(profile: str, seed: int) -> None:
     assert play(draw(seed, profile)) is None
 
