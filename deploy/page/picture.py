@@ -266,6 +266,8 @@ class Picture:
                 known.forget()
             known.gossip, known.incarnation = gossip, gossip.incarnation
             _keep(known.gossips, gossip)
+            if known.state == "silent":
+                self._settle()  # not only with the next truth: after the last one no further truth comes
 
     def _hear_hello(self, hello: Hello) -> None:
         known = self._known(hello.sender)
