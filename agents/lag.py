@@ -4,24 +4,25 @@ Data type: a `Lag`. A gossip of tick k is late when it comes after the end of ti
 is late by L ticks when it comes before the end of tick k + L. The agent measures that by its own observations alone: no two processes
 compare clocks.
 
-Every gossip states the lag that its sender *needs*: with it most gossips of the last ticks came in time. An agent *keeps* the
-largest lag that it needs or that a newest gossip states, its own included. Nothing that is kept is stated, so a lag falls as soon as the
-need has gone. When gossips come in time again, all agents read the same ones, and the lag falls in the same tick. In lockstep the world
-waits, and the lag is 0.
+Every gossip states the lag that its sender *needs*: with it most gossips of the last ticks came in time. An agent *uses* the largest lag
+that it needs or that a newest gossip states, its own included. It states its need alone: agents that stated the lag in use would keep each
+other's lag up for ever. When gossips come in time again, all who read the same ones find the same lag in the same tick. In lockstep the
+world waits, and the lag is 0.
 
-When hardly any gossip has come at the end of a tick, the agent holds the round until the next tick. So a lag rises in the very tick in
-which the network gets slow, and no round is played with a part of the gossips.
+When hardly any gossip has come at the end of a tick, the agent *holds* the round until the next tick, and no longer than the longest lag.
+So when a whole network gets slow no round is played with a small part of the gossips before the lag has risen: that happens once the late
+ones have come and been measured. A round from which fewer gossips are missing is played without them.
 """
 
 import math
 from collections.abc import Iterable, Sequence
 from itertools import chain
 
-MOST = 12  # ticks that a round is played late at most: the inbox and the claims of gossips go back so far
+MOST = 12  # ticks that a round is played late at most; gossips are kept for a little more (`inbox.MOST_TICKS`)
 REMEMBERED = 2.0  # s for which a late gossip is remembered
 IN_TIME = 0.95  # share of the gossips that a lag lets come in time
 HELD = 0.9  # share of the gossips that are still to come for which a round is held
-LEAST = 3  # gossips that must be missing: the silence of one peer says something about that peer
+LEAST = 3  # gossips that must be missing: one or two silent peers show nothing about the network. So swarms of up to 3 agents hold no round
 
 
 class Lag:
@@ -49,7 +50,10 @@ class Lag:
         self._late = {old: late for old, late in self._late.items() if old >= oldest}
 
     def hear(self, tick: int, now: float) -> None:
-        """Note that a gossip of a tick has come for the first time."""
+        """Note that a gossip of a tick has come for the first time.
+
+        One that came before the own observation is in time. One that is later than the longest lag counts as lost, and is not noted.
+        """
         opened = self._opened.get(tick, now if tick > self._newest else None)
         if opened is None:
             return

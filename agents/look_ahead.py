@@ -6,7 +6,7 @@ Rules. Gossips that come L ticks late are heard by a round that is played L tick
 particles of tick k - 1 - L, because no later round has been played. So the round of tick k begins with particles that are L ticks older
 than usual. Its agent moves them over these ticks itself, with the scans of all agents: it *replays* them around its cell. All agents replay
 the same particles with the same scans, so their cells still tile one density. A scan that came too late for its own round is part of the
-replays of later ones that reach back so far.
+replays of later ones that reach back so far. Agents that have not heard the same gossips differ where these matter, as in any round.
 
 Estimates and commands are those of now. A copy of the belief is moved on to the newest tick, with the own scans and those that have come
 early. It is thrown away: the next round begins with what gossips state.
@@ -48,7 +48,7 @@ class RecentTicks:
         self._context, self._most = context, most
         self._said: dict[int, dict[str, tuple[Gossip, AnnouncedSensor]]] = {}
         self._blurred: dict[int, AgentConfig] = {}  # by ticks
-        self._beliefs: deque[TrackerState] = deque(maxlen=most + 2 if most else 0)  # a round in its own tick begins with the newest
+        self._beliefs: deque[TrackerState] = deque(maxlen=most + 2 if most else 0)  # none where no round is played late
 
     def put(self, gossip: Gossip, announced: AnnouncedSensor) -> bool:
         """Keep a gossip; whether it is the first one of its sender and tick."""
@@ -60,7 +60,7 @@ class RecentTicks:
     def keep(self, belief: TrackerState) -> None:
         """Keep the belief after a round, and drop what no round will need any more."""
         self._beliefs.append(belief)
-        oldest = belief.stamp - 2 * self._most - 2
+        oldest = belief.stamp - self._most  # the next replay begins with the belief of this tick
         for tick in [tick for tick in self._said if tick < oldest]:
             del self._said[tick]
 
@@ -116,13 +116,14 @@ def replayed_density(
     """The density that counts one tick before a round, around its cell `polygon` (K, 2) m; `table`: the gossips of the round.
 
     It begins with the oldest claims that the gossips state, at most `most` ticks old, and is moved on with the scans of the ticks since.
+    So the agent that is furthest behind sets the length of all replays around it.
     """
     tick, config, tracker = table.gossips[0].tick, context.config, context.tracker
     oldest = tick - 1 - most
     stamps = [gossip.claim_tick for gossip in table.gossips if gossip.behind and gossip.claim_names and gossip.claim_tick >= oldest]
     belief = recent.at_or_before(min(stamps, default=opened.belief.stamp), opened.belief)
     if belief.stamp < oldest:
-        belief = tracker.catch_up(belief, Step(config, oldest + 1))
+        belief = tracker.catch_up(belief, Step(config, oldest + 1))  # the step that follows the belief of `oldest`
     density = tracker.merge(belief, table, Step(config, belief.stamp + 1))
     for stamp in range(belief.stamp + 1, tick):
         own = recent.own(stamp, opened.gossip)

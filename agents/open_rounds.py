@@ -32,7 +32,10 @@ class OpenRounds:
         return bool(self._rounds)
 
     def behind(self, tick: int, stamp: int) -> int:
-        """The number of ticks before `tick` whose rounds are still to be played, if that of `stamp` was played before them."""
+        """The number of ticks before `tick` whose rounds are still to be played, if that of `stamp` was played before them.
+
+        0 after a skipped tick, and where the belief of `stamp` is too old for a replay: it then counts as that of the tick before.
+        """
         follows = bool(self._rounds) and stamp == self._rounds[0].gossip.tick - 1
         return tick - 1 - stamp if follows and tick - 1 - stamp <= self.lag.most else 0
 
@@ -72,7 +75,7 @@ class OpenRounds:
         return self.lag.holds(len(awaited) + come, len(hopeful), tick - self.due)
 
     def replay(self, opened: OpenRound, fresh: Mapping[str, Gossip]) -> Replay | None:
-        """The function that computes the density before a round, if gossips state older ones; None: they state that of the tick before."""
+        """The function that computes the density before a round, if a gossip states an older claim; None: all are of the tick before."""
         if not opened.gossip.behind and not any(map(attrgetter("behind"), fresh.values())):
             return None
         return partial(replayed_density, self.recent, self._context, opened, self.lag.most)
