@@ -1,6 +1,6 @@
-"""The gossips that one agent has accepted: all of the open rounds, and the newest of each peer in closed rounds."""
+"""The gossips that one agent has accepted: those of open rounds, and the newest of each peer in closed rounds."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 
 from protocol.messages import Gossip
 
@@ -48,9 +48,9 @@ class RoundInbox:
         for name in names:
             self.last.pop(name, None)
 
-    def close(self, tick: int, peers: int) -> list[dict[str, Gossip]]:
-        """Close the rounds up to `tick`, and return the gossips of each by name. `peers`: the number of peers."""
+    def close(self, tick: int, peers: Set[str]) -> list[dict[str, Gossip]]:
+        """Close the rounds up to `tick`, and return the gossips of each by name. `peers`: the names of the peers."""
         closed = [self.rounds.pop(stamp) for stamp in sorted([stamp for stamp in self.rounds if stamp <= tick])]
         for gossips in closed:
-            self.last = gossips if len(gossips) == peers else {**self.last, **gossips}
+            self.last = gossips if gossips.keys() == peers else {**self.last, **gossips}
         return closed

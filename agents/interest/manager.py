@@ -4,7 +4,8 @@ The agent publishes beacons, and receives those of the tiles around it. Its subs
 a swarm of any size.
 
 A new agent first asks for beacons, waits for the answers, and selects peers. Then it waits until the others have had the time to
-subscribe to it. From then on it selects peers every `CHOICE` s, and at once when a peer comes or goes or while its cell is empty.
+subscribe to it. From then on it selects peers every `CHOICE` s, and at the end of a tick in which a peer has come or gone or in which it
+has no cell.
 """
 
 import math
@@ -29,14 +30,14 @@ from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
 from protocol.sensing import Pose, WedgeSensor
 from protocol.streams import key
 
-SETTLE = 0.25  # s for a question to reach all agents and for the answers to come back
+SETTLE = 0.25  # s of the clock for a question to reach all agents and for the answers to come back
 ROUNDS = 4  # times SETTLE before the first gossip, so that agents that must ask again have subscribed as well
 FIRST = 2  # tiles on every side of the own one to which a new agent subscribes
 BUSY, LONGEST = 8.0, 5.0  # an agent whose timer is late waits so many times the delay, at most so many s: the others are late as well
 UNHEARD = 3  # times that an agent without peers asks again before it asks in more tiles: the others may only be late
-MOST_QUESTIONS = 8  # in a row; then an agent takes part, certified or not
+MOST_QUESTIONS = 8  # in all; then an agent takes part, certified or not
 AHEAD = 16.0  # m: a tile is subscribed to this far before it is needed, so that a period of beacons has come by then
-FORGOTTEN = 2.5  # periods without a beacon after which a peer is forgotten
+FORGOTTEN = 2.5  # periods without a beacon or gossip after which a peer is forgotten
 CHECK = 4  # ticks between two checks of the peers that neighbours name
 LINGER = 4.0  # s of world time for which a subscription is kept after its peer was last needed: half of all are needed again by then
 
@@ -55,7 +56,7 @@ class InterestManager:
         own_bounds = bounds_of(context.sensor, context.facts)  # type: ignore[arg-type]  # a sensor model is hashable
         self._ground = Ground(context.arena, own_bounds, drift, distances)
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE, LINGER))
-        self._phase = key("beacon", context.name) % self._period
+        self._phase, self._turn = key("beacon", context.name) % self._period, 0  # of the beacon that each period brings; its number
         self._unknown_until = 0  # until this tick the others may not know this agent
         self._questions, self._join_at = 0, 0.0
         self._asking = True
@@ -78,7 +79,7 @@ class InterestManager:
             return []
         if observation.tick > 0:
             self._unknown_until = observation.tick + 2 * self._period
-        self.due, self._join_at = now + SETTLE, now + ROUNDS * SETTLE
+        self.due, self._join_at, self._turn = now + SETTLE, now + ROUNDS * SETTLE, self._turn_of(observation.tick - 1)
         tile = self._tiling.tile(observation.pose[:2])
         # the question reaches all agents that have subscribed to `FIRST` tiles around their own
         self._last_beacon = question(self._own_beacon(observation, outcome), tile)
@@ -178,10 +179,15 @@ class InterestManager:
 
     def _beacon_if_due(self, next_one: Beacon, gossip: Gossip) -> list[Effect]:
         """A beacon once in a period, and when the position, generator or bounds have jumped."""
-        if (gossip.tick + self._phase) % self._period and self._last_beacon and not _jumped(self._last_beacon, next_one):
+        turn = self._turn_of(gossip.tick)
+        if turn == self._turn and self._last_beacon and not _jumped(self._last_beacon, next_one):
             return []
-        self._last_beacon = next_one
+        self._turn, self._last_beacon = turn, next_one
         return [next_one]
+
+    def _turn_of(self, tick: int) -> int:
+        """The number of the period in which a tick lies: no tick itself is sure to be played, at a slower pace for example."""
+        return (tick + self._phase) // self._period
 
     def _own_beacon(self, observation: Observation, outcome: RoundResult) -> Beacon:
         """The beacon of this agent at an observed pose."""
@@ -216,7 +222,8 @@ class InterestManager:
         """Select peers anew if that is due."""
         if gossip.tick < self._chosen_at + self._between and not self._peer_table.changed and len(outcome.cell):
             return []  # an empty cell may appear anywhere, so an agent without a cell selects in every round
-        return self.reselect(outcome.cell, next_one, gossip.tick)
+        cell = self._first_cell(next_one, gossip.tick) if gossip.listening else outcome.cell  # a newcomer gets its first cell soon
+        return self.reselect(cell, next_one, gossip.tick)
 
     def reopen_if_unheard(self, tick: int, now: float) -> list[Effect]:
         """A new session, if neighbours have long been naming a peer that this agent should hear and does not; else no effects."""
@@ -310,7 +317,7 @@ class InterestManager:
         self.known = _overlap(self.known, ground) if self.known else None
         self._known_from = [(since, _overlap(some, ground)) for since, some in self._known_from]
         if grown:  # by then every agent in the new tiles has sent a beacon
-            self._known_from.append((tick + self._period + 1, ground))
+            self._known_from.append((tick + self._period + self._peer_table.pace, ground))
         return self._subscribe_tiles(box)
 
     def _subscribe_tiles(self, box: Box, asking: Beacon | None = None) -> list[Effect]:

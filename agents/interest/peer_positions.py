@@ -31,6 +31,7 @@ class PeerPositions(PositionTable):
             if (
                 peer is None
                 or peer.beacon is None
+                or peer.announced is None
                 or peer.left_at is not None
                 or peer.missed >= limit
                 or peer.incarnation != beacon.incarnation

@@ -18,14 +18,13 @@ class BodyTokens:
         if agent is not None:
             self._peers.alive(name, agent)
 
-    def leave(self, name: str, incarnation: int, tick: int) -> bool:
-        """A body has gone: its agent counts as gone from the round `tick` on; whether that is news."""
+    def leave(self, name: str, incarnation: int, tick: int, *, doubted: bool) -> bool:
+        """A body has gone: its agent counts as gone from the round `tick` on; whether it does now. `doubted`: as in `PeerTable.gone`."""
         peer = self._peers.peers.get(name)
         if incarnation < self._newest.get(name, 0) or peer is None or not peer.token:
             return False
         self._bodiless[name] = peer.incarnation
-        self._peers.gone(name, peer.incarnation, tick)
-        return True
+        return self._peers.gone(name, peer.incarnation, tick, doubted=doubted)
 
     def agent_left(self, name: str) -> None:
         """The agent itself has gone, or another incarnation has come: its own token counts."""

@@ -50,7 +50,7 @@ class Membership:
     def gone(self, event: Gone, tick: int, *, doubted: bool) -> bool:
         """A token has vanished in the round `tick`; whether its agent counts as gone now. `doubted`: this agent was late itself."""
         if event.role == "body":
-            return self._bodies.leave(event.name, event.incarnation, tick)
+            return self._bodies.leave(event.name, event.incarnation, tick, doubted=doubted)
         if event.role != "agent":
             return False
         self._bodies.agent_left(event.name)
@@ -87,7 +87,7 @@ class Membership:
             self.announcements.peer_appeared(len(self._peer_table.peers), now)
         reason = self.session_watchdog.reason_to_reopen(hello, now) if hello.role == "agent" else ""
         if not reason:
-            return warnings or ([] if is_new else NO_EFFECTS)
+            return warnings or ([] if is_new or is_restarted_world else NO_EFFECTS)  # a Hello may be due earlier now
         self._counters["reopened"] += 1
         return [*warnings, Reopen(reason)]
 

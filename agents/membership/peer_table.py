@@ -119,8 +119,8 @@ class PeerTable:
     def _exclude(self, peer: Peer, differs: tuple[str, ...]) -> None:
         """Remove a peer from the interest set when some settings differ; add it again when none does."""
         peer.differs, self.changed = differs, True
-        named = self.interest_set.keys() - {peer.name} if differs else self.interest_set.keys() | {peer.name}
-        self.interest_set = {name: other for name, other in self.peers.items() if name in named}
+        others = {name: other for name, other in self.interest_set.items() if name != peer.name}
+        self.interest_set = others if differs else in_order(others, peer)
         self._steady = False
 
     def news(self, hellos: Iterable[Hello]) -> list[Hello]:
@@ -198,15 +198,13 @@ class PeerTable:
 
         A newcomer waits for every live peer, since it has heard none of them yet.
         """
-        gossips = self.inbox.of(tick)
-        if self._paces and len(gossips) < len(self.interest_set):
-            return self._expected(tick, newcomer=newcomer) - {name for name, pace in self._paces.items() if tick % pace}
-        return self._expected(tick, newcomer=newcomer)
+        expected = self._expected(tick, newcomer=newcomer)
+        return expected - {name for name, pace in self._paces.items() if tick % pace} if self._paces else expected
 
     def _expected(self, tick: int, *, newcomer: bool) -> set[str]:
         """The peers whose gossip of `tick` would be missing if all played every tick."""
         gossips = self.inbox.of(tick)
-        if self._steady or len(gossips) == len(self.interest_set):
+        if self._steady:
             return self.interest_set.keys() - gossips.keys()
         if self.local:  # a beacon of each has come lately
             return {
@@ -264,11 +262,11 @@ class PeerTable:
         if missing or not self._steady:
             self._last_known = self._claimed(tick, self.fresh(tick))
             self._forget_silent(tick)
-        complete = len(self.inbox.of(tick)) == len(self.interest_set)
+        complete = self.interest_set.keys() <= self.inbox.of(tick).keys()  # others were in the interest set when they spoke
         if not self._steady:
             self._settle_doubts(tick, len(self.inbox.of(tick)))
         self._steady = complete and (self._steady or steady(self.interest_set.values(), self.local))
-        for gossips in self.inbox.close(tick, len(self.interest_set)):
+        for gossips in self.inbox.close(tick, self.interest_set.keys()):
             if self.local:
                 self.positions.close(gossips)
             if self._measures_pace:
@@ -345,9 +343,11 @@ class PeerTable:
         silent = peer.missed >= self._silence_limit
         if back or silent:
             peer.left_at, peer.missed, self.changed = None if back else peer.left_at, 0, True
-        peer.beacon = beacon
+        is_first, peer.beacon = peer.beacon is None, beacon
+        if is_first and peer is known:  # its token came before
+            self.changed |= self.positions.matters(beacon)
         self.positions.note(peer, beacon)
-        return back or silent or peer is not known
+        return back or silent or is_first
 
     def forget(self, since: int) -> bool:
         """Forget the peers without a beacon or gossip since the tick `since`; whether there was one."""
@@ -388,24 +388,25 @@ class PeerTable:
         self._steady = steady(added if self._steady else interest_set, self.local)
 
     def _peer(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
-        """The record of a peer's incarnation, made anew for a younger one; None for an older one.
+        """The record of a peer's incarnation, made if it is new; None if it is not the one that counts.
 
-        While a token is up, only another token shows a younger incarnation: one wrong bit in a message must not silence a peer.
+        While a token is up, only another token shows a younger incarnation: one wrong bit in a message must not silence a peer. An
+        incarnation that messages alone have stated gives way to that of a token.
         """
         peer = self.peers.get(name)
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
-        guessed = peer is not None and token and incarnation != peer.incarnation and not peer.token and peer.left_at is None
+        guessed = (
+            peer is not None and token and incarnation != peer.incarnation and not (peer.token or peer.doubted) and peer.left_at is None
+        )
         if peer is None or younger or guessed:
             peer = Peer(name, incarnation)
             self.positions.remove(name)
-            if not self.local:
-                self.peers, self.interest_set = in_order(self.peers, peer), in_order(self.interest_set, peer)
-            else:
+            if self.local:
                 self.peers[name] = peer
-                if name in self.interest_set:
-                    self.interest_set = {other: known for other, known in self.peers.items() if other in self.interest_set}
+            else:
+                self.peers = in_order(self.peers, peer)
             self.changed = True
             if not self.local or name in self.interest_set:
-                self._steady = False
+                self.interest_set, self._steady = in_order(self.interest_set, peer), False
                 self.inbox.forget(name)
         return peer if incarnation == peer.incarnation else None

@@ -13,7 +13,7 @@ from agents.membership.membership import EXIT_FENCED
 from protocol.agreement import whole
 from protocol.message import Message
 from protocol.messages import Beacon, Command, Gossip, Hello, Observation
-from protocol.node import Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
+from protocol.node import NO_EFFECTS, Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
 from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings, RunSettings
@@ -269,7 +269,8 @@ def test_the_hello_of_a_restarted_world_is_answered_at_once() -> None:
         agent.handle(Timer(), moment)  # the Hellos that were due anyway
     agent.handle(received(Hello(incarnation=1, **world)), 1.0)  # type: ignore[arg-type]
     assert (agent.deadline() or 9.0) > 1.0 + SOON  # the world at hand needs no answer
-    agent.handle(received(Hello(incarnation=2, **world)), 1.0)  # type: ignore[arg-type]
+    effects = agent.handle(received(Hello(incarnation=2, **world)), 1.0)  # type: ignore[arg-type]
+    assert effects is not NO_EFFECTS  # which would say that the deadline is what it was
     assert agent.deadline() == pytest.approx(1.0 + SOON)
     assert Hello in kinds(agent.handle(Timer(), 1.0 + SOON))
 

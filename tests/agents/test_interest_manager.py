@@ -12,7 +12,7 @@ from agents.interest.tiles import Rectangle
 from agents.membership.peer_table import PeerTable
 from protocol.geometry import rectangle
 from protocol.keys import one_of, tokens_of
-from protocol.messages import Beacon, Observation
+from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Subscribe, Unsubscribe
 from protocol.settings import ArenaSettings, RunSettings
 
@@ -40,6 +40,10 @@ def lookout() -> InterestManager:
     made = InterestManager(agent.context, PeerTable(CONFIG, "s1"), 1)
     made.start(SEEN, agent.outcome, 0.0)
     return made
+
+
+def standing(name: str, tick: int) -> Gossip:
+    return Gossip(sender=name, incarnation=1, tick=tick, pose=(10.0, 10.0, 0.0), cod=(10.0, 10.0), power_radius=2.0, unused=1.0)
 
 
 def about_s2(effects: list[Effect]) -> list[Effect]:
@@ -122,6 +126,24 @@ def test_who_hears_nobody_asks_again_nearby_before_it_looks_farther() -> None:
     neighbour.take_beacon(beacon("s2", 0, 30.0))
     assert neighbour.due is not None
     assert any(isinstance(effect, Subscribe) for effect in neighbour.on_timer(SEEN, outcome, neighbour.due))
+
+
+@pytest.mark.parametrize("name", ["s1", "s2", "s3"])
+def test_at_a_slower_pace_too_each_period_brings_a_beacon(name: str) -> None:
+    agent = Agent(CONFIG, name)
+    made, pace = InterestManager(agent.context, PeerTable(CONFIG, name), 1), int(PERIOD)
+    made.start(SEEN, agent.outcome, 0.0)
+    said = [made.close_round(standing(name, tick), agent.outcome) for tick in range(pace, 9 * pace, pace)]
+    assert [sum(isinstance(effect, Beacon) for effect in effects) for effects in said] == [1] * 8
+
+
+@pytest.mark.parametrize("listening", [True, False])
+def test_a_newcomer_hears_all_around_the_cell_that_it_is_about_to_get(listening: bool) -> None:
+    watcher, outcome = lookout(), Agent(CONFIG, "s1").outcome
+    watcher.take_beacon(beacon("s2", 0, 150.0))
+    assert not len(outcome.cell)
+    watcher.close_round(msgspec.structs.replace(standing("s1", 1), listening=listening), outcome)
+    assert ("s2" in watcher._peer_table.interest_set) == listening
 
 
 def settled() -> InterestManager:

@@ -95,3 +95,12 @@ def test_a_gossip_ends_the_doubt() -> None:
         agent.handle(Gone("agent", name, 1), 4.0)
     agent.handle(word(2), 4.0)
     assert not agent.peer_table.peers["s2"].doubted and agent.peer_table.peers["s3"].doubted
+
+
+@pytest.mark.parametrize(("now", "is_gone"), [(1.0, True), (4.0, False)])
+def test_a_lost_body_is_doubted_as_a_lost_agent_is(now: float, is_gone: bool) -> None:
+    agent, _ = swarm_of(4)
+    agent.handle(Alive("body", "s2", 1), 0.6)
+    agent.handle(Gone("body", "s2", 1), now)
+    peer = agent.peer_table.peers["s2"]
+    assert (peer.left_at is not None, peer.doubted) == (is_gone, not is_gone)

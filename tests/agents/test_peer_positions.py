@@ -107,3 +107,42 @@ def test_the_silent_are_nowhere_but_for_those_of_whom_a_claim_has_told() -> None
         found.close(tick)
         places.append({*eyes(found)})
     assert places == [{"s2", "s3"}] * 7 + [{"s3"}] * 3
+
+
+def test_a_peer_that_starts_anew_counts_with_its_first_beacon_though_its_token_came_before() -> None:
+    found = peers()
+    found.alive("s2", 2)
+    choose(found)
+    assert not found.changed
+    assert found.take_beacon(beacon("s2", 1, 10.0, incarnation=2)) and found.changed
+
+
+def test_a_peer_whose_sensor_nobody_knows_is_nowhere() -> None:
+    found = peers()
+    for tick in (1, 2):
+        for strange in found.positions.note_all([msgspec.structs.replace(beacon("s9", tick, 5.0), sensor_class="X")], found.peers):
+            found.take_beacon(strange)
+    assert "s9" not in found.positions
+
+
+def test_a_gossip_of_a_peer_that_is_heard_no_more_stands_for_nobody_else() -> None:
+    found = PeerTable(CONFIG, "s1")
+    for name in ("s2", "s3", "s4"):
+        found.take_beacon(beacon(name, 0, 10.0))
+    choose(found)
+    assert [hear(found, gossip(name, 0)) for name in ("s2", "s3", "s4")] == [None] * 3
+    found.close(0)
+    assert [hear(found, gossip(name, 1)) for name in ("s2", "s4")] == [None] * 2
+    table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
+    found.choose(table, Choice(np.array([name != "s4" for name in found.positions.names]), Rectangle(-50.0, -50.0, 50.0, 50.0)))
+    assert found.missing(1) == {"s3"}
+    found.close(1)
+    assert found.any_missed() and found.inbox.newest("s3", 1) == gossip("s3", 0)
+
+
+def test_a_peer_that_starts_anew_keeps_its_place_among_those_that_are_heard() -> None:
+    found = PeerTable(CONFIG, "s1")
+    assert found.take_beacon(beacon("s3", 0, 20.0)) and found.take_beacon(beacon("s2", 0, 10.0))
+    choose(found)
+    found.take_beacon(beacon("s3", 1, 20.0, incarnation=2))
+    assert list(found.interest_set) == ["s2", "s3"] and found.interest_set["s3"].incarnation == 2

@@ -262,3 +262,11 @@ def test_news_are_what_the_table_does_not_hold_and_all_that_other_roles_say() ->
     world = msgspec.structs.replace(hello("world"), role="world")
     assert peers.news([known, world, hello("s3"), other_sensor, hello("s2", 2)]) == [world, hello("s3"), other_sensor, hello("s2", 2)]
     assert peers.take_hello(other_sensor) is None and peers.news([known, other_sensor]) == []
+
+
+def test_the_token_of_an_older_incarnation_replaces_none_whose_own_token_is_doubted() -> None:
+    peers = neighbours("s2")
+    peers.alive("s2", 3)
+    assert not peers.gone("s2", 3, 5, doubted=True)
+    peers.alive("s2", 1)
+    assert peers.peers["s2"].incarnation == 3
