@@ -14,6 +14,7 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError
 from typing import Any
 
 os.environ.setdefault(  # read by zenoh when it is imported: fewer threads, less CPU
@@ -71,6 +72,20 @@ def open_session(settings: NetworkSettings, own: keys.Token | None = None) -> ze
         raise refused(settings, str(error)) from None
 
 
+def _open_for(result: Future[zenoh.Session], settings: NetworkSettings, own: keys.Token) -> None:
+    """Set the result to a session that is opened now; if it has been cancelled meanwhile, close the session again."""
+    try:
+        session = open_session(settings, own)
+    except Exception as error:
+        with contextlib.suppress(InvalidStateError):
+            result.set_exception(error)
+        return
+    try:
+        result.set_result(session)
+    except InvalidStateError:
+        session.close()
+
+
 class Driver:
     """Drives one node over one Zenoh session inside a running event loop."""
 
@@ -97,23 +112,38 @@ class Driver:
         self._stopped: asyncio.Future[int] = self._loop.create_future()
 
     async def open(self) -> None:
-        """Open the session; raises BadSetting when the endpoints cannot be used."""
-        self._session = await asyncio.to_thread(open_session, self._settings, self._own)
+        """Open the session, unless `stop` comes first; raises BadSetting when the endpoints cannot be used.
+
+        A client waits for its router without a limit, in a thread of its own: asyncio would join the threads of its pool.
+        """
+        result = Future[zenoh.Session]()
+        threading.Thread(target=_open_for, args=(result, self._settings, self._own), daemon=True).start()
+        opened = asyncio.wrap_future(result)
+        either: tuple[asyncio.Future[Any], ...] = (opened, self._stopped)
+        try:
+            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            if not result.cancel():
+                self._session = await opened
 
     async def serve(self) -> int:
         """Run until the node or `stop` ends it; returns the exit code. Raises what `open` and the node raise."""
         if self._session is None:
             await self.open()
         try:
-            self._clear_so_linger()
-            self._declare()
-            self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
-            self._handle(Started())
+            if not self._stopped.done():
+                self._begin()
             return await self._stopped
         finally:
             self._disarm()
             await self._close()
             log.info("left the run", extra={"counts": dict(self.counts), "unread": self.unread})
+
+    def _begin(self) -> None:
+        self._clear_so_linger()
+        self._declare()
+        self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
+        self._handle(Started())
 
     def stop(self, code: int, reason: str) -> None:
         """End `serve` with this exit code; the first call counts."""
