@@ -13,7 +13,7 @@ import os
 import signal
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, InvalidStateError
 from typing import Any
 
@@ -106,6 +106,7 @@ class Driver:
         self._publishers: dict[str, tuple[Any, Any]] = {}
         self._declared: list[Any] = []  # kept, because Zenoh undeclares objects without references
         self._session: zenoh.Session | None = None
+        self._next_pass: asyncio.Handle | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at: float | None = None
         self._loop = asyncio.get_running_loop()
@@ -128,6 +129,7 @@ class Driver:
 
     async def serve(self) -> int:
         """Run until the node or `stop` ends it; returns the exit code. Raises what `open` and the node raise."""
+        self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
         if self._session is None:
             await self.open()
         try:
@@ -142,8 +144,7 @@ class Driver:
     def _begin(self) -> None:
         self._clear_so_linger()
         self._declare()
-        self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
-        self._handle(Started())
+        self._handle_all([Started()])
 
     def stop(self, code: int, reason: str) -> None:
         """End `serve` with this exit code; the first call counts."""
@@ -216,8 +217,6 @@ class Driver:
             self._receive(arrivals)
         else:
             self._corrupt(self._link, arrivals)
-        if self._inbox.finish_pass(self._node.awaiting):
-            self._loop.call_soon(self._drain)
 
     def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
         at_once, now = list[Arrival](), self._loop.time()
@@ -232,8 +231,15 @@ class Driver:
         self._receive(at_once)
 
     def _receive(self, arrivals: list[Arrival]) -> None:
-        for event in self._reception.events(arrivals, self._loop.time()):
+        self._handle_all(self._reception.events(arrivals, self._loop.time()))
+
+    def _handle_all(self, events: Iterable[Event]) -> None:
+        """Hand the node events, then tell the inbox how many patient messages it awaits now; they may be there already."""
+        for event in events:
             self._handle(event)
+        if self._next_pass is not None:  # one is enough
+            self._next_pass.cancel()
+        self._next_pass = self._loop.call_soon(self._drain) if self._inbox.finish_pass(self._node.awaiting) else None
 
     def _handle(self, event: Event) -> None:
         """Hand the node an event. An exception in the node ends the process."""
@@ -283,8 +289,7 @@ class Driver:
                 await asyncio.sleep(RETRY_SECONDS)
         self.counts["reopened"] += 1
         await asyncio.sleep(SETTLE_SECONDS)
-        for gone in self._tokens.lost():
-            self._handle(gone)
+        self._handle_all(self._tokens.lost())
 
     def _let_go(self) -> list[Any]:
         """What the session has declared; the next one begins without any."""
@@ -359,9 +364,7 @@ class Driver:
         self._timer = self._timer_at = None
         for _ in range(1 + len(self._inbox) // SLICE):  # earlier arrivals come before the timer
             self._drain()
-        self._handle(Timer())
-        if self._inbox.finish_pass(self._node.awaiting):
-            self._loop.call_soon(self._drain)
+        self._handle_all([Timer()])
 
 
 async def serve(node: Node, settings: NetworkSettings, *, link: LinkFaults | None = None) -> int:

@@ -50,7 +50,9 @@ class Session:
 
 
 @pytest.mark.parametrize("cancelled", [False, True])
-def test_a_session_that_opens_after_the_end_is_closed_again(monkeypatch: pytest.MonkeyPatch, cancelled: bool) -> None:
+def test_who_waits_for_a_router_is_told_where_to_look_and_a_session_that_opens_after_the_end_is_closed_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, cancelled: bool
+) -> None:
     session, begun, there = Session(), threading.Event(), threading.Event()
 
     def wait_for_router(*_: object) -> Session:
@@ -59,11 +61,13 @@ def test_a_session_that_opens_after_the_end_is_closed_again(monkeypatch: pytest.
         return session
 
     monkeypatch.setattr(live, "open_session", wait_for_router)
+    monkeypatch.setattr(live, "ALONE_SECONDS", 0.02)
 
     async def scene() -> None:
-        driver = live.Driver(Scribe("a"), NetworkSettings())
+        driver = live.Driver(Scribe("a"), NetworkSettings(mode="client", seeds=("tcp/127.0.0.1:9",)))
         serving = asyncio.create_task(driver.serve())
         await until(begun.is_set)
+        await until(lambda: "does anybody listen at tcp/127.0.0.1:9" in caplog.text)
         if cancelled:
             serving.cancel()
         else:
