@@ -247,9 +247,9 @@ class Driver:
             return
         try:
             effects = self._node.handle(event, self._loop.time())
-            if effects is not NO_EFFECTS:
-                for effect in effects:
-                    self._carry_out(effect)
+            for effect in effects:
+                self._carry_out(effect)
+            if effects is not NO_EFFECTS or self._timer is None:
                 self._arm()
         except Exception as error:
             self._stopped.set_exception(error)

@@ -8,7 +8,7 @@ from protocol import codec, keys, live
 from protocol.inbox import Arrival
 from protocol.message import Message
 from protocol.messages import Hello
-from protocol.node import Gone, Started
+from protocol.node import NO_EFFECTS, Effect, Event, Gone, Started, Timer
 from protocol.settings import NetworkSettings
 from tests.protocol.test_live import Scribe, command, until
 
@@ -83,5 +83,20 @@ def test_many_late_messages_ask_for_one_pass_over_what_waits() -> None:
         await asyncio.sleep(0.01)
         assert len(node.texts()) == 5 + live.SLICE
         assert len(passes) == 1
+
+    asyncio.run(scene())
+
+
+def test_a_timer_to_which_a_node_answers_nothing_comes_again() -> None:
+    class Hesitant(Scribe):
+        def handle(self, event: Event, now: float) -> list[Effect]:
+            self.events.append(event)
+            self.next = now + 0.01 if isinstance(event, Started) else self.next if self.events.count(Timer()) < 3 else None
+            return NO_EFFECTS if isinstance(event, Timer) else []
+
+    async def scene() -> None:
+        node = Hesitant("a")
+        live.Driver(node, NetworkSettings())._handle_all([Started()])
+        await until(lambda: node.events == [Started(), Timer(), Timer(), Timer()], 5.0)
 
     asyncio.run(scene())
