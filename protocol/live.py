@@ -83,7 +83,8 @@ def _open_for(result: Future[zenoh.Session], settings: NetworkSettings, own: key
     try:
         result.set_result(session)
     except InvalidStateError:
-        session.close()
+        with contextlib.suppress(zenoh.ZError):
+            session.close()
 
 
 class Driver:
@@ -138,6 +139,9 @@ class Driver:
             return await self._stopped
         finally:
             self._disarm()
+            if self._reopening is not None:
+                self._reopening.cancel()
+                await asyncio.wait([self._reopening])
             await self._close()
             log.info("left the run", extra={"counts": dict(self.counts), "unread": self.unread})
 
@@ -252,6 +256,13 @@ class Driver:
             if effects is not NO_EFFECTS or self._timer is None:
                 self._arm()
         except Exception as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """End `serve` with an error; after the end it is only logged."""
+        if self._stopped.done():
+            log.error("an error after the end", exc_info=error)
+        else:
             self._stopped.set_exception(error)
 
     def _carry_out(self, effect: Effect) -> None:
@@ -265,19 +276,28 @@ class Driver:
             self.stop(effect.code, effect.reason)
         elif isinstance(effect, Warn):
             log.warning(effect.text)
-        elif isinstance(effect, Reopen) and self._link is None:  # with injected link faults silence proves nothing
+        elif isinstance(effect, Reopen) and self._link is None and (self._reopening is None or self._reopening.done()):
+            # not with injected link faults: silence proves nothing then
             log.warning("opening the session anew: %s", effect.reason)
-            if self._reopening is None or self._reopening.done():
-                self._reopening = self._loop.create_task(self._reopen())
+            self._reopening = self._loop.create_task(self._reopen())
 
     async def _reopen(self) -> None:
-        """Leave the network and join it again with the same subscriptions; messages sent meanwhile are lost."""
+        """Leave the network and join it again. An exception that is none of the network's ends the process."""
+        try:
+            await self._join_again()
+        except Exception as error:
+            self._fail(error)
+
+    async def _join_again(self) -> None:
+        """Open another session with the same subscriptions, unless `stop` comes first; messages sent meanwhile are lost."""
         self._tokens.doubt()
         await self._close(self._let_go())
         tries = 0
-        while not self._declared and not self._stopped.done():
+        while not self._declared:
             try:
                 await self.open()
+                if self._stopped.done():
+                    return
                 for expression in self._wanted:
                     self._listen(expression)
                 self._declare()

@@ -10,6 +10,7 @@ import threading
 import pytest
 
 from protocol import live
+from protocol.node import Effect, Reopen, Started, Stop, Subscribe
 from protocol.settings import NetworkSettings
 from tests.protocol.test_live import ROOT, Scribe, until
 
@@ -18,6 +19,7 @@ CLIENT = """
 import sys
 from protocol import live
 from protocol.node import Node
+from protocol.node import Effect, Reopen, Started, Stop, Subscribe
 from protocol.settings import NetworkSettings
 class Idle(Node):
     run, role, name, incarnation = "t", "agent", "a", 1
@@ -78,3 +80,74 @@ def test_who_waits_for_a_router_is_told_where_to_look_and_a_session_that_opens_a
         await until(lambda: session.closed)
 
     asyncio.run(scene())
+
+
+def test_an_end_while_the_session_is_opened_anew_leaves_no_session_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`stop` comes in the same pass of the loop as the new session."""
+
+    async def scene() -> None:
+        node, session = Scribe("a"), Session()
+        driver = live.Driver(node, NetworkSettings())
+        serving = asyncio.create_task(driver.serve())
+        await until(lambda: node.events == [Started()])
+
+        async def open_and_stop() -> None:
+            driver._session = session
+            driver.stop(7, "for the test")
+
+        monkeypatch.setattr(driver, "open", open_and_stop)
+        driver._carry_out(Reopen("for the test"))
+        assert await asyncio.wait_for(serving, 5.0) == 7
+        assert driver._reopening is not None and driver._reopening.done()
+        assert session.closed and not driver._declared and driver.counts["reopened"] == 0
+
+    asyncio.run(scene())
+
+
+def test_an_end_while_a_new_session_does_not_open_ends_the_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def scene() -> None:
+        node, trying = Scribe("a"), asyncio.Event()
+        driver = live.Driver(node, NetworkSettings())
+        serving = asyncio.create_task(driver.serve())
+        await until(lambda: node.events == [Started()])
+
+        async def fail() -> None:
+            trying.set()
+            raise live.zenoh.ZError("for the test")
+
+        monkeypatch.setattr(driver, "open", fail)
+        driver._carry_out(Reopen("for the test"))
+        await trying.wait()
+        driver.stop(7, "for the test")
+        assert await asyncio.wait_for(serving, 5.0) == 7
+        assert driver._reopening is not None and driver._reopening.done()
+
+    asyncio.run(scene())
+
+
+def test_an_error_while_the_session_is_opened_anew_ends_the_driver_and_a_second_order_is_not_told(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def scene() -> None:
+        node = Scribe("a", Reopen("the first"), Reopen("the second"))
+        driver = live.Driver(node, NetworkSettings())
+
+        def fail(_: str) -> None:
+            raise ZeroDivisionError("while listening")
+
+        monkeypatch.setattr(driver, "_listen", fail)
+        driver._wanted["covey/**"] = 1
+        with pytest.raises(ZeroDivisionError, match="while listening"):
+            await asyncio.wait_for(driver.serve(), 10.0)
+
+    asyncio.run(scene())
+    assert "the first" in caplog.text and "the second" not in caplog.text
+
+
+def test_an_error_after_the_end_is_logged_and_changes_no_code(caplog: pytest.LogCaptureFixture) -> None:
+    async def scene() -> None:
+        broken: list[Effect] = [Stop(3, "for the test"), Subscribe("covey/ not a key expression //")]
+        assert await live.Driver(Scribe("a", *broken), NetworkSettings()).serve() == 3
+
+    asyncio.run(scene())
+    assert "an error after the end" in caplog.text
