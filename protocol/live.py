@@ -188,8 +188,10 @@ class Driver:
 
         def close(held: Any = declared) -> None:
             with contextlib.suppress(zenoh.ZError, RuntimeError):
-                session.close()
-                self._loop.call_soon_threadsafe(closed.set)
+                try:
+                    session.close()
+                finally:
+                    self._loop.call_soon_threadsafe(closed.set)
 
         threading.Thread(target=close, daemon=True).start()
         with contextlib.suppress(TimeoutError):
@@ -327,11 +329,11 @@ class Driver:
     def _put(self, key: str, payload: bytes) -> None:
         if self._session is None:
             return
-        if key not in self._publishers:
-            publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
-            self._publishers[key] = publisher, zenoh.SourceInfo(publisher.id, 0)
-        publisher, source = self._publishers[key]
         try:
+            if key not in self._publishers:
+                publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+                self._publishers[key] = publisher, zenoh.SourceInfo(publisher.id, 0)
+            publisher, source = self._publishers[key]
             publisher.put(payload, source_info=source)
         except zenoh.ZError as error:
             self.counts["failed_puts"] += 1

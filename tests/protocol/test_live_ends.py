@@ -12,7 +12,7 @@ import pytest
 from protocol import live
 from protocol.node import Effect, Reopen, Started, Stop, Subscribe
 from protocol.settings import NetworkSettings
-from tests.protocol.test_live import ROOT, Scribe, until
+from tests.protocol.test_live import ROOT, Scribe, command, until
 
 pytestmark = pytest.mark.live
 CLIENT = """
@@ -151,3 +151,32 @@ def test_an_error_after_the_end_is_logged_and_changes_no_code(caplog: pytest.Log
 
     asyncio.run(scene())
     assert "an error after the end" in caplog.text
+
+
+def test_a_session_that_fails_to_close_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "CLOSE_SECONDS", 60.0)
+
+    class Stubborn(Session):
+        def close(self) -> None:
+            raise live.zenoh.ZError("for the test")
+
+    async def scene() -> None:
+        driver = live.Driver(Scribe("a"), NetworkSettings())
+        driver._session = Stubborn()  # type: ignore[assignment]
+        await asyncio.wait_for(driver._close(), 5.0)
+
+    asyncio.run(scene())
+
+
+def test_a_key_that_cannot_be_declared_counts_as_a_message_that_was_not_sent() -> None:
+    class Full(Session):
+        def declare_publisher(self, *_: object, **__: object) -> None:
+            raise live.zenoh.ZError("for the test")
+
+    async def scene() -> None:
+        driver = live.Driver(Scribe("a"), NetworkSettings())
+        driver._session = Full()  # type: ignore[assignment]
+        driver._carry_out(command("a", 1))
+        assert driver.counts == {"failed_puts": 1}
+
+    asyncio.run(scene())
