@@ -98,7 +98,7 @@ class Driver:
         self._inbox = Inbox(patient=node.patient)
         self._rate_limiter = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
-        self._tokens = Tokens(self._own)
+        self._tokens = Tokens(self._own, [keys.all_tokens(node.run)] if node.sees_all_tokens else [])
         self._reception = Reception(self._tokens, self.counts)
         self._reopening: asyncio.Task[None] | None = None
         self._sockets = Sockets()
@@ -224,6 +224,10 @@ class Driver:
         else:
             self._corrupt(self._link, arrivals)
 
+    def _drain_all(self) -> None:
+        for _ in range(1 + len(self._inbox) // SLICE):
+            self._drain()
+
     def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
         at_once, now = list[Arrival](), self._loop.time()
         for arrival in arrivals:
@@ -292,8 +296,9 @@ class Driver:
 
     async def _join_again(self) -> None:
         """Open another session with the same subscriptions, unless `stop` comes first; messages sent meanwhile are lost."""
-        self._tokens.doubt()
         await self._close(self._let_go())
+        self._drain_all()  # what the old session has brought comes before its tokens are doubted
+        self._tokens.doubt()
         tries = 0
         while not self._declared:
             try:
@@ -344,6 +349,8 @@ class Driver:
 
     def _subscribe(self, expression: str) -> None:
         self._wanted[expression] += 1
+        if keys.is_of_tokens(expression):
+            self._tokens.follow(expression)
         self._listen(expression)
 
     def _listen(self, expression: str) -> None:
@@ -384,8 +391,7 @@ class Driver:
 
     def _fire(self) -> None:
         self._timer = self._timer_at = None
-        for _ in range(1 + len(self._inbox) // SLICE):  # earlier arrivals come before the timer
-            self._drain()
+        self._drain_all()  # earlier arrivals come before the timer
         self._handle_all([Timer()])
 
 

@@ -8,7 +8,7 @@ from protocol import codec, keys, live
 from protocol.inbox import Arrival
 from protocol.message import Message
 from protocol.messages import Hello
-from protocol.node import NO_EFFECTS, Effect, Event, Gone, Started, Timer
+from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Started, Subscribe, Timer, Unsubscribe
 from protocol.settings import NetworkSettings
 from tests.protocol.test_live import Scribe, command, until
 
@@ -98,5 +98,47 @@ def test_a_timer_to_which_a_node_answers_nothing_comes_again() -> None:
         node = Hesitant("a")
         live.Driver(node, NetworkSettings())._handle_all([Started()])
         await until(lambda: node.events == [Started(), Timer(), Timer(), Timer()], 5.0)
+
+    asyncio.run(scene())
+
+
+def token(name: str, up: bool = True) -> Arrival:
+    return Arrival(keys.token_key("t", "agent", name, 1), token=up)
+
+
+def test_a_token_that_waits_in_the_inbox_while_the_node_unsubscribes_is_told_after_the_next_subscription() -> None:
+    async def scene() -> None:
+        node, expression = Scribe("a"), keys.tokens_of("t", "agent", "b")
+        node.sees_all_tokens, node.run = False, "t"
+        driver = live.Driver(node, NetworkSettings())
+        driver._carry_out(Subscribe(expression))
+        driver._inbox.add(token("b"))
+        driver._carry_out(Unsubscribe(expression))
+        driver._drain()
+        assert node.events == []
+        driver._carry_out(Subscribe(expression))
+        driver._inbox.add(token("b"))
+        driver._drain()
+        assert node.events == [Alive("agent", "b", 1)]
+
+    asyncio.run(scene())
+
+
+def test_a_token_that_waits_in_the_inbox_while_the_session_is_opened_anew_must_be_seen_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "SETTLE_SECONDS", 0.02)
+
+    async def scene() -> None:
+        node = Scribe("a")
+        node.run = "t"
+        driver = live.Driver(node, NetworkSettings())
+
+        async def close(_: object) -> None:
+            driver._inbox.add(token("ghost"))
+
+        monkeypatch.setattr(driver, "_close", close)
+        monkeypatch.setattr(driver, "open", lambda: asyncio.sleep(0))
+        monkeypatch.setattr(driver, "_declare", lambda: driver._declared.append("token"))
+        await asyncio.wait_for(driver._reopen(), 5.0)
+        assert node.events == [Alive("agent", "ghost", 1), Gone("agent", "ghost", 1)]
 
     asyncio.run(scene())
