@@ -1,7 +1,7 @@
-"""The live driver: one node, one process, asyncio and Zenoh. No other file imports zenoh.
+"""The live driver: one node, one process, asyncio and Zenoh. No other file of the swarm's own software imports zenoh.
 
-Zenoh's threads only append to the inbox. Decoding, the node and its timers run in the event loop. Every message names its Zenoh
-session, so the quarantine excludes a sender of garbage and not the agent of the key.
+Zenoh's threads only apply the rate limit and append to the inbox. Decoding, the node and its timers run in the event loop. Every
+message names its Zenoh session, so the quarantine excludes a sender of garbage and not the agent of the key.
 """
 
 import asyncio
@@ -91,7 +91,7 @@ class Driver:
     """Drives one node over one Zenoh session inside a running event loop."""
 
     def __init__(self, node: Node, settings: NetworkSettings, link: LinkFaults | None = None) -> None:
-        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts
+        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts, reopened
         self._node = node
         self._settings = settings
         self._link = link
@@ -168,7 +168,10 @@ class Driver:
             self._loop.call_later(SO_LINGER_SHARE * self._settings.lease, self._clear_so_linger)
 
     def _declare(self) -> None:
-        """Subscribe to the tokens of all participants, then declare the own token: a peer that sees it finds this node ready."""
+        """Subscribe to the tokens of all participants if the node sees all, and declare the own token.
+
+        What the node subscribes to at `Started` follows: a peer that sees the token may speak before this node hears it.
+        """
         assert self._session is not None
         liveliness, everybody = self._session.liveliness(), self._node.sees_all_tokens
         self._declared = [
@@ -273,7 +276,7 @@ class Driver:
 
     def _carry_out(self, effect: Effect) -> None:
         if isinstance(effect, Message):
-            self._send(keys.message_key(self._node.run, effect), codec.encode(effect))
+            self._put(keys.message_key(self._node.run, effect), codec.encode(effect))
         elif isinstance(effect, Subscribe):
             self._subscribe(effect.expression)
         elif isinstance(effect, Unsubscribe):
@@ -324,13 +327,6 @@ class Driver:
         self._publishers, self._subscribers, self._declared = {}, {}, []
         return declared
 
-    def _send(self, key: str, payload: bytes) -> None:
-        if self._link is None:
-            self._put(key, payload)
-            return
-        for delay, changed in self._link.outgoing(key, payload):
-            self._loop.call_later(delay, self._put, key, changed) if delay > 0.0 else self._put(key, changed)
-
     def _put(self, key: str, payload: bytes) -> None:
         if self._session is None:
             return
@@ -357,7 +353,7 @@ class Driver:
         if self._session is None or expression in self._subscribers:
             return
         # An indirect callback runs in a thread of its own, which costs a switch for every message. A direct one runs in the thread that
-        # reads the sockets and must return soon: these only append to the inbox.
+        # reads the sockets and must return soon: these only apply the rate limit and append to the inbox.
         if keys.is_of_tokens(expression):
             callback = zenoh.handlers.Callback(self._on_token, indirect=False)
             self._subscribers[expression] = self._session.liveliness().declare_subscriber(expression, callback, history=True)
@@ -393,11 +389,6 @@ class Driver:
         self._timer = self._timer_at = None
         self._drain_all()  # earlier arrivals come before the timer
         self._handle_all([Timer()])
-
-
-async def serve(node: Node, settings: NetworkSettings, *, link: LinkFaults | None = None) -> int:
-    """Drive a node inside the running event loop until it stops; its exit code."""
-    return await Driver(node, settings, link).serve()
 
 
 def run(
