@@ -1,4 +1,4 @@
-"""The bounded queue between Zenoh's threads and the event loop, the rate limit per key, and the quarantine of senders of garbage.
+"""The queue between Zenoh's threads and the event loop, the rate limit per key, and the quarantine of senders of garbage.
 
 Pure bookkeeping without sockets, for the live driver.
 """
@@ -57,7 +57,8 @@ class RateLimiter:
         if count <= self._most and key not in self._suspect:
             return True
         with self._lock:
-            self._suspect[key] = None
+            self._suspect.pop(key, None)
+            self._suspect[key] = None  # at the end
             return self._admits(key, session_of(origin), now)
 
     def _admits(self, key: str, source: str, now: float) -> bool:
@@ -72,7 +73,10 @@ class RateLimiter:
 
 
 class Inbox:
-    """A queue that any thread fills and the event loop empties; on overflow the newest message per key and session stays.
+    """A queue that any thread fills and the event loop empties.
+
+    On overflow only the newest message per key and session stays, and if those are too many, only the newer half of them. Of each token
+    the newest state stays: tokens alone are not bounded.
 
     `patient` marks keys with messages that wait until as many have come as `finish_pass` says: one wake-up for many messages costs less.
     """
@@ -87,13 +91,13 @@ class Inbox:
         self._bytes = 0
         self._most_entries = most_entries
         self._most_bytes = most_bytes
-        self._called = False  # the loop has been called and has not emptied the queue yet
+        self._called = False  # the loop has been called and has not finished its pass yet
 
     def __len__(self) -> int:
         return len(self._queue)
 
     def add(self, arrival: Arrival) -> bool:
-        """Append an arrival; True when the event loop must be called: at most once until it takes."""
+        """Append an arrival; True when the event loop must be called: at most once until it has finished a pass."""
         with self._lock:
             self._queue.append(arrival)
             self._bytes += len(arrival.payload)
@@ -107,7 +111,7 @@ class Inbox:
             return True
 
     def take(self, most: int, newest_only: tuple[str, int] = ("", 0)) -> list[Arrival]:
-        """The oldest entries, at most `most`. After an empty list the next `add` calls the loop again.
+        """The oldest entries, at most `most`. If there were any, no `add` calls the loop until `finish_pass`.
 
         `newest_only`: see `Node`. Messages of each session count by themselves.
         """

@@ -1,4 +1,4 @@
-"""Key expressions. No other file builds or parses them.
+"""The keys of messages and of liveliness tokens, and the expressions that nodes subscribe to.
 
     covey/<run>/hello/<agent>          covey/<run>/gossip/<agent>        covey/<run>/beacon/<column>/<row>/<agent>
     covey/<run>/observation/<agent>    covey/<run>/command/<agent>       covey/<run>/estimate/<agent>

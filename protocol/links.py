@@ -18,13 +18,10 @@ from protocol.streams import key, stream
 
 
 class LinkFaults(Protocol):
-    """A hook on the traffic of one process: (delay s, payload) of every copy of a payload."""
-
-    def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """The copies of a payload that this process publishes."""
+    """A hook on what arrives at one process."""
 
     def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
-        """The copies of a payload that arrives at this process at the time `now`, s."""
+        """(delay s, payload) of every copy of a payload that arrives at this process at the time `now`, s."""
 
 
 class Condition(Section, frozen=True, kw_only=True):
@@ -150,7 +147,10 @@ class Ears:
 
 
 class LiveLink:
-    """Link faults of one process, set by lines of its standard input: {"links": {...}} as `LinkConditions`. Other lines are ignored."""
+    """Link faults of one process, on what arrives. Lines of its standard input set them: {"links": {...}} as `LinkConditions`.
+
+    Other lines are ignored.
+    """
 
     def __init__(self, seed: int, receiver: str, complain: Callable[[str], None] = lambda text: None) -> None:
         self._ears = Ears(seed, receiver)
@@ -164,10 +164,6 @@ class LiveLink:
                 self._ears.set(convert(data["links"], LinkConditions, "links"))
         except ValueError as error:
             self._complain(str(error))
-
-    def outgoing(self, key: str, payload: bytes) -> list[tuple[float, bytes]]:
-        """The payload itself, without delay: the receivers apply the faults."""
-        return [(0.0, payload)]
 
     def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
         """The copies of a payload that arrives at this process, after the faults of its link."""

@@ -1,7 +1,7 @@
-"""The live driver: one node, one process, asyncio and Zenoh. No other file imports zenoh.
+"""The live driver: one node, one process, asyncio and Zenoh. No other file of the swarm's own software imports zenoh.
 
-Zenoh's threads only append to the inbox. Decoding, the node and its timers run in the event loop. Every message names its Zenoh
-session, so the quarantine excludes a sender of garbage and not the agent of the key.
+Zenoh's threads only apply the rate limit and append to the inbox. Decoding, the node and its timers run in the event loop. Every
+message names its Zenoh session, so the quarantine excludes a sender of garbage and not the agent of the key.
 """
 
 import asyncio
@@ -13,7 +13,8 @@ import os
 import signal
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, InvalidStateError
 from typing import Any
 
 os.environ.setdefault(  # read by zenoh when it is imported: fewer threads, less CPU
@@ -71,18 +72,33 @@ def open_session(settings: NetworkSettings, own: keys.Token | None = None) -> ze
         raise refused(settings, str(error)) from None
 
 
+def _open_for(result: Future[zenoh.Session], settings: NetworkSettings, own: keys.Token) -> None:
+    """Set the result to a session that is opened now; if it has been cancelled meanwhile, close the session again."""
+    try:
+        session = open_session(settings, own)
+    except Exception as error:
+        with contextlib.suppress(InvalidStateError):
+            result.set_exception(error)
+        return
+    try:
+        result.set_result(session)
+    except InvalidStateError:
+        with contextlib.suppress(zenoh.ZError):
+            session.close()
+
+
 class Driver:
     """Drives one node over one Zenoh session inside a running event loop."""
 
     def __init__(self, node: Node, settings: NetworkSettings, link: LinkFaults | None = None) -> None:
-        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts
+        self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts, reopened
         self._node = node
         self._settings = settings
         self._link = link
         self._inbox = Inbox(patient=node.patient)
         self._rate_limiter = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
-        self._tokens = Tokens(self._own)
+        self._tokens = Tokens(self._own, [keys.all_tokens(node.run)] if node.sees_all_tokens else [])
         self._reception = Reception(self._tokens, self.counts)
         self._reopening: asyncio.Task[None] | None = None
         self._sockets = Sockets()
@@ -91,29 +107,48 @@ class Driver:
         self._publishers: dict[str, tuple[Any, Any]] = {}
         self._declared: list[Any] = []  # kept, because Zenoh undeclares objects without references
         self._session: zenoh.Session | None = None
+        self._next_pass: asyncio.Handle | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at: float | None = None
         self._loop = asyncio.get_running_loop()
         self._stopped: asyncio.Future[int] = self._loop.create_future()
 
     async def open(self) -> None:
-        """Open the session; raises BadSetting when the endpoints cannot be used."""
-        self._session = await asyncio.to_thread(open_session, self._settings, self._own)
+        """Open the session, unless `stop` comes first; raises BadSetting when the endpoints cannot be used.
+
+        A client waits for its router without a limit, in a thread of its own: asyncio would join the threads of its pool.
+        """
+        result = Future[zenoh.Session]()
+        threading.Thread(target=_open_for, args=(result, self._settings, self._own), daemon=True).start()
+        opened = asyncio.wrap_future(result)
+        either: tuple[asyncio.Future[Any], ...] = (opened, self._stopped)
+        try:
+            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            if not result.cancel():
+                self._session = await opened
 
     async def serve(self) -> int:
         """Run until the node or `stop` ends it; returns the exit code. Raises what `open` and the node raise."""
+        self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
         if self._session is None:
             await self.open()
         try:
-            self._clear_so_linger()
-            self._declare()
-            self._loop.call_later(ALONE_SECONDS, self._tokens.warn_if_alone, self._settings.seeds)
-            self._handle(Started())
+            if not self._stopped.done():
+                self._begin()
             return await self._stopped
         finally:
             self._disarm()
+            if self._reopening is not None:
+                self._reopening.cancel()
+                await asyncio.wait([self._reopening])
             await self._close()
             log.info("left the run", extra={"counts": dict(self.counts), "unread": self.unread})
+
+    def _begin(self) -> None:
+        self._clear_so_linger()
+        self._declare()
+        self._handle_all([Started()])
 
     def stop(self, code: int, reason: str) -> None:
         """End `serve` with this exit code; the first call counts."""
@@ -133,7 +168,10 @@ class Driver:
             self._loop.call_later(SO_LINGER_SHARE * self._settings.lease, self._clear_so_linger)
 
     def _declare(self) -> None:
-        """Subscribe to the tokens of all participants, then declare the own token: a peer that sees it finds this node ready."""
+        """Subscribe to the tokens of all participants if the node sees all, and declare the own token.
+
+        What the node subscribes to at `Started` follows: a peer that sees the token may speak before this node hears it.
+        """
         assert self._session is not None
         liveliness, everybody = self._session.liveliness(), self._node.sees_all_tokens
         self._declared = [
@@ -153,8 +191,10 @@ class Driver:
 
         def close(held: Any = declared) -> None:
             with contextlib.suppress(zenoh.ZError, RuntimeError):
-                session.close()
-                self._loop.call_soon_threadsafe(closed.set)
+                try:
+                    session.close()
+                finally:
+                    self._loop.call_soon_threadsafe(closed.set)
 
         threading.Thread(target=close, daemon=True).start()
         with contextlib.suppress(TimeoutError):
@@ -186,8 +226,10 @@ class Driver:
             self._receive(arrivals)
         else:
             self._corrupt(self._link, arrivals)
-        if self._inbox.finish_pass(self._node.awaiting):
-            self._loop.call_soon(self._drain)
+
+    def _drain_all(self) -> None:
+        for _ in range(1 + len(self._inbox) // SLICE):
+            self._drain()
 
     def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
         at_once, now = list[Arrival](), self._loop.time()
@@ -202,8 +244,15 @@ class Driver:
         self._receive(at_once)
 
     def _receive(self, arrivals: list[Arrival]) -> None:
-        for event in self._reception.events(arrivals, self._loop.time()):
+        self._handle_all(self._reception.events(arrivals, self._loop.time()))
+
+    def _handle_all(self, events: Iterable[Event]) -> None:
+        """Hand the node events, then tell the inbox how many patient messages it awaits now; they may be there already."""
+        for event in events:
             self._handle(event)
+        if self._next_pass is not None:  # one is enough
+            self._next_pass.cancel()
+        self._next_pass = self._loop.call_soon(self._drain) if self._inbox.finish_pass(self._node.awaiting) else None
 
     def _handle(self, event: Event) -> None:
         """Hand the node an event. An exception in the node ends the process."""
@@ -211,16 +260,23 @@ class Driver:
             return
         try:
             effects = self._node.handle(event, self._loop.time())
-            if effects is not NO_EFFECTS:
-                for effect in effects:
-                    self._carry_out(effect)
+            for effect in effects:
+                self._carry_out(effect)
+            if effects is not NO_EFFECTS or self._timer is None:
                 self._arm()
         except Exception as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """End `serve` with an error; after the end it is only logged."""
+        if self._stopped.done():
+            log.error("an error after the end", exc_info=error)
+        else:
             self._stopped.set_exception(error)
 
     def _carry_out(self, effect: Effect) -> None:
         if isinstance(effect, Message):
-            self._send(keys.message_key(self._node.run, effect), codec.encode(effect))
+            self._put(keys.message_key(self._node.run, effect), codec.encode(effect))
         elif isinstance(effect, Subscribe):
             self._subscribe(effect.expression)
         elif isinstance(effect, Unsubscribe):
@@ -229,19 +285,29 @@ class Driver:
             self.stop(effect.code, effect.reason)
         elif isinstance(effect, Warn):
             log.warning(effect.text)
-        elif isinstance(effect, Reopen) and self._link is None:  # with injected link faults silence proves nothing
+        elif isinstance(effect, Reopen) and self._link is None and (self._reopening is None or self._reopening.done()):
+            # not with injected link faults: silence proves nothing then
             log.warning("opening the session anew: %s", effect.reason)
-            if self._reopening is None or self._reopening.done():
-                self._reopening = self._loop.create_task(self._reopen())
+            self._reopening = self._loop.create_task(self._reopen())
 
     async def _reopen(self) -> None:
-        """Leave the network and join it again with the same subscriptions; messages sent meanwhile are lost."""
-        self._tokens.doubt()
+        """Leave the network and join it again. An exception that is none of the network's ends the process."""
+        try:
+            await self._join_again()
+        except Exception as error:
+            self._fail(error)
+
+    async def _join_again(self) -> None:
+        """Open another session with the same subscriptions, unless `stop` comes first; messages sent meanwhile are lost."""
         await self._close(self._let_go())
+        self._drain_all()  # what the old session has brought comes before its tokens are doubted
+        self._tokens.doubt()
         tries = 0
-        while not self._declared and not self._stopped.done():
+        while not self._declared:
             try:
                 await self.open()
+                if self._stopped.done():
+                    return
                 for expression in self._wanted:
                     self._listen(expression)
                 self._declare()
@@ -253,8 +319,7 @@ class Driver:
                 await asyncio.sleep(RETRY_SECONDS)
         self.counts["reopened"] += 1
         await asyncio.sleep(SETTLE_SECONDS)
-        for gone in self._tokens.lost():
-            self._handle(gone)
+        self._handle_all(self._tokens.lost())
 
     def _let_go(self) -> list[Any]:
         """What the session has declared; the next one begins without any."""
@@ -262,21 +327,14 @@ class Driver:
         self._publishers, self._subscribers, self._declared = {}, {}, []
         return declared
 
-    def _send(self, key: str, payload: bytes) -> None:
-        if self._link is None:
-            self._put(key, payload)
-            return
-        for delay, changed in self._link.outgoing(key, payload):
-            self._loop.call_later(delay, self._put, key, changed) if delay > 0.0 else self._put(key, changed)
-
     def _put(self, key: str, payload: bytes) -> None:
         if self._session is None:
             return
-        if key not in self._publishers:
-            publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
-            self._publishers[key] = publisher, zenoh.SourceInfo(publisher.id, 0)
-        publisher, source = self._publishers[key]
         try:
+            if key not in self._publishers:
+                publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+                self._publishers[key] = publisher, zenoh.SourceInfo(publisher.id, 0)
+            publisher, source = self._publishers[key]
             publisher.put(payload, source_info=source)
         except zenoh.ZError as error:
             self.counts["failed_puts"] += 1
@@ -287,13 +345,15 @@ class Driver:
 
     def _subscribe(self, expression: str) -> None:
         self._wanted[expression] += 1
+        if keys.is_of_tokens(expression):
+            self._tokens.follow(expression)
         self._listen(expression)
 
     def _listen(self, expression: str) -> None:
         if self._session is None or expression in self._subscribers:
             return
         # An indirect callback runs in a thread of its own, which costs a switch for every message. A direct one runs in the thread that
-        # reads the sockets and must return soon: these only append to the inbox.
+        # reads the sockets and must return soon: these only apply the rate limit and append to the inbox.
         if keys.is_of_tokens(expression):
             callback = zenoh.handlers.Callback(self._on_token, indirect=False)
             self._subscribers[expression] = self._session.liveliness().declare_subscriber(expression, callback, history=True)
@@ -327,16 +387,8 @@ class Driver:
 
     def _fire(self) -> None:
         self._timer = self._timer_at = None
-        for _ in range(1 + len(self._inbox) // SLICE):  # earlier arrivals come before the timer
-            self._drain()
-        self._handle(Timer())
-        if self._inbox.finish_pass(self._node.awaiting):
-            self._loop.call_soon(self._drain)
-
-
-async def serve(node: Node, settings: NetworkSettings, *, link: LinkFaults | None = None) -> int:
-    """Drive a node inside the running event loop until it stops; its exit code."""
-    return await Driver(node, settings, link).serve()
+        self._drain_all()  # earlier arrivals come before the timer
+        self._handle_all([Timer()])
 
 
 def run(

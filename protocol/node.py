@@ -1,8 +1,8 @@
 """The Node: a participant without clock, socket or global random numbers.
 
 A driver (`live` or `virtual`) hands it one event at a time with its own monotonic time `now` in s. The driver carries out the returned
-effects in order, and hands over a `Timer` when `deadline()` has passed. The commonest effect is a message: it is published under
-its key.
+effects in order, and hands over a `Timer` after a `deadline()`, which may have moved meanwhile. The commonest effect is a message: it is
+published under its key.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ class Started:
 class Batch:
     """Messages of one kind that arrived together, in the order of arrival. A batch is immutable; derived values are computed once.
 
-    In virtual time all listeners of the same messages share one batch. A sender that listens to its own kind finds its message in it.
+    In virtual time all listeners of the same messages share one batch. A sender that listens to its own kind may find its message in it.
     """
 
     def __init__(self, messages: Sequence[Message], payloads: Sequence[bytes] = ()) -> None:
@@ -94,7 +94,7 @@ class Gone:
 
 @dataclass(frozen=True, slots=True)
 class Timer:
-    """The node's deadline has passed."""
+    """A deadline of the node has passed, but an event in between may have moved it: the node looks at `now` itself."""
 
 
 Event = Started | Received | Rejected | Alive | Gone | Timer

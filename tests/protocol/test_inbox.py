@@ -132,6 +132,16 @@ def test_the_flow_remembers_a_bounded_number_of_keys() -> None:
     assert len(flow._left) == len(flow._suspect) == RateLimiter.MOST_KEYS and len(flow._counts) <= RateLimiter.MOST_KEYS + 1
 
 
+def test_of_too_many_suspect_keys_the_one_that_was_quiet_for_longest_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RateLimiter, "MOST_KEYS", 2)
+    flow = RateLimiter(most=1)
+    for second, key in enumerate("abac"):
+        assert [flow.admits(key, "x", float(second)) for _ in range(3)].count(False), "suspect"
+    assert flow.admits("b", UNKNOWN, 9.0), "forgotten"
+    with pytest.raises(AttributeError):
+        flow.admits("a", UNKNOWN, 9.0)
+
+
 def test_patient_messages_call_the_loop_only_once_enough_of_them_have_come() -> None:
     inbox = Inbox(patient="/gossip/")
     assert not inbox.finish_pass(3)

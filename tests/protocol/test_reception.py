@@ -24,7 +24,7 @@ def garbage(source: str = "z1", key: str = "covey/t/command/s1") -> Arrival:
 
 def reception() -> tuple[Reception, Counter[str]]:
     counts: Counter[str] = Counter()
-    return Reception(Tokens(OWN), counts), counts
+    return Reception(Tokens(OWN, ["covey/**"]), counts), counts
 
 
 def kinds(events: list[Event]) -> list[str]:

@@ -7,6 +7,8 @@ from protocol.node import Alive, Gone
 from protocol.tokens import Tokens
 
 OWN = Token("t", "agent", "s1", 1)
+ALL = ["covey/t/alive/**"]
+S2 = "covey/t/alive/agent/s2/*"
 
 
 def key(name: str, incarnation: int = 1) -> str:
@@ -14,7 +16,7 @@ def key(name: str, incarnation: int = 1) -> str:
 
 
 def test_each_change_is_told_once_and_the_own_token_never() -> None:
-    tokens = Tokens(OWN)
+    tokens = Tokens(OWN, ALL)
     assert tokens.see(key("s2"), False) is None
     assert tokens.see(key("s2"), True) == Alive("agent", "s2", 1)
     assert tokens.see(key("s2"), True) is None
@@ -26,7 +28,7 @@ def test_each_change_is_told_once_and_the_own_token_never() -> None:
 
 
 def test_what_a_new_session_does_not_see_again_is_lost_and_what_it_sees_again_is_not_told_twice() -> None:
-    tokens = Tokens(OWN)
+    tokens = Tokens(OWN, ALL)
     for name in ("s2", "s3", "s4"):
         tokens.see(key(name), True)
     assert tokens.lost() == []
@@ -38,17 +40,20 @@ def test_what_a_new_session_does_not_see_again_is_lost_and_what_it_sees_again_is
     assert tokens.lost() == []
 
 
-def test_forgotten_tokens_are_told_again() -> None:
-    tokens = Tokens(OWN)
+def test_forgotten_tokens_are_told_again_once_they_are_followed_again() -> None:
+    tokens = Tokens(OWN, ["covey/t/alive/agent/s3/*"])
+    tokens.follow(S2)
     tokens.see(key("s2"), True)
     tokens.see(key("s3"), True)
-    tokens.forget("covey/t/alive/agent/s2/*")
+    tokens.forget(S2)
+    assert tokens.see(key("s2"), True) is None, "what comes after the end of a subscription"
+    tokens.follow(S2)
     assert tokens.see(key("s2"), True) == Alive("agent", "s2", 1)
     assert tokens.see(key("s3"), True) is None
 
 
 def test_who_meets_nobody_is_told_where_to_look(caplog: pytest.LogCaptureFixture) -> None:
-    tokens = Tokens(OWN)
+    tokens = Tokens(OWN, ALL)
     tokens.warn_if_alone(())
     assert caplog.text == "", "who dials nobody expects nobody"
     tokens.warn_if_alone(("tls/10.0.0.1:7447",))
