@@ -61,6 +61,7 @@ class BusEndpoint:
     """A node on the bus, and what the bus keeps for it."""
 
     node: Node
+    label: str
     place: int  # in the order in which nodes were added
     expressions: Counter[str] = field(default_factory=Counter)
     timer: float | None = None

@@ -54,6 +54,9 @@ class VirtualBus:
         self.deliveries = 0
         self.bytes = 0  # published
         self.tap: Callable[[Node, Event], None] | None = None  # called after a node has taken an event
+        self.apart: Callable[[str, str], bool] = lambda one, other: (
+            False
+        )  # whether two labels have no session: neither sees the other's token
         self.batches = True  # messages of one instant are handed over together; False: one by one, for comparison
         self._link = link
         self._command_delay = command_delay
@@ -73,19 +76,22 @@ class VirtualBus:
         return list(self._endpoints)
 
     def add(self, node: Node, label: str | None = None) -> None:
-        """Start a node: it and the others see each other's liveliness tokens. Only a second node of the same name needs a label."""
+        """Start a node: it and the others see each other's liveliness tokens, unless they are `apart`.
+
+        Only a second node of the same name needs a label.
+        """
         label = node.name if label is None else label
         if label in self._endpoints:
             raise ValueError(f"{label} is on the bus already")
         self._sequence += 1
-        endpoint = self._endpoints[label] = BusEndpoint(node, self._sequence)
+        endpoint = self._endpoints[label] = BusEndpoint(node, label, self._sequence)
         self._ready.append((endpoint, Started()))
         self._holders.setdefault(_parent(endpoint.token), {})[endpoint] = None
         if endpoint.node.sees_all_tokens:
             self._all_seeing[endpoint] = None
         watching = self._watching(endpoint.token)
         for other in self._endpoints.values() if endpoint.node.sees_all_tokens else watching:
-            if other is not endpoint:
+            if other is not endpoint and not self.apart(label, other.label):
                 if endpoint.node.sees_all_tokens:
                     self._ready.append((endpoint, Alive(other.node.role, other.node.name, other.node.incarnation)))
                 if other in watching:
@@ -310,10 +316,9 @@ class VirtualBus:
             self._subscribe(endpoint, effect.expression)
         elif isinstance(effect, Unsubscribe):
             self._unsubscribe(endpoint, effect.expression)
-        elif isinstance(effect, Stop):  # a Reopen has no effect: no session of this bus is ever half open
-            for label in [label for label, other in self._endpoints.items() if other is endpoint]:
-                self.stopped[label] = effect
-                self.remove(label)
+        elif isinstance(effect, Stop) and self._endpoints.get(endpoint.label) is endpoint:
+            self.stopped[endpoint.label] = effect
+            self.remove(endpoint.label)  # a Reopen has no effect: no session of this bus is ever half open
 
     def _subscribe(self, endpoint: BusEndpoint, expression: str) -> None:
         endpoint.expressions[expression] += 1
@@ -324,7 +329,7 @@ class VirtualBus:
             return
         self._watchers.add(expression, endpoint)
         for other in self._holders.get(_parent(expression), {}):
-            if other is not endpoint:
+            if other is not endpoint and not self.apart(endpoint.label, other.label):
                 self._ready.append((endpoint, Alive(other.node.role, other.node.name, other.node.incarnation)))
 
     def _unsubscribe(self, endpoint: BusEndpoint, expression: str) -> None:
