@@ -61,11 +61,13 @@ class BusEndpoint:
     """A node on the bus, and what the bus keeps for it."""
 
     node: Node
+    label: str
     place: int  # in the order in which nodes were added
     expressions: Counter[str] = field(default_factory=Counter)
     timer: float | None = None
     paused: bool = False
-    waiting: list[Event] = field(default_factory=list)  # what arrived while it was paused or at work
+    waiting: list[Event] = field(default_factory=list)  # what arrived while it stood still or was at work
+    unsaid: list[Effect] = field(default_factory=list)  # the effects of a round that it had computed, while it stands still
     clock: float = 0.0  # offset of its clock from the time of the bus, s
     work: float = 0.0  # time that it takes for one round, s
     starved: Callable[[], float] | None = None  # draws the time that its next round takes, s; None: none

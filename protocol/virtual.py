@@ -54,6 +54,9 @@ class VirtualBus:
         self.deliveries = 0
         self.bytes = 0  # published
         self.tap: Callable[[Node, Event], None] | None = None  # called after a node has taken an event
+        self.apart: Callable[[str, str], bool] = lambda one, other: (
+            False
+        )  # whether two labels have no session: neither sees the other's token
         self.batches = True  # messages of one instant are handed over together; False: one by one, for comparison
         self._link = link
         self._command_delay = command_delay
@@ -62,6 +65,7 @@ class VirtualBus:
         self._boxed: list[BusEndpoint] = []  # endpoints with a box that may hold messages
         self._later: list[tuple[float, int, _Entry]] = []
         self._sequence = 0
+        self._frozen_until: float | None = None  # s; None: the nodes are not frozen
         self._routes: Routes[BusEndpoint] = Routes(place_of)  # of messages
         self._all_seeing: dict[BusEndpoint, None] = {}  # endpoints that see every token
         self._holders: dict[str, dict[BusEndpoint, None]] = {}  # endpoints by role and name, as part of the token key
@@ -72,19 +76,22 @@ class VirtualBus:
         return list(self._endpoints)
 
     def add(self, node: Node, label: str | None = None) -> None:
-        """Start a node: it and the others see each other's liveliness tokens. Only a second node of the same name needs a label."""
+        """Start a node: it and the others see each other's liveliness tokens, unless they are `apart`.
+
+        Only a second node of the same name needs a label.
+        """
         label = node.name if label is None else label
         if label in self._endpoints:
             raise ValueError(f"{label} is on the bus already")
         self._sequence += 1
-        endpoint = self._endpoints[label] = BusEndpoint(node, self._sequence)
+        endpoint = self._endpoints[label] = BusEndpoint(node, label, self._sequence)
         self._ready.append((endpoint, Started()))
         self._holders.setdefault(_parent(endpoint.token), {})[endpoint] = None
         if endpoint.node.sees_all_tokens:
             self._all_seeing[endpoint] = None
         watching = self._watching(endpoint.token)
         for other in self._endpoints.values() if endpoint.node.sees_all_tokens else watching:
-            if other is not endpoint:
+            if other is not endpoint and not self.apart(label, other.label):
                 if endpoint.node.sees_all_tokens:
                     self._ready.append((endpoint, Alive(other.node.role, other.node.name, other.node.incarnation)))
                 if other in watching:
@@ -114,11 +121,11 @@ class VirtualBus:
                 self._schedule(endpoint, event, delay)
 
     def pause(self, name: str) -> None:
-        """Pause a node (SIGSTOP); its arrivals are kept."""
+        """Pause a node (SIGSTOP); its arrivals are kept, and what it has computed but not published yet."""
         self._endpoints[name].paused = True
 
     def resume(self, name: str) -> None:
-        """Resume a paused node (SIGCONT); it takes the arrivals that were kept."""
+        """Resume a paused node (SIGCONT); it publishes and takes what was kept."""
         endpoint = self._endpoints[name]
         endpoint.paused = False
         self._wake(endpoint)
@@ -140,20 +147,29 @@ class VirtualBus:
         self._endpoints[name].starved = seconds
 
     def freeze(self, seconds: float) -> None:
-        """Stop all nodes at once for some seconds: a machine that stands still."""
-        stopped = [endpoint for endpoint in self._endpoints.values() if not endpoint.paused]
-        for endpoint in stopped:
-            endpoint.paused = True
-        self.call_later(seconds, lambda: self._thaw(stopped))
+        """Stop all nodes at once for some seconds: a machine that stands still. Of two freezes at a time the later end counts."""
+        self._frozen_until = max(self._frozen_until or 0.0, self.now + seconds)
+        self.call_later(seconds, self._thaw)
 
-    def _thaw(self, stopped: list[BusEndpoint]) -> None:
-        for endpoint in stopped:
-            endpoint.paused = endpoint not in self._endpoints.values()
+    def _thaw(self) -> None:
+        if self._frozen_until is None or self.now < self._frozen_until:
+            return
+        self._frozen_until = None
+        for endpoint in list(self._endpoints.values()):
             self._wake(endpoint)
 
+    def _stands_still(self, endpoint: BusEndpoint) -> bool:
+        """Whether a node is paused, frozen or gone: nothing reaches it, and nothing leaves it."""
+        return endpoint.paused or self._frozen_until is not None
+
     def _wake(self, endpoint: BusEndpoint) -> None:
-        """Hand a node the events that waited, of observations only the newest."""
-        if endpoint.paused or endpoint.at_work:
+        """Carry out what a node had computed, and hand it the events that waited, of observations only the newest."""
+        if self._stands_still(endpoint):
+            return
+        effects, endpoint.unsaid = endpoint.unsaid, []
+        for effect in effects:
+            self._carry_out(endpoint, effect)
+        if endpoint.at_work:
             return
         self._ready.extendleft((endpoint, event) for event in reversed(endpoint.catch_up()))
         self._rearm(endpoint)
@@ -218,10 +234,10 @@ class VirtualBus:
             self._hand(endpoint, event)
 
     def _hand(self, endpoint: BusEndpoint, event: Event) -> None:
-        """Hand a node an event, or keep the event while the node is paused or at work."""
+        """Hand a node an event, or keep the event while the node stands still or is at work."""
         if endpoint.box:
             self._empty(endpoint)
-        if endpoint.paused or endpoint.at_work:
+        if endpoint.at_work or self._stands_still(endpoint):
             if not isinstance(event, Timer):
                 endpoint.waiting.append(event)
             return
@@ -244,14 +260,14 @@ class VirtualBus:
             self._rearm(endpoint)
 
     def _labour(self, endpoint: BusEndpoint, effects: list[Effect], seconds: float) -> None:
-        """Carry out the effects of a starved node after half of the time that its round takes."""
+        """Carry out the effects of a starved node after half of the time that its round takes, or when it wakes after that."""
 
-        def carry_out() -> None:
-            for effect in effects if endpoint in self._endpoints.values() else ():
-                self._carry_out(endpoint, effect)
+        def finish() -> None:
+            endpoint.unsaid = effects
+            self._wake(endpoint)
 
         endpoint.at_work = True
-        self.call_later(0.5 * seconds, carry_out)
+        self.call_later(0.5 * seconds, finish)
         self._schedule(endpoint, _Done(), seconds)
 
     def _time_of(self, endpoint: BusEndpoint) -> float:
@@ -300,10 +316,9 @@ class VirtualBus:
             self._subscribe(endpoint, effect.expression)
         elif isinstance(effect, Unsubscribe):
             self._unsubscribe(endpoint, effect.expression)
-        elif isinstance(effect, Stop):  # a Reopen has no effect: no session of this bus is ever half open
-            for label in [label for label, other in self._endpoints.items() if other is endpoint]:
-                self.stopped[label] = effect
-                self.remove(label)
+        elif isinstance(effect, Stop) and self._endpoints.get(endpoint.label) is endpoint:
+            self.stopped[endpoint.label] = effect
+            self.remove(endpoint.label)  # a Reopen has no effect: no session of this bus is ever half open
 
     def _subscribe(self, endpoint: BusEndpoint, expression: str) -> None:
         endpoint.expressions[expression] += 1
@@ -314,7 +329,7 @@ class VirtualBus:
             return
         self._watchers.add(expression, endpoint)
         for other in self._holders.get(_parent(expression), {}):
-            if other is not endpoint:
+            if other is not endpoint and not self.apart(endpoint.label, other.label):
                 self._ready.append((endpoint, Alive(other.node.role, other.node.name, other.node.incarnation)))
 
     def _unsubscribe(self, endpoint: BusEndpoint, expression: str) -> None:

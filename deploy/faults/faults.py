@@ -14,8 +14,10 @@ The words are the same in a scenario's [[faults]], on the command line, in a sim
     drop, delay          a share of the messages is lost (options.burst: in runs of so many); all come `value` s late (options.jitter)
     throttle             every link carries `value` kbit/s, one message after the other; what would wait longer than options.queue s is lost
     duplicate, reorder   a share comes twice; is held back and overtaken (options.spread s at most)
-    flip                 a share has one wrong bit
+    flip                 a share is spoilt: one wrong bit, or in every second case eight bytes of ones
     heal                 all links are clear again (options.only_cut = true: the selected are no longer cut off, losses and delays go on)
+
+`seconds` ends a fault. The end of one ends every fault of its verb on the same agents.
 """
 
 import re
@@ -42,6 +44,7 @@ INVERSE: dict[str, tuple[str, dict[str, Any]]] = {  # what ends a fault that las
     "partition": ("heal", {"only_cut": True}),
 }
 ENDED_BY_ZERO = (*SHARES, "delay", "throttle", "slow")
+WITH_END = (*INVERSE, *ENDED_BY_ZERO)  # that may last `seconds`
 OPTIONS: dict[str, dict[str, type]] = {  # what a fault may say beside its value
     "kill": {"silent": bool},
     "join": {"class": str},
@@ -123,7 +126,7 @@ def check_fault(fault: FaultSettings, where: str, members: Sequence[str], *, liv
         raise BadSetting(f"{where}verb = {fault.verb!r}: link faults need network.link_faults = true in the scenario")
     _check_value(fault, verb, where)
     _check_options(fault, verb, where)
-    if verb == "join" or (verb in LINK_VERBS and not fault.who and verb != "partition"):
+    if verb == "join" or (_means_all(verb, fault.who) and verb != "partition"):
         return
     try:
         choose(fault.who, members, [*members, "world", *(f"{name}.body" for name in members)], stream(0, "faults", 0))
@@ -131,7 +134,14 @@ def check_fault(fault: FaultSettings, where: str, members: Sequence[str], *, liv
         raise BadSetting(f"{where}who = {error}") from None
 
 
+def _means_all(verb: str, who: str) -> bool:
+    """Whether a fault strikes all agents: a freeze does, and what is done to links without saying whose."""
+    return verb == "freeze" or (verb in LINK_VERBS and not who)
+
+
 def _check_value(fault: FaultSettings, verb: str, where: str) -> None:
+    if fault.seconds is not None and verb not in WITH_END:
+        raise BadSetting(f"{where}seconds = {fault.seconds:g}: should be left out for {verb}; only {', '.join(WITH_END)} take it")
     if verb in NEED_VALUE and fault.value is None:
         what = "a share between 0 and 1" if verb in SHARES else "a number of kbit/s" if verb == "throttle" else "a number of seconds"
         raise BadSetting(f"{where}value is missing: {verb} needs {what}")
@@ -196,6 +206,6 @@ class Schedule:
         who = self.faults[index].who
         if verb == "join":
             return [who or f"guest{index}"]
-        if verb in LINK_VERBS and not who:
+        if _means_all(verb, who):
             return list(candidates)
         return choose(who, candidates, known, stream(self.seed, "faults", index))

@@ -39,6 +39,7 @@ class Injector:
         self._tearing: dict[Pair, int] = {}  # pairs of labels with a cut between them -> number of the cut
         self._torn: set[Pair] = set()  # whose sessions are lost
         self._number = 0
+        bus.apart = self._apart
 
     def alive(self) -> list[str]:
         """Names of the living."""
@@ -75,10 +76,10 @@ class Injector:
         label = f"{name}#{self._incarnations[name]}" if twin else name
         self._bus.stopped.pop(label, None)
         self.agents[label] = self._build(self._config, name, self._incarnations[name], self._backend, self.scenario.members[name])
-        self._bus.add(self.agents[label], label)
         for other in self.agents:
             if self._cut(label, other):
                 self._tear(self._pair(label, other))
+        self._bus.add(self.agents[label], label)
 
     def kill(self, label: str, silent: bool = False) -> None:
         """An agent vanishes; the others see its token go, or only world and watchers do."""
@@ -121,11 +122,7 @@ class Injector:
             for one, other in (pair, pair[::-1]):
                 agent = self.agents[one]
                 self._bus.announce(Gone("agent", agent.name, agent.incarnation), seconds, to=[other])
-            self._bus.call_later(seconds + RECONNECT, partial(self._see_if_there, *pair))
-
-    def _see_if_there(self, one: str, other: str) -> None:
-        if one in self.agents and other in self.agents and not self._cut(one, other):
-            self._see(one, other)
+            self._bus.call_later(seconds + RECONNECT, partial(self._reopen, *pair))
 
     def _join(self, name: str, sensor_class: str) -> None:
         if name in self._incarnations:
@@ -160,10 +157,7 @@ class Injector:
             return
         self._unseen.discard(label)
         for other in [other for other in self.agents if other != label]:
-            if self._cut(label, other):
-                self._torn.add(self._pair(label, other))  # the end of the cut brings them together
-            elif other not in self._unseen:
-                self._see(label, other)
+            self._reopen(label, other)
         agent = self.agents[label]
         self._bus.announce(
             Alive("agent", agent.name, agent.incarnation), to=[node for node in self._bus.nodes() if node not in self.agents]
@@ -196,11 +190,16 @@ class Injector:
         if pair not in self._torn or pair in self._tearing:
             return
         self._torn.discard(pair)
-        if not self._unseen & set(pair):
-            self._see(*pair)
+        self._reopen(*pair)
 
-    def _see(self, one: str, other: str) -> None:
-        """Two see each other's tokens."""
+    def _reopen(self, one: str, other: str) -> None:
+        """Two see each other's tokens, or will when the cut or the stop that keeps them apart ends; without effect when one is gone."""
+        if one not in self.agents or other not in self.agents:
+            return
+        if self._cut(one, other):
+            self._torn.add(self._pair(one, other))
+        if self._apart(one, other):
+            return
         for label, viewer in ((one, other), (other, one)):
             self._bus.announce(Alive("agent", self.agents[label].name, self.agents[label].incarnation), to=[viewer])
 
@@ -210,6 +209,10 @@ class Injector:
     def _pairs(self) -> list[Pair]:
         labels = sorted(self.agents)
         return [(one, other) for number, one in enumerate(labels) for other in labels[number + 1 :]]
+
+    def _apart(self, one: str, other: str) -> bool:
+        """Whether two labels have no session."""
+        return not self._unseen.isdisjoint((one, other)) or self._pair(one, other) in self._torn
 
     def _cut(self, one: str, other: str) -> bool:
         """Whether the session between two labels has been cut."""

@@ -12,6 +12,7 @@ from deploy.faults.faults import Action
 from protocol.links import CLEAR, Condition, Ears, LinkConditions
 
 OWN = {"drop": ("burst",), "delay": ("jitter",), "throttle": ("queue",)}  # options of one verb alone, which end with it
+SPREADING = {"duplicate", "reorder"}  # verbs that share the option `spread`, which ends with the last of them
 
 Direction = tuple[str, str]  # sender, receiver
 
@@ -75,11 +76,12 @@ class Links:
     def _spoil(self, action: Action) -> None:
         """Set the condition of every link from or to those meant."""
         changes: dict[str, float] = {name: getattr(CLEAR, name) for name in OWN.get(action.verb, ())}
-        if action.value:
-            changes.update({name: float(value) for name, value in action.options.items()})
+        changes.update({name: float(value) for name, value in action.options.items()})
         changes[action.verb] = action.value or 0.0
         for direction in self._around(action.names):
-            changed = msgspec.structs.replace(self._conditions.get(direction, CLEAR), **changes)
+            before = self._conditions.get(direction, CLEAR)
+            spread = before.spread if any(getattr(before, verb) for verb in SPREADING - {action.verb}) else CLEAR.spread
+            changed = msgspec.structs.replace(before, **{"spread": spread, **changes})
             if msgspec.structs.replace(changed, burst=0.0, spread=CLEAR.spread, queue=CLEAR.queue) == CLEAR:
                 self._conditions.pop(direction, None)
             else:
@@ -99,7 +101,9 @@ def describe(action: Action) -> str:
     if action.verb == "heal":
         return f"{who}: no longer cut off" if action.options.get("only_cut") else "all links are clear again"
     if action.verb == "partition":
-        kind = {"one-way": "nobody hears", "bridge": "cut off but for one bridge:"}.get(str(action.options.get("kind")), "cut off")
+        kind = {"one-way": "none of the rest hears", "bridge": "cut off but for one bridge:"}.get(
+            str(action.options.get("kind")), "cut off"
+        )
         return f"{kind} {who}"
     value = action.value or 0.0
     amounts = {"delay": f"{value:g} s", "throttle": f"to {value:g} kbit/s" if value else "no more"}

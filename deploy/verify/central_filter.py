@@ -52,11 +52,6 @@ class CentralFilter:
         self.updated = found.updated
         self.particles = drawn(self.updated, predict(canonical(self.particles), step), claims, step)
 
-    @property
-    def mass(self) -> float:
-        """Expected number of targets."""
-        return float(self.particles.weights.sum())
-
 
 class CentralMixture:
     """The same with a Gaussian mixture; `mixture` holds after the tick `stamp`."""

@@ -99,11 +99,22 @@ def test_a_fault_that_nobody_can_carry_out_is_refused_before_the_run(fault: Faul
         (FaultSettings(at=1.0, verb="drop", value=0.1, options={"burst": "3"}), r"options\.burst = '3': should be a number"),
         (FaultSettings(at=1.0, verb="join"), r"options\.class is missing"),
         (FaultSettings(at=1.0, verb="partition"), r"who = who is missing"),
+        (
+            FaultSettings(at=1.0, verb="jump", who="1", value=9.0, seconds=5.0),
+            r"seconds = 5: should be left out for jump; only kill, .*slow",
+        ),
+        (FaultSettings(at=1.0, verb="heal", seconds=0.0), r"seconds = 0: should be left out for heal"),
     ],
 )
 def test_a_fault_that_says_too_little_or_too_much_is_refused_by_field(fault: FaultSettings, complaint: str) -> None:
     with pytest.raises(BadSetting, match=r"faults\[0\]\." + complaint):
         check_faults([fault], TEAM)
+
+
+def test_a_freeze_is_of_all_and_needs_nobody_by_name() -> None:
+    freeze = FaultSettings(at=1.0, verb="freeze", value=2.0)
+    check_faults([freeze], TEAM)
+    assert Schedule(1, [freeze]).due(1.0, TEAM[:2], [], TEAM) == [Action("freeze", TEAM[:2], 2.0)]
 
 
 def test_live_there_are_no_newcomers_or_jumping_clocks_and_link_faults_must_be_allowed() -> None:

@@ -75,6 +75,25 @@ def test_bursts_end_with_the_losses_though_another_fault_goes_on() -> None:
     assert links.reception("b").conditions["a"] == Condition(delay=0.1)
 
 
+def test_a_jitter_without_a_delay_is_a_fault_too() -> None:
+    links = Links(1, ["a", "b"])
+    links.act(Action("delay", ["a"], 0.0, {"jitter": 0.2}))
+    assert links.reception("b").conditions["a"] == Condition(jitter=0.2)
+
+
+def test_the_spread_of_copies_ends_with_them_and_is_not_that_of_a_later_reordering() -> None:
+    links = Links(1, ["a", "b"])
+    links.act(Action("drop", ["a"], 0.1))
+    links.act(Action("duplicate", ["a"], 0.5, {"spread": 8.0}))
+    links.act(Action("duplicate", ["a"], 0.0))
+    links.act(Action("reorder", ["a"], 0.3))
+    assert links.reception("b").conditions["a"] == Condition(drop=0.1, reorder=0.3)
+    links.act(Action("reorder", ["a"], 0.3, {"spread": 0.4}))
+    links.act(Action("duplicate", ["a"], 0.5))
+    links.act(Action("duplicate", ["a"], 0.0))
+    assert links.reception("b").conditions["a"] == Condition(drop=0.1, reorder=0.3, spread=0.4)
+
+
 def test_a_newcomer_is_cut_off_like_all_others() -> None:
     links = Links(1, TEAM)
     links.add("s9")
@@ -85,4 +104,4 @@ def test_a_newcomer_is_cut_off_like_all_others() -> None:
 def test_a_verb_says_what_it_did() -> None:
     assert describe(Action("drop", ["s1", "s2"], 0.25)) == "drop 25 % of the messages from and to s1, s2"
     assert describe(Action("delay", ["s1"], 0.5)) == "delay 0.5 s from and to s1"
-    assert describe(Action("partition", ["s1"], None, {"kind": "one-way"})) == "nobody hears s1"
+    assert describe(Action("partition", ["s1", "s2"], None, {"kind": "one-way"})) == "none of the rest hears s1, s2"

@@ -264,3 +264,67 @@ def test_a_bus_without_batches_hands_over_one_by_one_and_nobody_its_own_word() -
     bus.run(1.0)
     assert all(len(senders) == 1 and senders != [node.name] for node in nodes for senders in node.batches())
     assert any(node.batches() for node in nodes)
+
+
+def starved(seconds: float) -> tuple[VirtualBus, Scribe, Choir]:
+    """A node whose round takes `seconds` and one that hears its gossips; at 0 s its round of tick 1 begins."""
+    world, one, two = Scribe("world", role="world"), Scribe("a"), Choir("b")
+    bus = bus_of(world, one, two)
+    bus.starve("a", lambda: seconds)
+    one.answers = [gossip("a", 1)]
+    say(bus, world, observation(1))
+    return bus, one, two
+
+
+def test_a_node_that_is_paused_in_mid_round_says_what_it_has_computed_when_it_goes_on() -> None:
+    bus, _, two = starved(2.0)
+    bus.pause("a")
+    bus.run(1.5)
+    assert two.heard() == []
+    bus.resume("a")
+    bus.run(1.5)
+    assert two.heard() == [(1.5, 1)]
+
+
+def test_a_frozen_machine_says_nothing_and_what_its_nodes_had_computed_leaves_when_it_goes_on() -> None:
+    bus, _, two = starved(2.0)
+    before = bus.messages
+    bus.freeze(3.0)
+    bus.run(2.9)
+    assert bus.messages == before
+    bus.run(3.1)
+    assert two.heard() == [(3.0, 1)]
+
+
+def test_who_is_killed_in_mid_round_never_says_what_it_has_computed() -> None:
+    bus, _, two = starved(2.0)
+    bus.remove("a")
+    bus.run(5.0)
+    assert two.heard() == []
+
+
+def test_a_node_that_is_paused_while_all_are_frozen_stays_so_and_one_that_is_resumed_goes_on_with_all() -> None:
+    world, one, two = Scribe("world", role="world"), Scribe("a"), Scribe("b")
+    bus = bus_of(world, one, two)
+    bus.pause("b")
+    bus.freeze(2.0)
+    bus.pause("a")
+    bus.resume("b")
+    bus.call_later(1.0, lambda: bus.announce(Gone("agent", "c", 1)))
+    bus.run(5.0)
+    assert not any(isinstance(event, Gone) for _, event in one.events)
+    assert two.events[-1] == (2.0, Gone("agent", "c", 1))
+    bus.resume("a")
+    bus.run(5.0)
+    assert one.events[-1] == (5.0, Gone("agent", "c", 1))
+
+
+@pytest.mark.parametrize("spans", [(1.0, 4.0), (4.0, 1.0)])
+def test_of_two_freezes_at_a_time_the_one_that_ends_later_counts(spans: tuple[float, float]) -> None:
+    one = Scribe("a")
+    bus = bus_of(one)
+    for seconds in spans:
+        bus.freeze(seconds)
+    bus.announce(Gone("agent", "c", 1))
+    bus.run(9.0)
+    assert one.events[-1] == (4.0, Gone("agent", "c", 1))

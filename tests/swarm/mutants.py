@@ -15,6 +15,7 @@ from agents.backend import PLAIN
 from agents.gossip import outbox
 from agents.gossip.inbox import RoundInbox
 from agents.gossip.table import WEIGHT, GossipTable
+from agents.membership.membership import Membership
 from agents.membership.peer_table import Peer, PeerTable
 from agents.round import AgentContext, RoundResult
 from agents.tracking import regions
@@ -186,6 +187,11 @@ def listener_changes_the_shared_table(case: Case, patch: pytest.MonkeyPatch) -> 
     return fuzz.play(case)
 
 
+def older_twin_stays(case: Case, patch: pytest.MonkeyPatch) -> str | None:
+    patch.setattr(Membership, "fence", lambda self, incarnation: [])
+    return fuzz.play(case)
+
+
 MUTANTS: dict[Mutant, tuple[int, ...]] = {
     row_of_another_sender: (1, 2),
     stale_tick_accepted: (8, 9),
@@ -202,4 +208,5 @@ MUTANTS: dict[Mutant, tuple[int, ...]] = {
     old_incarnation_kept: (14, 1),
     no_overlap_rule: (85, 40),
     stale_claim_wins: (10, 14),
+    older_twin_stays: (2, 25),
 }

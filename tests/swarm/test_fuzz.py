@@ -1,14 +1,17 @@
 """The fuzzer: the kept seeds pass, many seeds pass, cases repeat themselves, and mutants are caught."""
 
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from deploy.faults.faults import Schedule
 from deploy.scenario import FaultSettings
 from deploy.verify import fuzz
-from deploy.verify.fuzz import HEAL_AT, KINDS, LOADS, PROFILES, Case, Failure, draw, healing, play, shrink
+from deploy.verify.fuzz import BLANK, CALM_END, HEAL_AT, KINDS, PROFILES, SETTLE, Case, Failure, draw, healing, play, settled_at, shrink
+from deploy.verify.invariants import LOADS
 from tests.swarm.mutants import MUTANTS, Mutant, no_dedupe_by_id
 
 KEPT = [int(line.split()[0]) for line in (Path(__file__).parent / "seeds.txt").read_text().splitlines() if not line.startswith("#")]
@@ -41,8 +44,7 @@ def test_a_late_swarm_is_one_filter_again_five_seconds_after_the_last_late_messa
     blows = FaultSettings(at=11.32, verb="freeze", who="100%", value=3.16), FaultSettings(at=12.26, verb="delay", who="100%", value=1.406)
     case = draw(4, "late")
     timing = msgspec.structs.replace(case.scenario.timing, look_ahead=2.5)
-    run = msgspec.structs.replace(case.scenario.run, seconds=31.5)
-    scenario = msgspec.structs.replace(case.scenario, faults=(*blows, *healing()), timing=timing, run=run)
+    scenario = msgspec.structs.replace(case.scenario, faults=(*blows, *healing()), timing=timing)
     assert play(case._replace(scenario=scenario)) is None
 
 
@@ -84,16 +86,60 @@ def test_shrinking_keeps_the_faults_that_matter_and_the_healing() -> None:
     extra = FaultSettings(at=3.0, verb="kill", who="1")
     case = case._replace(scenario=msgspec.structs.replace(case.scenario, faults=(extra, *case.scenario.faults)))
     smaller, what = shrink(case, "broken", lambda tried: "broken" if extra in tried.scenario.faults else None)
-    assert smaller.scenario.faults == (extra, *healing()) and what == "broken"
+    assert [fault for fault in smaller.scenario.faults if fault != BLANK] == [extra, *healing()] and what == "broken"
+
+
+def with_faults(*faults: FaultSettings) -> Case:
+    case = draw(1)
+    return case._replace(scenario=msgspec.structs.replace(case.scenario, faults=(*faults, *healing())))
+
+
+def victims(case: Case, at: float) -> list[str]:
+    """Whom the fault at a time strikes when nobody has died."""
+    team = [*case.scenario.members]
+    schedule = Schedule(case.scenario.run.seed, case.scenario.faults)
+    schedule.due(at - 0.1, team, [], team)
+    [action] = schedule.due(at, team, [], team)
+    return action.names
+
+
+def test_shrinking_leaves_the_victims_of_later_faults_as_they_are() -> None:
+    first, later = FaultSettings(at=3.0, verb="kill", who="1"), FaultSettings(at=9.0, verb="pause", who="1")
+    case = with_faults(first, later)
+    assert victims(case, 9.0) != victims(with_faults(later), 9.0)  # deleted, the first one would change the case
+
+    def play(tried: Case) -> str | None:
+        return "broken" if later in tried.scenario.faults and victims(tried, 9.0) == victims(case, 9.0) else None
+
+    assert shrink(case, "broken", play)[0].scenario.faults == (BLANK, later, *healing())
+
+
+def test_shrinking_goes_on_until_no_single_fault_can_be_left_out() -> None:
+    """The first can be left out only without the second."""
+    one, two, three = (FaultSettings(at=at, verb="kill", who="1") for at in (3.0, 4.0, 5.0))
+
+    def play(tried: Case) -> str | None:
+        return "broken" if three in tried.scenario.faults and (one in tried.scenario.faults or two not in tried.scenario.faults) else None
+
+    assert shrink(with_faults(one, two, three), "broken", play)[0].scenario.faults == (BLANK, BLANK, three, *healing())
+
+
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_the_calm_end_is_as_many_ticks_whatever_the_length_of_a_tick(seed: int) -> None:
+    scenario = draw(seed).scenario
+    assert scenario.run.ticks - round(settled_at(scenario) / scenario.run.dt) == CALM_END
+    assert settled_at(scenario) >= HEAL_AT + SETTLE
 
 
 def test_a_failure_says_how_to_replay_it() -> None:
-    text = str(Failure(7, "a hole", (FaultSettings(at=3.0, verb="drop", who="100%", value=0.5, options={"burst": 2.0}),)))
-    assert text.splitlines() == [
+    fault = FaultSettings(at=3.0, verb="partition", who="10%", seconds=0.5, options={"kind": "one-way", "tokens": False})
+    lines = str(Failure(7, "a hole", (BLANK, fault))).splitlines()
+    assert lines == [
         "seed 7: a hole",
         "  replay: covey fuzz --seeds 1 --first 7",
-        '  {at = 3.0, verb = "drop", who = "100%", value = 0.5, options = {\'burst\': 2.0}}',
+        '  {at = 3.0, verb = "partition", who = "10%", seconds = 0.5, options = {kind = "one-way", tokens = false}}',
     ]
+    assert msgspec.convert(tomllib.loads(f"fault = {lines[-1]}")["fault"], FaultSettings) == fault
 
 
 def notices(mutant: Mutant, case: Case) -> bool:
