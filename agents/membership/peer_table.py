@@ -222,16 +222,14 @@ class PeerTable:
         It is a fresh gossip, or the newest one of a peer that has been silent for a short time. The claims of others name generators
         too: a peer is silent since the newest one that it or a claim has stated.
         """
-        found, oldest = {}, tick - self._silence_limit  # the tick so many rounds ago in which this agent was served in time
-        if self._responsive_rounds:
-            rounds = min(self._silence_limit, len(self._responsive_rounds))
-            oldest = min(oldest, self._responsive_rounds[-rounds] - (self._silence_limit - rounds))
-        claimed = self._claimed(tick, fresh)
+        limit, served = self._silence_limit, self._responsive_rounds
+        oldest = served[-limit] if len(served) >= limit else -1  # the tick so many rounds ago in which this agent was served in time
+        found, claimed = {}, self._claimed(tick, fresh)
         for name in self.interest_set:
             gossip = fresh.get(name) or claimed.get(name)
             if gossip is None or gossip.listening:
                 continue
-            if gossip.tick >= oldest - self._silence_limit * (gossip.pace - 1):
+            if gossip.tick >= oldest - limit * (gossip.pace - 1):
                 found[name] = gossip
         return found
 

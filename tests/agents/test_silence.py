@@ -51,6 +51,14 @@ def test_a_silent_peer_is_silent_since_the_newest_generator_that_a_claim_states(
     assert present(table(), {3: claim(3), 4: claim(4), 5: claim(5)}) == [*range(1, 4 + ROUNDS + 1)]
 
 
+def test_ticks_in_which_the_agent_itself_was_paused_are_no_silence_of_its_peers() -> None:
+    peers, found = table(), []
+    for tick in range(20, 26):  # it was paused from tick 1 on; its peers are silent from now on
+        found += [tick] if "s2" in generators(peers, tick) else []
+        peers.close(tick)
+    assert found == [20, 21, 22, 23]
+
+
 def test_a_claim_that_keeps_an_old_generator_keeps_nobody_alive() -> None:
     """s3 has not heard s2 since tick 1 either, and says so."""
     assert present(table(), {tick: claim(tick, tick - 2) for tick in range(2, 12)}) == [1, 2, 3, 4, 5]
