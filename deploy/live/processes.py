@@ -44,6 +44,11 @@ class Child:
     zygote: Zygote | None = field(default=None, repr=False)  # forks it; None: it is executed
 
     @property
+    def has_started(self) -> bool:
+        """Whether it has ever been started: it is no dead process before."""
+        return self.incarnation > 0
+
+    @property
     def is_running(self) -> bool:
         """Whether the process exists and has not been seen to end; a paused one is running."""
         return self.process is not None
@@ -168,7 +173,7 @@ def process_rows(children: Mapping[str, Child], members: Mapping[str, str], agen
     scored = {agent["name"]: agent for agent in agents}
     rows: list[dict[str, Any]] = []
     for name, child in children.items():
-        state = "paused" if child.paused else "running" if child.is_running else "dead"
+        state = "paused" if child.paused else "running" if child.is_running else "dead" if child.has_started else "waiting"
         row: dict[str, Any] = {"name": name, "class": members.get(name, ""), "state": state, "pid": child.pid}
         row |= {"incarnation": child.incarnation, "end": child.end(), "ended_at": child.ended_at}
         rows.append({**scored.pop(name, {}), **row})

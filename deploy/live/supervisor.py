@@ -336,6 +336,9 @@ class Supervisor:
         verb, names, done = action.verb, action.names, []
         if verb in LINK_VERBS:
             return self._change_links(action)
+        for name in names:
+            if not self.children[name].has_started:
+                raise BadSetting(f"{name} has not been started yet: the run still starts; try again in a second")
         self._note_pauses(verb, [name for name in names if self.children[name].is_running])
         for name in names:
             child = self.children[name]
@@ -398,7 +401,7 @@ class Supervisor:
                 "running": child.is_running,
                 "awake": child.is_running and not child.paused,
                 "paused": child.paused,
-                "dead": not child.is_running,
+                "dead": child.has_started and not child.is_running,
             }[state]
         ]
 

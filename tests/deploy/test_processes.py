@@ -74,7 +74,7 @@ def until_stopped(pid: int, wanted: bool) -> None:
 
 
 def test_every_process_has_a_row_with_what_is_known_of_it_and_living_guests_follow(child: Child) -> None:
-    child.returncode = -signal.SIGKILL
+    child.incarnation, child.returncode = 1, -signal.SIGKILL
     known = {"tick": 7, "cell": 0.0}
     agents = [{"name": name, "alive": alive, **known} for name, alive in (("s2", False), ("guest", True), ("gone", False))]
     dead, guest = process_rows({"s2": child}, {"s2": "A"}, agents)
