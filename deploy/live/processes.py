@@ -59,10 +59,14 @@ class Child:
         return self.process.pid if self.process else None
 
     def start(self, *extra: str) -> None:
-        """Start the next incarnation."""
+        """Start the next incarnation; raises OSError, and nothing has changed but its number."""
         assert self.process is None
         self.incarnation += 1
+        self._fork(extra)
         self.paused, self.seen_stopped, self.returncode, self.ended_at = False, False, None, None
+
+    def _fork(self, extra: Sequence[str]) -> None:
+        """Let the zygote fork the process, or execute it; raises OSError when neither is possible."""
         config = self.directory.agents if self.room == "agents" else self.directory.config
         halt = str(self.directory.log(self.name).with_suffix(".halt"))
         own = ["--body", self.body_of, "--keep", halt] if self.body_of else ["--name", self.name]
