@@ -16,7 +16,7 @@ from deploy.cli.errors import writing
 from deploy.cli.terminal import stop_event
 from deploy.installation import need_study_packages
 from deploy.page.server import PageServer, address_of
-from deploy.recording.recording import DRAWING, Recording, find_recording
+from deploy.recording.recording import DRAWING, NO_END, Recording, find_recording
 from deploy.recording.replay import ReplayNode, ReplaySource
 from deploy.recording.rescore import difference, rescore
 from deploy.scoring.scores import write_scores
@@ -34,7 +34,7 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
     console = Console(stderr=as_json, highlight=False)
     scorer = rescore(recording)
     result = scorer.result(recording.wall_seconds)
-    whole = "" if recording.is_whole else "; the recorder was cut off, scored is what it had written"
+    whole = "" if recording.is_whole else f"; it {NO_END}, scored is what it had written"
     console.print(result_table(result, f"{recording.path}: {result.scenario}, seed {result.seed}, {result.agents} agents{whole}"))
     apart = difference(recording.path, result)
     if apart is not None:
@@ -111,7 +111,7 @@ def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
     assert address is not None
     server = PageServer(ReplaySource(recording, speed), address)
     print(f"page: {server.bind()}", flush=True)
-    cut = "" if recording.is_whole else " (the recorder was cut off: shown is what it had written)"
+    cut = "" if recording.is_whole else f" (it {NO_END}; shown is what it had written)"
     print(f"{recording.path}: {recording.scenario.run.scenario}, {recording.seconds:g} s{cut}; Ctrl-C ends it", flush=True)
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     with contextlib.suppress(KeyboardInterrupt):
