@@ -185,6 +185,17 @@ def test_without_being_told_the_run_began_when_the_time_of_its_first_truth_was_z
     assert earth_of(Recording(tmp_path / "a.mcap"), ORIGIN, None).began.timestamp() - 1.5e9 == pytest.approx(began)
 
 
+@pytest.mark.parametrize("form", ["csv", "parquet", "foxglove", "rerun", "mot", "geojson", "cot"])
+def test_a_recording_is_never_written_over_by_its_export(recording: Recording, tmp_path: Path, form: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(recording.path.read_bytes())
+    (tmp_path / "b.mcap").symlink_to("a.mcap")
+    with pytest.raises(BadSetting, match=r"--out .*b\.mcap: is the recording itself; name another file"):
+        recordings.export(str(tmp_path / "a.mcap"), form, tmp_path / "b.mcap", ORIGIN if form in recordings.ON_EARTH else None)
+    with pytest.raises(BadSetting, match=r"--csv .*b\.mcap: is the recording itself"):
+        recordings.score(str(tmp_path / "a.mcap"), tmp_path / "b.mcap", False)
+    assert (tmp_path / "a.mcap").read_bytes() == recording.path.read_bytes()
+
+
 @pytest.mark.parametrize("form", ["mot", "geojson", "cot"])
 def test_a_place_that_cannot_be_written_to_is_named(recording: Recording, tmp_path: Path, form: str) -> None:
     (tmp_path / "file").write_text("in the way")
