@@ -23,6 +23,7 @@ from deploy.storage.run_directory import RunDirectory
 Spawn = Literal["zygote", "exec"]  # how agents are started
 
 CRASHES = (1, *(-number for number in (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGFPE)))
+LAST_BYTES = 1 << 16  # of a log, in which the cause of an end is looked for
 EXIT_FENCED = 3  # of an agent that has met a younger process of its name
 
 
@@ -36,6 +37,7 @@ class Child:
     arguments: list[str]  # endpoints, and the sensor of an agent
     incarnation: int = 0
     paused: bool = False
+    log_begin: int = 0  # byte of its log at which the newest incarnation begins
     returncode: int | None = None  # of the newest incarnation; negative: the signal that ended it
     ended_at: float | None = None  # Unix time, for people only
     seen_stopped: bool = False  # since the last signal that was sent from here
@@ -62,6 +64,8 @@ class Child:
         """Start the next incarnation; raises OSError, and nothing has changed but its number."""
         assert self.process is None
         self.incarnation += 1
+        log = self.directory.log(self.name)
+        self.log_begin = log.stat().st_size if log.exists() else 0
         self._fork(extra)
         self.paused, self.seen_stopped, self.returncode, self.ended_at = False, False, None, None
 
@@ -140,13 +144,21 @@ class Child:
         return self.returncode in CRASHES
 
     def last_log_line(self) -> str:
-        """The last line of its log that is no JSON, where complaints about bad input stand; else its last exception or message."""
+        """Why it ended, from its log since its own start: its last exception.
+
+        Without one the last line that is no JSON, where complaints about bad input stand; without that its last message.
+        """
         try:
-            lines = self.directory.log(self.name).read_text(encoding="utf-8", errors="replace").splitlines()
+            with self.directory.log(self.name).open("rb") as log:
+                begin = max(self.log_begin, log.seek(0, os.SEEK_END) - LAST_BYTES)
+                log.seek(begin)
+                lines = log.read().decode(errors="replace").splitlines()
         except OSError:
             return ""
-        plain = [line for line in lines if line.strip() and not line.startswith("{")]
-        return plain[-1] if plain else _message(lines[-1]) if lines else ""
+        whole = [line for line in lines[begin > self.log_begin :] if line.strip()]
+        exceptions = [line for line in whole if line.startswith("{") and '"exception"' in line]
+        plain = [line for line in whole if not line.startswith("{")]
+        return next((_message(found[-1]) for found in (exceptions, plain, whole) if found), "")
 
 
 def is_stopped(pid: int) -> bool:
@@ -158,10 +170,12 @@ def is_stopped(pid: int) -> bool:
 
 
 def _message(line: str) -> str:
-    """What a line of a log says: the last line of its exception where it has one."""
+    """What a line of a log says: the last line of its exception where it has one; a line that is no record says itself."""
     try:
-        record = json.loads(line)
+        record = json.loads(line) if line.startswith("{") else None
     except ValueError:
+        record = None
+    if record is None:
         return line
     exception = str(record.get("exception", "")).strip().splitlines()
     return exception[-1] if exception else str(record.get("message", line))
