@@ -344,7 +344,10 @@ def test_a_recording_is_found_by_file_folder_and_run_name(tmp_path: Path, monkey
 
 def test_record_names_an_mcap_file_or_means_the_run_directory(tmp_path: Path) -> None:
     assert recording_path(False, tmp_path) is None
-    assert recording_path(True, tmp_path) == tmp_path / "recording.mcap"
+    names = [recording_path(True, tmp_path) for _ in range(3)]  # of recorders that start at once
+    assert names == [tmp_path / "recording.mcap", tmp_path / "recording-2.mcap", tmp_path / "recording-3.mcap"]
+    with pytest.raises(BadSetting, match=r"--record .*recording\.mcap: No such file or directory"):
+        recording_path(True, tmp_path / "never")
     assert recording_path(Path("x.mcap"), tmp_path) == Path("x.mcap")
     with pytest.raises(BadSetting, match=r"--record quick: should be a file that ends in \.mcap"):
         recording_path(Path("quick"), tmp_path)
