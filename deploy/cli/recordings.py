@@ -16,7 +16,7 @@ from deploy.cli.errors import writing
 from deploy.cli.terminal import stop_event
 from deploy.installation import need_study_packages
 from deploy.page.server import PageServer, address_of
-from deploy.recording.recording import DRAWING, Recording, find_recording
+from deploy.recording.recording import DRAWING, NO_END, Recording, find_recording
 from deploy.recording.replay import ReplayNode, ReplaySource
 from deploy.recording.rescore import difference, rescore
 from deploy.scoring.scores import write_scores
@@ -30,11 +30,11 @@ ON_EARTH = ("geojson", "cot")  # forms of an export that lie on Earth
 
 def score(name: str, csv: Path | None, as_json: bool) -> int:
     """Score a recording, and compare with the result of the run itself where that exists."""
-    recording = Recording(find_recording(name))
+    recording = _recording_beside(name, "--csv", csv)
     console = Console(stderr=as_json, highlight=False)
     scorer = rescore(recording)
     result = scorer.result(recording.wall_seconds)
-    whole = "" if recording.is_whole else "; the recorder was cut off, scored is what it had written"
+    whole = "" if recording.is_whole else f"; it {NO_END}, scored is what it had written"
     console.print(result_table(result, f"{recording.path}: {result.scenario}, seed {result.seed}, {result.agents} agents{whole}"))
     apart = difference(recording.path, result)
     if apart is not None:
@@ -51,16 +51,16 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
 def export(name: str, form: str, out: Path | None, origin: tuple[float, float] | None = None, began: str | None = None) -> int:
     """Write a recording in the form of other tools. `origin` and `began`: where and when it was, for forms that lie on Earth."""
     if form in ON_EARTH:
-        return _export_on_earth(Recording(find_recording(name)), form, out, origin, began)
+        return _export_on_earth(_recording_beside(name, "--out", out), form, out, origin, began)
     if origin is not None or began is not None:
         raise BadSetting(f"--origin, --began: are for --to {' and --to '.join(ON_EARTH)}, not for --to {form}")
     if form == "mot":
-        return _export_mot(Recording(find_recording(name)), out)
+        return _export_mot(_recording_beside(name, "--out", out), out)
     need_study_packages("export")
     from deploy.recording.foxglove import write_foxglove
     from deploy.recording.tables import write_tables  # these load slowly
 
-    recording = Recording(find_recording(name))
+    recording = _recording_beside(name, "--out", out)
     if form == "rerun":
         from deploy.recording.rerun_file import write_rerun
 
@@ -80,6 +80,14 @@ def export(name: str, form: str, out: Path | None, origin: tuple[float, float] |
         files = write_tables(recording, folder, form)
     print("\n".join(map(str, files)))
     return 0
+
+
+def _recording_beside(name: str, option: str, out: Path | None) -> Recording:
+    """The recording that is meant; raises BadSetting where `out` would be written in its place."""
+    path = find_recording(name)
+    if out is not None and out.exists() and out.samefile(path):
+        raise BadSetting(f"{option} {out}: is the recording itself; name another file")
+    return Recording(path)
 
 
 def _export_mot(recording: Recording, out: Path | None) -> int:
@@ -111,7 +119,7 @@ def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
     assert address is not None
     server = PageServer(ReplaySource(recording, speed), address)
     print(f"page: {server.bind()}", flush=True)
-    cut = "" if recording.is_whole else " (the recorder was cut off: shown is what it had written)"
+    cut = "" if recording.is_whole else f" (it {NO_END}; shown is what it had written)"
     print(f"{recording.path}: {recording.scenario.run.scenario}, {recording.seconds:g} s{cut}; Ctrl-C ends it", flush=True)
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     with contextlib.suppress(KeyboardInterrupt):

@@ -4,7 +4,7 @@ keys/ca.pem     the authority's certificate, which all processes trust
 keys/ca.key     its private key; no process of a run reads it
 keys/s3.pem     the certificate of s3: common name s3, for TLS servers and clients
 keys/s3.key     its private key
-keys/.gitignore keeps all of them out of git
+keys/.gitignore keeps all of them out of git; where there is one already, it keeps the private keys out
 
 The authority's key is not made inside a git work tree unless that is asked for.
 """
@@ -53,11 +53,21 @@ def make_keys(
     alternatives = [_alternative(host) for host in (*HERE, *hosts)]
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        (folder / ".gitignore").write_text("*\n", encoding="utf-8")
+        _keep_out_of_git(folder / ".gitignore")
         authority, signing_key = _authority(folder)
         return [_certify(name, folder, alternatives, authority, signing_key, days) for name in dict.fromkeys(names)]
     except OSError as error:
         raise BadSetting(f"--into {folder}: {error.strerror}") from None
+
+
+def _keep_out_of_git(ignored: Path) -> None:
+    """Let git ignore the folder, or at least the private keys in it where somebody's own list is there."""
+    rules = ignored.read_text(encoding="utf-8") if ignored.exists() else ""
+    if not rules:
+        ignored.write_text("*\n", encoding="utf-8")
+    elif not {"*", "*.key"} & {line.strip() for line in rules.splitlines()}:
+        with ignored.open("a", encoding="utf-8") as out:
+            out.write("*.key\n" if rules.endswith("\n") else "\n*.key\n")
 
 
 def work_tree(folder: Path) -> Path | None:

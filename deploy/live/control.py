@@ -7,6 +7,7 @@
 
 import asyncio
 import json
+import logging
 import os
 import socket
 from collections.abc import Awaitable, Callable
@@ -20,6 +21,9 @@ Answer = dict[str, Any]
 MOST_LINE = 1 << 20
 MOST_ANSWER = 1 << 22
 ANSWER_SECONDS = 20.0
+CLIENT_SECONDS = 30.0  # that a command waits for an answer
+
+log = logging.getLogger(__name__)
 
 
 class ControlServer:
@@ -68,6 +72,9 @@ class ControlServer:
             return {"error": "a request is one line of JSON"}
         except BadSetting as error:
             return {"error": str(error)}
+        except Exception as error:
+            log.exception("a request could not be carried out")
+            return {"error": f"the supervisor failed at it, see its log: {type(error).__name__}: {error}"}
 
 
 class ControlClient:
@@ -77,7 +84,7 @@ class ControlClient:
         try:
             where = json.loads(directory.control.read_text(encoding="utf-8"))["socket"]
             self._socket = socket.socket(socket.AF_UNIX)
-            self._socket.settimeout(30.0)
+            self._socket.settimeout(CLIENT_SECONDS)
             self._socket.connect(where)
         except (OSError, ValueError, KeyError):
             raise BadSetting(f"--run {directory.name}: the run is starting or ending; try again in a second") from None
@@ -90,6 +97,8 @@ class ControlClient:
             self._file.write(json.dumps(request).encode() + b"\n")
             self._file.flush()
             line = self._file.readline()
+        except TimeoutError:
+            raise BadSetting(f"the supervisor has not answered for {CLIENT_SECONDS:.0f} s; the run may still go on") from None
         except OSError:
             line = b""
         if not line:

@@ -23,6 +23,7 @@ from deploy.storage.run_directory import RunDirectory
 Spawn = Literal["zygote", "exec"]  # how agents are started
 
 CRASHES = (1, *(-number for number in (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGFPE)))
+LAST_BYTES = 1 << 16  # of a log, in which the cause of an end is looked for
 EXIT_FENCED = 3  # of an agent that has met a younger process of its name
 
 
@@ -36,12 +37,18 @@ class Child:
     arguments: list[str]  # endpoints, and the sensor of an agent
     incarnation: int = 0
     paused: bool = False
+    log_begin: int = 0  # byte of its log at which the newest incarnation begins
     returncode: int | None = None  # of the newest incarnation; negative: the signal that ended it
     ended_at: float | None = None  # Unix time, for people only
     seen_stopped: bool = False  # since the last signal that was sent from here
     body_of: str = ""  # the agent whose body it is; empty: it is none
     process: subprocess.Popen[bytes] | Forked | None = field(default=None, repr=False)
     zygote: Zygote | None = field(default=None, repr=False)  # forks it; None: it is executed
+
+    @property
+    def has_started(self) -> bool:
+        """Whether it has ever been started: it is no dead process before."""
+        return self.incarnation > 0
 
     @property
     def is_running(self) -> bool:
@@ -54,10 +61,16 @@ class Child:
         return self.process.pid if self.process else None
 
     def start(self, *extra: str) -> None:
-        """Start the next incarnation."""
+        """Start the next incarnation; raises OSError, and nothing has changed but its number."""
         assert self.process is None
         self.incarnation += 1
+        log = self.directory.log(self.name)
+        self.log_begin = log.stat().st_size if log.exists() else 0
+        self._fork(extra)
         self.paused, self.seen_stopped, self.returncode, self.ended_at = False, False, None, None
+
+    def _fork(self, extra: Sequence[str]) -> None:
+        """Let the zygote fork the process, or execute it; raises OSError when neither is possible."""
         config = self.directory.agents if self.room == "agents" else self.directory.config
         halt = str(self.directory.log(self.name).with_suffix(".halt"))
         own = ["--body", self.body_of, "--keep", halt] if self.body_of else ["--name", self.name]
@@ -131,13 +144,21 @@ class Child:
         return self.returncode in CRASHES
 
     def last_log_line(self) -> str:
-        """The last line of its log that is no JSON, where complaints about bad input stand; else its last exception or message."""
+        """Why it ended, from its log since its own start: its last exception.
+
+        Without one the last line that is no JSON, where complaints about bad input stand; without that its last message.
+        """
         try:
-            lines = self.directory.log(self.name).read_text(encoding="utf-8", errors="replace").splitlines()
+            with self.directory.log(self.name).open("rb") as log:
+                begin = max(self.log_begin, log.seek(0, os.SEEK_END) - LAST_BYTES)
+                log.seek(begin)
+                lines = log.read().decode(errors="replace").splitlines()
         except OSError:
             return ""
-        plain = [line for line in lines if line.strip() and not line.startswith("{")]
-        return plain[-1] if plain else _message(lines[-1]) if lines else ""
+        whole = [line for line in lines[begin > self.log_begin :] if line.strip()]
+        exceptions = [line for line in whole if line.startswith("{") and '"exception"' in line]
+        plain = [line for line in whole if not line.startswith("{")]
+        return next((_message(found[-1]) for found in (exceptions, plain, whole) if found), "")
 
 
 def is_stopped(pid: int) -> bool:
@@ -149,10 +170,12 @@ def is_stopped(pid: int) -> bool:
 
 
 def _message(line: str) -> str:
-    """What a line of a log says: the last line of its exception where it has one."""
+    """What a line of a log says: the last line of its exception where it has one; a line that is no record says itself."""
     try:
-        record = json.loads(line)
+        record = json.loads(line) if line.startswith("{") else None
     except ValueError:
+        record = None
+    if record is None:
         return line
     exception = str(record.get("exception", "")).strip().splitlines()
     return exception[-1] if exception else str(record.get("message", line))
@@ -168,7 +191,7 @@ def process_rows(children: Mapping[str, Child], members: Mapping[str, str], agen
     scored = {agent["name"]: agent for agent in agents}
     rows: list[dict[str, Any]] = []
     for name, child in children.items():
-        state = "paused" if child.paused else "running" if child.is_running else "dead"
+        state = "paused" if child.paused else "running" if child.is_running else "dead" if child.has_started else "waiting"
         row: dict[str, Any] = {"name": name, "class": members.get(name, ""), "state": state, "pid": child.pid}
         row |= {"incarnation": child.incarnation, "end": child.end(), "ended_at": child.ended_at}
         rows.append({**scored.pop(name, {}), **row})

@@ -80,7 +80,7 @@ class Supervisor:
         self.crashed: list[str] = []  # processes that have ended by an exception or a crash of their own
         self._advised = False
         self._attended = attended
-        self._still_since: float | None = None  # when the world died
+        self._still_since: float | None = None  # when the world, or its last body, died
         self.children = {name: Child(name, room, directory, self._words(name, seeds)) for name, room in rooms(scenario).items()}
         self._zygote = zygote
         for name in scenario.members:
@@ -243,7 +243,9 @@ class Supervisor:
 
     def _on_death(self, child: Child) -> None:
         log.info("%s ended: %s", child.name, child.end(), extra={"tick": self.scorer.truth.tick if self.scorer.truth else None})
-        if child.room == "world" and child.returncode == 0 and not any(other.is_running for other in self._others_of_the_world(child)):
+        rest = [other for other in self.children.values() if child.room == other.room == "world" and other is not child]
+        was_last = child.room == "world" and not any(other.is_running or not other.has_started for other in rest)
+        if was_last and child.returncode == 0:
             self._end(0)
             return
         if child.body_of and child.returncode == 0:
@@ -261,11 +263,14 @@ class Supervisor:
         if child.crashed or child.returncode == EXIT_BAD_INPUT:
             self.crashed.append(child.name)
             words += f": {child.last_log_line()}"
-        if child.name == "world":
+        is_over = was_last and any(other.returncode == 0 for other in rest)  # the other bodies have left at the last tick
+        if was_last and not is_over:
             self._still_since = time.monotonic()
             otherwise = "Ctrl-C ends the run" if self._attended else f"after {WORLD_SECONDS:.0f} s without it the run ends"
-            words += f"; the swarm stands still until `covey restart world --run {self.directory.name}`, {otherwise}"
+            words += f"; the swarm stands still until `covey restart {child.name} --run {self.directory.name}`, {otherwise}"
         self._tell(words)
+        if is_over:
+            self._end(0)
 
     def _others_of_the_world(self, child: Child) -> list[Child]:
         """The other bodies that have not failed, of a body; none where one world has all bodies."""
@@ -336,6 +341,9 @@ class Supervisor:
         verb, names, done = action.verb, action.names, []
         if verb in LINK_VERBS:
             return self._change_links(action)
+        for name in names:
+            if not self.children[name].has_started:
+                raise BadSetting(f"{name} has not been started yet: the run still starts; try again in a second")
         self._note_pauses(verb, [name for name in names if self.children[name].is_running])
         for name in names:
             child = self.children[name]
@@ -373,15 +381,30 @@ class Supervisor:
             self.children[name].tell(as_line(self._links.reception(name)))
 
     def _restart(self, child: Child) -> None:
-        """Bring a process back under its name, with the next incarnation; a restarted world goes on from the last truth."""
+        """Bring a process back under its name, with the next incarnation; a restarted world goes on from the last truth.
+
+        Raises BadSetting when the machine does not let it: a disk is full, or there are too many processes.
+        """
+        was_running = child.is_running
+        try:
+            self._replace(child)
+        except OSError as error:
+            if was_running and not child.is_running:
+                self._on_death(child)
+            raise BadSetting(f"{child.name} could not be restarted: {error.strerror or error}") from None
+        if child.room == "world":
+            self._still_since = None
+
+    def _replace(self, child: Child) -> None:
+        """End a process if it runs, and start its next incarnation; raises OSError."""
+        truth = self.scorer.truth if child.room == "world" else None
+        if truth is not None:
+            self.directory.truth.write_bytes(encode(truth))
         if child.process is not None:
             child.process.kill()
             child.process.wait()
             child.poll()
-        if child.name == "world":
-            self._still_since = None
-        if child.room == "world" and self.scorer.truth is not None:
-            self.directory.truth.write_bytes(encode(self.scorer.truth))
+        if truth is not None:
             child.start("--restore", str(self.directory.truth))
         else:
             child.start()
@@ -398,7 +421,7 @@ class Supervisor:
                 "running": child.is_running,
                 "awake": child.is_running and not child.paused,
                 "paused": child.paused,
-                "dead": not child.is_running,
+                "dead": child.has_started and not child.is_running,
             }[state]
         ]
 

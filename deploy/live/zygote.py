@@ -8,6 +8,7 @@ The supervisor never waits for the zygote: it sends requests and hears messages 
     {"number": 3, "words": [...]}   to the zygote: fork a child with this command line; its stdin and its log come along
     {"ready": true}                 from it: everything has been imported, and compiled
     {"forked": 3, "pid": 4711}      the child of request 3
+    {"failed": 3}                   there is no child of request 3; the reason stands in the log that came along
     {"ended": 4711, "code": -9}     a child has ended
 """
 
@@ -29,6 +30,7 @@ from typing import Any, NoReturn
 from deploy.installation import ROOT, command
 
 PROGRAM = command("deploy.live.zygote")
+EXIT_UNFORKED = 1  # of a child that could not be forked
 END_SECONDS = 2.0  # for the zygote to end by itself once its children have
 
 
@@ -140,6 +142,8 @@ class Zygote:
         elif "forked" in message:
             child = self._children[message["pid"]] = self._requests.pop(message["forked"])
             child.set_pid(message["pid"])
+        elif "failed" in message:
+            self._requests.pop(message["failed"]).returncode = EXIT_UNFORKED
         elif "ended" in message:
             self._children.pop(message["ended"]).returncode = message["code"]
 
@@ -179,19 +183,26 @@ def serve(channel: socket.socket) -> None:
             if not data:
                 return
             request = json.loads(data)
-            pid = os.fork()
-            if pid == 0:
-                signal.set_wakeup_fd(-1)
-                signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-                os.setpgid(0, 0)  # Ctrl-C in the terminal is the supervisor's alone
-                for end in (channel, awake, waker):
-                    end.close()
-                _be_agent(request["words"], descriptors)
-            with contextlib.suppress(OSError):
-                os.setpgid(pid, pid)  # here as well as in the child: either may run first
+            try:
+                pid = os.fork()
+            except OSError as error:  # its end would be that of all its children
+                with contextlib.suppress(OSError):
+                    os.write(descriptors[1], f"agents: the process could not be forked: {error.strerror}\n".encode())
+                answer = {"failed": request["number"]}
+            else:
+                if pid == 0:
+                    signal.set_wakeup_fd(-1)
+                    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+                    os.setpgid(0, 0)  # Ctrl-C in the terminal is the supervisor's alone
+                    for end in (channel, awake, waker):
+                        end.close()
+                    _be_agent(request["words"], descriptors)
+                with contextlib.suppress(OSError):
+                    os.setpgid(pid, pid)  # here as well as in the child: either may run first
+                answer = {"forked": request["number"], "pid": pid}
             for descriptor in descriptors:
                 os.close(descriptor)
-            channel.send(json.dumps({"forked": request["number"], "pid": pid}).encode())
+            channel.send(json.dumps(answer).encode())
 
 
 def _report(channel: socket.socket) -> None:

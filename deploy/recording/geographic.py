@@ -1,7 +1,9 @@
 """A recording on the map: GeoJSON (RFC 7946), and Cursor-on-Target events.
 
 Rules. Both forms know places on Earth only. A recorded world of ships has an origin; any other run is given one. Times are UTC:
-those of the world where the world began at a known moment, else those of the recorder.
+seconds of the world after the moment at which its time was 0. That moment is told, else it follows from the first Truth and the
+recorder's clock. In lockstep, where both times go apart, the first Truth has the time at which it was recorded. The recording of a
+simulation does not say it.
 """
 
 import datetime
@@ -14,10 +16,12 @@ import msgspec
 
 from deploy.recording.recording import Recording
 from deploy.recording.reported import ReportedTarget, ReportedTick, reported_ticks
+from protocol.keys import parse_message_key
 from protocol.settings import BadSetting
 from world.recorded.local_frame import LocalFrame
 
 DIGITS = 7  # of degrees: a centimetre
+EARLIEST = 10**18  # ns of Unix time, in 2001: an earlier publish time is the world's time of a simulation
 STALE = 3  # ticks for which an event of Cursor-on-Target holds
 UNKNOWN_HEIGHT = "9999999.0"  # of Cursor-on-Target: not known, m
 TARGET, SENSOR = {"ships": "a-u-S", "": "a-u-G"}, "a-f-G-E-S"  # unknown at sea or on the ground; a friendly sensor
@@ -50,14 +54,22 @@ def earth_of(recording: Recording, origin: tuple[float, float] | None, began: st
     if not (abs(latitude) <= 89.0 and abs(longitude) <= 180.0):
         raise BadSetting(f"--origin {latitude:g} {longitude:g}: should be a latitude within +-89 and a longitude within +-180 degrees")
     if began is None:
-        first = next(recording.entries(), None)
-        seconds = first.published / 1e9 if first else 0.0
-        return Earth(LocalFrame(latitude, longitude), datetime.datetime.fromtimestamp(seconds, datetime.UTC))
+        return Earth(LocalFrame(latitude, longitude), datetime.datetime.fromtimestamp(_zero_of(recording), datetime.UTC))
     try:
         moment = datetime.datetime.fromisoformat(began)
     except ValueError:
         raise BadSetting(f"--began {began}: should be such as 2016-01-12T13:02:11Z") from None
     return Earth(LocalFrame(latitude, longitude), moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC))
+
+
+def _zero_of(recording: Recording) -> float:
+    """The Unix time, s, at which the world's time was 0; raises BadSetting when the recording does not say."""
+    run = recording.scenario.run
+    truths = (entry for entry in recording.entries() if (key := parse_message_key(entry.key)) is not None and key.kind == "truth")
+    first = next(truths, None)
+    if first is None or first.published < EARLIEST:
+        raise BadSetting(f"--began: is missing; {recording.path} does not say when the run began, as one of a simulation")
+    return first.published / 1e9 - first.time / (run.rate if run.clock == "realtime" else 1.0)
 
 
 def write_geojson(recording: Recording, earth: Earth, file: Path) -> int:

@@ -1,14 +1,15 @@
 """A recording as messages, and tick by tick for drawings in the forms of other tools."""
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from deploy.page.picture import Picture
 from deploy.recording.recording import Recording, event_of
+from deploy.recording.rescore import rescore_slowly
 from deploy.scoring.scorer import Score, Scorer
 from protocol.message import Message
-from protocol.node import Event, Received
-from protocol.observer_messages import Truth
+from protocol.node import Received
 
 PALETTE = ("77aadd", "ee8866", "44bb99", "eedd88", "ffaabb", "99ddff", "bbcc33", "c9a4e0", "aaaa00")  # Paul Tol's "light"
 
@@ -26,22 +27,24 @@ class Moment(NamedTuple):
     """A tick of which everything has been heard; the picture shows it until the next moment is asked for."""
 
     picture: Picture
-    time: float  # of the world, s
+    time: float  # of this tick, s of the world
     score: Score | None
 
 
 def moments(recording: Recording) -> Iterator[Moment]:
     """Every tick but the last."""
-    scorer, picture = Scorer(recording.scenario, recorded=True), Picture(recording.scenario)
-
-    def show(event: Event, now: float) -> None:
-        scorer.handle(event, now)
-        picture.see(event, now)
-
-    for message in messages(recording, show):
-        if isinstance(message, Truth) and message.tick > 0:
-            picture.show(message.tick - 1)
-            yield Moment(picture, message.time, _score_of(scorer, message.tick - 1))
+    scorer, picture, newest = Scorer(recording.scenario, recorded=True), Picture(recording.scenario), 0
+    scorer.on_event = picture.see
+    scorer.on_report = lambda told: picture.note("told", told.who, told.text, told.time)
+    faults = deque(recording.faults)
+    for reached in rescore_slowly(recording, scorer):
+        while faults and faults[0].time <= reached:
+            picture.note_fault(faults.popleft())
+        if picture.truth is not None and picture.truth.tick > newest:
+            newest = picture.truth.tick
+            picture.show(newest - 1)
+            assert picture.shown is not None
+            yield Moment(picture, picture.shown.time, _score_of(scorer, newest - 1))
 
 
 def _score_of(scorer: Scorer, tick: int) -> Score | None:

@@ -24,16 +24,24 @@ log = logging.getLogger(__name__)
 def recording_path(record: bool | Path, folder: Path) -> Path | None:
     """Where to record: into the run directory, beside other recordings of the run, unless a file is named; None: nowhere."""
     if isinstance(record, bool):
-        return _free(folder / NAME) if record else None
+        return _taken(folder / NAME) if record else None
     if record.suffix != ".mcap":
         raise BadSetting(f"--record {record}: should be a file that ends in .mcap")
     return record
 
 
-def _free(path: Path) -> Path:
-    """The path, or the first with a number that does not exist: recording-2.mcap."""
-    numbered = (path.with_stem(f"{path.stem}-{number}") for number in itertools.count(2))
-    return path if not path.exists() else next(one for one in numbered if not one.exists())
+def _taken(path: Path) -> Path:
+    """The path, or the first with a number that did not exist: recording-2.mcap. It does now, so that no other recorder takes it."""
+    for number in itertools.count(1):
+        one = path.with_stem(f"{path.stem}-{number}") if number > 1 else path
+        try:
+            one.open("xb").close()
+            return one
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise BadSetting(f"--record {one}: {error.strerror}") from None
+    raise AssertionError("names do not end")
 
 
 def open_recorder(path: Path, scenario: Scenario, *, virtual: bool = False) -> Recorder:

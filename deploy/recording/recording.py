@@ -4,6 +4,7 @@ The index at the end of the file is used when it is there. When the recorder was
 read from its beginning as far as it is whole.
 """
 
+import os
 import struct
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -33,7 +34,9 @@ from protocol.settings import BadSetting, convert
 
 NAME = "recording.mcap"
 DRAWING = ".foxglove.mcap"  # how the files of `covey export --to foxglove` end
+NO_END = "has no end: its recorder was killed or still writes"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
+FOOTER_BYTES = 37  # at the end of a whole file: the last record and the magic bytes
 BROKEN = (McapError, ValueError, struct.error, EOFError, IndexError, KeyError, MemoryError, OverflowError, zstandard.ZstdError)
 
 
@@ -81,11 +84,11 @@ class Recording:
 
     @property
     def wall_seconds(self) -> float:
-        """How long the recording took, s of the wall clock."""
-        if not self.spans:
-            return 0.0
-        first, last = next(self.entries(0, 1)), list(self.entries(len(self.spans) - 1))[-1]
-        return (last.published - first.published) / 1e9
+        """How long the recording took, s of the wall clock; chunks that a recorder has replaced since they were found count for nothing."""
+        first = next(self.entries(), None)
+        tails = (list(self.entries(number, number + 1)) for number in reversed(range(len(self.spans))))
+        last = next((tail[-1] for tail in tails if tail), None)
+        return (last.published - first.published) / 1e9 if first is not None and last is not None else 0.0
 
     def entries(self, first: int = 0, last: int | None = None) -> Iterator[RecordedEntry]:
         """What the chunks number `first` to `last` (excluded) hold, in order; raises BadSetting when one is damaged.
@@ -115,6 +118,9 @@ class Recording:
 
     def _read_index(self, file: IO[bytes]) -> dict[str, str] | None:
         """The metadata of a whole file, its spans and channels; None when there is no index."""
+        if file.seek(0, os.SEEK_END) < FOOTER_BYTES:
+            return None
+        file.seek(0)
         try:
             reader = make_reader(file)
             summary = reader.get_summary()

@@ -104,8 +104,11 @@ def find_run(name: str) -> RunDirectory | None:
 
 def kept_runs() -> list[KeptRun]:
     """All runs, the newest first."""
-    directories = [RunDirectory(path.name) for path in _paths()]
-    return sorted((_look(one) for one in directories if one.config.exists()), key=lambda kept: kept.began, reverse=True)
+    found = []
+    for path in _paths():
+        with contextlib.suppress(FileNotFoundError):  # it has not begun, or is being removed
+            found.append(_look(RunDirectory(path.name)))
+    return sorted(found, key=lambda kept: kept.began, reverse=True)
 
 
 def _paths() -> list[Path]:
@@ -114,6 +117,7 @@ def _paths() -> list[Path]:
 
 
 def _look(directory: RunDirectory) -> KeptRun:
+    """What there is to say of a run; raises FileNotFoundError where something that was there has gone."""
     scenario = _run_section(directory)
     result = _result(directory)
     state = "running" if directory.is_running() else "interrupted"

@@ -74,18 +74,10 @@ class RunDirectory:
             return None
         return descriptor
 
-    def claim(self) -> int:
-        """Hold the run and remove what an earlier one of this name left behind; raises BadSetting when the run is running."""
-        descriptor = self.hold()
-        if descriptor is None:
-            raise is_running_already(self.name)
-        self.clear()
-        return descriptor
-
     def clear(self) -> None:
         """Remove what an earlier run left, and check that a run finds room; raises BadSetting when it does not."""
         with self._writing():
-            for file in (self.config, self.agents, self.versions, self.result, self.scores, self.control, self.truth):
+            for file in (self.config, self.agents, self.versions, self.result, self.scores, self.control, self.truth, self.page):
                 file.unlink(missing_ok=True)
             shutil.rmtree(self.logs, ignore_errors=True)
             self.logs.mkdir()
@@ -189,7 +181,15 @@ def running_runs() -> list[RunDirectory]:
     folder = runs_folder()
     names = [path.name for path in folder.iterdir() if path.is_dir() and not path.is_symlink()] if folder.is_dir() else []
     running = [directory for directory in map(RunDirectory, names) if directory.is_running() and not directory.is_simulated()]
-    return sorted(running, key=lambda directory: directory.config.stat().st_mtime if directory.config.exists() else 0.0)
+    return sorted(running, key=_began)
+
+
+def _began(directory: RunDirectory) -> float:
+    """When the run began, Unix time in s; 0 before it has, or once it is removed."""
+    try:
+        return directory.config.stat().st_mtime
+    except OSError:
+        return 0.0
 
 
 def _others() -> str:

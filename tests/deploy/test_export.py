@@ -18,7 +18,7 @@ from deploy.cli import figures, recordings
 from deploy.plots import method_figures
 from deploy.plots.run_figures import Trajectories, pictures, write_animation, write_figure
 from deploy.recording.foxglove import SCENE_SCHEMA, write_foxglove
-from deploy.recording.moments import messages
+from deploy.recording.moments import messages, moments
 from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recorder import Recorder
 from deploy.recording.recording import Recording, find_recording
@@ -101,6 +101,8 @@ def test_the_drawing_for_foxglove_keeps_to_the_schema_of_scene_updates(run: Run,
     assert len(scenes) == count == 19
     assert all(fits(scene, schema) for scene in scenes)
     assert scores[-1]["ospa"] == run[0].scorer.scores[scores[-1]["tick"]].ospa
+    moments = [scene["entities"][0]["timestamp"] for scene in scenes]
+    assert [moment["sec"] + 1e-9 * moment["nsec"] for moment in moments] == [score["time"] for score in scores]
     entities = {entity["id"]: entity for entity in scenes[10]["entities"]}
     assert {"arena", "targets", "estimates", "agent s1"} <= set(entities)
     assert len(entities["targets"]["spheres"]) == 3
@@ -121,10 +123,23 @@ def test_the_drawing_for_rerun_holds_every_tick_and_its_scores(run: Run, tmp_pat
     ospa = rows["/score/ospa"]
     assert [ospa[time] for time in sorted(ospa)] == [[score.ospa] for score in run[0].scorer.scores[:19]]
     truth = next(message for message in messages(run[1]) if isinstance(message, Truth) and message.tick == 7)
-    assert np.array(rows["/arena/targets"][8 * 0.25])[:, :2] == pytest.approx(truth.targets, abs=1e-5)
-    assert len(rows["/arena/cells"][8 * 0.25]) == 6
-    assert len(rows["/arena/dead"][19 * 0.25]) == 1
+    assert np.array(rows["/arena/targets"][7 * 0.25])[:, :2] == pytest.approx(truth.targets, abs=1e-5)
+    assert len(rows["/arena/cells"][7 * 0.25]) == 6
+    assert len(rows["/arena/dead"][18 * 0.25]) == 1
     assert [text for texts in rows["/happenings"].values() for text in texts] == ["s2 is gone"]
+
+
+def test_faults_and_what_became_of_them_stand_on_the_time_line_of_a_drawing(tmp_path: Path) -> None:
+    faults = (FaultSettings(at=1.0, verb="partition", who="s1,s2", seconds=1.0), FaultSettings(at=2.0, verb="kill", who="s6"))
+    simulation = Simulation(msgspec.structs.replace(resolve("quick", {"run.seconds": 6.0}), faults=faults))
+    told: list[tuple[float, str]] = []
+    simulation.scorer.on_report = lambda one: told.append((one.time, one.text))
+    Observers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
+    simulation.run()
+    *_, last = moments(Recording(tmp_path / "a.mcap"))
+    happened = [(one.kind, one.time, one.text) for one in last.picture.happenings]
+    assert ("partition", 1.0, "cut off s1, s2") in happened and ("heal", 2.0, "s1, s2: no longer cut off") in happened
+    assert told and [(time, text) for kind, time, text in happened if kind == "told"] == told
 
 
 def test_without_rerun_its_export_says_what_to_install(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,11 +11,15 @@ from deploy.cli import recordings
 from deploy.recording.geographic import earth_of, write_cot, write_geojson
 from deploy.recording.mot import write_mot
 from deploy.recording.observers import Observers, open_recorder
+from deploy.recording.recorder import Recorder
 from deploy.recording.recording import Recording
 from deploy.recording.reported import ReportedTick, reported_ticks
 from deploy.recording.rescore import rescore
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
+from protocol import codec
+from protocol.node import Alive, received
+from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from world.recorded.local_frame import LocalFrame
 from world.track_score import similarity
@@ -156,6 +160,7 @@ def test_events_have_the_form_that_pytak_makes_and_hold_the_places(recording: Re
         ("geojson", None, None, "--origin: is missing; a latitude and a longitude in degrees say where (0, 0) of this arena is"),
         ("cot", (95.0, 1.0), None, "--origin 95 1: should be a latitude within +-89 and a longitude within +-180 degrees"),
         ("cot", ORIGIN, "yesterday", "--began yesterday: should be such as 2016-01-12T13:02:11Z"),
+        ("cot", ORIGIN, None, "--began: is missing; {path} does not say when the run began, as one of a simulation"),
         ("mot", ORIGIN, None, "--origin, --began: are for --to geojson and --to cot, not for --to mot"),
     ],
 )
@@ -164,11 +169,35 @@ def test_an_export_that_cannot_be_says_which_option_is_wrong(
 ) -> None:
     with pytest.raises(BadSetting) as error:
         recordings.export(str(recording.path), form, None, origin, began)
-    assert str(error.value) == said
+    assert str(error.value) == said.format(path=recording.path)
+
+
+@pytest.mark.parametrize(("clock", "began"), [("realtime", 100.0 - 8.0 / 4.0), ("lockstep", 100.0 - 8.0)])
+def test_without_being_told_the_run_began_when_the_time_of_its_first_truth_was_zero(tmp_path: Path, clock: str, began: float) -> None:
+    scenario = resolve("quick", {"run.name": "seen", "run.clock": clock, "run.rate": 4.0})
+    seconds = iter((40.0, 100.0, 101.0))  # a token is heard long before the first tick
+    recorder = Recorder(tmp_path / "a.mcap", scenario, lambda: 1.5e9 + next(seconds))
+    recorder.see(Alive("agent", "s1", 1), 0.0)
+    for tick in (32, 33):  # it came late
+        truth = Truth(sender="world", incarnation=1, tick=tick, time=0.25 * tick)
+        recorder.see(received(truth, payloads=[codec.encode(truth)]), 0.0)
+    recorder.close()
+    assert earth_of(Recording(tmp_path / "a.mcap"), ORIGIN, None).began.timestamp() - 1.5e9 == pytest.approx(began)
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "foxglove", "rerun", "mot", "geojson", "cot"])
+def test_a_recording_is_never_written_over_by_its_export(recording: Recording, tmp_path: Path, form: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(recording.path.read_bytes())
+    (tmp_path / "b.mcap").symlink_to("a.mcap")
+    with pytest.raises(BadSetting, match=r"--out .*b\.mcap: is the recording itself; name another file"):
+        recordings.export(str(tmp_path / "a.mcap"), form, tmp_path / "b.mcap", ORIGIN if form in recordings.ON_EARTH else None)
+    with pytest.raises(BadSetting, match=r"--csv .*b\.mcap: is the recording itself"):
+        recordings.score(str(tmp_path / "a.mcap"), tmp_path / "b.mcap", False)
+    assert (tmp_path / "a.mcap").read_bytes() == recording.path.read_bytes()
 
 
 @pytest.mark.parametrize("form", ["mot", "geojson", "cot"])
 def test_a_place_that_cannot_be_written_to_is_named(recording: Recording, tmp_path: Path, form: str) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(BadSetting, match=r"--out .*should be a place that can be written to"):
-        recordings.export(str(recording.path), form, tmp_path / "file" / "below", None if form == "mot" else ORIGIN)
+        recordings.export(str(recording.path), form, tmp_path / "file" / "below", *((None, None) if form == "mot" else (ORIGIN, BEGAN)))

@@ -122,3 +122,14 @@ def test_keys_are_kept_out_of_git_and_out_of_work_trees_unless_that_is_asked_for
     assert not folder.exists()
     make_keys(["s1"], folder, in_git=True)
     assert (folder / ".gitignore").read_text() == "*\n"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("build/\n", "build/\n*.key\n"), ("build/", "build/\n*.key\n"), ("*.key\nbuild/\n", "*.key\nbuild/\n"), ("*\n", "*\n")],
+)
+def test_somebodys_own_list_of_ignored_files_is_kept_and_ignores_the_keys(tmp_path: Path, before: str, after: str) -> None:
+    (tmp_path / ".gitignore").write_text(before)
+    make_keys(["s1"], tmp_path)
+    make_keys(["s2"], tmp_path)
+    assert (tmp_path / ".gitignore").read_text() == after

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.live.processes import Child, is_stopped, process_rows
+from deploy.live.processes import LAST_BYTES, Child, is_stopped, process_rows
 from deploy.live.seeds import endpoints
 from deploy.storage.run_directory import RunDirectory
 
@@ -32,8 +32,30 @@ def test_the_last_words_of_a_process_are_its_complaint_or_the_last_line_of_its_e
     assert child.last_log_line() == "ZeroDivisionError: no way"
     log.write_text(line(message="joined") + "\n")
     assert child.last_log_line() == "joined"
+    log.write_text("17\n" + line(message="joined") + "\n")
+    assert child.last_log_line() == "17"
     log.write_text("agents: --name s9: no such member\n" + line(message="joined") + "\n")
     assert child.last_log_line() == "agents: --name s9: no such member"
+
+
+def test_an_old_complaint_is_not_the_cause_of_a_later_crash(child: Child, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = child.directory.log("s2")
+    crash = line(message="the end", exception="Traceback:\nZeroDivisionError: no way\n") + "\n"
+    log.write_text("a library's warning\n" + crash + line(message="ends") + "\n")
+    assert child.last_log_line() == "ZeroDivisionError: no way"
+    log.write_text("a library's warning\n" + crash)
+    monkeypatch.setattr(Child, "_fork", lambda *_: None)
+    child.start()
+    assert child.last_log_line() == ""
+    with log.open("a") as more:
+        more.write(line(message="joined") + "\n")
+    assert child.last_log_line() == "joined"
+
+
+def test_of_a_long_log_only_whole_lines_of_its_end_are_read(child: Child) -> None:
+    long = line(message="y" * (LAST_BYTES - 50))
+    child.directory.log("s2").write_text("an old complaint\n" + line(message="x" * 100) + "\n" + long + "\n")
+    assert child.last_log_line() == "y" * (LAST_BYTES - 50)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +96,7 @@ def until_stopped(pid: int, wanted: bool) -> None:
 
 
 def test_every_process_has_a_row_with_what_is_known_of_it_and_living_guests_follow(child: Child) -> None:
-    child.returncode = -signal.SIGKILL
+    child.incarnation, child.returncode = 1, -signal.SIGKILL
     known = {"tick": 7, "cell": 0.0}
     agents = [{"name": name, "alive": alive, **known} for name, alive in (("s2", False), ("guest", True), ("gone", False))]
     dead, guest = process_rows({"s2": child}, {"s2": "A"}, agents)

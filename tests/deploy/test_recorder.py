@@ -1,5 +1,6 @@
 """Recordings: the bytes as they were on the wire, readable after a kill and on a full disk, and scored to the same figures."""
 
+import itertools
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import zstandard
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC
 
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.recorder import CHUNK_SECONDS, Recorder, message_schema
@@ -196,6 +198,7 @@ def test_one_large_chunk_takes_the_place_of_the_small_ones_and_what_is_read_stay
 def test_a_file_that_is_read_while_a_large_chunk_takes_the_place_of_the_small_ones_ends_where_it_is_not_whole(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "a.mcap", scenario())
     truths, before, after = heard_truths(scenario()), b"", b""
+    recorder._wall = itertools.count(1.0).__next__
     for truth in truths:
         before = (tmp_path / "a.mcap").read_bytes()
         opened = Recording(tmp_path / "a.mcap")
@@ -209,6 +212,7 @@ def test_a_file_that_is_read_while_a_large_chunk_takes_the_place_of_the_small_on
     payloads = payloads_of(truths)
     replaced = [entry.payload for entry in opened.entries()]
     assert len(replaced) > 0 and replaced == payloads[: len(replaced)]
+    assert opened.wall_seconds > 0.0
 
     settled = opened.spans[0].offset
     for place in range(settled, len(after), max(1, (len(after) - settled) // 50)):  # as far as the large one has been written
@@ -321,6 +325,9 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").write_bytes(b"")
     with pytest.raises(BadSetting, match=r"empty\.mcap: no recording"):
         Recording(tmp_path / "empty.mcap")
+    (tmp_path / "begun.mcap").write_bytes(MCAP0_MAGIC)
+    with pytest.raises(BadSetting, match=r"begun\.mcap: no recording of Covey"):
+        Recording(tmp_path / "begun.mcap")
     with pytest.raises(BadSetting, match="no such file, and no run of this name"):
         find_recording("never-run")
 
@@ -337,7 +344,10 @@ def test_a_recording_is_found_by_file_folder_and_run_name(tmp_path: Path, monkey
 
 def test_record_names_an_mcap_file_or_means_the_run_directory(tmp_path: Path) -> None:
     assert recording_path(False, tmp_path) is None
-    assert recording_path(True, tmp_path) == tmp_path / "recording.mcap"
+    names = [recording_path(True, tmp_path) for _ in range(3)]  # of recorders that start at once
+    assert names == [tmp_path / "recording.mcap", tmp_path / "recording-2.mcap", tmp_path / "recording-3.mcap"]
+    with pytest.raises(BadSetting, match=r"--record .*recording\.mcap: No such file or directory"):
+        recording_path(True, tmp_path / "never")
     assert recording_path(Path("x.mcap"), tmp_path) == Path("x.mcap")
     with pytest.raises(BadSetting, match=r"--record quick: should be a file that ends in \.mcap"):
         recording_path(Path("quick"), tmp_path)

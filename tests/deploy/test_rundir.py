@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from deploy.scenario import Scenario, resolve
+from deploy.storage.kept_runs import kept_runs, new_run_directory
 from deploy.storage.run_directory import RunDirectory, find_running, running_runs, runs_folder
 from protocol.settings import BadSetting, load
 
@@ -15,30 +16,35 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COVEY_RUNS", str(tmp_path / "runs"))
 
 
-def test_a_claimed_run_is_running_until_the_lock_is_closed() -> None:
+def held(name: str) -> int:
+    """The lock of a run that is running from now on."""
+    return new_run_directory(name, "quick")[1]
+
+
+def test_a_run_is_running_until_its_lock_is_closed() -> None:
     directory = RunDirectory("one")
     assert not directory.is_running()
-    lock = directory.claim()
+    lock = held("one")
     assert directory.is_running()
     os.close(lock)
     assert not directory.is_running()
 
 
-def test_a_second_claim_is_refused_and_says_how_to_end_the_first() -> None:
-    lock = RunDirectory("one").claim()
+def test_a_second_run_of_a_name_is_refused_and_says_how_to_end_the_first() -> None:
+    lock = held("one")
     with pytest.raises(BadSetting, match=r"--run one: .*covey down --run one"):
-        RunDirectory("one").claim()
+        held("one")
     os.close(lock)
 
 
-def test_a_new_run_of_an_old_name_starts_with_empty_logs_and_no_result() -> None:
+def test_what_a_start_that_failed_has_left_is_removed_by_the_next_one() -> None:
     directory = RunDirectory("one")
-    os.close(directory.claim())
-    directory.result.write_text("old")
+    os.close(held("one"))
     directory.log("s1").write_text("old")
-    os.close(directory.claim())
-    assert not directory.result.exists()
+    directory.page.write_text("http://127.0.0.1:8765/")
+    os.close(held("one"))
     assert list(directory.logs.iterdir()) == []
+    assert not directory.page.exists()
 
 
 def test_the_newest_running_run_is_meant_when_no_name_is_given() -> None:
@@ -46,7 +52,7 @@ def test_the_newest_running_run_is_meant_when_no_name_is_given() -> None:
         find_running(None)
     locks = []
     for age, name in ((30, "b"), (20, "c"), (10, "a")):
-        locks.append(RunDirectory(name).claim())
+        locks.append(held(name))
         RunDirectory(name).config.write_text("")
         os.utime(RunDirectory(name).config, (1000 - age, 1000 - age))
     assert [directory.name for directory in running_runs()] == ["b", "c", "a"]
@@ -60,7 +66,7 @@ def test_the_newest_running_run_is_meant_when_no_name_is_given() -> None:
 
 def test_the_resolved_scenario_reads_back_from_run_toml() -> None:
     directory = RunDirectory("one")
-    lock = directory.claim()
+    lock = held("one")
     scenario = resolve("quick", {"run.seed": 5})
     directory.write_config(scenario)
     assert load(directory.config, Scenario) == scenario
@@ -73,4 +79,23 @@ def test_a_folder_that_cannot_be_made_is_one_clear_line(monkeypatch: pytest.Monk
     monkeypatch.setenv("COVEY_RUNS", str(tmp_path / "file"))
     assert runs_folder() == tmp_path / "file"
     with pytest.raises(BadSetting, match="COVEY_RUNS"):
-        RunDirectory("one").claim()
+        held("one")
+
+
+def test_runs_that_are_removed_while_they_are_listed_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    locks = [held(name) for name in ("a", "b")]
+    for name in ("a", "b"):
+        RunDirectory(name).config.write_text("")
+
+    def gone(directory: RunDirectory) -> bool:
+        if directory.name == "b":
+            directory.config.unlink(missing_ok=True)
+        return False
+
+    monkeypatch.setattr(RunDirectory, "is_simulated", gone)
+    assert [directory.name for directory in running_runs()] == ["b", "a"]
+    RunDirectory("b").config.write_text("")
+    monkeypatch.setattr(RunDirectory, "is_running", gone)
+    assert [kept.name for kept in kept_runs()] == ["a"]
+    for lock in locks:
+        os.close(lock)

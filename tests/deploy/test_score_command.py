@@ -25,3 +25,18 @@ def test_the_score_of_a_recording_is_worked_out_anew_and_not_read_from_the_resul
     printed = json.loads(out.splitlines()[-1])
     assert (printed["steady_ospa"], printed["mean_gospa"]) == (true.steady_ospa, true.mean_gospa)
     assert "largest difference to the figures of the run itself: 3" in err
+
+
+def test_a_recording_without_an_end_is_said_to_have_none_whether_its_recorder_died_or_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulation = Simulation(resolve("quick", {"run.seconds": 2.0}))
+    recorder = open_recorder(tmp_path / "a.mcap", simulation.scenario)
+    simulation.scorer.on_event = recorder.see
+    simulation.run()
+    recorder.flush()
+    assert score(str(tmp_path / "a.mcap"), None, False) == 0
+    recorder.close()
+    assert "it has no end: its recorder was killed or still writes, scored is what it had written" in " ".join(
+        capsys.readouterr().out.split()
+    )

@@ -1,22 +1,27 @@
-"""The control socket by itself: a client that is still connected when the run ends is no error."""
+"""The control socket by itself: what a command is told when the supervisor fails, is late, or has gone."""
 
 import asyncio
 import logging
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
 
+from deploy.live import control
 from deploy.live.control import Answer, ControlClient, ControlServer
 from deploy.storage.run_directory import RunDirectory
+from protocol.settings import BadSetting
 
 
-def test_a_client_that_is_still_connected_when_the_run_ends_is_no_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+@pytest.fixture
+def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunDirectory:
     monkeypatch.setenv("COVEY_RUNS", str(tmp_path))
-    directory = RunDirectory("r")
-    directory.path.mkdir(parents=True)
+    made = RunDirectory("r")
+    made.path.mkdir(parents=True)
+    return made
 
+
+def test_a_client_that_is_still_connected_when_the_run_ends_is_no_error(directory: RunDirectory, caplog: pytest.LogCaptureFixture) -> None:
     async def answer(request: dict[str, object]) -> Answer:
         return {"ok": str(request["verb"])}
 
@@ -31,3 +36,46 @@ def test_a_client_that_is_still_connected_when_the_run_ends_is_no_error(
     with caplog.at_level(logging.WARNING):
         asyncio.run(run()).close()
     assert not caplog.records
+
+
+def complaint(directory: RunDirectory, answer: Callable[[dict[str, object]], Awaitable[Answer]]) -> str:
+    """What a command says when the supervisor answers like this."""
+
+    async def run() -> str:
+        server = ControlServer(directory, answer)
+        await server.open()
+        client = await asyncio.to_thread(ControlClient, directory)
+        try:
+            with pytest.raises(BadSetting) as caught:
+                await asyncio.to_thread(client.ask, "status")
+        finally:
+            client.close()
+            await server.close()
+        return str(caught.value)
+
+    return asyncio.run(run())
+
+
+def test_a_supervisor_that_fails_at_a_request_says_so_and_logs_it(directory: RunDirectory, caplog: pytest.LogCaptureFixture) -> None:
+    async def answer(request: dict[str, object]) -> Answer:
+        raise OSError(28, "No space left on device")
+
+    assert "failed at it, see its log: OSError: [Errno 28] No space left on device" in complaint(directory, answer)
+    assert "a request could not be carried out" in caplog.text
+
+
+def test_a_late_answer_is_not_taken_for_the_end_of_the_run(directory: RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "CLIENT_SECONDS", 0.1)
+
+    async def answer(request: dict[str, object]) -> Answer:
+        await asyncio.sleep(0.4)
+        return {"ok": ""}
+
+    assert "has not answered for" in complaint(directory, answer)
+
+
+def test_a_supervisor_that_hangs_up_has_ended_its_run(directory: RunDirectory) -> None:
+    async def answer(request: dict[str, object]) -> Answer:
+        raise asyncio.CancelledError
+
+    assert complaint(directory, answer) == "the run has ended"

@@ -1,0 +1,131 @@
+"""What the supervisor answers and decides, without a process of its own: its children are started by nobody."""
+
+import asyncio
+import errno
+import signal
+from pathlib import Path
+
+import pytest
+
+from deploy.live import supervisor as supervising
+from deploy.live.processes import Child
+from deploy.live.supervisor import Supervisor
+from deploy.scenario import resolve
+from deploy.storage.run_directory import RunDirectory
+from protocol.observer_messages import Truth
+from protocol.settings import BadSetting
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Supervisor:
+    return made(tmp_path, monkeypatch)
+
+
+def made(folder: Path, monkeypatch: pytest.MonkeyPatch, host: str = "world", attended: bool = True) -> Supervisor:
+    """A supervisor of two agents whose start has not begun."""
+    monkeypatch.setenv("COVEY_RUNS", str(folder))
+    directory = RunDirectory("one")
+    directory.logs.mkdir(parents=True)
+    options = {"run.name": "one", "team.composition": "E2", "bodies.host": host}
+    return Supervisor(resolve("quick", options), directory, print, attended=attended)
+
+
+def ask(supervisor: Supervisor, verb: str, who: str = "") -> str:
+    """The answer of the supervisor in words."""
+    return str(asyncio.run(supervisor._answer({"verb": verb, "who": who}))["ok"])
+
+
+@pytest.mark.parametrize("verb", ["kill", "restart"])
+def test_nobody_is_killed_or_restarted_before_it_has_been_started(supervisor: Supervisor, verb: str) -> None:
+    with pytest.raises(BadSetting, match="s2 has not been started yet"):
+        ask(supervisor, verb, "s2")
+    assert supervisor.children["s2"].incarnation == 0
+
+
+def test_who_has_not_been_started_waits_and_is_not_dead(supervisor: Supervisor) -> None:
+    assert ask(supervisor, "restart", "50%") == "nobody to restart"
+    assert {row["state"] for row in supervisor.status()["processes"]} == {"waiting"}
+    with pytest.raises(BadSetting, match="only 0 agents qualify"):
+        ask(supervisor, "restart", "1")
+
+
+class Process:
+    """A process that runs until it is killed, or that has ended with this code."""
+
+    stdin = None
+    pid = None
+
+    def __init__(self, code: int | None = None) -> None:
+        self.returncode = code
+
+    def poll(self) -> int | None:
+        return self.returncode
+
+    def wait(self) -> int:
+        assert self.returncode is not None
+        return self.returncode
+
+    def kill(self) -> None:
+        self.returncode = -signal.SIGKILL
+
+
+def let_run(supervisor: Supervisor, codes: dict[str, int]) -> int | None:
+    """Let all processes run, and these end with their codes one after the other; the exit code of the run, None if it goes on."""
+
+    async def run() -> int | None:
+        over = supervisor._over = asyncio.get_running_loop().create_future()
+        for child in supervisor.children.values():
+            child.incarnation, child.process = 1, Process()  # type: ignore[assignment]
+        for name, code in codes.items():
+            supervisor.children[name].process = Process(code)  # type: ignore[assignment]
+            supervisor._reap()
+        supervisor._end_without_world()
+        return over.result() if over.done() else None
+
+    return asyncio.run(run())
+
+
+KILLED = -signal.SIGKILL
+
+
+@pytest.mark.parametrize(
+    ("codes", "end"),
+    [
+        ({"s1.body": KILLED}, None),  # the other body goes on
+        ({"s1.body": KILLED, "s2.body": KILLED}, 1),  # nobody attends and nobody has restarted one in time
+        ({"s1.body": 0, "s2.body": KILLED}, 0),  # at the last tick
+        ({"s1.body": KILLED, "s2.body": 0}, 0),
+    ],
+)
+def test_a_run_of_bodies_ends_with_the_last_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], codes: dict[str, int], end: int | None
+) -> None:
+    monkeypatch.setattr(supervising, "WORLD_SECONDS", 0.0)
+    assert let_run(made(tmp_path, monkeypatch, "own", attended=False), codes) == end
+    assert ("stands still until `covey restart s2.body --run one`" in capsys.readouterr().out) == (end == 1)
+
+
+def fail(*_: object) -> None:
+    raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+
+@pytest.mark.parametrize("name", ["s2", "world"])
+def test_a_process_that_cannot_be_restarted_is_told_with_the_reason_and_counts_as_dead(
+    supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    assert let_run(supervisor, {}) is None
+    monkeypatch.setattr(Child, "_fork", fail)
+    with pytest.raises(BadSetting, match=f"{name} could not be restarted: Resource temporarily unavailable"):
+        ask(supervisor, "restart", name)
+    assert (supervisor.children[name].end(), supervisor.children[name].is_running) == ("killed by SIGKILL", False)
+    assert f"{name} died: killed by SIGKILL" in capsys.readouterr().out
+    assert (supervisor._still_since is not None) == (name == "world")
+
+
+def test_a_world_runs_on_when_the_truth_for_the_next_one_cannot_be_written(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert let_run(supervisor, {}) is None
+    supervisor.scorer.truth = Truth(sender="world", incarnation=1, tick=3, time=0.75)
+    monkeypatch.setattr(Path, "write_bytes", fail)
+    with pytest.raises(BadSetting, match="world could not be restarted: Resource temporarily unavailable"):
+        ask(supervisor, "restart", "world")
+    assert supervisor.children["world"].is_running
