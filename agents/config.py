@@ -46,7 +46,7 @@ class MixtureSettings(Section, frozen=True, kw_only=True):
 
     spread: Distance = 6.0  # largest standard deviation of a place, m; wider components are split
     merged: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 3.0  # components this close are merged, squared standard deviations
-    pruned: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 1.0e-4  # components of less weight are dropped, expected targets
+    pruned: Annotated[float, msgspec.Meta(gt=0.0, le=0.1)] = 1.0e-4  # components of less weight are dropped, expected targets
     most_components: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 1000  # per owner; a limit against growth without bound
 
 

@@ -16,14 +16,12 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-# Compiled loops depend on each other, on the columns of tables, on constants of the search, and on the limits of messages.
+# Compiled loops depend on each other, on the columns of tables, and on constants of the search.
 SOURCES = (
     "agents/compiled/*kernels.py",
     "agents/coverage/search_plan.py",
     "agents/gossip/table.py",
     "agents/interest/position_table.py",
-    "protocol/codec.py",
-    "protocol/fields.py",
 )
 MOST_FOLDERS = 4  # one for each state of the sources, the present one included; going back to a recent state needs no compilation
 

@@ -133,7 +133,7 @@ def _missed(
 
 
 @cached
-def _diagram_hash(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilities: np.ndarray, seen: np.ndarray) -> int:
+def _probabilities(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilities: np.ndarray, seen: np.ndarray) -> int:
     """Twin of `births.Scan.probability` for a wedge: write p_d of points into `probabilities` (N,), the mean over `likely_sensors`.
 
     Writes the rows with p_d > 0 into `seen` (N,). Returns the number of these rows.
@@ -317,7 +317,7 @@ def correct(
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
         likely = likely_sensors(sensor)
-        seen = in_view[: _diagram_hash(x[:count], y[:count], likely, probabilities, in_view)]
+        seen = in_view[: _probabilities(x[:count], y[:count], likely, probabilities, in_view)]
         for n in seen:
             gained[n] = 0.0
         if len(points) == 0:  # nobody gains by a detection

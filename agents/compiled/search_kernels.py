@@ -18,6 +18,7 @@ from agents.coverage.search_plan import (
     BESIDE,
     DECAY,
     EDGE,
+    FAR,
     FIRST_TURN,
     FORGOTTEN,
     HOLDS,
@@ -151,7 +152,7 @@ def _left_over(
             continue
         cost = _cost(apart, other)
         if cost < own or (cost == own and partners[k, FIRST] != 0.0):
-            fade = 1.0 if apart <= other else exp_minus((apart - other) * (1.0 / (DECAY * side)))
+            fade = 1.0 if apart <= other else exp_minus(min((apart - other) * (1.0 / (DECAY * side)), FAR))
             held = min(1.0, 1.0 / max(partners[k, UTILISATION], 1e-9))
             tracks *= 1.0 - sharing * held * (fade if apart <= other else OUTSIDE * fade)
             values *= 1.0 - sharing * fade
@@ -180,7 +181,7 @@ def _worth_at(
         apart = math.sqrt(apart2)
         away = (apart - best) * (beyond if apart > best else within)
         inside = tracks[n] * (1.0 - falloff * away * away) + values[n]
-        outside = (OUTSIDE * tracks[n] + values[n]) * exp_minus(max(apart - radius, 0.0) * rate)
+        outside = (OUTSIDE * tracks[n] + values[n]) * exp_minus(min(max(apart - radius, 0.0) * rate, FAR))
         terms[n] = inside if apart2 <= radius2 else outside
 
 
@@ -336,20 +337,21 @@ def _best_turn(
         some = some or worth > 0.0
     most = min(body[TURN_RATE] * body[DT], math.pi)
     width = 2.0 * math.pi / SECTORS
+    if body[ANGLE] > 2.0 * math.pi - width:
+        return 0.0
     if not some:
         return min(most, FIRST_TURN * body[ANGLE])
     half = min(int(np.floor(0.5 * WINDOW * body[ANGLE] / width)), SECTORS // 2 - 1)
-    full = body[ANGLE] > 2.0 * math.pi - width
-    if full:
-        return 0.0
     reachable = min(int(np.floor(most / width)), SECTORS // 2 - 1)
-    sums = np.zeros(3 * SECTORS + 1)
+    sums = np.zeros(4 * SECTORS + 1)
     for k in range(3 * SECTORS):
-        sums[k + 1] = sums[k] + held[k % SECTORS]
+        sums[SECTORS + k + 1] = sums[SECTORS + k] + held[k % SECTORS]
+    for k in range(SECTORS):  # a turn before, in front: a wide window and a wide turn reach so far
+        sums[SECTORS - 1 - k] = sums[SECTORS - k] - held[SECTORS - 1 - k]
     best, choice = -np.inf, 0
     for order in range(2 * reachable + 1):
         k = (order + 1) // 2 if order % 2 else -(order // 2)
-        low, high = SECTORS + k - half, SECTORS + k + half + 1
+        low, high = 2 * SECTORS + k - half, 2 * SECTORS + k + half + 1
         here, then = sums[high] - sums[low], 0.0
         for shift in range(1, reachable + 1):
             new = min(shift, 2 * half + 1, SECTORS - 2 * half - 1)
@@ -391,7 +393,7 @@ def decide(
     edges: np.ndarray,
 ) -> tuple:
     """Twin of `search_plan.decide` for wedges: vx, vy, turn rate, goal x, y, utilisation, and the memory."""
-    now, dt, horizon = body[NOW], body[DT], search[HORIZON]
+    now, dt, horizon = body[NOW], body[DT], max(search[HORIZON], body[DT])
     seen, ids, last = memory
     seen = seen.copy()
     _mark_view(seen, table, now, search[BIN])

@@ -49,13 +49,14 @@ def bound(place: Vector, other: Vector, radius: float, seconds: float, *, presse
 def nearest(velocity: Vector, bounds: list[Bound], speed: float) -> Vector | None:
     """The velocity nearest to the given one within all bounds and no faster than `speed`, m/s; None when there is none.
 
-    It is the given one, its foot on one bound, or a corner of two.
+    It is the given one, its foot on one bound, a corner of two, or a place where a bound meets the greatest speed.
     """
     tight = [each for each in bounds if each[2] < speed]
     feet = [_foot(velocity, each) for each in tight if _excess(velocity, each) > 0.0]
     corners = [corner for one, other in combinations(tight, 2) if (corner := _corner(one, other)) is not None]
+    rims = [rim for each in tight for rim in _rim(each, speed)]
     best, least = None, math.inf
-    for x, y in [velocity, *feet, *corners]:
+    for x, y in [velocity, *feet, *corners, *rims]:
         away = (x - velocity[0]) ** 2 + (y - velocity[1]) ** 2
         if away < least and math.sqrt(x * x + y * y) <= speed + ROUNDING and all(_excess((x, y), each) <= ROUNDING for each in tight):
             best, least = (x, y), away
@@ -79,6 +80,15 @@ def _corner(one: Bound, other: Bound) -> Vector | None:
     if abs(cross) < 1.0e-9:
         return None
     return (one[2] * other[1] - other[2] * one[1]) / cross, (other[2] * one[0] - one[2] * other[0]) / cross
+
+
+def _rim(bound: Bound, speed: float) -> list[Vector]:
+    """Where the line of a bound meets the circle of velocities of `speed` m/s."""
+    rest = speed * speed - bound[2] * bound[2]
+    if rest < 0.0:
+        return []
+    side = math.sqrt(rest)
+    return [(bound[0] * bound[2] - along * bound[1], bound[1] * bound[2] + along * bound[0]) for along in (-side, side)]
 
 
 def _at_most(velocity: Vector, speed: float) -> Vector:

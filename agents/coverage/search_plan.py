@@ -27,6 +27,7 @@ LEAST_OFFSET = 0.05  # from a sensor to the place where a track is worth most, b
 DECAY = 3.0  # bins: the value of what lies outside of the circle falls with exp(-distance / DECAY)
 WITHIN = 7.5  # bins beyond the own circle that a plan looks at
 BESIDE = 4.0  # bins beyond the circle of a partner that it serves
+FAR = 50.0  # such lengths away the value falls no further
 OUTSIDE = 0.4  # the value of a track just outside of the circle
 NEVER = -1.0e9  # s: the time of the last sight of what was never seen
 UNKNOWN = 0.5  # of `stale`: the greatest time out of sight of a particle that is new around the cell
@@ -107,7 +108,7 @@ def no_memory(width: float, height: float, side: float) -> Memory:
 
 def decide(task: Task, memory: Memory) -> Decision:
     """The decision of a round: choose a goal, move towards it, and turn to what is worth seeing from there."""
-    body, horizon = task.body, task.settings.horizon
+    body, horizon = task.body, max(task.settings.horizon, task.body.dt)  # a command of a slower pace may last longer than the horizon
     seen = mark_view(memory.seen, task.table, body.now, task.settings.bin)
     goal, utilisation = best_goal(task, seen)
     vx, vy = (goal[0] - body.x) / horizon, (goal[1] - body.y) / horizon
@@ -189,7 +190,7 @@ def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple
         cost = _costs(apart, radius)
         serves = (apart <= radius + BESIDE * side) & ((cost < own) | ((cost == own) & (first != 0.0)))
         inside, held = apart <= radius, min(1.0, 1.0 / max(utilisation, 1e-9))
-        fade = np.where(inside, 1.0, exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY * side))))
+        fade = np.where(inside, 1.0, exp_minus(np.minimum(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY * side)), FAR)))
         tracks = np.where(serves, tracks * (1.0 - sharing * held * np.where(inside, fade, OUTSIDE * fade)), tracks)
         values = np.where(serves, values * (1.0 - sharing * fade), values)
     return tracks, values
@@ -235,7 +236,7 @@ def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarra
     apart, best = np.sqrt(apart2), min(max(task.body.offset, LEAST_OFFSET * side), 0.9 * radius)
     away = (apart - best) * np.where(apart > best, 1.0 / (radius - best), 1.0 / best)
     inside = track * (1.0 - settings.falloff * away * away) + value
-    outside = (OUTSIDE * track + value) * exp_minus(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY * side)))
+    outside = (OUTSIDE * track + value) * exp_minus(np.minimum(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY * side)), FAR))
     return total(np.where(apart2 <= radius * radius, inside, outside))
 
 
@@ -263,6 +264,8 @@ def best_turn(task: Task, place: tuple[float, float], around: Particles, last: n
     """The turn in rad until the next tick: to the heading whose window holds most. Of a wedge the best window of the tick after
     counts in part."""
     body, width = task.body, 2.0 * math.pi / SECTORS
+    if isinstance(task.sensor, WedgeSensor) and body.angle > 2.0 * math.pi - width:
+        return 0.0
     most = min(body.turn_rate * body.dt, math.pi)
     points, worth = worth_around(task, place, around, last, left)
     if not (worth > 0.0).any():
@@ -272,8 +275,6 @@ def best_turn(task: Task, place: tuple[float, float], around: Particles, last: n
     if not isinstance(task.sensor, WedgeSensor):
         held = [float(task.sensor.probability(points, (*place, task.heading + k * width)) @ worth) for k in order]
         return order[held.index(max(held))] * width
-    if body.angle > 2.0 * math.pi - width:
-        return 0.0
     dx, dy = points[:, 0] - place[0], points[:, 1] - place[1]
     sectors = sector_of(dx * body.cos + dy * body.sin, dy * body.cos - dx * body.sin)
     half = min(math.floor(0.5 * WINDOW * body.angle / width), SECTORS // 2 - 1)
@@ -323,8 +324,10 @@ def window_values(held: np.ndarray, half: int, order: Sequence[int], second_head
     sums, most, found = [0.0], max(order), []
     for k in range(3 * SECTORS):
         sums.append(sums[-1] + float(held[k % SECTORS]))
+    for k in range(SECTORS):  # a turn before, in front: a wide window and a wide turn reach so far
+        sums.insert(0, sums[0] - float(held[-1 - k]))
     for k in order:
-        low, high, then = SECTORS + k - half, SECTORS + k + half + 1, 0.0
+        low, high, then = 2 * SECTORS + k - half, 2 * SECTORS + k + half + 1, 0.0
         for shift in range(1, most + 1):
             new = min(shift, 2 * half + 1, SECTORS - 2 * half - 1)
             then = max(then, sums[high + shift] - sums[high + shift - new], sums[low - shift + new] - sums[low - shift])

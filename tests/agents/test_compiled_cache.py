@@ -134,6 +134,7 @@ def test_compiled_loops_are_made_of_nothing_but_what_their_folder_is_named_after
     sources = {path for pattern in SOURCES for path in ROOT.glob(pattern)}
     compiled = [path for path in sources if path.match("*kernels.py")]
     assert len(compiled) == len(list((ROOT / "agents").rglob("*kernels.py"))) >= 9
+    imported = {HERE / "cache.py"}
     for path in compiled:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in ("agents", "protocol"):
@@ -141,6 +142,8 @@ def test_compiled_loops_are_made_of_nothing_but_what_their_folder_is_named_after
                 if node.module == "agents.compiled":
                     files = {HERE / f"{alias.name}.py" for alias in node.names}
                 assert files <= sources | {HERE / "cache.py"}, f"{path.name} imports {node.module}"
+                imported |= files
+    assert sources <= imported | {*compiled}, "a source on which no loop depends"
 
 
 def test_every_loop_with_a_cache_is_kept_there() -> None:

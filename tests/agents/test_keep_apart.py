@@ -43,6 +43,11 @@ def test_bodies_that_are_too_close_draw_apart_and_one_between_two_stands() -> No
     assert kept((1.0, 0.0), (0.3, 0.0), (-0.3, 0.0)) == pytest.approx((0.0, 0.0))
 
 
+def test_a_body_that_is_too_close_draws_apart_at_full_speed_too() -> None:
+    vx, vy = kept((0.0, 2.0), (0.3, 0.0))
+    assert vx == pytest.approx((0.15 - 0.25) / 0.5) and math.hypot(vx, vy) == pytest.approx(2.0) and vy > 1.9
+
+
 def test_a_law_that_asks_for_more_than_the_limit_gets_no_more() -> None:
     assert kept((30.0, 40.0)) == pytest.approx((1.2, 1.6))
 

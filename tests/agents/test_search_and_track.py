@@ -9,7 +9,20 @@ from agents.backend import PLAIN
 from agents.config import AgentConfig, ControlSettings, SearchSettings
 from agents.coverage.control import control_law
 from agents.coverage.search_and_track import SearchAndTrack
-from agents.coverage.search_plan import Memory, PlanInput, Task, bin_values, decide, left_over, mark_view, no_memory, sector_of, worth_at
+from agents.coverage.search_plan import (
+    SECTORS,
+    Memory,
+    PlanInput,
+    Task,
+    bin_values,
+    decide,
+    left_over,
+    mark_view,
+    no_memory,
+    sector_of,
+    window_values,
+    worth_at,
+)
 from agents.round import context_of
 from agents.tracking.particles import NONE, Particles, unlabelled
 from protocol.fields import Malformed
@@ -222,16 +235,37 @@ def test_a_world_of_another_size_and_pace_is_searched_alike() -> None:
     assert searched > 10
 
 
-@pytest.mark.parametrize("speed", [0.0, 2.0])
-def test_plain_and_compiled_decisions_agree_when_a_tick_is_long(speed: float) -> None:
-    """Up to 4 m in a tick of 2 s, which is two bins; a body may also stand, and only turn."""
+@pytest.mark.parametrize("half", [4, 22, 35])
+def test_a_wide_window_and_a_wide_turn_are_worth_the_same_to_the_left_and_to_the_right(half: int) -> None:
+    held, order = np.random.default_rng(half).random(SECTORS), [*range(-35, 36)]
+    mirrored = np.roll(held[::-1], 1)
+    assert window_values(held, half, order, 0.5) == pytest.approx(window_values(mirrored, half, order, 0.5)[::-1])
+
+
+def test_a_command_that_lasts_longer_than_the_horizon_ends_at_the_goal() -> None:
+    known = task(particles((58.0, 50.0, 2.0)), settings=SearchSettings(horizon=1.0))
+    known = known._replace(body=known.body._replace(dt=2.0))
+    found = decide(known, no_memory(100.0, 100.0, 2.0))
+    assert found.goal != (50.0, 50.0)
+    assert (50.0 + 2.0 * found.velocity[0], 50.0 + 2.0 * found.velocity[1]) == pytest.approx(found.goal)
+
+
+def test_a_sensor_that_sees_all_around_need_not_turn() -> None:
+    around = WedgeSensor(2.0 * math.pi, 8.0, 0.9)
+    assert decide(task(sensor=around), no_memory(100.0, 100.0, 2.0)).turn_rate == 0.0
+
+
+@pytest.mark.parametrize(("speed", "turn_rate", "name"), [(0.0, 1.0, "C"), (2.0, 1.0, "C"), (2.0, 5.0, "A")])
+def test_plain_and_compiled_decisions_agree_when_a_tick_is_long(speed: float, turn_rate: float, name: str) -> None:
+    """Up to 4 m in a tick of 2 s, which is two bins; a body may also stand, and only turn. A has 240 degrees."""
     fast = pytest.importorskip("agents.compiled.backend").FAST
     rng = np.random.default_rng(5)
     for _ in range(60):
         rows = [(*rng.uniform(35.0, 65.0, 2), rng.uniform(0.0, 0.3), *rng.normal(0.0, 1.0, 2)) for _ in range(80)]
         partners = np.column_stack([rng.uniform(35.0, 65.0, (3, 2)), rng.uniform(0.5, 2.0, 3), [8.0, 8.0, 20.0], [1.0, 0.0, 1.0]])
-        known = task(particles(*rows), particles(*rows), partners, goal=(51.0, 49.0))
-        known = known._replace(body=known.body._replace(dt=2.0, turn_rate=1.0, speed=speed))
+        short = SearchSettings(horizon=1.0)
+        known = task(particles(*rows), particles(*rows), partners, goal=(51.0, 49.0), sensor=SENSOR_CLASSES[name], settings=short)
+        known = known._replace(body=known.body._replace(dt=2.0, turn_rate=turn_rate, speed=speed))
         memory = Memory(rng.uniform(-9.0, 1.0, (50, 50)), np.empty(0, dtype=np.uint64), np.empty(0))
         plain, compiled = decide(known, memory), fast.decide(known, memory)
         assert plain[:4] == compiled[:4]
