@@ -72,7 +72,7 @@ class World(Node):
             self._embody(name, sensor_of(config, sensor_class))
         self._settings = agreed(common_sections(config))
         self._commands = CommandBook(lockstep=self._lockstep)
-        self._hold = Hold()  # by an operator: no command moves a body
+        self.hold = Hold()  # by an operator: no command moves a body
         self._waiting: set[str] = set()  # lockstep: whose command of this tick is still missing
         self._due: float | None = None
         self._changed = 0.0  # when an agent came, or one heard of more than before; until the start
@@ -101,7 +101,7 @@ class World(Node):
         if isinstance(message, Command):
             return self._obey(message, now)
         if isinstance(message, Halt):
-            self._hold.take(message)
+            self.hold.take(message)
         return self._hear(message, now) if isinstance(message, Hello) and message.role == "agent" else []
 
     @property
@@ -233,7 +233,7 @@ class World(Node):
 
     def _commands_in_force(self) -> dict[str, Command]:
         """The commands that move bodies in this tick: its own in lockstep; in real time the newest, as long as they hold."""
-        if self._hold.holds:
+        if self.hold.holds:
             return {}
         if self._lockstep:
             return {name: command for name, command in self._commands.newest.items() if command.tick == self.tick}
