@@ -205,10 +205,11 @@ class Scorer(Node):
         is_new = name not in self._alive
         self._alive[name] = max(incarnation, self._alive.get(name, 0))
         if is_new and name in self._gone_at and self.truth is not None:
-            same = self._gone_at[name][1] == incarnation
+            lost_at, before = self._gone_at[name]
+            same = before == incarnation
             self._chronicle.regain(name, self.truth.tick, same=same)
             if same and name not in self.deaths.paused:
-                self.deaths.regain(name)
+                self.deaths.regain(name, lost_at)
 
     def _score_what_is_complete(self, now: float) -> None:
         while self.truth is not None and not self._finished:
