@@ -97,7 +97,8 @@ class Scorer(Node):
         self._gone_at: dict[str, tuple[float, int]] = {}  # when an agent was lost last, s, and its incarnation then
         self._truths: dict[int, Truth] = {}
         self._estimates: dict[int, dict[str, Estimate]] = {}
-        self._latest: dict[str, Estimate] = {}
+        self._latest: dict[str, Estimate] = {}  # of each agent
+        self._counting: dict[str, Estimate] = {}  # of each agent the newest of a tick that is scored or past
         self._next = 0
         self._chronicle = Chronicle()
         self._events: list[EventReport] = []
@@ -181,6 +182,8 @@ class Scorer(Node):
         self.tick_rate.count(estimate)
         if estimate.tick >= self._next:
             self._estimates.setdefault(estimate.tick, {})[estimate.sender] = estimate
+        else:
+            self._counting[estimate.sender] = estimate
 
     def _compare_mass(self, gossip: Gossip) -> None:
         """The mass that an agent reports must be the sum of the particles that it publishes."""
@@ -225,8 +228,13 @@ class Scorer(Node):
 
     def _forget(self, tick: int) -> None:
         self._truths.pop(tick, None)
-        self._estimates.pop(tick, None)
+        self._count_until(tick)
         self._next = tick + 1
+
+    def _count_until(self, tick: int) -> None:
+        """From now on each agent's newest estimate of a tick up to this one counts."""
+        for past in sorted(known for known in self._estimates if known <= tick):
+            self._counting.update(self._estimates.pop(past))
 
     def _is_complete(self, truth: Truth) -> bool:
         """Whether all live agents that received this tick have answered; ticks without estimates wait for the next one."""
@@ -248,7 +256,9 @@ class Scorer(Node):
         for name in self._names:
             if name in said:
                 self._transcript.update(said[name].targets_bytes + said[name].labels_bytes)
-        counted = [said.get(name) or self._latest[name] for name in self._names if name in self._alive and name in self._latest]
+        self._count_until(truth.tick)
+        counted = [self._counting[name] for name in self._names if name in self._counting]
+        counted = [estimate for estimate in counted if self._alive.get(estimate.sender) == estimate.incarnation]
         counted = [estimate for estimate in counted if estimate.tick >= truth.tick - max(self._fresh, 2 * estimate.pace)]
         dt = self._scenario.run.dt
         targets = np.concatenate([NO_POINTS, *[estimate.targets_at(truth.tick, dt) for estimate in counted]])

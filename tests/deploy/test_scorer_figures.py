@@ -9,7 +9,7 @@ from deploy.scoring.scorer import Scorer
 from deploy.scoring.tracks import TrackLog
 from deploy.simulation import Simulation
 from protocol.messages import Gossip
-from protocol.node import received
+from protocol.node import Alive, Gone, received
 from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, scenario, started, truth
 
 __all__ = ["scenario"]  # the fixture
@@ -103,3 +103,38 @@ def test_a_tick_is_scored_with_the_estimates_of_that_tick_though_later_ones_are_
     for tick in (0, 1):
         scorer.handle(estimate("b", tick, RIGHT), 1.0)
     assert [score.ospa for score in scorer.scores] == pytest.approx([5.0, 1.0])
+
+
+def test_a_tick_that_an_agent_left_out_is_scored_with_its_estimate_before_and_not_with_a_later_one(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(3):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+        if tick != 1:
+            scorer.handle(estimate("a", tick, LEFT, LATE if tick else EARLY), float(tick))
+    scorer.finish(3.0)
+    assert [score.ospa for score in scorer.scores] == pytest.approx([5.0, 5.0, 1.0])
+
+
+def test_an_estimate_that_comes_after_its_tick_was_scored_counts_for_the_next(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(26):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+        if tick == 23:
+            scorer.handle(estimate("a", 0, LEFT, LATE), float(tick))
+    assert [score.estimated for score in scorer.scores] == [0, 0, 1, 1]
+
+
+def test_what_a_dead_process_said_does_not_count_for_its_successor(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(3):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+        if tick == 0:
+            scorer.handle(estimate("a", tick, LEFT, LATE), float(tick))
+            scorer.handle(Gone("agent", "a", 1), 0.5)
+            scorer.handle(Alive("agent", "a", 2), 0.6)
+    scorer.finish(3.0)
+    assert [score.estimated for score in scorer.scores] == [1, 0, 0]
+    assert scorer.scores[-1].hole == pytest.approx(0.5)
