@@ -186,10 +186,13 @@ class Scorer(Node):
             self._counting[estimate.sender] = estimate
 
     def _compare_mass(self, gossip: Gossip) -> None:
-        """The mass that an agent reports must be the sum of the particles that it publishes."""
+        """The mass that an agent reports must be the sum of what it publishes. At a slower pace its estimate is of another round."""
         estimate = self._latest.get(gossip.sender)
-        if estimate is not None and gossip.claim_names and (estimate.incarnation, estimate.tick) == (gossip.incarnation, gossip.claim_tick):
-            self._tally.residual = max(self._tally.residual, abs(estimate.mass - gossip.weight * len(gossip.ids)))
+        if estimate is None or estimate.pace > 1 or not gossip.claim_names:
+            return
+        if (estimate.incarnation, estimate.tick) == (gossip.incarnation, gossip.claim_tick):
+            published = gossip.weight * len(gossip.ids) + math.fsum(gossip.components["weight"].tolist())
+            self._tally.residual = max(self._tally.residual, abs(estimate.mass - published))
 
     def _lose(self, name: str, now: float) -> None:
         incarnation = self._alive.pop(name)

@@ -8,8 +8,10 @@ from deploy.scenario import Scenario, resolve
 from deploy.scoring.scorer import Scorer
 from deploy.scoring.tracks import TrackLog
 from deploy.simulation import Simulation
+from protocol.components import COMPONENT
 from protocol.messages import Gossip
 from protocol.node import Alive, Gone, received
+from protocol.observer_messages import Estimate
 from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, scenario, started, truth
 
 __all__ = ["scenario"]  # the fixture
@@ -54,6 +56,22 @@ def test_the_mass_that_is_reported_is_that_of_the_particles_that_are_said(scenar
     gossip = Gossip(**common, tick=1, claim_tick=0, claim_names=("a",), claim_bytes=claim, weight=0.2, states_bytes=states, ids_bytes=ids)
     scorer.handle(received(gossip), 0.5)
     assert scorer.result(1.0).mass_residual == pytest.approx(abs(0.5 - 4 * 0.2))
+
+
+@pytest.mark.parametrize(("pace", "residual"), [(1, 0.25), (2, 0.0)])
+def test_gaussians_are_mass_too_and_an_estimate_of_a_slower_pace_is_not_compared(scenario: Scenario, pace: int, residual: float) -> None:
+    """1.75 expected, and a mixture of two Gaussians of 0.75; at a slower pace the estimate is made before the scans of the peers come."""
+    scorer = started(scenario)
+    [said] = estimate("a", 0, WHOLE, mass=1.75).batch.messages
+    assert isinstance(said, Estimate)
+    scorer.handle(received(msgspec.structs.replace(said, pace=pace)), 0.0)
+    mixture = np.zeros(2, COMPONENT)
+    mixture["weight"] = 0.75
+    pose, claim = (1.0, 1.0, 0.0), np.array([[1.0, 1.0, 0.0]]).tobytes()
+    common = {"sender": "a", "incarnation": 1, "pose": pose, "cod": pose[:2], "power_radius": 0.0, "unused": 0.0}
+    gossip = Gossip(**common, tick=1, claim_tick=0, claim_names=("a",), claim_bytes=claim, components_bytes=mixture.tobytes())
+    scorer.handle(received(gossip), 0.5)
+    assert scorer.result(1.0).mass_residual == residual
 
 
 def test_who_has_been_silent_for_longer_than_it_stays_a_generator_is_not_scored(scenario: Scenario) -> None:
