@@ -7,6 +7,7 @@ With `--keep-halt`, and with `--keep` of a body, the newest Halt stands in FILE:
 """
 
 import argparse
+import contextlib
 import logging
 import sys
 import time
@@ -61,6 +62,8 @@ class KeptWorld(Node):
         if self._path is None:
             return
         if not write_whole(self._path, codec.encode(truth)):
+            with contextlib.suppress(OSError):
+                self._path.unlink(missing_ok=True)  # an old one would lead a restarted world back in time
             self._path = None
 
 

@@ -52,6 +52,15 @@ def test_a_file_that_cannot_be_written_does_not_stop_the_world(tmp_path: Path) -
     assert [truth.tick for truth in truths] == [0, 1]
 
 
+def test_after_a_failed_write_no_old_truth_is_left_from_which_a_world_would_go_back_in_time(tmp_path: Path) -> None:
+    node = KeptWorld(World(CONFIG, 1), tmp_path / "truth")
+    run_a_little(node)
+    assert (tmp_path / "truth").exists()
+    (tmp_path / "truth.new").mkdir()  # where the next one would be written
+    node.handle(Timer(), 1.5)
+    assert not (tmp_path / "truth").exists()
+
+
 def test_a_file_that_is_missing_or_broken_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadSetting, match=r"--restore .*truth: No such file or directory"):
         read_truth(tmp_path / "truth", "covey")
