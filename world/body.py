@@ -62,6 +62,7 @@ class Body(Node):
         epoch = config.bodies.epoch if not self._lockstep else 0.0
         self._clock = TickClock(self._period, epoch - unix if epoch else None)
         self._count = TickCount()
+        self._bodies = Roster()  # of their tokens
         self._alive: dict[str, set[str]] = {"agent": set(), "body": {name}}  # by role: names with a token
         self._others: dict[str, Pose] = {}  # where the other bodies said last that they are
         self._ring: tuple[str, ...] = ()  # the neighbours to whom the clock listens
@@ -149,7 +150,8 @@ class Body(Node):
     def _greet(self, event: Alive, now: float) -> list[Effect]:
         self._alive[event.role].add(event.name)
         effects = self._listen_around()
-        if event.role == "body" or not self._roster.appear(event.name, event.incarnation):
+        is_new = self._roster_of(event).appear(event.name, event.incarnation)
+        if event.role == "body" or not is_new:
             return effects
         self._changed = now
         if event.name == self.name:
@@ -158,14 +160,18 @@ class Body(Node):
 
     def _bury(self, event: Gone, now: float) -> list[Effect]:
         """Somebody has gone; without its agent the body stands still at once and waits for no command."""
-        if event.role == "body" or self._roster.vanish(event.name, event.incarnation):
-            if event.role == "body" or self._roster.live(event.name) is None:
+        roster = self._roster_of(event)
+        if roster.vanish(event.name, event.incarnation):
+            if roster.live(event.name) is None:
                 self._alive[event.role].discard(event.name)
             if event.role == "agent" and event.name == self.name:
                 self._commands.drop(self.name)
                 self._stand()
                 return [*self._listen_around(), *(self._end_of_wait(now) if self._waiting else [])]
         return self._listen_around()
+
+    def _roster_of(self, event: Alive | Gone) -> Roster:
+        return self._bodies if event.role == "body" else self._roster
 
     def _listen_around(self) -> list[Effect]:
         """The effects that subscribe to the gossips of the neighbours in the ring of those who have agent and body."""

@@ -11,7 +11,7 @@ from covey.examples.robots import INNER, DifferentialDrive
 from deploy.live.platform_check import check_platform
 from deploy.scenario import Scenario, resolve, world_config
 from protocol.messages import Command, Hello, Observation
-from protocol.node import Alive, Started, Stop, Timer, received
+from protocol.node import Alive, Gone, Started, Stop, Timer, received
 from protocol.settings import BadSetting, LimitSettings
 from world.body import Body, check_epoch
 from world.config import WorldConfig
@@ -283,3 +283,12 @@ def test_the_contract_is_kept_by_the_example_and_broken_by_a_robot_that_does_not
     assert all(kept for _, kept in check_platform("s1", example))
     broken = [rule for rule, kept in check_platform("s1", config(f"{HERE}:Runaway")) if not kept]
     assert broken == ["0.5 s after stop it stands (within 0.02 m)"]
+
+
+def test_a_late_loss_of_an_old_body_takes_its_successor_not_out_of_the_ring_of_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch)
+    for event in (Alive("agent", "s2", 1), Alive("body", "s2", 1), Alive("body", "s2", 2), Gone("body", "s2", 1)):
+        body.handle(event, 0.1)
+    assert body._ring == ("s2",)
+    body.handle(Gone("body", "s2", 2), 0.2)
+    assert body._ring == ()
