@@ -234,7 +234,7 @@ class Body(Node):
         self.tick, self._waiting = tick, self._lockstep and self._roster.speaks(self.name)
         if self._lockstep:
             self._not_before = max(self._not_before, now - self._pause) + self._pause
-            self._due = now + self._config.run.patience if self._waiting else max(now + self._period, self._not_before)
+            self._due = max(now + (self._config.run.patience if self._waiting else self._period), self._not_before)
         else:
             self._due = self._clock.due(tick + 1)
         self.pose, detections = self.platform.read(tick)

@@ -212,7 +212,7 @@ class World(Node):
         if self._lockstep:
             self._waiting = {name for name in present if self._roster.speaks(name)}
             self._not_before = max(self._not_before, now - self._pause) + self._pause  # late by less than a pause is made up for
-            self._due = now + self._config.run.patience if self._waiting else max(now + self._period, self._not_before)
+            self._due = max(now + (self._config.run.patience if self._waiting else self._period), self._not_before)
         else:
             self._due = self._anchor + (self.tick + 1) * self._period
         truth = self.scene.truth(self.bodies.poses, in_view, present, self.name, self.incarnation)

@@ -292,3 +292,14 @@ def test_a_late_loss_of_an_old_body_takes_its_successor_not_out_of_the_ring_of_t
     assert body._ring == ("s2",)
     body.handle(Gone("body", "s2", 2), 0.2)
     assert body._ring == ()
+
+
+def test_a_body_in_lockstep_keeps_a_pause_that_is_longer_than_its_patience() -> None:
+    paced = {"run.clock": "lockstep", "run.max_rate": 0.1, "run.patience": 0.5, "run.start_timeout": 1.0}
+    body = Body(config("simulated", **paced), "s1", 1)
+    for event in (Started(), Alive("agent", "s1", 1), received(Hello(sender="s1", incarnation=1))):
+        body.handle(event, 100.0)
+    body.handle(Timer(), 102.0)
+    body.handle(Timer(), 102.5)
+    assert body.tick == 1 and body._waiting
+    assert body.deadline() == 102.0 + body._pause == 104.5
