@@ -64,7 +64,7 @@ NO_SCORE = Score(-1, 0.0, 0.0, 0.0, 0, 0, 0, 0.0, 1.0, 0.0)
 
 
 class Coverage:
-    """Share of the arena inside the footprint of some living agent's body, on a lattice."""
+    """Share of the arena inside the footprint of some living member's body, on a lattice."""
 
     def __init__(self, scenario: Scenario) -> None:
         ticks = (np.arange(LATTICE) + 0.5) / LATTICE
