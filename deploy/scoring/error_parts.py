@@ -2,8 +2,8 @@
 
 Data types: `Parts` are shares of the OSPA or the GOSPA of one tick, in m; they add up to it.
 
-Rules. A target is *in view* inside the footprint of a living member's body; guests do not count. It is *lost* when it was in view before, and *never seen*
-otherwise. Only watchers compute this: it needs the true targets.
+Rules. A target is *in view* inside the footprint of a living member's body; guests do not count. It is *lost* when it was in view
+before, and *never seen* otherwise. Only watchers compute this: it needs the true targets.
 """
 
 from typing import NamedTuple
