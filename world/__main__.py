@@ -54,6 +54,10 @@ class KeptWorld(Node):
         """As the world says."""
         return self._world.deadline()
 
+    def counts(self) -> dict[str, int]:
+        """As the world says."""
+        return self._world.counts()
+
     def expect(self, names: tuple[str, ...]) -> None:
         """As the world does."""
         self._world.expect(names)
@@ -133,7 +137,7 @@ def main() -> NoReturn:
             keep_halts(world.hold, own.keep_halt, config.run.name)
         return KeptWorld(world, own.keep) if own.keep else world
 
-    process.main("world", WorldConfig, build, lambda world, line: world.expect(tuple(line.split())))
+    process.main("world", WorldConfig, build, lambda world, line: world.expect(tuple(line.split())), log_counts)
 
 
 def be_body(name: str, keep: Path | None, restore: Path | None) -> NoReturn:
@@ -151,7 +155,18 @@ def be_body(name: str, keep: Path | None, restore: Path | None) -> NoReturn:
             keep_halts(body.hold, keep, config.run.name)
         return body
 
-    process.main("world", WorldConfig, build, lambda body, line: body.expect(tuple(line.split())), Body.end)
+    process.main("world", WorldConfig, build, lambda body, line: body.expect(tuple(line.split())), end_body)
+
+
+def end_body(body: Body) -> None:
+    """Stop the platform, and log what was counted."""
+    body.end()
+    log_counts(body)
+
+
+def log_counts(node: World | KeptWorld | Body) -> None:
+    """Log at the end of a process what went wrong in it, once."""
+    log.info("the process ends", extra=node.counts())
 
 
 if __name__ == "__main__":

@@ -87,6 +87,11 @@ class Body(Node):
         with contextlib.suppress(Exception):
             self._stand()
 
+    def counts(self) -> dict[str, int]:
+        """What went wrong so far, for the log."""
+        corrections = self._clock.corrections
+        return {"late_commands": self.late_commands, "ignored_commands": self.ignored_commands, "clock_corrections": corrections}
+
     def expect(self, names: tuple[str, ...]) -> None:
         """Wait for these agents before the first tick, however long they take: a parent that sees their processes asks for it."""
         self._expected, self._patience = names, math.inf

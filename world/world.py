@@ -116,6 +116,11 @@ class World(Node):
         """Wait for these agents before the first tick, however long they take: a parent that sees their processes asks for it."""
         self._expected, self._patience = names, math.inf
 
+    def counts(self) -> dict[str, int]:
+        """What went wrong so far, for the log."""
+        wrong = {"late_commands": self.late_commands, "ignored_commands": self.ignored_commands}
+        return {**wrong, "rejected_messages": self.rejected_messages, "re_anchored": self.re_anchored}
+
     def deadline(self) -> float | None:
         """When the next Hello or tick is due, in the time of `now`."""
         return self._due

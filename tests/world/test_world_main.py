@@ -14,7 +14,8 @@ from protocol.node import Alive, Started, Timer, received
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from tests.world.stage import command, config, feed, started
-from world.__main__ import KeptWorld, keep_halts, read_halt, read_truth
+from world.__main__ import KeptWorld, end_body, keep_halts, log_counts, read_halt, read_truth
+from world.body import Body
 from world.config import WorldConfig, WorldRun
 from world.halt import Hold
 from world.world import World
@@ -139,3 +140,14 @@ def test_the_newest_halt_is_the_one_that_is_kept(tmp_path: Path) -> None:
         hold.take(Halt(sender="operator-1", incarnation=incarnation, held=incarnation != 3))
     kept = read_halt(tmp_path / "halt", "covey")
     assert (kept.incarnation, kept.held) == (5, True)
+
+
+def test_what_was_counted_is_logged_once_when_a_process_ends(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    world, _ = started(config())
+    feed(world, command("s1", 5), command("nobody", 0), Timer(), now=5.0)
+    log_counts(KeptWorld(world, tmp_path / "truth"))
+    end_body(Body(CONFIG, "s1", 1))
+    first, second = (vars(record) for record in caplog.records)
+    assert (first["late_commands"], first["ignored_commands"], first["rejected_messages"], first["re_anchored"]) == (2, 2, 0, 0)
+    assert (second["late_commands"], second["ignored_commands"], second["clock_corrections"]) == (0, 0, 0)
