@@ -1,11 +1,13 @@
-"""The world process: `python -m world --config run.toml [--incarnation N] [--keep FILE] [--restore FILE]`.
+"""The world process: `python -m world --config run.toml [--incarnation N] [--keep FILE] [--restore FILE] [--keep-halt FILE]`.
 
 `python -m world --body s3 --config run.toml [--keep FILE] [--restore FILE]` is the part for the agent s3 alone: its body.
 
 With `--keep` the newest Truth stands in FILE, so that a world that was killed can be started again where it stopped with `--restore`.
+With `--keep-halt`, and with `--keep` of a body, the newest Halt stands in FILE: who was halted stands when it is started again.
 """
 
 import argparse
+import contextlib
 import logging
 import sys
 import time
@@ -21,6 +23,7 @@ from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from world.body import Body, check_epoch
 from world.config import WorldConfig
+from world.halt import Hold
 from world.world import World
 
 log = logging.getLogger(__name__)
@@ -51,6 +54,10 @@ class KeptWorld(Node):
         """As the world says."""
         return self._world.deadline()
 
+    def counts(self) -> dict[str, int]:
+        """As the world says."""
+        return self._world.counts()
+
     def expect(self, names: tuple[str, ...]) -> None:
         """As the world does."""
         self._world.expect(names)
@@ -59,6 +66,8 @@ class KeptWorld(Node):
         if self._path is None:
             return
         if not write_whole(self._path, codec.encode(truth)):
+            with contextlib.suppress(OSError):
+                self._path.unlink(missing_ok=True)  # an old one would lead a restarted world back in time
             self._path = None
 
 
@@ -79,11 +88,18 @@ def read_halt(path: Path, run: str) -> Halt:
     try:
         message = codec.decode(all_of(run, "halt"), path.read_bytes())
     except OSError as error:
-        raise BadSetting(f"--keep {path}: {error.strerror}") from None
+        raise BadSetting(f"{path}: {error.strerror}") from None
     except Malformed as error:
-        raise BadSetting(f"--keep {path}: no kept Halt: {error}; remove it only when the robot may move") from None
+        raise BadSetting(f"{path}: no kept Halt: {error}; remove it only when all may move") from None
     assert isinstance(message, Halt)
     return message
+
+
+def keep_halts(hold: Hold, path: Path, run: str) -> None:
+    """Let a hold begin with the order that a file holds, and write every later order that counts to it."""
+    if path.exists():
+        hold.take(read_halt(path, run))
+    hold.on_order = lambda halt: write_whole(path, codec.encode(halt))
 
 
 def read_truth(path: Path, run: str) -> Truth:
@@ -103,6 +119,7 @@ def main() -> NoReturn:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--restore", type=Path)
+    parser.add_argument("--keep-halt", type=Path)
     parser.add_argument("--body")
     own, sys.argv[1:] = parser.parse_known_args()  # the rest is common to all processes
 
@@ -116,15 +133,17 @@ def main() -> NoReturn:
         if own.keep and not own.restore:
             own.keep.unlink(missing_ok=True)  # of an earlier run: nobody shall go on from that
         world = World(config, incarnation, restored)
+        if own.keep_halt:
+            keep_halts(world.hold, own.keep_halt, config.run.name)
         return KeptWorld(world, own.keep) if own.keep else world
 
-    process.main("world", WorldConfig, build, lambda world, line: world.expect(tuple(line.split())))
+    process.main("world", WorldConfig, build, lambda world, line: world.expect(tuple(line.split())), log_counts)
 
 
 def be_body(name: str, keep: Path | None, restore: Path | None) -> NoReturn:
     """Be the process of the body of one agent. With `restore` a simulated one begins at its pose in that Truth.
 
-    The file `keep` holds the newest halt, so that a body that was halted stands when it is started again.
+    The file `keep` holds the newest halt.
     """
     sys.argv += ["--name", name]
 
@@ -133,12 +152,21 @@ def be_body(name: str, keep: Path | None, restore: Path | None) -> NoReturn:
         unix = time.time() - time.monotonic()  # read once: a clock that is set while the body runs moves no tick
         body = Body(config, name, incarnation, unix, read_truth(restore, config.run.name) if restore else None)
         if keep is not None:
-            if keep.exists():
-                body.hold.take(read_halt(keep, config.run.name))
-            body.hold.on_order = lambda halt: write_whole(keep, codec.encode(halt))
+            keep_halts(body.hold, keep, config.run.name)
         return body
 
-    process.main("world", WorldConfig, build, lambda body, line: body.expect(tuple(line.split())), Body.end)
+    process.main("world", WorldConfig, build, lambda body, line: body.expect(tuple(line.split())), end_body)
+
+
+def end_body(body: Body) -> None:
+    """Stop the platform, and log what was counted."""
+    body.end()
+    log_counts(body)
+
+
+def log_counts(node: World | KeptWorld | Body) -> None:
+    """Log at the end of a process what went wrong in it, once."""
+    log.info("the process ends", extra=node.counts())
 
 
 if __name__ == "__main__":

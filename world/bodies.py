@@ -7,6 +7,8 @@ import math
 from collections.abc import Iterable
 from itertools import combinations
 
+import numpy as np
+
 from protocol.fields import FARTHEST
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
@@ -26,19 +28,25 @@ def start_pose(name: str, settings: BodySettings, arena: ArenaSettings, seed: in
     given = settings.poses.get(name) if settings.start == "given" else None
     if given is not None:
         return given[0], given[1], wrap_angle(given[2])
-    x, y, turn = stream(seed, "start", key(name)).random(3).tolist()
+    return _random_pose(arena, stream(seed, "start", key(name)))
+
+
+def _random_pose(arena: ArenaSettings, numbers: np.random.Generator) -> Pose:
+    """Uniform in the arena with a uniform heading."""
+    x, y, turn = numbers.random(3).tolist()
     return x * arena.width, y * arena.height, wrap_angle(2.0 * math.pi * turn)
 
 
 def free_pose(name: str, config: WorldConfig, taken: Iterable[Pose]) -> Pose:
     """The start pose of a body that touches none of those that are there; the first of its random poses with room around it."""
-    settings, apart, others = config.bodies, 2.0 * (config.limits.radius + ROOM), list(taken)
-    pose = start_pose(name, settings, config.arena, config.run.seed)
-    for attempt in range(1, ATTEMPTS):
+    apart, others = 2.0 * (config.limits.radius + ROOM), list(taken)
+    for attempt in range(ATTEMPTS):
+        if attempt:
+            pose = _random_pose(config.arena, stream(config.run.seed, "start", key(name), attempt))
+        else:
+            pose = start_pose(name, config.bodies, config.arena, config.run.seed)
         if config.limits.radius == 0.0 or all(math.dist(pose[:2], other[:2]) >= apart for other in others):
             return pose
-        x, y, turn = stream(config.run.seed, "start", key(name), attempt).random(3).tolist()
-        pose = x * config.arena.width, y * config.arena.height, wrap_angle(2.0 * math.pi * turn)
     raise BadSetting(f"limits.radius = {config.limits.radius:g}: the arena has no room for {len(others) + 1} bodies of this size")
 
 

@@ -62,6 +62,7 @@ class Body(Node):
         epoch = config.bodies.epoch if not self._lockstep else 0.0
         self._clock = TickClock(self._period, epoch - unix if epoch else None)
         self._count = TickCount()
+        self._bodies = Roster()  # of their tokens
         self._alive: dict[str, set[str]] = {"agent": set(), "body": {name}}  # by role: names with a token
         self._others: dict[str, Pose] = {}  # where the other bodies said last that they are
         self._ring: tuple[str, ...] = ()  # the neighbours to whom the clock listens
@@ -85,6 +86,11 @@ class Body(Node):
         """Stop the platform for good; what it answers does not count."""
         with contextlib.suppress(Exception):
             self._stand()
+
+    def counts(self) -> dict[str, int]:
+        """What went wrong so far, for the log."""
+        corrections = self._clock.corrections
+        return {"late_commands": self.late_commands, "ignored_commands": self.ignored_commands, "clock_corrections": corrections}
 
     def expect(self, names: tuple[str, ...]) -> None:
         """Wait for these agents before the first tick, however long they take: a parent that sees their processes asks for it."""
@@ -149,7 +155,8 @@ class Body(Node):
     def _greet(self, event: Alive, now: float) -> list[Effect]:
         self._alive[event.role].add(event.name)
         effects = self._listen_around()
-        if event.role == "body" or not self._roster.appear(event.name, event.incarnation):
+        is_new = self._roster_of(event).appear(event.name, event.incarnation)
+        if event.role == "body" or not is_new:
             return effects
         self._changed = now
         if event.name == self.name:
@@ -158,14 +165,18 @@ class Body(Node):
 
     def _bury(self, event: Gone, now: float) -> list[Effect]:
         """Somebody has gone; without its agent the body stands still at once and waits for no command."""
-        if event.role == "body" or self._roster.vanish(event.name, event.incarnation):
-            if event.role == "body" or self._roster.live(event.name) is None:
+        roster = self._roster_of(event)
+        if roster.vanish(event.name, event.incarnation):
+            if roster.live(event.name) is None:
                 self._alive[event.role].discard(event.name)
             if event.role == "agent" and event.name == self.name:
                 self._commands.drop(self.name)
                 self._stand()
                 return [*self._listen_around(), *(self._end_of_wait(now) if self._waiting else [])]
         return self._listen_around()
+
+    def _roster_of(self, event: Alive | Gone) -> Roster:
+        return self._bodies if event.role == "body" else self._roster
 
     def _listen_around(self) -> list[Effect]:
         """The effects that subscribe to the gossips of the neighbours in the ring of those who have agent and body."""
@@ -228,7 +239,7 @@ class Body(Node):
         self.tick, self._waiting = tick, self._lockstep and self._roster.speaks(self.name)
         if self._lockstep:
             self._not_before = max(self._not_before, now - self._pause) + self._pause
-            self._due = now + self._config.run.patience if self._waiting else max(now + self._period, self._not_before)
+            self._due = max(now + (self._config.run.patience if self._waiting else self._period), self._not_before)
         else:
             self._due = self._clock.due(tick + 1)
         self.pose, detections = self.platform.read(tick)

@@ -105,6 +105,8 @@ def _clear(indexed: _Indexed) -> tuple[int, float]:
     last, before = np.full(len(indexed.target_ticks), -1), np.full(len(indexed.target_ticks), -1)
     switches = matched = 0
     for rows, columns, similar in indexed.ticks:
+        if not len(rows) or not len(columns):
+            continue  # as in TrackEval: the matches of the tick before are kept
         values = KEPT * (columns[None, :] == before[rows][:, None]) + similar
         values[similar < MATCHED - EPSILON] = 0.0
         at, to = _assigned(values)

@@ -5,6 +5,7 @@ A tick k: publish Observation(k) to every agent that is alive, and Truth(k); the
 `run.max_rate` lockstep waits for both: the Commands are those of the tick whatever the clock says, so it changes no bit of the run.
 """
 
+import logging
 import math
 
 import numpy as np
@@ -27,6 +28,8 @@ from world.halt import Hold
 from world.proximity import around
 from world.roster import Roster
 from world.scene import Scene
+
+log = logging.getLogger(__name__)
 
 HELLO_PERIOD = 0.25  # s, until the start
 HOLD = 2.0  # a command drives a body for so long at most, s of world time, real time only
@@ -61,7 +64,7 @@ class World(Node):
         max_rate = config.run.max_rate if self._lockstep else 0.0
         self._pause = config.run.dt / max_rate if max_rate else 0.0  # s between two ticks, at least
         self._not_before = 0.0  # lockstep: when the tick may end
-        self._last_poses: dict[str, Pose] = {}  # of a restored run
+        self._refused: dict[str, int] = {}  # guests without room for a body, and their incarnations
         self._poses_before: dict[str, Pose] = {}  # of the bodies, one tick ago
         self._expected, self._patience, self._strict = tuple(config.members), config.run.start_timeout, config.run.strict
         self.scene = Scene(config)
@@ -72,7 +75,7 @@ class World(Node):
             self._embody(name, sensor_of(config, sensor_class))
         self._settings = agreed(common_sections(config))
         self._commands = CommandBook(lockstep=self._lockstep)
-        self._hold = Hold()  # by an operator: no command moves a body
+        self.hold = Hold()  # by an operator: no command moves a body
         self._waiting: set[str] = set()  # lockstep: whose command of this tick is still missing
         self._due: float | None = None
         self._changed = 0.0  # when an agent came, or one heard of more than before; until the start
@@ -101,7 +104,7 @@ class World(Node):
         if isinstance(message, Command):
             return self._obey(message, now)
         if isinstance(message, Halt):
-            self._hold.take(message)
+            self.hold.take(message)
         return self._hear(message, now) if isinstance(message, Hello) and message.role == "agent" else []
 
     @property
@@ -112,6 +115,11 @@ class World(Node):
     def expect(self, names: tuple[str, ...]) -> None:
         """Wait for these agents before the first tick, however long they take: a parent that sees their processes asks for it."""
         self._expected, self._patience = names, math.inf
+
+    def counts(self) -> dict[str, int]:
+        """What went wrong so far, for the log."""
+        wrong = {"late_commands": self.late_commands, "ignored_commands": self.ignored_commands}
+        return {**wrong, "rejected_messages": self.rejected_messages, "re_anchored": self.re_anchored}
 
     def deadline(self) -> float | None:
         """When the next Hello or tick is due, in the time of `now`."""
@@ -169,7 +177,7 @@ class World(Node):
     def _obey(self, command: Command, now: float) -> list[Effect]:
         """Keep a command until the tick ends."""
         self._watchdog.speak(command.sender, now)
-        moves = self.started and command.sender in self.bodies.poses
+        moves = self.started and command.sender in self.scene.sensors
         if not moves or not self._commands.keep(command, self.tick, self._roster.live(command.sender)):
             self.ignored_commands += 1
             return []
@@ -209,7 +217,7 @@ class World(Node):
         if self._lockstep:
             self._waiting = {name for name in present if self._roster.speaks(name)}
             self._not_before = max(self._not_before, now - self._pause) + self._pause  # late by less than a pause is made up for
-            self._due = now + self._config.run.patience if self._waiting else max(now + self._period, self._not_before)
+            self._due = max(now + (self._config.run.patience if self._waiting else self._period), self._not_before)
         else:
             self._due = self._anchor + (self.tick + 1) * self._period
         truth = self.scene.truth(self.bodies.poses, in_view, present, self.name, self.incarnation)
@@ -233,7 +241,7 @@ class World(Node):
 
     def _commands_in_force(self) -> dict[str, Command]:
         """The commands that move bodies in this tick: its own in lockstep; in real time the newest, as long as they hold."""
-        if self._hold.holds:
+        if self.hold.holds:
             return {}
         if self._lockstep:
             return {name: command for name, command in self._commands.newest.items() if command.tick == self.tick}
@@ -246,22 +254,27 @@ class World(Node):
         return [Stop(code, reason)]
 
     def _present(self) -> list[str]:
-        """Names of the live agents that have a body, in team order."""
-        return [name for name in self.bodies.poses if self._roster.live(name) is not None]
+        """Names of the live agents that have a body and a sensor that is known, in team order."""
+        return [name for name in self.bodies.poses if name in self.scene.sensors and self._roster.live(name) is not None]
 
     def _embody_guest(self, name: str) -> None:
         """Give a body to a live agent that is no member but has said what its sensor is."""
         hello = self._roster.hellos.get(name)
-        sensors = self.scene.sensors
-        if name in sensors or hello is None or self._roster.live(name) != hello.incarnation or len(sensors) >= MAX_NAMES:
+        if name in self.scene.sensors or hello is None or hello.sensor is None or self._roster.live(name) != hello.incarnation:
             return
-        if hello.sensor is not None:
+        if self._refused.get(name) == hello.incarnation or len({*self.bodies.poses, name}) > MAX_NAMES:
+            return
+        try:
             self._embody(name, hello.sensor)
+        except BadSetting as error:
+            self._refused[name] = hello.incarnation
+            log.warning("%s gets no body: %s", name, error)
 
     def _embody(self, name: str, sensor: SensorModel) -> None:
-        config = self._config
+        """Give a sensor a body, the one that its name had in a restored run; raises BadSetting where there is no room for a new one."""
+        if name not in self.bodies.poses:
+            self.bodies.place(name, free_pose(name, self._config, self.bodies.poses.values()))
         self.scene.sensors[name] = sensor
-        self.bodies.place(name, self._last_poses.get(name) or free_pose(name, config, self.bodies.poses.values()))
 
     def _restore(self, truth: Truth) -> None:
         """Go on where an earlier incarnation stopped; raises BadSetting when that was another run."""
@@ -271,7 +284,8 @@ class World(Node):
             raise BadSetting(f"restore: tick {truth.tick} that was kept does not come from this scenario and seed {self._config.run.seed}")
         self.scene.step_until(min(truth.tick + RESTORE_GAP, self._config.run.ticks - 1))
         self.tick = self.scene.targets.tick
-        self._last_poses = {name: (x, y, heading) for name, (x, y, heading) in zip(truth.bodies, truth.poses.tolist())}
+        for name, (x, y, heading) in zip(truth.bodies, truth.poses.tolist()):
+            self.bodies.place(name, (x, y, heading))  # of dead guests, too: it stands there still
         self._expected, self._patience, self._strict = truth.alive, min(self._patience, RESTORE_TIMEOUT), False
 
     def _hello(self) -> Hello:

@@ -73,7 +73,8 @@ class Child:
         """Let the zygote fork the process, or execute it; raises OSError when neither is possible."""
         config = self.directory.agents if self.room == "agents" else self.directory.config
         halt = str(self.directory.log(self.name).with_suffix(".halt"))
-        own = ["--body", self.body_of, "--keep", halt] if self.body_of else ["--name", self.name]
+        halted = ["--keep-halt", halt] if self.room == "world" else []
+        own = ["--body", self.body_of, "--keep", halt] if self.body_of else ["--name", self.name, *halted]
         words = [*own, "--config", str(config), "--supervised"]
         words += ["--incarnation", str(self.incarnation), *self.arguments, *extra]
         if self.zygote is not None:

@@ -115,6 +115,7 @@ class Cut:
 
     verb: str  # partition, heal
     tick: int
+    sides: int
 
     def see(self, view: ScoredTick) -> str | None:
         """Look at the next tick; the sentence once the cells have settled."""
@@ -123,7 +124,7 @@ class Cut:
         ticks = f"{view.tick - self.tick} tick{'s' * (view.tick - self.tick != 1)}"
         if self.verb == "heal":
             return f"the links are clear: the cells tile the arena again after {ticks}" if view.overlap <= CLOSED else None
-        return f"the cut: each side covers the whole arena by itself after {ticks}" if view.overlap >= 1.0 - CLOSED else None
+        return f"the cut: each side covers the whole arena by itself after {ticks}" if view.overlap >= self.sides - 1 - CLOSED else None
 
 
 class Chronicle:
@@ -133,6 +134,7 @@ class Chronicle:
         self._open: list[Loss | Return | Cut] = []
         self._last: ScoredTick | None = None
         self._cells: dict[str, np.ndarray] = {}  # the newest of each agent
+        self._sides = 1  # into which cuts divide the agents
 
     def lose(self, name: str, verb: str, tick: int, time: float) -> None:
         """An agent has gone."""
@@ -143,6 +145,8 @@ class Chronicle:
 
     def regain(self, name: str, tick: int, *, same: bool = False) -> None:
         """An agent is back; `same`: in the same process, which was only silent."""
+        if same:
+            self.resume(name)
         for one in self._open:
             if isinstance(one, Loss) and one.name == name and one.verb == "died" and same:
                 one.verb = "was silent"
@@ -150,13 +154,14 @@ class Chronicle:
         self._open.append(Return(name, tick))
 
     def resume(self, name: str) -> None:
-        """A paused agent goes on: nothing is reported if nobody has taken its cell."""
+        """A paused or silent agent goes on: its loss is not reported if nobody has taken its cell."""
         self._open = [one for one in self._open if not (isinstance(one, Loss) and one.name == name and one.closed is None)]
 
     def cut(self, verb: str, tick: int) -> None:
-        """Links have been cut, or all are clear again."""
+        """Links have been cut, or are clear again. Each cut since the last healing adds a side."""
+        self._sides = self._sides + 1 if verb == "partition" else 1
         self._open = [one for one in self._open if not isinstance(one, Cut)]
-        self._open.append(Cut(verb, tick))
+        self._open.append(Cut(verb, tick, self._sides))
 
     def see(self, view: ScoredTick) -> list[EventReport]:
         """Show a scored tick; the sentences that are due."""

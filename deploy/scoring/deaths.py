@@ -29,11 +29,9 @@ class Deaths:
         """Note that an agent died at a tick and world time, s; `cell` (K, 2) m is its last one."""
         self._deaths.append(_Death(name, tick, time, now, cell))
 
-    def regain(self, name: str) -> None:
-        """An agent is back in the same process: its last death was none."""
-        at = next((index for index in reversed(range(len(self._deaths))) if self._deaths[index].name == name), None)
-        if at is not None:
-            del self._deaths[at]
+    def regain(self, name: str, time: float) -> None:
+        """An agent whose token was lost at a world time, s, is back in the same process: if that was noted as a death, it was none."""
+        self._deaths = [loss for loss in self._deaths if (loss.name, loss.time) != (name, time)]
 
     def see(self, view: ScoredTick, now: float) -> None:
         """Note whose former cells the cells of a tick cover."""

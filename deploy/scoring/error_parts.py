@@ -2,8 +2,8 @@
 
 Data types: `Parts` are shares of the OSPA or the GOSPA of one tick, in m; they add up to it.
 
-Rules. A target is *in view* inside the footprint of a living agent's body. It is *lost* when it was in view before, and *never seen*
-otherwise. Only watchers compute this: it needs the true targets.
+Rules. A target is *in view* inside the footprint of a living member's body; guests do not count. It is *lost* when it was in view
+before, and *never seen* otherwise. Only watchers compute this: it needs the true targets.
 """
 
 from typing import NamedTuple
@@ -59,7 +59,7 @@ class ErrorParts:
         return _means(self.gospa_parts)
 
     def _in_view(self, truth: Truth) -> np.ndarray:
-        """Which targets some living agent's body has in its footprint, (T,) bool."""
+        """Which targets some living member's body has in its footprint, (T,) bool."""
         visible, alive = np.zeros(len(truth.ids), dtype=bool), set(truth.alive)
         for name, (x, y, heading) in zip(truth.bodies, truth.poses.tolist()):
             if name in alive and name in self._sensors:

@@ -61,7 +61,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     targets_in_view: int  # at the end
     hole_area: float  # the largest, share of the arena
     overlap_area: float
-    mass_residual: float  # the largest difference between the mass an agent says and the sum of its particles, expected targets
+    mass_residual: float  # the largest difference between the mass an agent says and that of its particles or Gaussians, expected targets
     messages: int
     bytes: int
     rounds: int  # played by all agents together

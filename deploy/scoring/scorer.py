@@ -97,7 +97,8 @@ class Scorer(Node):
         self._gone_at: dict[str, tuple[float, int]] = {}  # when an agent was lost last, s, and its incarnation then
         self._truths: dict[int, Truth] = {}
         self._estimates: dict[int, dict[str, Estimate]] = {}
-        self._latest: dict[str, Estimate] = {}
+        self._latest: dict[str, Estimate] = {}  # of each agent
+        self._counting: dict[str, Estimate] = {}  # of each agent the newest of a tick that is scored or past
         self._next = 0
         self._chronicle = Chronicle()
         self._events: list[EventReport] = []
@@ -181,12 +182,17 @@ class Scorer(Node):
         self.tick_rate.count(estimate)
         if estimate.tick >= self._next:
             self._estimates.setdefault(estimate.tick, {})[estimate.sender] = estimate
+        else:
+            self._counting[estimate.sender] = estimate
 
     def _compare_mass(self, gossip: Gossip) -> None:
-        """The mass that an agent reports must be the sum of the particles that it publishes."""
+        """The mass that an agent reports must be the sum of what it publishes. At a slower pace its estimate is of another round."""
         estimate = self._latest.get(gossip.sender)
-        if estimate is not None and gossip.claim_names and (estimate.incarnation, estimate.tick) == (gossip.incarnation, gossip.claim_tick):
-            self._tally.residual = max(self._tally.residual, abs(estimate.mass - gossip.weight * len(gossip.ids)))
+        if estimate is None or estimate.pace > 1 or not gossip.claim_names:
+            return
+        if (estimate.incarnation, estimate.tick) == (gossip.incarnation, gossip.claim_tick):
+            published = gossip.weight * len(gossip.ids) + math.fsum(gossip.components["weight"].tolist())
+            self._tally.residual = max(self._tally.residual, abs(estimate.mass - published))
 
     def _lose(self, name: str, now: float) -> None:
         incarnation = self._alive.pop(name)
@@ -205,10 +211,11 @@ class Scorer(Node):
         is_new = name not in self._alive
         self._alive[name] = max(incarnation, self._alive.get(name, 0))
         if is_new and name in self._gone_at and self.truth is not None:
-            same = self._gone_at[name][1] == incarnation
+            lost_at, before = self._gone_at[name]
+            same = before == incarnation
             self._chronicle.regain(name, self.truth.tick, same=same)
             if same and name not in self.deaths.paused:
-                self.deaths.regain(name)
+                self.deaths.regain(name, lost_at)
 
     def _score_what_is_complete(self, now: float) -> None:
         while self.truth is not None and not self._finished:
@@ -224,8 +231,13 @@ class Scorer(Node):
 
     def _forget(self, tick: int) -> None:
         self._truths.pop(tick, None)
-        self._estimates.pop(tick, None)
+        self._count_until(tick)
         self._next = tick + 1
+
+    def _count_until(self, tick: int) -> None:
+        """From now on each agent's newest estimate of a tick up to this one counts."""
+        for past in sorted(known for known in self._estimates if known <= tick):
+            self._counting.update(self._estimates.pop(past))
 
     def _is_complete(self, truth: Truth) -> bool:
         """Whether all live agents that received this tick have answered; ticks without estimates wait for the next one."""
@@ -247,7 +259,9 @@ class Scorer(Node):
         for name in self._names:
             if name in said:
                 self._transcript.update(said[name].targets_bytes + said[name].labels_bytes)
-        counted = [said.get(name) or self._latest[name] for name in self._names if name in self._alive and name in self._latest]
+        self._count_until(truth.tick)
+        counted = [self._counting[name] for name in self._names if name in self._counting]
+        counted = [estimate for estimate in counted if self._alive.get(estimate.sender) == estimate.incarnation]
         counted = [estimate for estimate in counted if estimate.tick >= truth.tick - max(self._fresh, 2 * estimate.pace)]
         dt = self._scenario.run.dt
         targets = np.concatenate([NO_POINTS, *[estimate.targets_at(truth.tick, dt) for estimate in counted]])

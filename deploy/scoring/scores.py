@@ -64,7 +64,7 @@ NO_SCORE = Score(-1, 0.0, 0.0, 0.0, 0, 0, 0, 0.0, 1.0, 0.0)
 
 
 class Coverage:
-    """Share of the arena inside the footprint of some living agent's body, on a lattice."""
+    """Share of the arena inside the footprint of some living member's body, on a lattice."""
 
     def __init__(self, scenario: Scenario) -> None:
         ticks = (np.arange(LATTICE) + 0.5) / LATTICE
@@ -109,7 +109,7 @@ def _between(axis: list[float], middle: float, width: float) -> slice:
 
 def steady_part(scores: Sequence[Score], scenario: Scenario) -> Sequence[Score]:
     """The scores of the last `study.steady_share` of the run; all of them where it ended before."""
-    start = (1.0 - scenario.study.steady_share) * scenario.run.ticks
+    start = round((1.0 - scenario.study.steady_share) * scenario.run.ticks, 9)  # 1 - 0.7 is a little more than 0.3
     return [score for score in scores if score.tick >= start] or scores
 
 

@@ -154,6 +154,27 @@ def test_a_cut_is_told_when_both_sides_cover_the_arena_and_a_healing_when_the_ce
     assert [one.text for one in told] == ["the links are clear: the cells tile the arena again after 3 ticks"]
 
 
+def test_a_second_cut_is_told_when_all_three_sides_cover_the_arena() -> None:
+    chronicle = Chronicle()
+    chronicle.cut("partition", 100)
+    assert len(play(chronicle, [view(101, BEFORE, overlap=1.0)])) == 1
+    chronicle.cut("partition", 110)
+    told = play(chronicle, [view(110 + tick, BEFORE, overlap=1.0 + 0.25 * tick) for tick in range(1, 8)])
+    assert [one.text for one in told] == ["the cut: each side covers the whole arena by itself after 4 ticks"]
+    chronicle.cut("heal", 120)
+    chronicle.cut("partition", 130)
+    assert len(play(chronicle, [view(131, BEFORE, overlap=1.0)])) == 1
+
+
+def test_a_silence_in_which_nobody_took_the_cell_is_no_open_cell() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE))
+    chronicle.lose("s2", "died", 100, 25.0)
+    chronicle.regain("s2", 100, same=True)
+    told = play(chronicle, [view(tick, BEFORE) for tick in range(101, 190)])
+    assert [one.text for one in told] == ["s2 is back: it owns a cell again after 1 tick"]
+
+
 def test_shares_are_of_the_former_cell_and_many_heirs_are_counted() -> None:
     assert shares(box(0, 0, 10, 10), {"a": box(5, 0, 50, 50), "b": box(0, 0, 5, 9), "c": box(0, 9, 0.4, 10), "d": np.empty((0, 2))}) == [
         ("a", 0.5),

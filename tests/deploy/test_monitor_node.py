@@ -135,6 +135,21 @@ def test_an_agent_whose_token_comes_back_in_the_same_process_has_not_died_and_on
     assert [kill.name for kill in scorer.result(1.0).kills] == ["b"]
 
 
+def test_a_pause_that_outlives_the_lease_does_not_undo_an_earlier_death(scenario: Scenario) -> None:
+    """b is killed at 1 s and restarted; then it is paused until its token is lost, and resumed."""
+    scorer = started(scenario)
+    scorer.handle(truth(1), 1.0)
+    scorer.handle(Gone("agent", "b", 1), 1.5)
+    scorer.handle(Alive("agent", "b", 2), 2.0)
+    scorer.handle(truth(3), 3.0)
+    scorer.note_fault("pause", "pause b", "b", 3.0)
+    scorer.handle(Gone("agent", "b", 2), 4.0)
+    scorer.note_fault("resume", "resume b", "b", 5.0)
+    scorer.handle(truth(5), 5.0)
+    scorer.handle(Alive("agent", "b", 2), 5.5)
+    assert [(kill.name, kill.time) for kill in scorer.result(6.0).kills] == [("b", 1.0)]
+
+
 def test_a_silent_agent_is_not_waited_for_without_end(scenario: Scenario) -> None:
     scorer = started(scenario)
     for tick in range(25):

@@ -8,8 +8,10 @@ from deploy.scenario import Scenario, resolve
 from deploy.scoring.scorer import Scorer
 from deploy.scoring.tracks import TrackLog
 from deploy.simulation import Simulation
+from protocol.components import COMPONENT
 from protocol.messages import Gossip
-from protocol.node import received
+from protocol.node import Alive, Gone, received
+from protocol.observer_messages import Estimate
 from tests.deploy.test_monitor_node import EMPTY, LEFT, RIGHT, TARGET, WHOLE, estimate, scenario, started, truth
 
 __all__ = ["scenario"]  # the fixture
@@ -54,6 +56,22 @@ def test_the_mass_that_is_reported_is_that_of_the_particles_that_are_said(scenar
     gossip = Gossip(**common, tick=1, claim_tick=0, claim_names=("a",), claim_bytes=claim, weight=0.2, states_bytes=states, ids_bytes=ids)
     scorer.handle(received(gossip), 0.5)
     assert scorer.result(1.0).mass_residual == pytest.approx(abs(0.5 - 4 * 0.2))
+
+
+@pytest.mark.parametrize(("pace", "residual"), [(1, 0.25), (2, 0.0)])
+def test_gaussians_are_mass_too_and_an_estimate_of_a_slower_pace_is_not_compared(scenario: Scenario, pace: int, residual: float) -> None:
+    """1.75 expected, and a mixture of two Gaussians of 0.75; at a slower pace the estimate is made before the scans of the peers come."""
+    scorer = started(scenario)
+    [said] = estimate("a", 0, WHOLE, mass=1.75).batch.messages
+    assert isinstance(said, Estimate)
+    scorer.handle(received(msgspec.structs.replace(said, pace=pace)), 0.0)
+    mixture = np.zeros(2, COMPONENT)
+    mixture["weight"] = 0.75
+    pose, claim = (1.0, 1.0, 0.0), np.array([[1.0, 1.0, 0.0]]).tobytes()
+    common = {"sender": "a", "incarnation": 1, "pose": pose, "cod": pose[:2], "power_radius": 0.0, "unused": 0.0}
+    gossip = Gossip(**common, tick=1, claim_tick=0, claim_names=("a",), claim_bytes=claim, components_bytes=mixture.tobytes())
+    scorer.handle(received(gossip), 0.5)
+    assert scorer.result(1.0).mass_residual == residual
 
 
 def test_who_has_been_silent_for_longer_than_it_stays_a_generator_is_not_scored(scenario: Scenario) -> None:
@@ -103,3 +121,38 @@ def test_a_tick_is_scored_with_the_estimates_of_that_tick_though_later_ones_are_
     for tick in (0, 1):
         scorer.handle(estimate("b", tick, RIGHT), 1.0)
     assert [score.ospa for score in scorer.scores] == pytest.approx([5.0, 1.0])
+
+
+def test_a_tick_that_an_agent_left_out_is_scored_with_its_estimate_before_and_not_with_a_later_one(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(3):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+        if tick != 1:
+            scorer.handle(estimate("a", tick, LEFT, LATE if tick else EARLY), float(tick))
+    scorer.finish(3.0)
+    assert [score.ospa for score in scorer.scores] == pytest.approx([5.0, 5.0, 1.0])
+
+
+def test_an_estimate_that_comes_after_its_tick_was_scored_counts_for_the_next(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(26):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+        if tick == 23:
+            scorer.handle(estimate("a", 0, LEFT, LATE), float(tick))
+    assert [score.estimated for score in scorer.scores] == [0, 0, 1, 1]
+
+
+def test_what_a_dead_process_said_does_not_count_for_its_successor(scenario: Scenario) -> None:
+    scorer = started(scenario)
+    for tick in range(3):
+        scorer.handle(truth(tick), float(tick))
+        scorer.handle(estimate("b", tick, RIGHT), float(tick))
+        if tick == 0:
+            scorer.handle(estimate("a", tick, LEFT, LATE), float(tick))
+            scorer.handle(Gone("agent", "a", 1), 0.5)
+            scorer.handle(Alive("agent", "a", 2), 0.6)
+    scorer.finish(3.0)
+    assert [score.estimated for score in scorer.scores] == [1, 0, 0]
+    assert scorer.scores[-1].hole == pytest.approx(0.5)

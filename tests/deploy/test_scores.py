@@ -1,5 +1,6 @@
 """What the scores of a run come to, by pocket calculator."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -44,6 +45,11 @@ def test_the_share_in_view_of_the_last_five_seconds(scenario: Scenario) -> None:
     assert why(scores, scenario)["end_in_view"] == 1.0 and share_in_view(scores) == 0.5
     scores = [score(tick, in_view=2 if tick >= 11 else 0) for tick in range(20)]
     assert why(scores, scenario)["end_in_view"] == pytest.approx(9 * 2 / 40)
+
+
+def test_the_steady_part_begins_at_a_whole_tick_where_its_share_is_no_binary_number(scenario: Scenario) -> None:
+    shared = msgspec.structs.replace(scenario, study=msgspec.structs.replace(scenario.study, steady_share=0.7))
+    assert steady_part([score(tick) for tick in range(20)], shared)[0].tick == 6
 
 
 def test_a_run_that_ended_before_its_steady_part_and_one_without_a_tick(scenario: Scenario) -> None:

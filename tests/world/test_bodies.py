@@ -10,7 +10,8 @@ from protocol.geometry import wrap_angle
 from protocol.messages import Command
 from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
-from world.bodies import Bodies, check_given, pose_with_error, start_pose
+from world import bodies as module
+from world.bodies import Bodies, check_given, free_pose, pose_with_error, start_pose
 from world.config import BodySettings, WorldConfig, WorldRun
 
 LIMITS = LimitSettings(speed=2.0, turn_rate=5.0)
@@ -108,3 +109,13 @@ def test_errors_of_poses_are_refused_for_bodies_of_their_own(field: str) -> None
     settings = WorldConfig(bodies=BodySettings(host="own", **{field: 0.1}))
     with pytest.raises(BadSetting, match=rf"bodies\.{field} = 0\.1: should be 0 with bodies of their own"):
         check_given(settings)
+
+
+def test_the_last_pose_that_is_drawn_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = WorldConfig(limits=LimitSettings(radius=1.0))
+    first = free_pose("s1", config, [])
+    second = free_pose("s1", config, [first])
+    monkeypatch.setattr(module, "ATTEMPTS", 2)
+    assert free_pose("s1", config, [first]) == second != first
+    with pytest.raises(BadSetting, match="no room for 3 bodies"):
+        free_pose("s1", config, [first, second])

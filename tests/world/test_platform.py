@@ -11,7 +11,7 @@ from covey.examples.robots import INNER, DifferentialDrive
 from deploy.live.platform_check import check_platform
 from deploy.scenario import Scenario, resolve, world_config
 from protocol.messages import Command, Hello, Observation
-from protocol.node import Alive, Started, Stop, Timer, received
+from protocol.node import Alive, Gone, Started, Stop, Timer, received
 from protocol.settings import BadSetting, LimitSettings
 from world.body import Body, check_epoch
 from world.config import WorldConfig
@@ -283,3 +283,23 @@ def test_the_contract_is_kept_by_the_example_and_broken_by_a_robot_that_does_not
     assert all(kept for _, kept in check_platform("s1", example))
     broken = [rule for rule, kept in check_platform("s1", config(f"{HERE}:Runaway")) if not kept]
     assert broken == ["0.5 s after stop it stands (within 0.02 m)"]
+
+
+def test_a_late_loss_of_an_old_body_takes_its_successor_not_out_of_the_ring_of_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch)
+    for event in (Alive("agent", "s2", 1), Alive("body", "s2", 1), Alive("body", "s2", 2), Gone("body", "s2", 1)):
+        body.handle(event, 0.1)
+    assert body._ring == ("s2",)
+    body.handle(Gone("body", "s2", 2), 0.2)
+    assert body._ring == ()
+
+
+def test_a_body_in_lockstep_keeps_a_pause_that_is_longer_than_its_patience() -> None:
+    paced = {"run.clock": "lockstep", "run.max_rate": 0.1, "run.patience": 0.5, "run.start_timeout": 1.0}
+    body = Body(config("simulated", **paced), "s1", 1)
+    for event in (Started(), Alive("agent", "s1", 1), received(Hello(sender="s1", incarnation=1))):
+        body.handle(event, 100.0)
+    body.handle(Timer(), 102.0)
+    body.handle(Timer(), 102.5)
+    assert body.tick == 1 and body._waiting
+    assert body.deadline() == 102.0 + body._pause == 104.5

@@ -109,6 +109,14 @@ def test_the_local_frame_and_its_inverse_agree(place: tuple[float, float]) -> No
     assert frame.to_earth(*frame.to_plane(*place)) == pytest.approx(place, abs=1e-9)
 
 
+def test_ships_on_both_sides_of_the_date_line_are_near_each_other(tmp_path: Path) -> None:
+    file = ships(tmp_path, "0 235 -17.0 179.9", "10 236 -17.0 -179.9", "20 235 -17.0 179.9", "20 236 -17.0 -179.9")
+    for origin, ways in ((179.9, (0.0, 21_300.0)), (-179.9, (-21_300.0, 0.0))):
+        found = read_ships(file, RecordedSettings(kind="ships", data="x", origin=(-17.0, origin), longest_gap=60.0, longest_hole=60.0))
+        assert found.remarks == ()
+        assert [visit.places[0][0] for visit in found.visits] == pytest.approx(ways, abs=100.0)
+
+
 def test_a_report_that_cannot_be_true_is_left_out_and_named_by_line(tmp_path: Path) -> None:
     file = ships(tmp_path, "0 235 50.0 -1.0", "5 245188000 50.8141 54.83172", "10 235 50.0 -1.0", "20 235 50.5 -1.0", "30 235 50.0 -1.0")
     found = read_ships(file, SHIPS)

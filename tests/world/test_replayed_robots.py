@@ -53,6 +53,16 @@ def test_headings_that_wrap_are_unwrapped(tmp_path: Path) -> None:
     assert read_mrclam(tmp_path, SETTINGS).bodies[0].at(0.1)[2] == pytest.approx(math.pi)
 
 
+def test_headings_of_csv_files_are_unwrapped_too_and_stay_to_the_last_bit_where_they_are_not_wrapped(tmp_path: Path) -> None:
+    in_csv(tmp_path)
+    headings = [3.1, -3.1, -2.9, 3.1, 0.1, -0.2, 0.3, 9.6, 9.7, 9.8, 9.9]
+    poses = [f"{step / 5},{robot},1.0,0.5,{heading}" for robot in range(1, 6) for step, heading in enumerate(headings)]
+    (tmp_path / "a_poses_5hz.csv").write_text("t_s,robot,x_m,y_m,heading_rad\n" + "\n".join(poses) + "\n")
+    found = read_mrclam(tmp_path, SETTINGS).bodies[0]
+    assert found.at(0.1)[2] == pytest.approx(math.pi)
+    assert found.poses[:, 2].tolist()[3:6] == [3.1, 0.1, -0.2]
+
+
 @pytest.mark.parametrize(
     ("pose", "sight", "said"),
     [

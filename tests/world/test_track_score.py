@@ -29,6 +29,13 @@ def test_two_targets_that_pass_each_other_keep_their_names_as_long_as_they_are_w
     assert (track_score(near, 10.0).id_switches, track_score(far, 10.0).id_switches) == (0, 2)
 
 
+def test_a_tick_without_estimates_or_without_targets_does_not_make_the_matches_before_it_forgotten() -> None:
+    """After the gap each target is nearer to the estimate of the other, 3 m against 1 m, and both keep their names."""
+    before, after = ([1, 2], [0.0, 3.0], [5, 6], [0.0, 3.0]), ([1, 2], [0.0, 3.0], [5, 6], [2.0, 1.0])
+    for gap in (([1, 2], [0.0, 3.0], [], []), ([], [], [5, 6], [0.0, 3.0])):
+        assert track_score(ticks_of([before, gap, after]), 10.0).id_switches == 0
+
+
 def test_nothing_true_and_nothing_reported_scores_zero() -> None:
     for rows in ([], [([], [], [], [])]):
         found = track_score(ticks_of(rows), 10.0)

@@ -1,16 +1,17 @@
 """The World node, event by event: the start line, restarts and guests, scenarios that it refuses."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from protocol.agreement import agreed, common_sections
 from protocol.messages import Hello, Observation
-from protocol.node import Alive, Gone, Rejected, Reopen, Started, Stop, Subscribe, Timer, received
+from protocol.node import Alive, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, received
 from protocol.observer_messages import Truth
 from protocol.sensing import SENSOR_CLASSES
-from protocol.settings import BadSetting
+from protocol.settings import BadSetting, LimitSettings
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started
-from world.config import WorldConfig
+from world.config import BodySettings, WorldConfig
 from world.world import EXIT_INCOMPLETE, HELLO_PERIOD, World
 
 # ---------------------------------------------------------------- the start line
@@ -184,6 +185,28 @@ def test_a_guest_without_a_sensor_gets_no_body() -> None:
     world, _ = started(config())
     feed(world, Alive("agent", "guest", 1), hello("guest"), command("s1", 0), command("s2", 0))
     assert list(world.bodies.poses) == ["s1", "s2"]
+
+
+def roomless(settings: WorldConfig) -> WorldConfig:
+    """Two bodies of 19 m at the sides of a stage of 40 m, which leave no third one room."""
+    poses = {"s1": (0.0, 20.0, 0.0), "s2": (40.0, 20.0, 0.0)}
+    return msgspec.structs.replace(settings, limits=LimitSettings(radius=19.0), bodies=BodySettings(start="given", poses=poses))
+
+
+def guest(name: str = "guest", incarnation: int = 1) -> tuple[Alive, Received]:
+    return Alive("agent", name, incarnation), received(Hello(sender=name, incarnation=incarnation, sensor=SENSOR_CLASSES["D"]))
+
+
+def test_a_guest_without_room_gets_no_body_is_told_of_once_and_ends_no_run(caplog: pytest.LogCaptureFixture) -> None:
+    world, _ = started(roomless(config()))
+    feed(world, *guest(), guest()[1], command("s1", 0))
+    (truth,) = of_kind(Truth, feed(world, command("s2", 0)))
+    assert truth.bodies == ("s1", "s2") and list(world.scene.sensors) == ["s1", "s2"]
+    assert [record.message for record in caplog.records] == [
+        "guest gets no body: limits.radius = 19: the arena has no room for 3 bodies of this size"
+    ]
+    feed(world, *guest(incarnation=2))
+    assert len(caplog.records) == 2, "a new process is a new attempt"
 
 
 def test_other_roles_are_no_agents() -> None:

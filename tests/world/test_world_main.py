@@ -9,11 +9,15 @@ import pytest
 
 from protocol import codec
 from protocol.fields import pack
-from protocol.node import Alive, Started, Timer
+from protocol.messages import Halt
+from protocol.node import Alive, Started, Timer, received
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
-from world.__main__ import KeptWorld, read_truth
+from tests.world.stage import command, config, feed, started
+from world.__main__ import KeptWorld, end_body, keep_halts, log_counts, read_halt, read_truth
+from world.body import Body
 from world.config import WorldConfig, WorldRun
+from world.halt import Hold
 from world.world import World
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,6 +51,15 @@ def test_the_newest_truth_is_kept_and_a_world_can_go_on_from_it(tmp_path: Path) 
 def test_a_file_that_cannot_be_written_does_not_stop_the_world(tmp_path: Path) -> None:
     truths = run_a_little(KeptWorld(World(CONFIG, 1), tmp_path / "no such folder" / "truth"))
     assert [truth.tick for truth in truths] == [0, 1]
+
+
+def test_after_a_failed_write_no_old_truth_is_left_from_which_a_world_would_go_back_in_time(tmp_path: Path) -> None:
+    node = KeptWorld(World(CONFIG, 1), tmp_path / "truth")
+    run_a_little(node)
+    assert (tmp_path / "truth").exists()
+    (tmp_path / "truth.new").mkdir()  # where the next one would be written
+    node.handle(Timer(), 1.5)
+    assert not (tmp_path / "truth").exists()
 
 
 def test_a_file_that_is_missing_or_broken_is_named(tmp_path: Path) -> None:
@@ -93,3 +106,48 @@ def test_a_fresh_start_forgets_what_an_earlier_run_has_kept(tmp_path: Path) -> N
     (tmp_path / "truth").write_bytes(b"of an earlier run")
     world_process("--config", str(tmp_path / "run.toml"), "--keep", str(tmp_path / "truth"))
     assert not (tmp_path / "truth").exists()
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_world_that_was_halted_stands_when_it_is_started_again_until_the_release(tmp_path: Path, held: bool) -> None:
+    first, _ = started(config())
+    keep_halts(first.hold, tmp_path / "halt", "covey")
+    feed(first, received(Halt(sender="operator-1", incarnation=7, held=True)))
+    if not held:
+        feed(first, received(Halt(sender="operator-2", incarnation=8, held=False)))
+    again, _ = started(config())
+    keep_halts(again.hold, tmp_path / "halt", "covey")
+    before = dict(again.bodies.poses)
+    feed(again, received(Halt(sender="operator-0", incarnation=6, held=not held)))  # an order from before that one
+    feed(again, command("s1", 0), command("s2", 0))
+    assert again.tick == 1 and (again.bodies.poses == before) == held
+
+
+def test_a_kept_halt_that_cannot_be_read_is_named_and_lets_nothing_move(tmp_path: Path) -> None:
+    (tmp_path / "halt").write_bytes(b"\xc1 nonsense")
+    with pytest.raises(BadSetting, match=r"halt: no kept Halt: .*; remove it only when all may move"):
+        keep_halts(Hold(), tmp_path / "halt", "covey")
+    (tmp_path / "run.toml").write_text("")
+    done = world_process("--config", str(tmp_path / "run.toml"), "--keep-halt", str(tmp_path / "halt"))
+    assert done.returncode == 2 and "no kept Halt" in done.stderr
+
+
+def test_the_newest_halt_is_the_one_that_is_kept(tmp_path: Path) -> None:
+    hold = Hold()
+    keep_halts(hold, tmp_path / "halt", "covey")
+    assert not (tmp_path / "halt").exists()
+    for incarnation in (2, 5, 3):
+        hold.take(Halt(sender="operator-1", incarnation=incarnation, held=incarnation != 3))
+    kept = read_halt(tmp_path / "halt", "covey")
+    assert (kept.incarnation, kept.held) == (5, True)
+
+
+def test_what_was_counted_is_logged_once_when_a_process_ends(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    world, _ = started(config())
+    feed(world, command("s1", 5), command("nobody", 0), Timer(), now=5.0)
+    log_counts(KeptWorld(world, tmp_path / "truth"))
+    end_body(Body(CONFIG, "s1", 1))
+    first, second = (vars(record) for record in caplog.records)
+    assert (first["late_commands"], first["ignored_commands"], first["rejected_messages"], first["re_anchored"]) == (2, 2, 0, 0)
+    assert (second["late_commands"], second["ignored_commands"], second["clock_corrections"]) == (0, 0, 0)

@@ -4,9 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from protocol.messages import Observation
-from protocol.node import Alive, Started, Timer
+from protocol.messages import Hello, Observation
+from protocol.node import Alive, Gone, Started, Timer, received
 from protocol.observer_messages import Truth
+from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import BadSetting
 from tests.world.stage import command, config, feed, hello, of_kind, started
 from world.config import WorldConfig
@@ -49,6 +50,24 @@ def test_real_time_goes_on_at_its_period_after_a_restore() -> None:
     feed(world, Started(), Alive("agent", "s1", 1), Alive("agent", "s2", 1), hello("s1"), hello("s2"), now=70.0)
     assert world.deadline() == 70.5
     assert world.tick == 4
+
+
+def test_the_bodies_of_guests_stand_where_they_stood_and_a_guest_that_comes_back_finds_its_own() -> None:
+    world, _ = started(config())
+    hellos = {name: received(Hello(sender=name, incarnation=1, sensor=SENSOR_CLASSES["D"])) for name in ("g1", "g2")}
+    for name, said in hellos.items():
+        feed(world, Alive("agent", name, 1), said)
+    feed(world, Gone("agent", "g1", 1), command("s1", 0))
+    (kept,) = of_kind(Truth, feed(world, command("s2", 0)))
+    again = World(config(), 2, kept)
+    feed(again, Started(), *(Alive("agent", name, 1) for name in ("s1", "s2", "g2")), hello("s1"), hello("s2"), now=50.0)
+    (truth,) = of_kind(Truth, feed(again, Timer(), now=51.5))
+    assert truth.bodies == ("s1", "s2", "g1", "g2") and truth.alive == ("s1", "s2")
+    np.testing.assert_array_equal(truth.poses, kept.poses)
+    feed(again, hellos["g2"], command("s1", 3), now=51.6)
+    effects = feed(again, command("s2", 3), now=51.6)
+    (seen,) = [one for one in of_kind(Observation, effects) if one.recipient == "g2"]
+    assert list(seen.pose) == kept.poses[3].tolist()
 
 
 def test_a_truth_of_another_run_is_refused() -> None:

@@ -87,8 +87,6 @@ def read_original(folder: Path, settings: RecordedSettings) -> Tables:
         known = poses[robot] = []
         for line in blank_lines(folder / f"Robot{robot}_Groundtruth.dat", names):
             values = [line.value(column, name) for column, name in enumerate(names)]
-            if known:  # the headings of the file are wrapped
-                values[3] = known[-1][3] + math.remainder(values[3] - known[-1][3], 2.0 * math.pi)
             _add_pose(known, line, values, settings)
     first = min(known[0][0] for known in poses.values())
     for robot in range(1, ROBOTS + 1):
@@ -113,7 +111,8 @@ def _add_pose(known: list[tuple[float, float, float, float]], line: Line, values
     if known and time - known[-1][0] > settings.longest_hole:
         hole = f"{line.place}: a hole of {time - known[-1][0]:g} s in the poses of a robot"
         raise BadSetting(f"{hole}; should be at most recorded.longest_hole = {settings.longest_hole:g} s")
-    known.append((time, x, y, heading))
+    turns = round((heading - known[-1][3]) / (2.0 * math.pi)) if known else 0  # the headings of a file may be wrapped
+    known.append((time, x, y, heading - 2.0 * math.pi * turns))
 
 
 def _is_possible(sight: Sight, line: Line, remarks: Remarks) -> bool:

@@ -32,7 +32,7 @@ def read_ships(path: Path, settings: RecordedSettings) -> RecordedWorld:
             continue
         report, known = Report(time, *frame.to_plane(latitude, longitude), line), reports.setdefault(ship, [])
         away = math.hypot(report.x, report.y)
-        if away > FARTHEST or abs(longitude - settings.origin[1]) > 90.0:
+        if away > FARTHEST or abs((longitude - settings.origin[1] + 180.0) % 360.0 - 180.0) > 90.0:
             from_origin = f"latitude {latitude:g}, longitude {longitude:g}: {away / 1000.0:.0f} km from the origin"
             remarks.leave_out(line, f"{from_origin}; should be at most {FARTHEST / 1000.0:g} km")
         elif known and _jump(known[-1], report) > FASTEST:
