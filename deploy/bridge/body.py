@@ -31,13 +31,14 @@ class Rules(NamedTuple):
     turn_rate: float  # rad/s
     box: tuple[float, float, float, float] | None = None  # that it never leaves, m
     sight: float = 0.0  # m within which it tells its agent of other bodies; 0: bodies are points
+    ticks: int = 1 << 53  # of the run
 
 
 class RobotBody:
     """One body. `say` publishes a message, `appear` declares its token or takes it back."""
 
     def __init__(self, rules: Rules, incarnation: int, say: Callable[[str, Fields], None], appear: Callable[[bool], None]) -> None:
-        self.tick, self.held, self.replaced = -1, False, False
+        self.tick, self.held, self.replaced, self.over = -1, False, False, False
         self._rules, self._incarnation, self._say, self._appear = rules, incarnation, say, appear
         self._anchor = rules.anchor
         self._words: dict[str, tuple[float, float]] = {}  # of a neighbour: when its tick 0 was by its newest gossip, and when that came
@@ -48,6 +49,11 @@ class RobotBody:
         self._scan: tuple[list[Planar], float] | None = None
         self._halt = -1  # incarnation of the newest order
         self._command: tuple[int, Planar, float, float] | None = None  # tick, velocity, turn rate, when it came
+
+    @property
+    def halt(self) -> tuple[int, bool]:
+        """The newest order that counts: its incarnation, and whether the body is held."""
+        return self._halt, self.held
 
     @property
     def pose(self) -> Placement | None:
@@ -99,11 +105,18 @@ class RobotBody:
         """The velocity m/s in the arena's frame and the turn rate rad/s for now; a body that is not sure stands."""
         rules = self._rules
         hold = max(rules.hold, 2.0 * rules.period)
-        if self.held or self._command is None or not self._is_sound(now) or now - self._command[3] > hold:
+        if self.held or self.over or self._command is None or not self._is_sound(now) or now > self._until(self._command, hold):
             return STANDING
         velocity, turn = clipped(self._command[1], rules.speed), max(-rules.turn_rate, min(rules.turn_rate, self._command[2]))
         assert self._pose is not None
         return (fenced(velocity, self._pose[0], rules.box, hold) if rules.box else velocity), turn
+
+    def _until(self, command: tuple[int, Planar, float, float], hold: float) -> float:
+        """When a command ends, s; among bodies with a size two ticks after its own in any case, for it knows the others' places of then."""
+        end = command[3] + hold
+        if not self._rules.sight or self._anchor is None:
+            return end
+        return min(end, self._anchor + (command[0] + 2) * self._rules.period)
 
     def _is_sound(self, now: float) -> bool:
         """Whether odometry and scans are fresh; a body that does not know where it is, or sees nothing, is as good as dead."""
@@ -118,6 +131,9 @@ class RobotBody:
             return
         tick = math.floor((now - self._anchor) / self._rules.period)
         if tick <= self.tick:
+            return
+        self.over = tick >= self._rules.ticks
+        if self.over:
             return
         if tick > self.tick + 1:
             self._command = None

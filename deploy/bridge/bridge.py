@@ -8,9 +8,11 @@
 """
 
 import contextlib
+import math
 import queue
 import signal
 import struct
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -60,9 +62,9 @@ class Bridge:
         self._client.listen("gossip/*", f"command/{name}", f"estimate/{name}", "pose/*", "halt")
 
     def serve(self, over: threading.Event) -> int:
-        """Take part until `over`; the exit code, which is 3 when a younger body has taken the name."""
+        """Take part until `over` or the end of the run; the exit code, which is 3 when a younger body has taken the name."""
         drive_at = 0.0
-        while not over.is_set() and not self.body.replaced:
+        while not (over.is_set() or self.body.replaced or self.body.over):
             with contextlib.suppress(queue.Empty):
                 self._on_heard(self._client.events.get(timeout=WAKE))
                 while True:
@@ -86,10 +88,12 @@ class Bridge:
     def _on_odometry(self, said: Any) -> None:
         """Note where the robot is; the sensor of a differential drive sits ahead of the axle."""
         pose, offset = said.pose.pose, self._options.offset
+        axle = placed(self._options.origin, (pose.position.x, pose.position.y, heading_of(pose.orientation)))
+        if not all(map(math.isfinite, axle)):
+            return  # the body soon stands for want of odometry
         with self._moves:
-            self._robot_frame = said.child_frame_id
-            self._axle = placed(self._options.origin, (pose.position.x, pose.position.y, heading_of(pose.orientation)))
-            self.body.at(placed(self._axle, (offset, 0.0, 0.0)), time.monotonic())
+            self._robot_frame, self._axle = said.child_frame_id, axle
+            self.body.at(placed(axle, (offset, 0.0, 0.0)), time.monotonic())
 
     def _on_detections(self, said: Any) -> None:
         """Note a scan; it is in the robot's own frame if its header says so."""
@@ -99,13 +103,15 @@ class Bridge:
 
     def _on_heard(self, heard: Heard) -> None:
         """Take what the swarm says; the agent's estimate is for people who watch in ROS."""
-        if heard.kind == "estimate":
-            self._show(heard.fields)
-            return
-        with self._moves, contextlib.suppress(KeyError, TypeError, ValueError):  # a message of another form is passed over
-            self.body.hear(heard, time.monotonic())
-        if heard.kind == "halt" and self._options.keep is not None:
-            self._options.keep.write_bytes(msgpack.packb([heard.incarnation, heard.fields["held"]]))
+        before = self.body.halt
+        with contextlib.suppress(KeyError, TypeError, ValueError, struct.error):  # a message of another form is passed over
+            if heard.kind == "estimate":
+                self._show(heard.fields)
+            else:
+                with self._moves:
+                    self.body.hear(heard, time.monotonic())
+        if self.body.halt != before and self._options.keep is not None:
+            keep(self._options.keep, self.body.halt)
 
     def _command(self, velocity: Planar, turn_rate: float) -> None:
         """Say the motion in the robot's own frame."""
@@ -145,6 +151,16 @@ def vector(x: float, y: float, z: float) -> Any:
 def upright() -> Any:
     """No turn."""
     return message("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+
+
+def keep(file: Path, halt: tuple[int, bool]) -> None:
+    """Write an order to a file, whole or not at all; a full disk is told and ends nothing."""
+    fresh = file.with_name(file.name + ".new")
+    try:
+        fresh.write_bytes(msgpack.packb(halt))
+        fresh.replace(file)
+    except OSError as error:
+        print(f"--keep {file}: {error.strerror}: the halt is not kept", file=sys.stderr)
 
 
 def kept(file: Path | None) -> Iterator[Heard]:

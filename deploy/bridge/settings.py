@@ -57,6 +57,7 @@ def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
         hold=bodies["hold"],
         speed=limits["speed"],
         turn_rate=limits["turn_rate"],
+        ticks=max(1, round(run["seconds"] / run["dt"])),
         sight=2.0 * limits["radius"] + 8.0 * limits["speed"] * run["dt"] if limits["radius"] else 0.0,
         box=None if fence is None else (-fence, -fence, arena["width"] + fence, arena["height"] + fence),
     )

@@ -11,6 +11,7 @@ from deploy.cli.study_progress import console_of, run_open_trials
 from deploy.studies.bodies import MODELS, RADIUS, plan, play, summary
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Row
+from protocol.settings import BadSetting
 
 FULL = {"trials": 200, "seconds": 300.0}
 QUICK = {"trials": 4, "seconds": 60.0}
@@ -28,6 +29,8 @@ def run_body_study(
     if "teams" in fields:
         options["team.composition"] = ",".join(fields["teams"]).replace("+", ",")
     if "targets" in fields:
+        if len(fields["targets"]) > 1:
+            raise BadSetting(f"--targets {','.join(map(str, fields['targets']))}: should be one number in this study")
         options["targets.count"] = fields["targets"][0]
     if "mujoco" in models:
         need_packages("study bodies", ("mujoco",), "mujoco")

@@ -108,7 +108,12 @@ class Listener(Node):
                 return [Stop(0, "time is up")] if self._end is not None and now >= self._end else self._look_around(now)
             case Received(batch=batch):
                 heard = [KeyedPayload(message_key(self.run, one), payload, one, "") for one, payload in zip(batch.messages, batch.payloads)]
-                return [effect for one in heard for effect in self._hear(one, now)]
+                effects: list[Effect] = []
+                for one in heard:
+                    effects += self._hear(one, now)
+                    if effects and isinstance(effects[-1], Stop):  # enough: the rest of the batch is not wanted
+                        break
+                return effects
             case Rejected():
                 return self._hear(KeyedPayload(event.key, event.payload, None, event.reason), now)
             case Alive():

@@ -60,7 +60,7 @@ def run_to_read(name: str | None) -> RunDirectory:
 
 def kept_runs() -> list[RunDirectory]:
     """All runs of this folder that have logs, running or not, the newest last."""
-    found = [path for path in runs_folder().glob("*/logs") if path.is_dir()]
+    found = [path for path in runs_folder().glob("*/logs") if path.is_dir() and not path.parent.is_symlink()]
     return [RunDirectory(path.parent.name) for path in sorted(found, key=lambda path: path.stat().st_mtime)]
 
 

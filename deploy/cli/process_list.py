@@ -38,7 +38,12 @@ def ps_all(run: str | None, as_json: bool) -> int:
         raise BadSetting(f"--run {run}: -a shows all runs; leave one of both out")
     running = running_runs()
     names = {directory.name for directory in running}
-    data = [ControlClient(directory).ask("status")["data"] for directory in running]
+    data, silent = [], []
+    for directory in running:
+        try:
+            data.append(ControlClient(directory).ask("status")["data"])
+        except BadSetting as error:  # it starts, or ends, or is a recording that is said again
+            silent.append(str(error))
     gone = [ended_run(directory) for directory in kept_runs() if directory.name not in names]
     if as_json:
         print(json.dumps({"running": data, "ended": gone}))
@@ -46,9 +51,11 @@ def ps_all(run: str | None, as_json: bool) -> int:
     console = Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
     for one in data:
         console.print(process_table(one))
+    for why in silent:
+        console.print(why)
     if gone:
         console.print(ended_table(gone))
-    if not data and not gone:
+    if not data and not gone and not silent:
         console.print("no run has been started here")
     return 0
 

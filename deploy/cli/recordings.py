@@ -17,7 +17,7 @@ from deploy.cli.terminal import stop_event
 from deploy.installation import need_study_packages
 from deploy.page.server import PageServer, address_of
 from deploy.recording.recording import DRAWING, NO_END, Recording, find_recording
-from deploy.recording.replay import ReplayNode, ReplaySource
+from deploy.recording.replay import SPEEDS, ReplayNode, ReplaySource
 from deploy.recording.rescore import difference, rescore
 from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import new_run_directory
@@ -114,6 +114,8 @@ def _export_on_earth(recording: Recording, form: str, out: Path | None, origin: 
 
 def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
     """Play a recording on the page, and on Zenoh too if asked, until Ctrl-C."""
+    if not SPEEDS[0] <= speed <= SPEEDS[1]:
+        raise BadSetting(f"--speed {speed:g}: should be a number from {SPEEDS[0]:g} to {SPEEDS[1]:g}")
     recording = Recording(find_recording(name))
     address = address_of(page or True)
     assert address is not None

@@ -75,7 +75,7 @@ def _speed(scenario: Scenario) -> str:
 
 def up(scenario: Scenario, requested_name: str | None, detach: bool, showing: DisplayOptions, spawn: Spawn = "zygote") -> NoReturn:
     """Run a scenario in the foreground, or detached."""
-    if detach:
+    if detach and DETACHED not in os.environ:
         _detach(scenario, requested_name)
     run = scenario.run
     clock = "lockstep" if run.clock == "lockstep" else f"rate {run.rate:g}"
@@ -103,6 +103,8 @@ def _detach(scenario: Scenario, requested_name: str | None) -> NoReturn:
     if process.poll() is not None and process.returncode != 0:
         lines = directory.output.read_text(errors="replace").strip().splitlines()
         raise BadSetting((lines or ["the run ended at once"])[-1].removeprefix("covey: "))
+    if process.poll() is None and not directory.control.exists():
+        raise BadSetting(f"run {directory.name} has not started within {DETACH_SECONDS:g} s; see {directory.output}")
     print(f"run {directory.name} is up, process {process.pid}; covey ps | watch | down --run {directory.name}")
     if directory.page.exists():
         print(f"page: {directory.page.read_text(encoding='utf-8').strip()}")

@@ -93,11 +93,16 @@ class ComparisonSource:
         while self.tick < self._last_tick:
             now = time.monotonic()
             if self.playing:
-                self._clock += min(now - last, FRAME_PERIOD) * self.speed
+                self._pass(now - last)
             last = now
             if self.playing and (self.tick + 1) * self._dt <= self._clock:
                 self.play(self.tick + 1)
             await asyncio.sleep(0.01)
+
+    def _pass(self, seconds: float) -> None:
+        """Let the world's time pass for some seconds on the wall. What could not be played is not made up for: a frame's time at most."""
+        ahead = max(self._dt, FRAME_PERIOD * self.speed)
+        self._clock = min(self._clock + min(seconds, FRAME_PERIOD) * self.speed, (self.tick + 1) * self._dt + ahead)
 
     def play(self, tick: int) -> None:
         """Bring both sides to a tick at once, so that no frame is drawn while one of them is ahead."""

@@ -27,6 +27,7 @@ class SimulatedSwarm:
         self.simulation = Simulation(scenario)
         self.picture = Picture(self.simulation.scenario)
         self.simulation.scorer.on_event = self.picture.see
+        self.simulation.scorer.on_fault = self.picture.note_fault
 
     @property
     def tick(self) -> int:

@@ -4,7 +4,6 @@ Eight sensors in a closed arena of 40 m lose two agents, after a quarter and aft
 is played with some models of bodies, under the same tracks, starts, dice and deaths. Speeds are measured by `covey bench bodies`.
 """
 
-import hashlib
 import json
 import math
 import time
@@ -16,7 +15,7 @@ import numpy as np
 
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
-from deploy.studies.trials import CORE, Row, source_hash
+from deploy.studies.trials import CORE, Row, key_of, source_hash
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 from protocol.streams import stream
@@ -56,7 +55,7 @@ class BodyRun(msgspec.Struct, frozen=True, kw_only=True):
 
     def key(self) -> str:
         """What tells this run from all others, the program that plays it included."""
-        return hashlib.blake2b(json.dumps([msgspec.to_builtins(self), code()]).encode(), digest_size=8).hexdigest()
+        return key_of([msgspec.to_builtins(self), code()], self.resolve())
 
     def command(self) -> str:
         """The command that repeats this run."""
@@ -87,7 +86,7 @@ class Gaps:
 
 def code() -> str:
     """A hash of the source that decides what a run gives."""
-    return source_hash((*CORE, "deploy/faults", "deploy/studies/bodies.py"))
+    return source_hash((*CORE, "deploy/studies/bodies.py"))
 
 
 def plan(trials: int, seed: int, seconds: float, models: Sequence[str], options: dict[str, Any]) -> list[BodyRun]:

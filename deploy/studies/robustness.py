@@ -5,8 +5,6 @@ tracks, starts and dice. Beside each bout with deaths goes a *fresh* one: the sa
 world does not wait (`realtime` in virtual time), so that what is late is lost.
 """
 
-import hashlib
-import json
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -17,7 +15,7 @@ import numpy as np
 from deploy.faults.faults import Schedule
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
-from deploy.studies.trials import CORE, Row, source_hash
+from deploy.studies.trials import CORE, Row, key_of, source_hash
 from protocol.settings import BadSetting
 
 SCENARIO = "efficacy"
@@ -76,7 +74,7 @@ class Bout(msgspec.Struct, frozen=True, kw_only=True):
 
     def key(self) -> str:
         """What tells this bout from all others, the program that runs it included."""
-        return hashlib.blake2b(json.dumps([msgspec.to_builtins(self), code()]).encode(), digest_size=8).hexdigest()
+        return key_of([msgspec.to_builtins(self), code()], self.resolve())
 
     def command(self) -> str:
         """What this bout is, for people."""
@@ -85,7 +83,7 @@ class Bout(msgspec.Struct, frozen=True, kw_only=True):
 
 def code() -> str:
     """A hash of the source that decides what a bout gives."""
-    return source_hash((*CORE, "deploy/faults", "deploy/studies/robustness.py"))
+    return source_hash((*CORE, "deploy/studies/robustness.py"))
 
 
 def plan(trials: int, seed: int, at: float, seconds: float, options: dict[str, Any]) -> list[Bout]:

@@ -28,9 +28,9 @@ CORE = (
     "world",
     "deploy/simulation.py",
     "deploy/scenario.py",
-    "deploy/scoring/scorer.py",
-    "deploy/scoring/scores.py",
-    "deploy/scoring/error_parts.py",
+    "deploy/oracle.py",
+    "deploy/faults",
+    "deploy/scoring",
 )
 LEFT_OUT = (
     "wall_s",
@@ -104,7 +104,7 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
 
     def key(self) -> str:
         """What tells this trial from all others, the program that runs it included."""
-        return hashlib.blake2b(json.dumps([self.scenario, self.overrides(), fingerprint()]).encode(), digest_size=8).hexdigest()
+        return key_of([self.scenario, self.overrides(), fingerprint()], self.resolve())
 
     def command(self) -> str:
         """The command that repeats this trial."""
@@ -112,6 +112,11 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
         for dotted, value in self.overrides().items():
             words += [FLAGS[dotted], str(value)] if dotted in FLAGS else ["--set", f"{dotted}={json.dumps(value)}"]
         return shlex.join([*words, "--json"])
+
+
+def key_of(made_of: list[Any], scenario: Scenario) -> str:
+    """The key of a run: a hash of what it is made of and of all settings of its scenario, whose file may have changed meanwhile."""
+    return hashlib.blake2b(json.dumps(made_of).encode() + msgspec.json.encode(scenario), digest_size=8).hexdigest()
 
 
 def check_method(name: str) -> None:

@@ -6,15 +6,18 @@ import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgpack
 import pytest
 
 from deploy.bridge.body import RobotBody, Rules
+from deploy.bridge.bridge import Bridge, keep, kept, point, upright
 from deploy.bridge.client import Heard, Network, Participant, access_control
 from deploy.bridge.frames import fenced, moved, placed, wheels
 from deploy.bridge.ros import QOS, RosNode, attachment, message, topic_key
@@ -150,6 +153,46 @@ def test_a_command_moves_the_body_for_half_a_second_and_is_cut_to_the_limits() -
     assert velocity == pytest.approx((1.2, 1.6)) and turn == 5.0
     desk.at(100.49)
     assert desk.body.motion(100.501) == ((0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize(("sight", "moves"), [(0.0, True), (5.0, False)])
+def test_among_bodies_with_a_size_a_command_ends_two_ticks_after_its_own(sight: float, moves: bool) -> None:
+    desk = Desk(sight=sight)
+    desk.at(100.0)
+    desk.command(100.2)
+    desk.at(100.3)
+    assert desk.body.motion(100.49) != ((0.0, 0.0), 0.0)
+    assert (desk.body.motion(100.51) != ((0.0, 0.0), 0.0)) == moves
+
+
+def test_after_the_last_tick_it_stands_and_says_nothing() -> None:
+    desk = Desk(ticks=2)
+    for now in (100.0, 100.25):
+        desk.at(now)
+    desk.command(100.3, tick=1)
+    assert desk.body.motion(100.4) != ((0.0, 0.0), 0.0)
+    desk.at(100.5)
+    assert desk.body.over and len(desk.said) == 2 and desk.body.motion(100.5) == ((0.0, 0.0), 0.0)
+
+
+def test_the_file_of_the_halt_holds_the_order_that_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, bridge = tmp_path / "halt", Bridge.__new__(Bridge)
+    bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(tmp_path, "s3", keep=file)
+    for held, incarnation in ((True, 9), (False, 8)):
+        bridge._on_heard(Heard("halt", "operator-1", {"held": held}, incarnation))
+    bridge._on_heard(Heard("halt", "operator-1", {}, 10))  # of another form
+    assert [(one.incarnation, one.fields) for one in kept(file)] == [(9, {"held": True})]
+    keep(tmp_path / "nowhere" / "halt", (9, True))
+    assert "No such file or directory: the halt is not kept" in capsys.readouterr().err
+
+
+def test_odometry_that_is_no_number_leaves_the_robots_heading_as_it_was() -> None:
+    bridge = Bridge.__new__(Bridge)
+    bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(Path(), "s3")
+    bridge._axle = before = (1.0, 2.0, 0.5)
+    pose = message("geometry_msgs/msg/Pose", point(math.nan, 0.0), upright())
+    bridge._on_odometry(SimpleNamespace(pose=SimpleNamespace(pose=pose), child_frame_id="base"))
+    assert bridge._axle == before
 
 
 @pytest.mark.parametrize(
@@ -324,6 +367,7 @@ def test_the_run_file_of_a_swarm_says_all_that_a_body_must_know(run_file: Path) 
     assert (name, network.seeds, network.admitted) == (scenario.run.name, ("tcp/127.0.0.1:1",), tuple(scenario.members))
     assert (rules.dt, rules.period, rules.hold, rules.anchor) == (scenario.run.dt, scenario.run.dt / scenario.run.rate, 0.5, None)
     assert rules.box == (-3.0, -3.0, scenario.arena.width + 3.0, scenario.arena.height + 3.0)
+    assert rules.ticks == scenario.run.ticks
     assert (rules.speed, rules.turn_rate) == (scenario.limits.speed, scenario.limits.turn_rate)
 
 

@@ -17,7 +17,7 @@ from deploy.page.frames import frame, greeting
 from deploy.page.picture import Picture
 from deploy.page.simulated_swarm import SimulatedSwarm
 from deploy.page.source import LiveSource
-from deploy.scenario import resolve, with_deaths
+from deploy.scenario import FaultSettings, resolve, with_deaths
 from deploy.simulation import Simulation
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
@@ -46,6 +46,22 @@ def test_both_sides_are_at_one_tick_with_the_same_targets_and_other_cells() -> N
     assert len(data) == 4 + length + 2 * left["grid"][0] * left["grid"][1]
     hello = msgspec.json.decode(greeting(source.picture, source.scores(), source.about(True)))
     assert (hello["source"], hello["beside"]["names"], len(hello["beside"]["ospa"])) == ("comparison", ["power", "voronoi"], 12)
+
+
+def test_what_could_not_be_played_in_time_is_not_made_up_for_when_the_speed_falls() -> None:
+    source = ComparisonSource((side("power"), side("voronoi")), speed=100.0)
+    for _ in range(50):
+        source._pass(0.1)
+    source.speed = 0.5
+    source._pass(0.01)
+    assert source._clock <= 1.0
+
+
+def test_a_paused_agent_is_paused_on_the_page_of_a_simulated_swarm() -> None:
+    paused = FaultSettings(at=1.0, verb="pause", who="s2")
+    swarm = SimulatedSwarm("power", msgspec.structs.replace(resolve("quick", {"run.seconds": 20.0}), faults=(paused,)))
+    swarm.play(8)
+    assert swarm.picture.agents["s2"].state == "paused"
 
 
 def test_the_left_side_is_the_run_that_is_simulated_alone() -> None:

@@ -80,6 +80,7 @@ def test_a_run_or_a_process_that_is_not_there_is_told_with_those_that_are(run: R
 def test_ps_a_shows_a_run_that_has_ended_and_who_died_in_it(run: RunDirectory, capsys: pytest.CaptureFixture[str]) -> None:
     run.config.write_text('[run]\nscenario = "quick"\n[members]\ns1 = "A"\ns2 = "A"\n')
     run.result.write_text("{}")
+    (run.logs.parent.parent / "latest").symlink_to("r")  # no run of its own
     assert ps_all(None, as_json=True) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["running"] == [] and len(found["ended"]) == 1

@@ -61,6 +61,19 @@ def test_a_listener_hands_on_what_is_ours_and_what_is_not_and_stops_on_demand() 
     assert heard[1] == KeyedPayload("covey/r/strange/x", b"\x01", None, "key")
 
 
+def test_a_listener_that_has_heard_enough_hears_no_more_of_what_came_together() -> None:
+    heard: list[KeyedPayload] = []
+
+    def on_heard(one: KeyedPayload, now: float) -> bool:
+        heard.append(one)
+        return len(heard) < 2
+
+    node = listener(on_heard)
+    node.handle(Started(), 0.0)
+    assert node.handle(received(COMMAND, COMMAND, COMMAND, payloads=[codec.encode(COMMAND)] * 3), 1.0) == [Stop(0, "enough")]
+    assert len(heard) == 2
+
+
 def test_a_listener_stops_when_its_time_is_up_and_knows_who_is_there() -> None:
     node = listener(lambda heard, now: True, 2.0)
     node.handle(Started(), 10.0)

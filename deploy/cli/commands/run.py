@@ -92,6 +92,6 @@ def simulate(
     """
     from deploy.cli.simulate import simulate_here
 
-    clock: Literal["lockstep", "realtime"] = "lockstep" if options.rate is None or options.lockstep else "realtime"
+    clock: Literal["lockstep", "realtime"] = "lockstep" if options.rate in (None, "auto") or options.lockstep else "realtime"
     resolved = options.scenario(scenario)
     return simulate_here(resolved, options.requested_name(resolved), options.json, record, trace, clock)
