@@ -73,3 +73,8 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
     assert run_body_study(True, fields, SMALL, tmp_path, 1, None, False) == 0
     assert "2 of them done already" in capsys.readouterr().out
     assert (tmp_path / "results.csv").read_bytes() == first
+
+
+def test_several_numbers_of_targets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadSetting, match="--targets 2,4: should be one number"):
+        run_body_study(True, {"targets": (2, 4)}, {}, tmp_path, None, None, False)
