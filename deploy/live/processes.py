@@ -145,9 +145,9 @@ class Child:
         return self.returncode in CRASHES
 
     def last_log_line(self) -> str:
-        """Why it ended, from its log since its own start: its last exception.
+        """Why it ended, from its log since its own start: its last exception, or the complaint after it, which is no JSON.
 
-        Without one the last line that is no JSON, where complaints about bad input stand; without that its last message.
+        Without both its last message.
         """
         try:
             with self.directory.log(self.name).open("rb") as log:
@@ -157,9 +157,8 @@ class Child:
         except OSError:
             return ""
         whole = [line for line in lines[begin > self.log_begin :] if line.strip()]
-        exceptions = [line for line in whole if line.startswith("{") and '"exception"' in line]
-        plain = [line for line in whole if not line.startswith("{")]
-        return next((_message(found[-1]) for found in (exceptions, plain, whole) if found), "")
+        reasons = [line for line in whole if not line.startswith("{") or '"exception"' in line] or whole
+        return _message(reasons[-1]) if reasons else ""
 
 
 def is_stopped(pid: int) -> bool:

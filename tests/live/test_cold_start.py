@@ -127,7 +127,11 @@ def test_while_it_compiles_terminal_and_page_say_so_and_down_ends_it(covey: Cove
     data = covey.wait(lambda data: data["swarm"]["waiting"].startswith("compiling loop"))
     wanted = r"compiling loop \d+ of \d\d, once on this machine \(\d+ s so far\)"
     assert re.fullmatch(wanted, data["swarm"]["waiting"])
-    assert [row["state"] for row in data["processes"]] == ["running", "dead", "dead"]  # the world, and agents that have not been started
+    assert [row["state"] for row in data["processes"]] == [
+        "running",
+        "waiting",
+        "waiting",
+    ]  # the world, and agents that have not been started
     end = time.monotonic() + BOUND
     while "waiting" not in (frame := json.load(urllib.request.urlopen(f"{address}api/frame", timeout=BOUND))):
         assert time.monotonic() < end, frame
