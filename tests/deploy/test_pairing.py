@@ -1,5 +1,7 @@
 """What makes trials comparable: methods differ in what they say they do, nothing outweighs it, and rows are of one program."""
 
+from pathlib import Path
+
 import pytest
 
 from agents.config import ExtractionSettings
@@ -36,6 +38,14 @@ def test_rows_of_another_program_have_another_key(monkeypatch: pytest.MonkeyPatc
     assert trial("power").key() == before
     monkeypatch.setattr(trials, "fingerprint", lambda: "another program")
     assert trial("power").key() != before
+
+
+def test_rows_of_a_scenario_file_that_has_changed_have_another_key(tmp_path: Path) -> None:
+    file, keys = tmp_path / "mine.toml", []
+    for noise in (0.2, 0.5):
+        file.write_text(f"[targets]\nheading_noise = {noise}\n")
+        keys.append(Trial(scenario=str(file), seed=100, team="2", targets=30, method="power").key())
+    assert keys[0] != keys[1]
 
 
 def test_every_method_is_compared_here() -> None:
