@@ -4,7 +4,7 @@ from collections.abc import Iterable, Set
 
 from protocol.messages import Gossip
 
-MOST_TICKS = 16  # most ticks whose gossips are kept; older ones are dropped
+MOST_TICKS = 16  # most ticks of which the gossips of a peer are kept; older ones are dropped
 
 
 class RoundInbox:
@@ -15,15 +15,22 @@ class RoundInbox:
         self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
 
     def put(self, gossips: Iterable[Gossip]) -> None:
-        """Keep accepted gossips. Beyond `MOST_TICKS` ticks the oldest is dropped."""
+        """Keep accepted gossips, of each peer `MOST_TICKS` ticks at most: ticks far ahead of one peer push out nobody else's."""
         rounds = self.rounds
         for gossip in gossips:
             kept = rounds.get(gossip.tick)
             if kept is None:
                 kept = rounds[gossip.tick] = {}
-                if len(rounds) > MOST_TICKS:
-                    del rounds[min(rounds)]
             kept[gossip.sender] = gossip
+            if len(rounds) > MOST_TICKS:
+                self._drop_oldest(gossip.sender)
+
+    def _drop_oldest(self, name: str) -> None:
+        """Keep the newest `MOST_TICKS` ticks of a peer."""
+        for tick in sorted(tick for tick, gossips in self.rounds.items() if name in gossips)[:-MOST_TICKS]:
+            del self.rounds[tick][name]
+            if not self.rounds[tick]:
+                del self.rounds[tick]
 
     def of(self, tick: int) -> dict[str, Gossip]:
         """The gossips of a tick, by name; not to be changed."""

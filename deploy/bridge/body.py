@@ -13,6 +13,7 @@ from deploy.bridge.frames import Placement, Planar, clipped, fenced
 
 AHEAD = 0.5  # s that a clock may be ahead of the others
 RECENT = 2.0  # s for which the word of a neighbour counts, or four periods
+NEIGHBOURS = 5  # to whom the clock listens: two of them may be wrong
 GATHERED = 1.0  # s for which nobody new came, until a run of which nobody speaks begins
 STALE = 0.5  # s after which odometry or a scan is too old, or two periods
 STANDING = (0.0, 0.0), 0.0
@@ -153,16 +154,24 @@ class RobotBody:
         return b"".join(struct.pack("<2d", x, y) for x, y in self._others.values() if math.hypot(x - here_x, y - here_y) <= sight)
 
     def _follow(self, now: float) -> bool:
-        """Correct the clock to the majority of those who speak; whether the run has begun."""
+        """Correct the clock to the majority of the neighbours, if more than half of them speak; whether the run has begun."""
         since, period = now - max(RECENT, 4.0 * self._rules.period), self._rules.period
-        words = sorted(anchor for anchor, at in self._words.values() if at >= since)
-        if self._anchor is None and (words or self._all_there(now)):
-            self._anchor = words[(len(words) - 1) // 2] if words else now
-        elif self._anchor is not None and words:
-            theirs = sorted([*words, self._anchor])[len(words) // 2]
-            if not -max(period, AHEAD) <= self._anchor - theirs <= 0.5 * period:
-                self._anchor = theirs
+        neighbours = self._neighbours()
+        words = sorted(self._words[name][0] for name in neighbours if name in self._words and self._words[name][1] >= since)
+        if 2 * len(words) > len(neighbours):
+            theirs = sorted(words if self._anchor is None else [*words, self._anchor])
+            middle = theirs[(len(theirs) - 1) // 2]
+            if self._anchor is None or not -max(period, AHEAD) <= self._anchor - middle <= 0.5 * period:
+                self._anchor = middle
+        elif self._anchor is None and self._all_there(now):
+            self._anchor = now
         return self._anchor is not None and now >= self._anchor
+
+    def _neighbours(self) -> list[str]:
+        """The next ones in the ring of the sorted names of those that have an agent and a body."""
+        mine = self._rules.agent
+        whole = [name for role, name in self._alive if role == "body" and all(self._alive.get((each, name)) for each in ("agent", "body"))]
+        return sorted({*whole} - {mine}, key=lambda name: (name < mine, name))[:NEIGHBOURS]
 
     def _all_there(self, now: float) -> bool:
         """Whether all expected agents and the bodies of all others are alive, and nobody new has come for a moment."""

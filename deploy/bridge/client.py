@@ -38,6 +38,8 @@ class Network(NamedTuple):
     certificate: str = ""
     key: str = ""
     admitted: tuple[str, ...] = ()
+    mode: str = "peer"  # or "client", of the routers among the seeds
+    lease: float = 5.0  # s without a byte until a link counts as lost
 
 
 class Participant:
@@ -98,18 +100,20 @@ class Participant:
 
 
 def config_of(network: Network, run: str, name: str) -> zenoh.Config:
-    """The session of a peer, as the table under *Transport* says."""
+    """The session, as the table under *Transport* says."""
     values: Fields = {
-        "mode": "peer",
-        "listen/endpoints": network.listen,
+        "mode": network.mode,
+        "listen/endpoints": network.listen if network.mode == "peer" else (),
         "connect/endpoints": network.seeds,
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
         "scouting/gossip/autoconnect_strategy": {"peer": {"to_peer": "greater-zid", "to_router": "always"}},
-        "transport/link/tx/lease": 5000,
+        "transport/link/tx/lease": round(1000.0 * network.lease),
         "transport/link/tx/keep_alive": 4,
+        "transport/link/tx/queue/size/data": 16,
         "transport/link/rx/max_message_size": MAX_BYTES,
         "transport/shared_memory/enabled": False,
     }

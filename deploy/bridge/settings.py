@@ -65,7 +65,13 @@ def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
     listen = tuple(network["listen"])
     if files["ca"]:
         listen = tuple(endpoint.replace("tcp/", "tls/") for endpoint in listen)
-    return run["name"], Network(tuple(network["seeds"]), listen, **files, admitted=tuple(network["admit"]) or tuple(members)), rules
+    if network["mode"] not in ("peer", "client"):
+        raise Wrong(f"network.mode = {network['mode']!r}: a bridge passes nothing on; should be 'peer' or 'client'")
+    if files["ca"] and network["mode"] != "peer":
+        raise Wrong(f"network.mode = {network['mode']!r}: behind a router no certificate says who speaks; should be 'peer'")
+    admitted = tuple(network["admit"]) or tuple(members)
+    reached = Network(tuple(network["seeds"]), listen, **files, admitted=admitted, mode=network["mode"], lease=float(network["lease"]))
+    return run["name"], reached, rules
 
 
 def check(options: BridgeOptions) -> None:

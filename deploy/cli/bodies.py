@@ -27,7 +27,9 @@ def run_body_study(
     seconds = float(options.pop("run.seconds", size["seconds"]))
     models = fields.get("methods", tuple(MODELS))
     if "teams" in fields:
-        options["team.composition"] = ",".join(fields["teams"]).replace("+", ",")
+        if len(fields["teams"]) > 1:
+            raise BadSetting(f"--teams {','.join(fields['teams'])}: should be one team in this study")
+        options["team.composition"] = fields["teams"][0].replace("+", ",")
     if "targets" in fields:
         if len(fields["targets"]) > 1:
             raise BadSetting(f"--targets {','.join(map(str, fields['targets']))}: should be one number in this study")

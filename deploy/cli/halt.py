@@ -11,10 +11,11 @@ from protocol.keys import all_of, order
 from protocol.messages import Halt, Observation
 from protocol.node import Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, messages_of
 from protocol.sensing import Pose
+from world.bodies import ERRORS
 
 REPEAT = 0.1  # s between two copies of the order
 SETTLE = 1.0  # s at least, so that every body is found
-MOST = 5.0  # s after which those that still move are reported
+MOST = 5.0  # s after which those that still move are reported; at least four ticks
 STILL = 0.05  # m/s and rad/s; a pose that is measured is never quite still
 
 
@@ -23,7 +24,8 @@ class Operator(Node):
 
     role = OPERATOR
 
-    def __init__(self, run: str, incarnation: int, *, held: bool) -> None:
+    def __init__(self, run: str, incarnation: int, *, held: bool, period: float, judges: bool = True) -> None:
+        """`period`: s between two ticks. `judges`: whether the poses can tell who stands; else the order is only said, as a release is."""
         self.run, self.name, self.incarnation = run, f"{OPERATOR}-{os.getpid()}", incarnation
         self.bodies: set[str] = set()  # with a token of their own, or observed by a world
         self.standing: set[str] = set()
@@ -31,6 +33,8 @@ class Operator(Node):
         self._halt = Halt(sender=self.name, incarnation=incarnation, held=held)
         self._poses: dict[str, tuple[float, Pose]] = {}  # name -> world time and pose
         self._begun = self._due = 0.0
+        self._most = max(MOST, 4.0 * period)
+        self._judges = held and judges
         self._stood_at: float | None = None
 
     def deadline(self) -> float | None:
@@ -68,11 +72,11 @@ class Operator(Node):
         (self.standing.add if still else self.standing.discard)(seen.recipient)
 
     def _conclude(self, now: float) -> list[Effect]:
-        """End when all bodies that are known obey; a release is only said."""
-        done = not self._halt.held or (self.bodies and self.bodies <= self.standing)
+        """End when all bodies that are known obey, or when the order has been said for long enough."""
+        done = not self._judges or (self.bodies and self.bodies <= self.standing)
         self._stood_at = (self._stood_at or now) if done else None
         self.seconds = (self._stood_at or now) - self._begun
-        if now - self._begun < (SETTLE if done else MOST):
+        if now - self._begun < (SETTLE if done else self._most):
             return []
         return [Stop(0 if done else 1, "the order has been said")]
 
@@ -80,11 +84,15 @@ class Operator(Node):
 def say(run: str | None, *, held: bool) -> int:
     """Halt or release all bodies of a run and tell what came of it."""
     _, scenario = swarm_to_watch(run)
-    node = Operator(scenario.run.name, time.time_ns() // 1_000_000, held=held)
+    run_settings, wrong = scenario.run, [f"bodies.{field}" for field in ERRORS if getattr(scenario.bodies, field)]
+    period = run_settings.dt / run_settings.rate if run_settings.clock == "realtime" else 0.0
+    node = Operator(run_settings.name, time.time_ns() // 1_000_000, held=held, period=period, judges=not wrong)
     code = live.run(node, scenario.network)
     moving = sorted(node.bodies - node.standing, key=order)
     if not held:
         print(f"released {len(node.bodies)} bodies")
+    elif wrong:
+        print(f"{len(node.bodies)} bodies have been told to stand; {wrong[0]} hides whether they do. `covey release` lets them go on")
     elif code == 0:
         print(f"{len(node.bodies)} bodies stand; `covey release` lets them go on")
     else:

@@ -116,41 +116,47 @@ def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
     """Play a recording on the page, and on Zenoh too if asked, until Ctrl-C."""
     if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise BadSetting(f"--speed {speed:g}: should be a number from {SPEEDS[0]:g} to {SPEEDS[1]:g}")
+    if page is False and not publish:
+        raise BadSetting("--no-page: should come with --publish, or nothing is shown")
     recording = Recording(find_recording(name))
-    address = address_of(page or True)
-    assert address is not None
-    server = PageServer(ReplaySource(recording, speed), address)
-    print(f"page: {server.bind()}", flush=True)
+    source, address = ReplaySource(recording, speed), address_of(page)
+    server = PageServer(source, address) if address else None
+    if server:
+        print(f"page: {server.bind()}", flush=True)
     cut = "" if recording.is_whole else f" (it {NO_END}; shown is what it had written)"
     print(f"{recording.path}: {recording.scenario.run.scenario}, {recording.seconds:g} s{cut}; Ctrl-C ends it", flush=True)
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_play(server, recording, publish))
+        asyncio.run(_play(source, server, recording, publish))
     return 0
 
 
-async def _play(server: PageServer, recording: Recording, publish: bool) -> None:
+async def _play(source: ReplaySource, server: PageServer | None, recording: Recording, publish: bool) -> None:
     over = stop_event()
-    await server.open()
+    playing = None if server else asyncio.create_task(source.chores())
+    if server:
+        await server.open()
     try:
         if publish:
-            await _say_again(server, recording, over)
+            await _say_again(source, recording, over)
         else:
             await over.wait()
     finally:
-        await server.close()
+        if server:
+            await server.close()
+        if playing:
+            playing.cancel()
 
 
-async def _say_again(server: PageServer, recording: Recording, over: asyncio.Event) -> None:
+async def _say_again(source: ReplaySource, recording: Recording, over: asyncio.Event) -> None:
     """Publish the played messages under the same keys, as a run with its own directory that `echo`, `hz`, `ls` and `watch --page` find."""
     directory, lock = new_run_directory(f"{recording.run[:48]}-replay", recording.scenario.run.scenario)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     network = msgspec.structs.replace(recording.scenario.network, listen=(endpoint,), seeds=())
     found = msgspec.structs.replace(network, listen=NetworkSettings().listen, seeds=(endpoint,))
     directory.write_config(msgspec.structs.replace(recording.scenario, network=found))
-    assert isinstance(server.source, ReplaySource)
-    server.source.outbox = deque(maxlen=100_000)
-    driver = Driver(ReplayNode(recording.run, server.source.outbox), network)
+    source.outbox = deque(maxlen=100_000)
+    driver = Driver(ReplayNode(recording.run, source.outbox), network)
     serving = asyncio.create_task(driver.serve())
     print(f"said again as run {directory.name}: covey echo 'estimate/*' --run {directory.name}", flush=True)
     await over.wait()

@@ -50,7 +50,7 @@ class ComparisonSource:
         return self.sides[1].picture, self.sides[1].score()
 
     def about(self, may_act: bool) -> dict[str, Any]:
-        beside = about_two(self.sides[0].name, self.sides[1])
+        beside = about_two(self.sides[0].name, self.scores(), self.sides[1])
         return {"source": "comparison", "verbs": list(DONE_TO_BOTH) if may_act else [], "drags": may_act, "beside": beside}
 
     def extra(self) -> dict[str, Any]:

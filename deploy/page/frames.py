@@ -94,11 +94,24 @@ def score_of(score: Score | None) -> list[float] | None:
     return [round(float(getattr(score, name)), 4) for name in CURVES] if score else None
 
 
+def thinned(scores: Sequence[Score]) -> Sequence[Score]:
+    """At most `MOST_POINTS` of them, evenly spread."""
+    return scores[:: max(1, math.ceil(len(scores) / MOST_POINTS))]
+
+
 def curves(scores: Sequence[Score]) -> dict[str, list[float]]:
-    """The scores by name, thinned out evenly to at most `MOST_POINTS`."""
-    step = max(1, math.ceil(len(scores) / MOST_POINTS))
-    kept = scores[::step]
-    return {name: [round(float(getattr(score, name)), 4) for score in kept] for name in CURVES}
+    """The scores by name, thinned out."""
+    return {name: [_rounded(getattr(score, name)) for score in thinned(scores)] for name in CURVES}
+
+
+def beside(scores: Sequence[Score], others: Sequence[Score]) -> list[float | None]:
+    """The OSPA of another swarm at the points of the curves of these scores, m; None where it has none."""
+    errors = {score.tick: _rounded(score.ospa) for score in others}
+    return [errors.get(score.tick) for score in thinned(scores)]
+
+
+def _rounded(value: float) -> float:
+    return round(float(value), 4)
 
 
 def trails(picture: Picture) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deploy.faults.faults import Action
-from deploy.page.frames import curves
+from deploy.page.frames import beside
 from deploy.page.picture import Picture
 from deploy.scenario import Scenario
 from deploy.scoring.scorer import Score
@@ -14,9 +14,9 @@ from protocol.settings import BadSetting
 DONE_TO_BOTH = ("kill", "restart")  # verbs of the page
 
 
-def about_two(left: str, right: "SimulatedSwarm") -> dict[str, Any]:
-    """What a page must know to show two swarms: their names, and the errors of the right one so far."""
-    return {"names": [left, right.name], "ospa": curves(right.scores)["ospa"]}
+def about_two(left: str, scores: Sequence[Score], right: "SimulatedSwarm") -> dict[str, Any]:
+    """What a page must know to show two swarms: their names, and the errors of the right one at the points of the left curves."""
+    return {"names": [left, right.name], "ospa": beside(scores, right.scores)}
 
 
 class SimulatedSwarm:

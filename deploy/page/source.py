@@ -104,7 +104,7 @@ class LiveSource:
 
     def about(self, may_act: bool) -> dict[str, Any]:
         possible = [verb for verb in BUTTONS if verb not in LINK_VERBS or self.picture.scenario.network.link_faults]
-        beside = {"beside": about_two(self._name, self._other)} if self._other else {}
+        beside = {"beside": about_two(self._name, self.scores(), self._other)} if self._other else {}
         return {"source": "live", "verbs": possible if may_act and self._directory else [], "tour": self._tour, **beside}
 
     def extra(self) -> dict[str, Any]:

@@ -98,7 +98,11 @@ def plan(trials: int, seed: int, seconds: float, models: Sequence[str], options:
         BodyRun(model=model, seed=number, seconds=seconds, options=options) for number in range(seed, seed + trials) for model in models
     ]
     for run in runs[: len(models)]:
-        run.resolve()
+        scenario = run.resolve()
+        if len(scenario.members) <= len(DEATHS):
+            raise BadSetting(
+                f"team {scenario.team.composition}: should be of {len(DEATHS) + 1} sensors or more, for {len(DEATHS)} of them die"
+            )
     return runs
 
 

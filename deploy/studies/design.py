@@ -78,6 +78,7 @@ def plan(found: Design) -> list[Trial]:
     trials = [
         _trial(found, seed, targets, team, method)
         for seed, targets, team, method in itertools.product(seeds, found.targets, found.teams, found.methods)
+        if team not in found.elsewhere or targets == found.targets[0]  # such a team has its own number of targets
     ]
     for trial in trials[: len(found.targets) * len(found.teams) * len(found.methods)]:
         trial.resolve()

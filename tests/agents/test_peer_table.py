@@ -3,6 +3,7 @@
 import msgspec
 
 from agents.config import AgentConfig
+from agents.gossip.inbox import MOST_TICKS
 from agents.membership.peer_table import PeerTable
 from protocol.messages import Gossip, Hello
 from protocol.node import Batch
@@ -51,6 +52,23 @@ def hear(peers: PeerTable, said: Gossip) -> str | None:
 def generators(peers: PeerTable, tick: int) -> list[str]:
     """Names of the generators of a tick."""
     return list(peers.generators(tick, peers.fresh(tick)))
+
+
+def test_a_peer_that_says_ticks_far_ahead_pushes_out_nobody_elses_gossips() -> None:
+    peers = neighbours("s2", "s3")
+    for tick in range(3 * MOST_TICKS):
+        assert hear(peers, gossip("s3", 10_000 + tick)) is None
+        assert hear(peers, gossip("s2", tick)) is None
+        assert peers.fresh(tick).keys() == {"s2"}
+        peers.close(tick)
+    assert len(peers.inbox.rounds) == MOST_TICKS
+
+
+def test_of_a_peer_whose_rounds_nobody_closes_the_newest_ticks_are_kept() -> None:
+    peers = neighbours("s2", "s3")
+    for tick in range(3 * MOST_TICKS):
+        assert hear(peers, gossip("s2", tick)) is None and hear(peers, gossip("s3", tick)) is None
+    assert sorted(peers.inbox.rounds) == list(range(2 * MOST_TICKS, 3 * MOST_TICKS))
 
 
 def test_a_round_waits_for_everybody_alive_until_all_have_spoken() -> None:

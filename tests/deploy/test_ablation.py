@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -65,6 +66,11 @@ def test_every_team_is_compared_on_the_same_seeds_and_the_closed_arena_is_its_ow
     assert {trial.seed for trial in trials} == set(range(400, 410))
     assert {(trial.scenario, trial.targets) for trial in trials if trial.team == "1"} == {("convergence", 8)}
     assert {(trial.scenario, trial.targets) for trial in trials if trial.team != "1"} == {("efficacy", 30)}
+
+
+def test_with_several_numbers_of_targets_the_closed_arena_is_played_once_with_its_own() -> None:
+    trials = plan(msgspec.structs.replace(design("ablation", quick=True), targets=(20, 30), methods=("power",), trials=1))
+    assert [(trial.team, trial.targets) for trial in trials] == [("20E+4H", 20), ("1", 8), ("20E+4H", 30)]
 
 
 def test_table_and_figure_hold_every_method(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,6 +76,16 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
     assert (tmp_path / "results.csv").read_bytes() == first
 
 
-def test_several_numbers_of_targets_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadSetting, match="--targets 2,4: should be one number"):
-        run_body_study(True, {"targets": (2, 4)}, {}, tmp_path, None, None, False)
+@pytest.mark.parametrize(
+    ("fields", "complaint"),
+    [
+        ({"targets": (2, 4)}, "--targets 2,4: should be one number"),
+        ({"teams": ("1", "2")}, "--teams 1,2: should be one team"),
+        ({"teams": ("A2",)}, "team A2: should be of 3 sensors or more, for 2 of them die"),
+    ],
+)
+def test_what_the_study_has_but_once_is_refused_twice_and_a_team_that_dies_out_as_well(
+    fields: dict[str, Any], complaint: str, tmp_path: Path
+) -> None:
+    with pytest.raises(BadSetting, match=complaint):
+        run_body_study(True, {"methods": ("points",), **fields}, {}, tmp_path, None, None, False)

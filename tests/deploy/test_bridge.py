@@ -1,5 +1,7 @@
 """The bridge to ROS 2: published hashes, an independent partner in both directions, and the rules that a body keeps."""
 
+import itertools
+import json
 import math
 import os
 import struct
@@ -18,7 +20,7 @@ import pytest
 
 from deploy.bridge.body import RobotBody, Rules
 from deploy.bridge.bridge import Bridge, keep, kept, point, upright
-from deploy.bridge.client import Heard, Network, Participant, access_control
+from deploy.bridge.client import Heard, Network, Participant, access_control, config_of
 from deploy.bridge.frames import fenced, moved, placed, wheels
 from deploy.bridge.ros import QOS, RosNode, attachment, message, topic_key
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
@@ -29,6 +31,7 @@ from protocol.access import access_control as of_the_swarm
 from protocol.endpoints import free_port
 from protocol.messages import Observation
 from protocol.settings import NetworkSettings
+from protocol.transport import session_values
 
 ROOT = Path(__file__).resolve().parents[2]
 # As ROS 2 Jazzy installs them (share/<package>/msg/<Type>.json, REP 2011). Twist, Odometry and their parts: extracted by the CARLA project
@@ -109,6 +112,12 @@ class Desk:
 
     def _appear(self, up: bool) -> None:
         self.up = up
+
+    def among(self, *names: str) -> "Desk":
+        """This desk, where these have an agent and a body."""
+        for role, name in itertools.product(("agent", "body"), names):
+            self.body.hear(Heard(role, name, {}, 1), 99.0)
+        return self
 
     def at(self, now: float, pose: tuple[float, float, float] = (1.0, 2.0, 0.5)) -> None:
         """Odometry and an empty scan, and a look at the clock."""
@@ -233,18 +242,36 @@ def test_a_body_stands_while_a_halt_holds_when_its_agent_has_gone_and_when_it_is
 
 def test_a_clock_follows_the_majority_of_those_who_speak_forward_at_once_and_back_only_from_afar() -> None:
     for skew, tick in ((0.0, 4), (0.2, 5), (-0.2, 4), (-3.0, 4)):  # others ahead by 0.2 s: jump; behind by 0.2 s: as it was; by 3 s: stand
-        desk = Desk()
+        desk = Desk().among("s1", "s2", "s4")
         desk.at(100.0)
         for name in ("s1", "s2", "s4"):
             desk.body.hear(Heard("gossip", name, {"tick": 4}, 1), 101.0 - skew)
         desk.at(101.06)
         assert desk.body.tick == (tick if skew > -1.0 else 0), skew
-    late = Desk(anchor=None)
+    late = Desk(anchor=None).among("s1")
     late.at(200.0)
     assert late.body.tick == -1
     late.body.hear(Heard("gossip", "s1", {"tick": 4000}, 1), 200.0)
     late.at(200.3)
     assert late.body.tick == 4001
+
+
+def test_neither_one_neighbour_of_several_nor_anybody_else_moves_a_clock() -> None:
+    desk = Desk().among("s1", "s2")
+    desk.at(100.0)
+    desk.body.hear(Heard("gossip", "s1", {"tick": 4000}, 1), 100.0)
+    desk.at(100.3)
+    assert desk.body.tick == 1, "s2 has not spoken"
+    far = Desk().among("s4", "s5", "s6", "s7", "s8", "t1")
+    far.at(100.0)
+    for name in ("s1", "s2", "t1"):  # two without tokens, and one beyond the five next in the ring
+        far.body.hear(Heard("gossip", name, {"tick": 4000}, 1), 100.0)
+    far.at(100.3)
+    assert far.body.tick == 1
+    for name in ("s4", "s6", "s8"):
+        far.body.hear(Heard("gossip", name, {"tick": 4001}, 1), 100.3)
+    far.at(100.4)
+    assert far.body.tick == 4001
 
 
 def test_a_run_of_robots_alone_begins_when_all_agents_and_bodies_are_there() -> None:
@@ -371,6 +398,17 @@ def test_the_run_file_of_a_swarm_says_all_that_a_body_must_know(run_file: Path) 
     assert (rules.speed, rules.turn_rate) == (scenario.limits.speed, scenario.limits.turn_rate)
 
 
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_the_session_of_a_bridge_is_that_of_a_body_of_ours(mode: str, run_file: Path) -> None:
+    wanted = {"network.seeds": ["tcp/127.0.0.1:1"], "network.mode": mode, "network.lease": 9.5}
+    run_file.write_text(toml_text(scenario := resolve("quick", wanted)))
+    _, network, _ = read_run(BridgeOptions(run_file, "s3"))
+    session = config_of(network, "covey", "s3")
+    for key, value in session_values(scenario.network).items():
+        if not key.startswith(("transport/unicast/", "listen/exit")):  # of big swarms, and what is so anyway
+            assert json.loads(session.get_json(key)) == json.loads(json.dumps(value)), key
+
+
 def wrong_inputs(run_file: Path) -> Iterator[tuple[BridgeOptions, str]]:
     yield BridgeOptions(run_file, "s99"), "--agent s99: the run has no such agent; it has s1, s2"
     yield BridgeOptions(run_file.with_name("none.toml"), "s3"), "none.toml: No such file or directory"
@@ -385,6 +423,14 @@ def test_wrong_input_is_one_line(run_file: Path) -> None:
             check(options)
             read_run(options)
         assert complaint in str(error.value)
+    whole, other = run_file.read_text(), run_file.with_name("other.toml")
+    for mode, ca, complaint in (
+        ("router", "", "should be 'peer' or 'client'"),
+        ("client", "x", "behind a router no certificate says who speaks"),
+    ):
+        other.write_text(whole.replace('mode = "peer"', f'mode = "{mode}"').replace('ca = ""', f'ca = "{ca}"'))
+        with pytest.raises(Wrong, match=complaint):
+            read_run(BridgeOptions(other, "s3"))
     short = run_file.with_name("short.toml")
     short.write_text("[run]\nname = 'x'\n")
     with pytest.raises(Wrong, match=r"bodies is missing; should be a run\.toml with all settings"):

@@ -7,9 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from deploy.page.frames import belief, density_grid, frame, greeting, moment
+from deploy.page.frames import belief, beside, curves, density_grid, frame, greeting, moment
 from deploy.page.picture import Picture, silent_after
 from deploy.scenario import FaultSettings, Scenario, resolve
+from deploy.scoring.scores import Score
 from deploy.simulation import Simulation
 from protocol.fields import pack
 from protocol.message import Message
@@ -202,6 +203,18 @@ def test_a_greeting_holds_the_curves_thinned_out_and_footprints_at_the_origin() 
     outline = np.array(data["agents"][0]["outline"]).reshape(-1, 2)
     assert np.hypot(outline[:, 0], outline[:, 1]).max() == pytest.approx(8.0, abs=0.01)
     assert len(data["trails"]["bodies"]["s1"]) == 3 * 21
+
+
+def test_the_curve_of_a_second_swarm_stands_at_the_ticks_of_the_first() -> None:
+    one, other = ([score(tick, ospa) for tick in range(number)] for number, ospa in ((2401, 1.0), (2400, 2.0)))
+    found = beside(one, other)
+    assert len(found) == len(curves(one)["time"]) == 801
+    assert found[:800] == [2.0] * 800 and found[800] is None
+    assert beside(other, [each for each in one if each.tick % 4]) == [None if tick % 4 == 0 else 1.0 for tick in range(0, 2400, 2)]
+
+
+def score(tick: int, ospa: float) -> Score:
+    return Score(tick, 0.25 * tick, ospa, 0.0, 1, 1, 1, 1.0, 0.0, 0.0)
 
 
 def test_what_an_agent_believes_can_be_asked_for_and_nobody_else_is_known() -> None:
