@@ -23,6 +23,7 @@ SOURCES = (
     "agents/gossip/table.py",
     "agents/interest/position_table.py",
 )
+COMPLETE = "complete"  # the file that says so
 MOST_FOLDERS = 4  # one for each state of the sources, the present one included; going back to a recent state needs no compilation
 
 
@@ -97,8 +98,18 @@ def loops_on_disk() -> int:
 
 
 def compiled_before() -> bool:
-    """True if all loops of these sources lie on disk."""
-    return loops_on_disk() >= number_of_loops()
+    """True if some process has compiled all loops of these sources and has lived to say so, or if none is to be compiled.
+
+    The number on disk does not tell: where a process was ended while it compiled, a loop can be missing that nobody will ever ask for,
+    because its callers hold a copy of it.
+    """
+    return os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0") or (folder() / COMPLETE).exists()
+
+
+def note_complete() -> None:
+    """Say on disk that all loops of these sources have been compiled."""
+    if loops_on_disk():  # without numba's compiler there are none
+        (folder() / COMPLETE).touch()
 
 
 def tidy() -> None:

@@ -5,7 +5,7 @@ import contextlib
 import logging
 
 from deploy.cli.terminal import open_browser, stop_event
-from deploy.live.warmup import announce
+from deploy.live.warmup import compile_once
 from deploy.page.comparison import SPEEDS, ComparisonSource
 from deploy.page.server import PageServer, address_of
 from deploy.page.simulated_swarm import SimulatedSwarm
@@ -24,7 +24,7 @@ def compare(one: Scenario, other: Scenario, page: bool | str, speed: float, open
         raise BadSetting("--no-page: a comparison is seen on its page alone; `covey simulate` gives figures without one")
     if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise BadSetting(f"--speed {speed:g}: should be a number from {SPEEDS[0]:g} to {SPEEDS[1]:g}")
-    announce()
+    compile_once()
     sides = SimulatedSwarm(first, with_deaths(one)), SimulatedSwarm(second, with_deaths(other))
     server = PageServer(ComparisonSource(sides, speed), address)
     print(f"page: {(url := server.bind())}", flush=True)

@@ -5,6 +5,7 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from deploy.live.warmup import compile_once
 from deploy.verify.fuzz import MIXED, PROFILES, run
 from protocol.settings import BadSetting
 
@@ -15,6 +16,7 @@ def fuzz(seeds: int, first: int, jobs: int | None, profile: str = MIXED) -> int:
         raise BadSetting(f"--profile {profile}: should be one of {', '.join((MIXED, *PROFILES))}")
     if seeds < 1 or first < 0 or (jobs is not None and jobs < 1):
         raise BadSetting(f"--seeds {seeds} --first {first}: should be at least one seed from 0 on, and at least one job")
+    compile_once()
     started, console = time.perf_counter(), Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:

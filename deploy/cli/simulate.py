@@ -11,7 +11,7 @@ from rich.console import Console
 
 from deploy.cli.display import show_result
 from deploy.cli.scenario_checks import faults_without_effect
-from deploy.live.warmup import announce
+from deploy.live.warmup import compile_once
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
@@ -56,7 +56,7 @@ def _simulate(
     scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None, trace: Path | None
 ) -> tuple[Result, list[Score], Path | None]:
     """The result, the scores of all ticks, and where the run was recorded."""
-    announce()
+    compile_once()
     simulation = Simulation(scenario, clock=clock)
     series = Trace(simulation)
     console = Console(stderr=True, highlight=False)

@@ -11,6 +11,7 @@ from contextlib import closing, contextmanager, nullcontext
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
+from deploy.live.warmup import compile_once
 from deploy.studies.engines import (
     FinishedTrials,
     Job,
@@ -54,6 +55,8 @@ def _run(
     folder: StudyFolder, trials: Sequence[Job], todo: Sequence[Numbered], workers: int, scheduler: str | None, console: Console, play: Play
 ) -> None:
     """Run the open trials; every row goes into the folder when it is finished."""
+    if not scheduler:
+        compile_once()
     shares = shared_progress(len(trials))
     engine = on_a_cluster(todo, scheduler, play) if scheduler else on_this_machine(todo, min(workers, len(todo)), shares, play)
     ahead = RemainingWork(trials, todo, shares)

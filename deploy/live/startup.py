@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from agents.compiled.cache import loops_on_disk, number_of_loops
+from agents.compiled.cache import compiled_before, loops_on_disk, number_of_loops
 from deploy.live.processes import Child
 from deploy.live.zygote import Zygote
 from deploy.scoring.scorer import Scorer
@@ -78,10 +78,10 @@ class Startup:
         if self._zygote is None or self._zygote.is_ready or self._zygote.is_gone:
             alive = self._scorer.alive()
             return f"there are {self._who([name for name in self._members if name not in alive])}"
-        done, number, seconds = loops_on_disk(), number_of_loops(), time.monotonic() - self._begun
-        if done >= number:
+        if compiled_before():
             return "loading the compiled loops"
-        return f"compiling loop {done + 1} of {number}, once on this machine ({seconds:.0f} s so far)"
+        number, seconds = number_of_loops(), time.monotonic() - self._begun
+        return f"compiling loop {min(loops_on_disk() + 1, number)} of {number}, once on this machine ({seconds:.0f} s so far)"
 
     def check(self, truth: Truth) -> str:
         """A complaint when members are missing at the first tick, which also stands in the result and on the page; else empty."""

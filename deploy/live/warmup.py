@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
-from agents.compiled.cache import compiled_before, loops_on_disk, tidy
+from agents.compiled.cache import compiled_before, loops_on_disk, note_complete, tidy
 from agents.config import AgentConfig, ControlSettings, TimingSettings
 from deploy.installation import ROOT, command
 from protocol.messages import Beacon, Gossip, Hello, Observation
@@ -29,10 +29,11 @@ LATE = 1e3  # s after which every open round closes
 LONGEST = 90.0  # s to wait for the next loop while another process compiles
 
 
-def announce() -> None:
-    """Print a notice when the first start on a machine has to compile."""
+def compile_once() -> None:
+    """On the first start on a machine compile every loop, with a notice."""
     if not compiled_before():
         print("covey: compiling the particle loops, once on this machine; some 40 s", file=sys.stderr, flush=True)
+        warm()
 
 
 def warm() -> None:
@@ -47,6 +48,7 @@ def warm() -> None:
         if not compiled_before() and len(os.sched_getaffinity(0)) > 1:
             _compile_on_two_cores(FAST)
         _play_all(FAST)
+        note_complete()
         tidy()
     convert({"members": {"s1": "A"}}, AgentConfig, "")  # types are inspected once here, and not again in every forked child
 

@@ -118,6 +118,22 @@ def test_where_the_sources_cannot_be_written_loops_lie_in_the_folder_of_the_user
     assert cache._base() == tmp_path / "installed" / "__pycache__"
 
 
+def test_loops_are_complete_when_a_process_that_compiled_all_has_said_so_and_not_when_there_are_enough_or_too_few(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path)
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    cache.note_complete()
+    assert not cache.compiled_before(), "nothing is on disk"
+    (tmp_path / "agents").mkdir()
+    for number in range(cache.number_of_loops()):
+        (tmp_path / "agents" / f"loop{number}.nbi").touch()
+    assert not cache.compiled_before(), "somebody may still be compiling"
+    (tmp_path / "agents" / "loop0.nbi").unlink()
+    cache.note_complete()
+    assert cache.compiled_before()
+
+
 def test_old_loops_are_removed_but_the_newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "folder", lambda: tmp_path / "kernels-now")
     for age, name in enumerate(("now", "a", "b", "c", "d", "e")):

@@ -2,12 +2,14 @@
 
 import fcntl
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from agents.compiled.cache import folder
 from agents.compiled.correction_kernels import correct
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,6 +59,15 @@ def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
     program += "; from agents.compiled.region_kernels import update_regions; print(sum(update_regions.stats.cache_misses.values()))"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=110, check=False)
     assert done.stdout.split() == ["True", "0"], done.stderr
+
+
+@pytest.mark.slow
+def test_who_finds_loops_that_nobody_has_called_complete_compiles_once_and_says_so_once(tmp_path: Path) -> None:
+    shutil.copytree(folder(), tmp_path / "covey" / folder().name, ignore=shutil.ignore_patterns("complete"))
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "COVEY_RUNS": str(tmp_path / "runs")}
+    command = [sys.executable, "-m", "deploy", "simulate", "quick", "--seconds", "1"]
+    said = [subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=200, check=True).stderr for _ in range(2)]
+    assert [text.count("compiling the particle loops") for text in said] == [1, 0]
 
 
 @pytest.mark.slow

@@ -225,7 +225,7 @@ def simulate(
 
     `progress` is called with the share of the ticks that are done. Raises BadSetting naming what is wrong.
     """
-    from deploy.live.warmup import announce
+    from deploy.live.warmup import compile_once
     from deploy.simulation import Simulation
 
     found = scenario(
@@ -247,7 +247,7 @@ def simulate(
         rate=rate,
         settings=settings,
     )
-    announce()
+    compile_once()
     simulation = Simulation(found, clock=found.run.clock)
     truths: dict[int, Truth] = {}
 
