@@ -51,11 +51,11 @@ def _base() -> Path:
 
 def cached(loop: Callable[..., Any]) -> Any:
     """The loop compiled by numba, or loaded from the cache; used as a decorator."""
+    if is_switched_off():
+        return loop
     import numba
 
     config: Any = numba.config
-    if config.DISABLE_JIT:  # NUMBA_DISABLE_JIT: the loops run as plain Python
-        return loop
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder())  # numba reads it only while it decorates a function
     try:
         compiled: Any = numba.njit(cache=True)(loop)
@@ -103,13 +103,17 @@ def compiled_before() -> bool:
     The number on disk does not tell: where a process was ended while it compiled, a loop can be missing that nobody will ever ask for,
     because its callers hold a copy of it.
     """
-    return os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0") or (folder() / COMPLETE).exists()
+    return is_switched_off() or (folder() / COMPLETE).exists()
+
+
+def is_switched_off() -> bool:
+    """True if the loops run as plain Python (NUMBA_DISABLE_JIT)."""
+    return os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 
 
 def note_complete() -> None:
     """Say on disk that all loops of these sources have been compiled."""
-    if loops_on_disk():  # without numba's compiler there are none
-        (folder() / COMPLETE).touch()
+    (folder() / COMPLETE).touch()
 
 
 def tidy() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
-from agents.compiled.cache import compiled_before, loops_on_disk, note_complete, tidy
+from agents.compiled.cache import compiled_before, is_switched_off, loops_on_disk, note_complete, tidy
 from agents.config import AgentConfig, ControlSettings, TimingSettings
 from deploy.installation import ROOT, command
 from protocol.messages import Beacon, Gossip, Hello, Observation
@@ -44,13 +44,18 @@ def warm() -> None:
     """
     from agents.compiled.backend import FAST
 
+    if not is_switched_off():
+        _warm(FAST)
+    convert({"members": {"s1": "A"}}, AgentConfig, "")  # types are inspected once here, and not again in every forked child
+
+
+def _warm(fast: Backend) -> None:
     with _one_by_one():
         if not compiled_before() and len(os.sched_getaffinity(0)) > 1:
-            _compile_on_two_cores(FAST)
-        _play_all(FAST)
+            _compile_on_two_cores(fast)
+        _play_all(fast)
         note_complete()
         tidy()
-    convert({"members": {"s1": "A"}}, AgentConfig, "")  # types are inspected once here, and not again in every forked child
 
 
 def _compile_on_two_cores(fast: Backend) -> None:

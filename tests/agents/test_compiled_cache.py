@@ -123,7 +123,6 @@ def test_loops_are_complete_when_a_process_that_compiled_all_has_said_so_and_not
 ) -> None:
     monkeypatch.setattr(cache, "folder", lambda: tmp_path)
     monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
-    cache.note_complete()
     assert not cache.compiled_before(), "nothing is on disk"
     (tmp_path / "agents").mkdir()
     for number in range(cache.number_of_loops()):

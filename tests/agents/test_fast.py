@@ -285,7 +285,7 @@ def case(seed: int, size: int, owners: int, in_table: bool, interest: str, other
 
 
 @given(seeds, st.integers(0, 150), st.integers(0, 5), st.booleans(), st.sampled_from(["all", "neighbours"]), st.integers(0, 2))
-@settings(max_examples=250)
+@settings(max_examples=160)
 def test_update_regions(seed: int, size: int, owners: int, in_table: bool, interest: str, others: int) -> None:
     """All steps at once, of no owner, of one and of several, with sensors of both kinds."""
     assert_same("update_regions", *case(seed, size, owners, in_table, interest, others))

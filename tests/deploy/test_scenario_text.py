@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.scenario import Scenario, resolve, toml_text, toml_value
@@ -22,6 +22,7 @@ values = st.recursive(
 
 
 @given(st.dictionaries(st.text(max_size=8), values, max_size=5))
+@settings(max_examples=40)
 def test_any_plain_data_reads_back_the_same(data: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(data)) == data
 

@@ -112,6 +112,7 @@ TYPED = [
     ("score nix", 2, "nix"),
     ("score file.mcap", 2, "file.mcap"),
     ("replay nix", 2, "nix"),
+    ("replay nix --no-page", 2, "--no-page: should come with --publish, or nothing is shown"),
     ("export nix --to pdf", 2, 'Choose from: "csv"'),
     ("figures nix", 2, "nix"),
     ("study nix", 2, "nix"),

@@ -15,8 +15,6 @@ from tests.golden.record import difference, play, record_of
 from tests.golden.stored import FOLDER, read, read_ospa
 
 QUICK = [  # some seconds
-    "efficacy-all/lockstep/1",
-    "20E10G-all/realtime/1",
     "20E10G-all/deaths/1",
     "20E10G-neighbours/loss/1",
     "anisotropic-neighbours/lockstep/1",

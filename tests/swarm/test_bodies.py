@@ -247,6 +247,7 @@ def test_no_body_is_driven_out_of_the_fence() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 def test_clocks_50_ms_apart_and_messages_up_to_20_ms_late_cost_less_than_a_tenth_of_the_ospa() -> None:
     """The median of ten seeds; the ratio is that to a run driven by one world, without delays."""

@@ -57,7 +57,7 @@ def test_the_profiles_of_slow_and_bad_networks_draw_all_of_their_kinds_with_the_
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("number", [15, pytest.param(100, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [10, pytest.param(100, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("profile", PROFILES)
 def test_many_seeds_of_slow_and_bad_networks_hold(profile: str, number: int) -> None:
     assert [str(failure) for failure in fuzz.run(range(5, number + 1), profile=profile)] == []
@@ -65,7 +65,7 @@ def test_many_seeds_of_slow_and_bad_networks_hold(profile: str, number: int) -> 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("number", [30, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [20, pytest.param(300, marks=pytest.mark.nightly)])
 def test_many_seeds_hold(number: int) -> None:
     assert [str(failure) for failure in fuzz.run(range(1, number + 1))] == []
 
