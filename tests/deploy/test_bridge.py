@@ -262,9 +262,9 @@ def test_neither_one_neighbour_of_several_nor_anybody_else_moves_a_clock() -> No
     desk.body.hear(Heard("gossip", "s1", {"tick": 4000}, 1), 100.0)
     desk.at(100.3)
     assert desk.body.tick == 1, "s2 has not spoken"
-    far = Desk().among("s4", "s5", "s6", "s7", "s8", "t1")
+    far = Desk().among("s4", "s5", "s6", "s7", "s8", "t1", "t2")
     far.at(100.0)
-    for name in ("s1", "s2", "t1"):  # two without tokens, and one beyond the five next in the ring
+    for name in ("s1", "s2", "s4", "s5", "t1", "t2"):  # two without tokens, two of the five next in the ring, and two beyond
         far.body.hear(Heard("gossip", name, {"tick": 4000}, 1), 100.0)
     far.at(100.3)
     assert far.body.tick == 1
