@@ -87,16 +87,23 @@ def parsed(source: Source) -> ast.Module:
     return ast.parse(source.text)
 
 
-def sources() -> list[Source]:
+@cache
+def nodes(source: Source) -> tuple[ast.AST, ...]:
+    """All nodes of that tree."""
+    return tuple(ast.walk(parsed(source)))
+
+
+@cache
+def sources() -> tuple[Source, ...]:
     """All Python files of the four rooms."""
     files = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
-    return [Source(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")) for path in files]
+    return tuple(Source(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")) for path in files)
 
 
 def imported(source: Source) -> list[str]:
     """Dotted names of all modules that a file imports, anywhere in it; relative imports begin with a dot."""
     names: list[str] = []
-    for node in ast.walk(parsed(source)):
+    for node in nodes(source):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -147,12 +154,10 @@ def global_randomness_in_core(source: Source) -> list[str]:
     """Of numpy.random, core files name only what carries its own state."""
     if not source.is_core:
         return []
-    tree = parsed(source)
-    named = [
-        node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np.random", "numpy.random")
-    ]
+    attributes = [node for node in nodes(source) if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Attribute)]
+    named = [node.attr for node in attributes if ast.unparse(node.value) in ("np.random", "numpy.random")]
     taken = [
-        alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module == "numpy.random" for alias in node.names
+        alias.name for node in nodes(source) if isinstance(node, ast.ImportFrom) and node.module == "numpy.random" for alias in node.names
     ]
     return [name for name in named + taken if name not in PURE_RANDOM]
 
@@ -161,7 +166,7 @@ def star_and_relative_imports(source: Source) -> list[str]:
     """Imports are absolute and name what they take."""
     stars = [
         f"line {node.lineno}: from {node.module} import *"
-        for node in ast.walk(parsed(source))
+        for node in nodes(source)
         if isinstance(node, ast.ImportFrom) and any(alias.name == "*" for alias in node.names)
     ]
     return stars + [name for name in imported(source) if name.startswith(".")]
@@ -169,14 +174,10 @@ def star_and_relative_imports(source: Source) -> list[str]:
 
 def modules_named_in_strings(source: Source) -> list[str]:
     """No text names a module of a room: a wheel has it under another name. `deploy.installation.command` translates its argument."""
-    tree = parsed(source)
-    translated = {
-        id(node.args[0])
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("command") and node.args
-    }
+    calls = [node for node in nodes(source) if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant)]
+    translated = {id(node.args[0]) for node in calls if ast.unparse(node.func).endswith("command")}
     texts = [
-        node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in translated
+        node for node in nodes(source) if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in translated
     ]
     return [
         f"line {node.lineno}: {node.value}"
@@ -247,11 +248,7 @@ def undocumented(source: Source) -> list[str]:
 
 def keyword_swallowers(source: Source) -> list[str]:
     """No **kwargs: a function says what it takes."""
-    return [
-        f"line {node.lineno}: **{node.args.kwarg.arg}"
-        for node in ast.walk(parsed(source))
-        if isinstance(node, Definition) and node.args.kwarg
-    ]
+    return [f"line {node.lineno}: **{node.args.kwarg.arg}" for node in nodes(source) if isinstance(node, Definition) and node.args.kwarg]
 
 
 OFFENDERS: list[tuple[Rule, str, str]] = [
