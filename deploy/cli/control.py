@@ -24,14 +24,14 @@ def selection(verb: str, names: tuple[str, ...], random: int | None, otherwise: 
 
 def send(verb: str, who: str, run: str | None, value: float | None = None, options: dict[str, Any] | None = None) -> int:
     """Send a request to the supervisor of a run and print its answer."""
-    client = ControlClient(find_running(run))
+    client = ControlClient(find_running(run, supervised=True))
     print(client.ask(verb, who, value, options)["ok"])
     return 0
 
 
 def down(run: str | None) -> int:
     """End a run and wait until it has ended."""
-    directory = find_running(run)
+    directory = find_running(run, supervised=True)
     ControlClient(directory).ask("down")
     end = time.monotonic() + DOWN_SECONDS
     while directory.is_running():

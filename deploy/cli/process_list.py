@@ -24,7 +24,7 @@ def ps(run: str | None, as_json: bool, everything: bool = False) -> int:
     """All processes of a running swarm; with `everything` of all running swarms of this folder, and the runs that have ended."""
     if everything:
         return ps_all(run, as_json)
-    data = ControlClient(find_running(run)).ask("status")["data"]
+    data = ControlClient(find_running(run, supervised=True)).ask("status")["data"]
     if as_json:
         print(json.dumps(data))
     else:

@@ -154,7 +154,7 @@ async def _say_again(source: ReplaySource, recording: Recording, over: asyncio.E
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     network = msgspec.structs.replace(recording.scenario.network, listen=(endpoint,), seeds=())
     found = msgspec.structs.replace(network, listen=NetworkSettings().listen, seeds=(endpoint,))
-    directory.write_config(msgspec.structs.replace(recording.scenario, network=found))
+    directory.write_config(msgspec.structs.replace(recording.scenario, network=found), replayed=True)
     source.outbox = deque(maxlen=100_000)
     driver = Driver(ReplayNode(recording.run, source.outbox), network)
     serving = asyncio.create_task(driver.serve())

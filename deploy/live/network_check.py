@@ -142,8 +142,9 @@ def _handshake(seed: str, connection: socket.socket, network: NetworkSettings, n
 
 
 def _listen(network: NetworkSettings, own: Token, seconds: float) -> tuple[Overheard, int]:
-    """What a session hears for some seconds, and its links at the end."""
-    heard, session = Overheard(), live.open_session(network, own)
+    """What a session hears for some seconds, and its links at the end. It is a peer in any case: a client would wait for its router."""
+    dialling = msgspec.structs.replace(network, mode="peer", listen=()) if network.mode == "client" else network
+    heard, session = Overheard(), live.open_session(dialling, own)
     runs = [own.run] if network.encrypted else ["*"]  # access control lets a certificate ask for its own run alone
     held = [session.declare_subscriber(f"{ROOT}/{run}/hello/*", heard.hello) for run in runs]
     held += [session.liveliness().declare_subscriber(f"{ROOT}/{run}/alive/**", heard.token, history=True) for run in runs]

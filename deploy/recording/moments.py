@@ -1,26 +1,23 @@
 """A recording as messages, and tick by tick for drawings in the forms of other tools."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 from deploy.page.picture import Picture
 from deploy.recording.recording import Recording, event_of
 from deploy.recording.rescore import rescore_slowly
 from deploy.scoring.scorer import Score, Scorer
 from protocol.message import Message
-from protocol.node import Received
+from protocol.node import messages_of
 
 PALETTE = ("77aadd", "ee8866", "44bb99", "eedd88", "ffaabb", "99ddff", "bbcc33", "c9a4e0", "aaaa00")  # Paul Tol's "light"
 
 
-def messages(recording: Recording, also: Callable[[Any, float], object] = lambda event, now: None) -> Iterator[Message]:
-    """The valid messages of a recording in order; `also` is shown every event first."""
+def messages(recording: Recording) -> Iterator[Message]:
+    """The valid messages of a recording in order."""
     for entry in recording.entries():
-        event = event_of(entry)
-        also(event, entry.published / 1e9)
-        if isinstance(event, Received):
-            yield from event.batch.messages
+        yield from messages_of(event_of(entry))
 
 
 class Moment(NamedTuple):

@@ -11,14 +11,15 @@ import numpy as np
 import pyarrow
 from pyarrow import csv, parquet
 
-from deploy.recording.moments import messages
 from deploy.recording.recording import Recording
+from deploy.recording.rescore import rescore_slowly
 from deploy.scenario import Scenario
 from deploy.scoring.scorer import Scorer
 from deploy.scoring.scores import COLUMNS
 from protocol.geometry import polygon_area
 from protocol.measuring import places_of
 from protocol.messages import Gossip
+from protocol.node import Event, messages_of
 from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import measurement_of
 from protocol.settings import sensor_of
@@ -56,17 +57,24 @@ def tables(recording: Recording) -> dict[str, pyarrow.Table]:
     scorer = Scorer(recording.scenario, recorded=True)
     dt = recording.scenario.run.dt
     rows: dict[str, list[TableRow]] = {name: [] for name in SCHEMAS}
-    for message in messages(recording, scorer.handle):
-        if isinstance(message, Truth):
-            rows["targets"] += [(message.tick, message.time, int(n), x, y) for n, (x, y) in zip(message.ids, message.targets.tolist())]
-        elif isinstance(message, Estimate):
-            rows["agents"].append(_agent_row(message, dt))
-            said = zip(message.targets.tolist(), message.labels.tolist(), message.details.tolist())
-            rows["estimates"] += [(message.tick, message.tick * dt, message.sender, *place, label, *rest) for place, label, rest in said]
-        elif isinstance(message, Gossip):
-            places = _places(message, recording.scenario)
-            rows["detections"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in places.tolist()]
-    scorer.finish(0.0)
+
+    def hear(event: Event, now: float) -> None:
+        for message in messages_of(event):
+            if isinstance(message, Truth):
+                rows["targets"] += [(message.tick, message.time, int(n), x, y) for n, (x, y) in zip(message.ids, message.targets.tolist())]
+            elif isinstance(message, Estimate):
+                rows["agents"].append(_agent_row(message, dt))
+                said = zip(message.targets.tolist(), message.labels.tolist(), message.details.tolist())
+                rows["estimates"] += [
+                    (message.tick, message.tick * dt, message.sender, *place, label, *rest) for place, label, rest in said
+                ]
+            elif isinstance(message, Gossip):
+                places = _places(message, recording.scenario)
+                rows["detections"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in places.tolist()]
+
+    scorer.on_event = hear
+    for _ in rescore_slowly(recording, scorer):
+        pass
     found = {name: _table(schema, rows[name]) for name, schema in SCHEMAS.items()}
     schema = [(name, WHOLE if name in WHOLE_SCORES else NUMBER) for name in COLUMNS]
     return {"scores": _table(schema, [tuple(getattr(score, name) for name in COLUMNS) for score in scorer.scores]), **found}

@@ -112,9 +112,9 @@ class RunDirectory:
             return not os.path.lexists(self.path)
         return {file.name for file in self.path.iterdir()} <= {file.name for file in (self.lock, self.logs, self.output, self.page)}
 
-    def write_config(self, scenario: Scenario, *, simulated: bool = False) -> None:
-        """Write run.toml, agents.toml and versions.json."""
-        about = {**versions(), "simulated": simulated}
+    def write_config(self, scenario: Scenario, *, simulated: bool = False, replayed: bool = False) -> None:
+        """Write run.toml, agents.toml and versions.json. `replayed`: it is a recording that is said again."""
+        about = {**versions(), "simulated": simulated, "replayed": replayed}
         with self._writing():
             self.config.write_text(toml_text(scenario), encoding="utf-8")
             self.agents.write_text(toml_text(agent_config(scenario)), encoding="utf-8")
@@ -122,8 +122,15 @@ class RunDirectory:
 
     def is_simulated(self) -> bool:
         """Whether the run is a simulation, which has no processes and no supervisor that could be asked."""
+        return self._is("simulated")
+
+    def is_replayed(self) -> bool:
+        """Whether the run is a recording that is said again: it can be heard, but nobody is there to be asked."""
+        return self._is("replayed")
+
+    def _is(self, kind: str) -> bool:
         try:
-            return bool(json.loads(self.versions.read_text(encoding="utf-8")).get("simulated"))
+            return bool(json.loads(self.versions.read_text(encoding="utf-8")).get(kind))
         except (OSError, ValueError, AttributeError):
             return False
 
@@ -161,16 +168,18 @@ def _exists(pid: int) -> bool:
     return True
 
 
-def find_running(name: str | None) -> RunDirectory:
-    """The running run of that name, or the newest running one; raises BadSetting when there is none."""
+def find_running(name: str | None, *, supervised: bool = False) -> RunDirectory:
+    """The running run of that name, or the newest; with `supervised` one that has processes. Raises BadSetting when there is none."""
     if name is not None:
         with contextlib.suppress(OSError):
             name = os.readlink(runs_folder() / LATEST) if name == LATEST else name
         directory = RunDirectory(name)
         if not directory.is_running():
             raise BadSetting(f"--run {name}: no run of this name is running in {runs_folder()}{_others()}")
+        if supervised and directory.is_replayed():
+            raise BadSetting(f"--run {name}: is a recording that is said again; it can be heard, but it has no processes")
         return directory
-    running = running_runs()
+    running = [directory for directory in running_runs() if not (supervised and directory.is_replayed())]
     if not running:
         raise BadSetting(f"no run is running in {runs_folder()}; start one with `covey up`")
     return running[-1]

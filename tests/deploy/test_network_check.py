@@ -34,9 +34,10 @@ def scenario_at(seed: str, folder: Path | None = None, **settings: Any) -> Scena
 
 
 @contextlib.contextmanager
-def greeting(scenario: Scenario, endpoint: str, **changed: Any) -> Iterator[None]:
-    """A peer s1 that listens there, is alive, and says Hello ten times a second, with changed fields."""
-    network = msgspec.structs.replace(scenario.network, listen=(endpoint,), seeds=(), admit=scenario.network.admit or NAMES)
+def greeting(scenario: Scenario, endpoint: str, seeds: tuple[str, ...] = (), **changed: Any) -> Iterator[None]:
+    """A peer s1 that listens there, dials the seeds, is alive, and says Hello ten times a second, with changed fields."""
+    admitted = scenario.network.admit or NAMES
+    network = msgspec.structs.replace(scenario.network, mode="peer", listen=(endpoint,), seeds=seeds, admit=admitted)
     session = live.open_session(network, keys.Token(scenario.run.name, "agent", "s1", 7))
     token = session.liveliness().declare_token(keys.token_key(scenario.run.name, "agent", "s1", 7))
     hello = Hello(sender="s1", incarnation=7, settings=agent_config(scenario).agreed())
@@ -82,9 +83,10 @@ def test_a_seed_where_nobody_listens_is_named() -> None:
     assert line.startswith("tcp/nowhere.invalid:7447: cannot be reached: Name or service not known") or "name resolution" in line
 
 
-def test_somebody_who_speaks_no_zenoh_is_told_apart_from_nobody() -> None:
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_somebody_who_speaks_no_zenoh_is_told_apart_from_nobody(mode: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as deaf:
-        [line] = wrong(scenario_at(f"tcp/127.0.0.1:{deaf.getsockname()[1]}"))
+        [line] = wrong(scenario_at(f"tcp/127.0.0.1:{deaf.getsockname()[1]}", **{"network.mode": mode}))
     assert line == "no Zenoh session was linked: whoever listens there speaks no Zenoh, or another version of it"
 
 
@@ -140,6 +142,18 @@ def test_a_zenoh_router_of_others_is_no_swarm() -> None:
     finally:
         router.close()
     assert line == "1 linked, and nobody is in any run: is that a Zenoh router, or a process of another kind?"
+
+
+def test_a_client_finds_those_who_are_behind_its_router() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    router = live.open_session(NetworkSettings(mode="router", listen=(endpoint,)))
+    scenario = scenario_at(endpoint, **{"network.mode": "client"})
+    try:
+        with greeting(scenario, "tcp/127.0.0.1:0", seeds=(endpoint,)):
+            found = [*check_network(scenario, "monitor", seconds=1.5)]
+    finally:
+        router.close()
+    assert all(finding.right for finding in found) and found[-1].text == "run lab: found agent s1"
 
 
 def test_without_seeds_the_command_says_what_is_missing() -> None:

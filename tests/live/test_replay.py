@@ -33,6 +33,11 @@ def test_a_replay_without_a_page_is_heard_by_those_who_listen_and_leaves_no_run_
     assert code == 0, complaints
     first, *others = [json.loads(line) for line in output.splitlines()]
     assert [heard["tick"] - first["tick"] for heard in others] == [1, 2]
+    for words in (("ps",), ("kill", "s3"), ("down",), ("watch",)):
+        code, _, complaints = covey.run(*words)
+        assert code == 2 and complaints.startswith("covey: no run is running in"), (words, complaints)
+    [run] = [path.name for path in covey.runs.glob("covey-replay*")]
+    assert "is a recording that is said again" in covey.run("kill", "s3", "--run", run)[2]
     replay.send_signal(signal.SIGINT)
     assert replay.wait(timeout=BOUND) == 0
     assert not list(covey.runs.glob("covey-replay*"))
