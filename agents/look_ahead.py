@@ -173,4 +173,4 @@ def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, ow
     density = tracker.merge(belief, table, step)
     now = region._replace(row=table.names.index(context.name), pose=own.pose)
     near = tracker.update(density, table, [now], step)[0]
-    return result_of(context, own, Frame(now, frame.generators, frame.pace), near, table, density, last.belief, peer_table.pace)
+    return result_of(context, own, Frame(now, frame.generators), near, table, density, last.belief, peer_table.pace)

@@ -71,7 +71,6 @@ class Frame(NamedTuple):
 
     region: RegionInput
     generators: GossipTable
-    pace: int  # of the round: so many ticks until the next
 
 
 Replay = Callable[[GossipTable, np.ndarray], Any]  # see `look_ahead.replayed_density`
@@ -106,7 +105,7 @@ def run_round(
     `fresh` holds the gossips of that tick by name, in the order of names. `own` is the gossip of this agent. `replay` computes the
     density of the tick before where gossips state older ones.
     """
-    step, shared = Step(context.config, own.tick, peer_table.pace), None
+    step, shared = Step(context.config, own.tick), None
     table = _with_own(context, peer_table, fresh, own)
     generator_table = _generator_table(context, peer_table, own, fresh, table)
     row = table.names.index(context.name)
@@ -131,14 +130,7 @@ def run_round(
     )
     belief = context.tracker.belief_after(received, region, near, diagram, step)
     return result_of(
-        context,
-        own,
-        Frame(region, generator_table, peer_table.pace),
-        near,
-        table,
-        received,
-        belief,
-        min(peer_table.pace, own.tick - last.belief.stamp),
+        context, own, Frame(region, generator_table), near, table, received, belief, min(peer_table.pace, own.tick - last.belief.stamp)
     )
 
 

@@ -62,8 +62,8 @@ def play_alone(context: AgentContext, last: RoundResult, own: Gossip, pace: int)
     density, region = last.density, frame.region._replace(row=0, pose=own.pose)
     for tick in range(stamp + 1, own.tick + 1):
         said = own if tick == own.tick else replace(own, tick=tick, scanned=False, detections_bytes=b"")
-        table, step = gossip_table([said], [context.announced], context.config), Step(context.config, tick, frame.pace)
+        table, step = gossip_table([said], [context.announced], context.config), Step(context.config, tick)
         received, near = density, tracker.update(density, table, [region], step)[0]
         density = tracker.nearby(near)
     belief = tracker.hold(last.belief, Step(context.config, own.tick + 1), near)
-    return result_of(context, own, Frame(region, frame.generators, frame.pace), near, table, received, belief, min(pace, own.tick - stamp))
+    return result_of(context, own, Frame(region, frame.generators), near, table, received, belief, min(pace, own.tick - stamp))

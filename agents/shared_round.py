@@ -39,7 +39,7 @@ def shared_round(table: GossipTable, backend: Backend, tracker: AnyTracker, step
     if step.config.timing.interest != "all" or table.listening:
         return None
     known, table.shared = table.shared, table.shared or ASKED
-    if isinstance(known, SharedRound) and known.step.config is step.config and known.step[1:] == step[1:] and known.tracker == tracker:
+    if isinstance(known, SharedRound) and known.step.config is step.config and known.step.tick == step.tick and known.tracker == tracker:
         return known
     if known is None and not (_SHARED and _SHARED[0].config is step.config and _SHARED[0].tick == step.tick - 1):
         return None

@@ -85,7 +85,7 @@ _BORN: deque[tuple[AgentConfig, int, Particles]] = deque(maxlen=2)
 
 def background_births(step: Step) -> Particles:
     """See `births.background_births`."""
-    config, tick = step.config, step.tick
+    config, tick = step
     for known, at, found in _BORN:
         if at == tick and known is config:
             return found
@@ -102,7 +102,7 @@ def background_births(step: Step) -> Particles:
 
 def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
     """See `merge.remote_copies`."""
-    cell, halo, moved = polygon if len(polygon) else _NO_CORNERS, step.halo, motion(step)
+    cell, halo, moved = polygon if len(polygon) else _NO_CORNERS, step.config.filter.halo, motion(step)
     return Particles(
         *merge_kernels.remote_copies(tuple(near), tuple(received), cell, claim.generators, claim.wins_ties, halo, horizon, moved)
     )
@@ -115,18 +115,18 @@ def merge(received: Particles, counts: np.ndarray, copies: Particles, free: np.n
 
 _NO_CORNERS = np.empty((0, 2))  # writable, because a read-only array would need a second compilation
 _NOTHING_STATED = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty(0, np.uint64), np.empty((0, COLUMNS))
-# A pure memo of the settings and keys of the last eight configurations and paces, because all agents of a simulation share them.
-_PREPARED: deque[tuple[AgentConfig, int, np.ndarray, np.ndarray]] = deque(maxlen=8)
+# A pure memo of the settings and keys of the last eight configurations, because all agents of a simulation share one.
+_PREPARED: deque[tuple[AgentConfig, np.ndarray, np.ndarray]] = deque(maxlen=8)
 
 
-def prepared(config: AgentConfig, pace: int) -> tuple[np.ndarray, np.ndarray]:
-    """Settings and keys of the rounds of a pace, in the columns of agents/compiled/region_kernels.py."""
-    for known, known_pace, settings, keys in _PREPARED:
-        if known is config and known_pace == pace:
+def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Settings and keys of a run, in the columns of agents/compiled/region_kernels.py."""
+    for known, settings, keys in _PREPARED:
+        if known is config:
             return settings, keys
     filters, birth, noise = config.filter, config.birth, config.detection.noise
-    step, width = Step(config, 0, pace), phd.likelihood_noise(noise, filters)
-    numbers = [*motion(step)[3:], step.halo, step.reach, noise, width, (filters.gate * width) ** 2]
+    step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
+    numbers = [*motion(step)[3:], filters.halo, step.reach, noise, width, (filters.gate * width) ** 2]
     numbers += [filters.certainty, filters.vicinity / phd.BINS]
     numbers += [birth.measurement, birth.measurement_particles, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
@@ -134,13 +134,13 @@ def prepared(config: AgentConfig, pace: int) -> tuple[np.ndarray, np.ndarray]:
     numbers += [filters.gate, kernel_variance(filters)]
     salts = [key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
     settings, keys = np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
-    _PREPARED.append((config, pace, settings, keys))
+    _PREPARED.append((config, settings, keys))
     return settings, keys
 
 
 def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, ...]:
     """States, ids, labels and table rows of the gossips whose boxes of particles touch the surroundings of a region."""
-    (x, y), reach, width = region.pose[:2], region.sensor.reach + step.reach, step.halo + step.reach
+    (x, y), reach, width = region.pose[:2], region.sensor.reach + step.reach, step.config.filter.halo + step.reach
     near = region_kernels.touching(table.boxes, region.polygon if len(region.polygon) else _NO_CORNERS, width, x, y, reach)
     return *table.stated_by(near.tolist()), table.table[near]
 
@@ -159,7 +159,7 @@ def _update_mixed(
     table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
     """The updates of a team with other sensors than wedges; compiled loops compute the regions out of reach of those sensors."""
-    others, halo = table.table[table.table[:, KIND] == OTHER], step.halo
+    others, halo = table.table[table.table[:, KIND] == OTHER], step.config.filter.halo
     found = []
     for region in regions_:
         reached = bool((geometry.distances(region.polygon, others) <= halo + others[:, REACH]).any())
@@ -175,7 +175,7 @@ def _update_wedges(
     if not regions_:
         return []
     config = step.config
-    settings, keys = prepared(config, step.pace)
+    settings, keys = prepared(config)
     stated: tuple[np.ndarray, ...] = _NOTHING_STATED
     others = NONE
     if not isinstance(received, GossipTable):

@@ -19,7 +19,7 @@ from agents.backend import Backend
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable, received_particles
 from agents.tracking.births import prior, prior_around, prior_size
-from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, in_arena, make_claim, owned
+from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, join, select
 from agents.tracking.regions import RegionUpdate, predict
 from agents.tracking.step import Step
@@ -28,7 +28,6 @@ from protocol.compact import packed, quantised
 from protocol.fields import pack, pack_labels
 from protocol.keys import order
 from protocol.messages import Gossip
-from protocol.settings import ArenaSettings
 
 MOST_COPIES = 6000  # limit against growth without bound: this number of copies,
 MOST_TIMES = 4.0  # or this many times the number in a fresh draw of the same mass, if that is more
@@ -54,20 +53,6 @@ class Round(NamedTuple):
     horizon: float = math.inf  # m from the cell: copies farther away are dropped
 
 
-class PlayedAlone(NamedTuple):
-    """What an agent has made of a tick by its own scan: the particles around its cell, and the claim that it held."""
-
-    updated: Particles
-    claim: Claim
-    arena: ArenaSettings
-
-    def replace(self, copies: Particles) -> Particles:
-        """The copies outside the claim: those that the tick has updated, particles that have left the cell among them, and the others."""
-        outside = ~owned(self.updated.states, self.claim, self.arena) & in_arena(self.updated.states, self.arena)
-        left = select(self.updated, outside & (self.updated.weights > 0.0))
-        return canonical(join([left, select(copies, ~owned(copies.states, self.claim, self.arena))]))
-
-
 @dataclass
 class Copies:
     """The particles that an agent holds after a round and that other agents own.
@@ -78,7 +63,7 @@ class Copies:
 
     near: Particles
     round: Round | None = None
-    held: tuple[tuple[Step, PlayedAlone | None], ...] = ()  # the steps of skipped rounds, in which the copies move; some were played alone
+    held: tuple[Step, ...] = ()  # the steps of skipped rounds, in which the copies only move
 
     def compute(self) -> Particles:
         """Compute the copies that are still to be computed; return all of them, at the stamp of the belief."""
@@ -86,10 +71,8 @@ class Copies:
             step, backend, received, polygon, claim, horizon = self.round
             copies = backend.remote_copies(self.near, received_particles(received), polygon, claim, horizon, step)
             self.near, self.round = worth_keeping(copies, step.config.filter.particles_per_target), None
-        for step, played in self.held:
+        for step in self.held:
             self.near = predict(self.near, step)
-            if played is not None:
-                self.near = played.replace(self.near)
         self.held = ()
         return self.near
 
@@ -188,11 +171,9 @@ class ParticlePhd(NamedTuple):
 
         Particles may leave the cell meanwhile, so a held claim counts only where all hold the claims of one diagram (`merge`).
         """
-        missed = [step._replace(tick=tick) for tick in range(belief.stamp + 1, step.tick)]
-        held: list[tuple[Step, PlayedAlone | None]] = [(each, None) for each in missed]
+        missed = tuple([step._replace(tick=tick) for tick in range(belief.stamp + 1, step.tick)])
         if alone is not None:
             particles = alone.resampled
-            held[-1] = missed[-1], PlayedAlone(alone.updated, belief.mine.claim, step.config.arena)
         else:
             particles = belief.mine.particles
             for each in missed:
@@ -200,7 +181,7 @@ class ParticlePhd(NamedTuple):
             particles = select(particles, particles.weights > 0.0)
             particles = particles._replace(states=particles.states.astype(WIRE).astype(float))
         mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
-        copies = Copies(belief.copies.near, belief.copies.round, (*belief.copies.held, *held))
+        copies = Copies(belief.copies.near, belief.copies.round, (*belief.copies.held, *missed))
         return Belief(step.tick - 1, mine, copies, belief.everyone, belief.known_names, held_since=belief.claim_tick)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:

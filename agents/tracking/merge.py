@@ -26,7 +26,7 @@ def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, cla
     others = select(near, ~claims.owned(states, claim, arena) & claims.in_arena(states, arena))
     moved = predict(received, step)
     away = geometry.distances(polygon, moved.states)
-    apart, within = away > step.halo, (away <= horizon) | (horizon == math.inf)
+    apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
     copies = join([others, select(moved, apart & within)])
     return select(copies, copies.weights > 0.0)
 

@@ -79,7 +79,7 @@ def gate(predicted: Particles, births: Particles, region: RegionInput, step: Ste
 
     In the first set the births stand behind the predicted particles.
     """
-    halo, (x, y), reach = step.halo, region.pose[:2], region.sensor.reach
+    halo, (x, y), reach = step.config.filter.halo, region.pose[:2], region.sensor.reach
     close = geometry.distances(region.polygon, predicted.states) <= halo
     born = select(births, geometry.distances(region.polygon, births.states) <= halo)
     dx, dy = predicted.states[:, 0] - x, predicted.states[:, 1] - y
@@ -91,8 +91,8 @@ def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step:
     config, close = step.config, []
     for scan in table.scans():
         apart = geometry.distances(polygon, np.array([scan.pose]))[0]
-        if apart <= step.halo + scan.sensor.reach:
-            near = geometry.distances(polygon, scan.detections) <= step.halo
+        if apart <= config.filter.halo + scan.sensor.reach:
+            near = geometry.distances(polygon, scan.detections) <= config.filter.halo
             if model_of(measurement_of(scan.sensor))[0] == BEARING:  # its beam may come near although its middle does not
                 near |= True
             close.append(near_part(scan, near))

@@ -11,12 +11,6 @@ class Step(NamedTuple):
 
     config: AgentConfig
     tick: int
-    pace: int = 1  # ticks until the next shared round
-
-    @property
-    def halo(self) -> float:
-        """How far around a cell particles are updated, m: from there none comes into the cell uncorrected before the next shared round."""
-        return self.config.filter.halo + (self.pace - 1) * self.reach
 
     @property
     def reach(self) -> float:

@@ -27,7 +27,7 @@ from protocol.observer_messages import Estimate, Truth
 GENTLE = {"loss", "copies", "reorder", "freeze"}  # kinds of faults under which the cells hardly move apart
 LOADS = ("starve", "freeze")  # kinds of overload, under which nobody dies
 MOST_HOLE, MOST_OVERLAP = 0.03, 0.10  # mean shares of the arena in a case of gentle kinds
-MASS_KEPT = {True: 0.01, False: 0.05}  # of the mass, in ledger mode after everything has healed: one kind of fault, several
+MASS_KEPT = {True: 0.01, False: 0.06}  # of the mass, in ledger mode after everything has healed: one kind of fault, several
 MASS_KEPT_REDRAWN = {True: 0.15, False: 0.4}  # the same where every tick particles are new, or have new ids
 SILENT_ROUNDS = 4  # that a silent peer stays a generator
 LEAST_COMPARISONS = 3  # with the central filter in the calm end of a case

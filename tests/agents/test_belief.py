@@ -8,9 +8,8 @@ from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import GossipTable, received_particles
 from agents.tracking.belief import MOST_COPIES, Belief, Copies, ParticlePhd, Round, owned_by_sender, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
-from agents.tracking.extraction import NO_TRACKS
-from agents.tracking.particles import NONE, Particles, canonical, join, select, unlabelled
-from agents.tracking.regions import RegionUpdate, predict
+from agents.tracking.particles import NONE, Particles, canonical, join, unlabelled
+from agents.tracking.regions import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import OwnedState
 from protocol.fields import pack
@@ -183,14 +182,3 @@ def test_at_the_start_everybody_holds_the_prior_and_nobody_owns_anything() -> No
     belief = start(particles((1, 20.0, 0.1), (2, 80.0, 0.1)), "s1")
     assert belief.mine.claim is NO_CLAIM and merged(belief, []) == [1, 2]
     assert belief.copies.compute().weights.sum() == pytest.approx(0.2)
-
-
-def test_what_leaves_the_cell_while_its_agent_plays_alone_is_a_copy_and_what_enters_it_counts_once() -> None:
-    """Particle 1 goes from s1 to s2, and 2 comes; 7 is drawn from it. Particle 3 is far away."""
-    mine, others = owned_state("s1", particles((1, 49.5, 1.0))), particles((2, 50.2, 1.0), (3, 90.0, 1.0))
-    others.states[0, 2] = -2.0
-    near, drawn = particles((1, 50.5, 1.0), (2, 49.2, 1.0)), particles((7, 49.2, 1.0))
-    alone, copies = RegionUpdate(near, select(near, near.ids == 2), drawn, 1.0, 49.2, 50.0, 0.0, 0.0, NO_TRACKS), Copies(others)
-    held = TRACKER.hold(Belief(4, mine, copies), Step(CONFIG, 6), alone)
-    later = TRACKER.catch_up(held, Step(CONFIG, 7)).copies.compute()
-    assert later.ids.tolist() == [1, 3, 7] and later.weights == pytest.approx(1.0, rel=0.01)

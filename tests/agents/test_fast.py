@@ -185,7 +185,7 @@ def test_copies_after_a_round_and_what_counts_of_them(seed: int, count: int, num
     mixed = join([told, select(near, rng.random(number) < 0.5)])
     for border in ("cross", "reflect"):
         for polygon in (cell.polygon, EMPTY):
-            assert_same("remote_copies", near, mixed, polygon, claim, horizon, step(border=border)._replace(pace=1 + len(near.ids) % 2))
+            assert_same("remote_copies", near, mixed, polygon, claim, horizon, step(border=border))
     assert_same("merge", mixed, rng.random(len(mixed.ids)) < 0.8, near, rng.random(number) < 0.3)
     assert_same("merge", NONE, np.empty(0, dtype=bool), near, np.zeros(number, dtype=bool))
 
@@ -255,7 +255,7 @@ def settings_of(rng: np.random.Generator, tick: int, interest: str) -> Step:
         extraction=ExtractionSettings(bin=float(rng.choice([0.5, 1.0, 2.0])), threshold=float(rng.choice([0.1, 0.5, 0.9]))),
         timing=TimingSettings(interest=interest),  # type: ignore[arg-type]
     )
-    return Step(config, tick, int(rng.choice([1, 4])))
+    return Step(config, tick)
 
 
 def regions_of(rng: np.random.Generator, table: GossipTable, owners: int) -> list[RegionInput]:

@@ -204,16 +204,15 @@ def test_particles_stay_in_the_cell_of_the_last_round() -> None:
     assert moved.stamp == 4 and moved.claim_tick == 0
 
 
-@pytest.mark.parametrize("dt", [0.25, 0.5])
-def test_ticks_of_which_nothing_was_seen_keep_the_particles_that_enter_the_cell(dt: float) -> None:
+def test_ticks_of_which_nothing_was_seen_keep_the_particles_that_enter_the_cell() -> None:
     """A swarm whose mass must not change, at a pace of 8. One agent sees no observation of a tick between."""
     options = {"team.composition": "L6", "targets.count": 0, "detection.clutter": 0.0, "filter.lifetime": 0.0, "filter.border": "reflect"}
     options |= {"filter.prior_density": 0.01, "birth.background": False, "birth.measurement": False, "run.seconds": 30.0, "run.rate": 1.0}
-    options |= {"arena.width": 40.0, "arena.height": 40.0, "sensors.L.angle": 240.0, "sensors.L.radius": 8.0, "run.dt": dt}
+    options |= {"arena.width": 40.0, "arena.height": 40.0, "sensors.L.angle": 240.0, "sensors.L.radius": 8.0}
     simulation = Simulation(resolve("efficacy", {**options, "sensors.L.prob_detection": 1e-12}), clock="realtime")
     for agent in simulation.agents.values():
         agent._pace.close = lambda tick, needs, pace=agent._pace: setattr(pace, "current", 8)  # type: ignore[method-assign]
     simulation.agents["s2"]._spare = lambda observation: None  # type: ignore[method-assign]
     simulation.run()
     masses = [score.mass for score in simulation.scorer.scores]
-    assert min(masses[16::8]) > 0.999 * masses[16] > 0.98 * masses[0]  # the round before a slower pace knows too little around its cell
+    assert min(masses[16::8]) > 0.999 * masses[0]
