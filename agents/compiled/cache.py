@@ -23,7 +23,7 @@ SOURCES = (
     "agents/gossip/table.py",
     "agents/interest/position_table.py",
 )
-COMPLETE = "complete"  # the file that says so
+COMPLETE = "complete"  # the file in that folder which says that all loops have been compiled
 MOST_FOLDERS = 4  # one for each state of the sources, the present one included; going back to a recent state needs no compilation
 
 
