@@ -92,6 +92,7 @@ SCENARIOS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if SCENARIOS[page]])
 def test_every_scenario_of_a_page_passes_the_check_and_its_classes_are_found(page: str, tmp_path: Path) -> None:
     reader = Reader(tmp_path)

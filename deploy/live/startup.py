@@ -13,6 +13,7 @@ from deploy.live.processes import Child
 from deploy.live.zygote import Zygote
 from deploy.scoring.scorer import Scorer
 from protocol.observer_messages import Truth
+from protocol.settings import BadSetting
 
 HOLD = 20.0  # s at most for which the last agent is held back without a new process heard by the monitor
 LOOK = 0.05  # s between two looks at the zygote while it prepares
@@ -29,7 +30,10 @@ class Startup:
         self._is_told = False  # the early end of the zygote has been reported
 
     async def start_all(self, tell: Callable[[str], None]) -> None:
-        """Start all processes, the last agent once the monitor hears all others. The world waits for it, so no tick is missed."""
+        """Start all processes, the last agent once the monitor hears all others. The world waits for it, so no tick is missed.
+
+        Raises BadSetting when the machine does not let it.
+        """
         *first, last = self._children
         # For the first score. It begins before the agents are forked: on a starved machine it takes longer than the world waits.
         loading = threading.Thread(target=importlib.import_module, args=["scipy.optimize"], daemon=True)
@@ -37,7 +41,7 @@ class Startup:
         for child in first:
             if child.zygote is not None:
                 await self._prepare(child.zygote, tell)
-            child.start()
+            _start(child)
             if child.room == "world":
                 self.expect()
         heard, end = 0, time.monotonic() + HOLD
@@ -47,7 +51,7 @@ class Startup:
             await asyncio.sleep(0.02)
         if last.zygote is not None:
             await self._prepare(last.zygote, tell)
-        last.start()
+        _start(last)
 
     async def _prepare(self, zygote: Zygote, tell: Callable[[str], None]) -> None:
         """Return when the zygote can fork or has ended. There is no time limit: the very first start compiles."""
@@ -98,3 +102,10 @@ class Startup:
         number = f"{len(self._members) - len(missing)} of {len(self._members)} agents"
         more = f" and {len(missing) - MOST_NAMED} more" if len(missing) > MOST_NAMED else ""
         return f"{number} (without {', '.join(missing[:MOST_NAMED])}{more})" if missing else number
+
+
+def _start(child: Child) -> None:
+    try:
+        child.start()
+    except OSError as error:
+        raise BadSetting(f"{child.name} could not be started: {error.strerror or error}") from None

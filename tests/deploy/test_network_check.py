@@ -64,6 +64,7 @@ def wrong(scenario: Scenario, name: str = "monitor") -> list[str]:
     return [text for right, text in check_network(scenario, name, seconds=0.6) if not right]
 
 
+@pytest.mark.slow
 def test_a_swarm_that_is_as_it_should_be_is_found_with_and_without_certificates(tmp_path: Path) -> None:
     make_keys([*NAMES, "monitor"], tmp_path / "keys")
     for protocol, folder in (("tcp", None), ("tls", tmp_path / "keys")):
@@ -83,7 +84,7 @@ def test_a_seed_where_nobody_listens_is_named() -> None:
     assert line.startswith("tcp/nowhere.invalid:7447: cannot be reached: Name or service not known") or "name resolution" in line
 
 
-@pytest.mark.parametrize("mode", ["peer", "client"])
+@pytest.mark.parametrize("mode", ["peer", pytest.param("client", marks=pytest.mark.slow)])
 def test_somebody_who_speaks_no_zenoh_is_told_apart_from_nobody(mode: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as deaf:
         [line] = wrong(scenario_at(f"tcp/127.0.0.1:{deaf.getsockname()[1]}", **{"network.mode": mode}))
@@ -144,6 +145,7 @@ def test_a_zenoh_router_of_others_is_no_swarm() -> None:
     assert line == "1 linked, and nobody is in any run: is that a Zenoh router, or a process of another kind?"
 
 
+@pytest.mark.slow
 def test_a_client_finds_those_who_are_behind_its_router() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = live.open_session(NetworkSettings(mode="router", listen=(endpoint,)))

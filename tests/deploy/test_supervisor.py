@@ -122,6 +122,13 @@ def test_a_process_that_cannot_be_restarted_is_told_with_the_reason_and_counts_a
     assert (supervisor._still_since is not None) == (name == "world")
 
 
+def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Child, "_fork", fail)
+    name = next(iter(supervisor.children))
+    with pytest.raises(BadSetting, match=f"{name} could not be started: Resource temporarily unavailable"):
+        asyncio.run(supervisor.run())
+
+
 def test_a_world_runs_on_when_the_truth_for_the_next_one_cannot_be_written(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
     assert let_run(supervisor, {}) is None
     supervisor.scorer.truth = Truth(sender="world", incarnation=1, tick=3, time=0.75)

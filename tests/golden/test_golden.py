@@ -20,12 +20,16 @@ QUICK = [  # some seconds
     "anisotropic-neighbours/lockstep/1",
 ]
 SHORT = case_of("20E10G-all/deaths/1")
-NIGHTLY = pytest.mark.nightly  # continuous integration plays one seed of everything
+NIGHTLY = pytest.mark.nightly  # continuous integration plays one seed, and the largest swarm in two of four troubles
+LONG = ("efficacy-all/realtime/1", "efficacy-all/loss/1", "efficacy-neighbours/realtime/1", "efficacy-neighbours/loss/1")
+TAPPED = "anisotropic-neighbours/loss/1"
 RUNS = [pytest.param(partition, seed, marks=NIGHTLY if seed > OSPA_SEEDS[0] else ()) for partition in PARTITIONS for seed in OSPA_SEEDS]
-OTHERS = [pytest.param(case, id=str(case), marks=NIGHTLY if case.seed > 1 else ()) for case in CASES if str(case) not in QUICK]
-KINDS = [
-    pytest.param(case, id=str(case), marks=() if str(case) == "20E10G-neighbours/loss/1" else NIGHTLY) for case in CASES if case.seed == 1
+OTHERS = [
+    pytest.param(case, id=str(case), marks=NIGHTLY if case.seed > 1 or str(case) in LONG else ())
+    for case in CASES
+    if str(case) not in QUICK
 ]
+KINDS = [pytest.param(case, id=str(case), marks=() if str(case) == TAPPED else NIGHTLY) for case in CASES if case.seed == 1]
 
 
 @pytest.mark.parametrize("case", [case_of(name) for name in QUICK], ids=str)

@@ -135,6 +135,7 @@ def test_a_killed_zygote_takes_its_agents_along_and_they_can_be_started_again(co
 
 
 @pytest.mark.slow
+@pytest.mark.nightly  # two of one name do not hear each other either
 def test_two_runs_on_one_machine_do_not_hear_each_other(covey: Covey) -> None:
     seeds = (3, 4)
     runs = [

@@ -11,7 +11,7 @@ from deploy.scenario import resolve
 from deploy.simulation import Simulation
 from tests.live.harness import BOUND, Covey
 
-pytestmark = [pytest.mark.live, pytest.mark.timeout(200)]
+pytestmark = [pytest.mark.live, pytest.mark.slow, pytest.mark.timeout(200)]
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ SCENE = str(Path(__file__).with_name("eyes.toml"))
 SETTLED = 15.0  # s
 SEEDS = (1, 2, 3, 4)
 GOOD_THEN_BAD, BAD_THEN_GOOD = "G1,B1", "B1,G1"  # in the order of names
-CLUTTER = (0.0, 0.1, 1.0, 10.0)
+CLUTTER = [0.0, pytest.param(0.1, marks=pytest.mark.nightly), pytest.param(1.0, marks=pytest.mark.nightly), 10.0]
 
 
 def played(team: str, seed: int, **settings: Any) -> Simulation:

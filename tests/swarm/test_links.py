@@ -38,7 +38,9 @@ def test_at_ten_per_cent_loss_nobody_is_taken_for_dead() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("interest", "overlap", "unknown"), [("all", 0.03, 0.3), ("neighbours", 0.1, 1.4)])
+@pytest.mark.parametrize(
+    ("interest", "overlap", "unknown"), [("all", 0.03, 0.3), pytest.param("neighbours", 0.1, 1.4, marks=pytest.mark.nightly)]
+)
 def test_losses_in_bursts_make_few_cells_overlap_since_claims_tell_of_the_unheard(interest: str, overlap: float, unknown: float) -> None:
     """Bursts of four are common at 30 % loss. Without claims 13 and 25 % overlap, and 0.6 and 1.6 peers are unknown."""
     lacking, overlaps, holes = list[int](), list[float](), list[float]()
