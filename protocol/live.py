@@ -72,7 +72,7 @@ def open_session(settings: NetworkSettings, own: keys.Token | None = None) -> ze
         raise refused(settings, str(error)) from None
 
 
-def _open_for(result: Future[zenoh.Session], settings: NetworkSettings, own: keys.Token) -> None:
+def open_for(result: Future[zenoh.Session], settings: NetworkSettings, own: keys.Token) -> None:
     """Set the result to a session that is opened now; if it has been cancelled meanwhile, close the session again."""
     try:
         session = open_session(settings, own)
@@ -119,7 +119,7 @@ class Driver:
         A client waits for its router without a limit, in a thread of its own: asyncio would join the threads of its pool.
         """
         result = Future[zenoh.Session]()
-        threading.Thread(target=_open_for, args=(result, self._settings, self._own), daemon=True).start()
+        threading.Thread(target=open_for, args=(result, self._settings, self._own), daemon=True).start()
         opened = asyncio.wrap_future(result)
         either: tuple[asyncio.Future[Any], ...] = (opened, self._stopped)
         try:

@@ -12,6 +12,7 @@ import ssl
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -142,9 +143,10 @@ def _handshake(seed: str, connection: socket.socket, network: NetworkSettings, n
 
 
 def _listen(network: NetworkSettings, own: Token, seconds: float) -> tuple[Overheard, int]:
-    """What a session hears for some seconds, and its links at the end. It is a peer in any case: a client would wait for its router."""
-    dialling = msgspec.structs.replace(network, mode="peer", listen=()) if network.mode == "client" else network
-    heard, session = Overheard(), live.open_session(dialling, own)
+    """What a session hears for some seconds, and its links at the end."""
+    heard, session = Overheard(), _opened(network, own)
+    if session is None:
+        return heard, 0
     runs = [own.run] if network.encrypted else ["*"]  # access control lets a certificate ask for its own run alone
     held = [session.declare_subscriber(f"{ROOT}/{run}/hello/*", heard.hello) for run in runs]
     held += [session.liveliness().declare_subscriber(f"{ROOT}/{run}/alive/**", heard.token, history=True) for run in runs]
@@ -156,6 +158,14 @@ def _listen(network: NetworkSettings, own: Token, seconds: float) -> tuple[Overh
         closing = threading.Thread(target=_close, args=(session,), daemon=True)  # it takes long where a link was never answered
         closing.start()
         closing.join(CLOSE_SECONDS)
+
+
+def _opened(network: NetworkSettings, own: Token) -> Any:
+    """A Zenoh session; None if a client has found no router in `REACH_SECONDS`."""
+    result = Future[Any]()
+    threading.Thread(target=live.open_for, args=(result, network, own), daemon=True).start()
+    wait([result], timeout=REACH_SECONDS)
+    return None if result.cancel() else result.result()
 
 
 def _close(session: Any) -> None:

@@ -139,13 +139,13 @@ def test_the_installed_program_simulates_what_the_checkout_simulates_and_demonst
     assert run(home, tmp_path, "python", "-c", WARM).returncode == 0  # compile first, for a demo is shorter than that
     theirs = run(home, tmp_path, "covey", *words)
     assert theirs.returncode == 0, theirs.stderr
-    one_line = run(home, tmp_path, "python", "-c", "import covey; print(covey.simulate('quick', seconds=10).ospa.mean())")
+    one_line = run(home, tmp_path, "python", "-c", "import covey; print(covey.simulate('quick', seconds=3).ospa.mean())")
     assert float(one_line.stdout) > 0.0, one_line.stderr
     results = [json.loads(done.stdout.splitlines()[-1]) for done in (theirs, ours)]
     assert results[0]["transcript"] == results[1]["transcript"]
-    demo = run(home, tmp_path, "covey", "demo", "--no-page", "--seconds", "5", "--lockstep", "--json")
+    demo = run(home, tmp_path, "covey", "demo", "--no-page", "--seconds", "3", "--lockstep", "--json")
     assert demo.returncode == 0, demo.stderr
-    assert json.loads(demo.stdout.splitlines()[-1])["rounds"] >= 16 * 10
+    assert json.loads(demo.stdout.splitlines()[-1])["rounds"] >= 16 * 6
     detached = run(home, tmp_path, "covey", "up", "quick", "--detach", "--spawn", "exec", "--run", "away")
     assert detached.returncode == 0, detached.stderr
     assert run(home, tmp_path, "covey", "down", "--run", "away").returncode == 0
