@@ -13,7 +13,7 @@ def bridge(
 ) -> int:
     """Become the bridge of an agent of a run; raises BadSetting where the run or the package for ROS's messages is missing."""
     need_packages("bridge", ("rosbags",), "ros")
-    directory, _ = swarm_to_watch(run)
+    directory, _ = swarm_to_watch(run, supervised=True)
     config = str(directory.config) if directory else str(run)
     words = ["--config", config, "--agent", agent, "--router", router, f"--offset={offset}", "--origin", *map(str, origin)]
     words += ["--domain", str(domain)] if domain is not None else []

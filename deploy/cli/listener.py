@@ -29,14 +29,15 @@ class KeyedPayload(NamedTuple):
     reason: str
 
 
-def swarm_to_watch(run: str | None) -> tuple[RunDirectory | None, Scenario]:
+def swarm_to_watch(run: str | None, *, supervised: bool = False) -> tuple[RunDirectory | None, Scenario]:
     """The running run of that name, or the newest, and its resolved scenario, which says where the swarm is found.
 
+    With `supervised` it is one that has processes, and no recording that is said again.
     A name that ends in .toml is the file of a swarm on other machines. No supervisor is here then, and no run directory.
     """
     if run is not None and run.endswith(".toml"):
         return None, swarm_elsewhere(run)
-    directory = find_running(run)
+    directory = find_running(run, supervised=supervised)
     try:
         return directory, load(directory.config, Scenario)
     except BadSetting:

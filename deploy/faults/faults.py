@@ -31,6 +31,7 @@ from deploy.scenario import FaultSettings
 from protocol.settings import BadSetting
 from protocol.streams import stream
 
+MOST = 1e9  # of any value: s, kbit/s
 PROCESS_VERBS = ("kill", "pause", "resume", "restart", "slow", "starve", "freeze", "join", "twin", "jump")
 LINK_VERBS = ("partition", "heal", "drop", "delay", "throttle", "duplicate", "reorder", "flip")
 VERBS = (*PROCESS_VERBS, *LINK_VERBS)
@@ -145,8 +146,9 @@ def _check_value(fault: FaultSettings, verb: str, where: str) -> None:
     if verb in NEED_VALUE and fault.value is None:
         what = "a share between 0 and 1" if verb in SHARES else "a number of kbit/s" if verb == "throttle" else "a number of seconds"
         raise BadSetting(f"{where}value is missing: {verb} needs {what}")
-    if verb in SHARES and fault.value is not None and fault.value > 1.0:
-        raise BadSetting(f"{where}value = {fault.value}: should be a share between 0 and 1")
+    most = 1.0 if verb in SHARES else MOST
+    if fault.value is not None and not 0.0 <= fault.value <= most:  # no number (nan) is neither
+        raise BadSetting(f"{where}value = {fault.value:g}: should be {'a share between 0 and 1' if verb in SHARES else f'0 to {MOST:g}'}")
 
 
 def _check_options(fault: FaultSettings, verb: str, where: str) -> None:
@@ -154,9 +156,9 @@ def _check_options(fault: FaultSettings, verb: str, where: str) -> None:
     for name, value in fault.options.items():
         if name not in known:
             raise BadSetting(f"{where}options.{name}: {verb} has no such option; known are {', '.join(known) or 'none'}")
-        number = isinstance(value, int | float) and not isinstance(value, bool) and value >= 0.0
+        number = isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= MOST
         if not (number if known[name] is float else isinstance(value, known[name])):
-            right = {float: "a number, 0 or more", bool: "true or false", str: "a text"}[known[name]]
+            right = {float: f"a number from 0 to {MOST:g}", bool: "true or false", str: "a text"}[known[name]]
             raise BadSetting(f"{where}options.{name} = {value!r}: should be {right}")
     if fault.options.get("kind", "both") not in KINDS:
         raise BadSetting(f"{where}options.kind = {fault.options['kind']!r}: should be one of {', '.join(KINDS)}")

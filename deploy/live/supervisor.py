@@ -117,6 +117,10 @@ class Supervisor:
             await control.open()
             start = asyncio.create_task(self._start.start_all(self._tell))
             return await self._watch(driver, monitor, start)
+        except BadSetting:
+            if self.scorer.truth is not None:  # what was scored before is kept
+                self._make_result(EXIT_BAD_INPUT)
+            raise
         finally:
             if start is not None:
                 start.cancel()
@@ -341,16 +345,16 @@ class Supervisor:
         verb, names, done = action.verb, action.names, []
         if verb in LINK_VERBS:
             return self._change_links(action)
-        for name in names:
+        for name in names:  # before anything is done, so that all is done or nothing
             if not self.children[name].has_started:
                 raise BadSetting(f"{name} has not been started yet: the run still starts; try again in a second")
+            if verb != "restart" and not self.children[name].is_running:
+                raise BadSetting(f"{name} is not running; `covey restart {name}` brings it back")
         self._note_pauses(verb, [name for name in names if self.children[name].is_running])
         for name in names:
             child = self.children[name]
             if verb == "restart":
                 self._restart(child)
-            elif not child.is_running:
-                raise BadSetting(f"{name} is not running; `covey restart {name}` brings it back")
             else:
                 child.send({"kill": signal.SIGKILL, "pause": signal.SIGSTOP, "resume": signal.SIGCONT}[verb])
             done.append(name)

@@ -69,9 +69,14 @@ class RunDirectory:
             raise BadSetting(f"run directory {self.path}: {error.strerror}; COVEY_RUNS names another place") from None
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             os.close(descriptor)
             return None
+        except OSError as error:
+            os.close(descriptor)
+            raise BadSetting(
+                f"run directory {self.path}: files cannot be locked: {error.strerror}; COVEY_RUNS names another place"
+            ) from None
         return descriptor
 
     def clear(self) -> None:
@@ -100,8 +105,10 @@ class RunDirectory:
             return False
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             return True
+        except OSError:  # no locks here: nothing can be running
+            return False
         finally:
             os.close(descriptor)
         return False

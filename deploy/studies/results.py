@@ -41,9 +41,11 @@ class StudyFolder:
             raise BadSetting(f"--into {self.path}: {error.strerror}") from None
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except OSError as error:
             os.close(descriptor)
-            raise BadSetting(f"--into {self.path}: a study is running there; wait for it or name another folder") from None
+            is_held = isinstance(error, BlockingIOError)
+            why = "a study is running there; wait for it" if is_held else f"files cannot be locked: {error.strerror}"
+            raise BadSetting(f"--into {self.path}: {why}, or name another folder") from None
         try:
             self._mend()
             yield

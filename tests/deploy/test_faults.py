@@ -1,10 +1,12 @@
 """Who is meant, and when it happens."""
 
+import math
+
 import msgspec
 import pytest
 
 from deploy.cli.scenario_checks import faults_on_links, faults_without_effect
-from deploy.faults.faults import REFUSED, Action, Schedule, check_faults, choose
+from deploy.faults.faults import REFUSED, Action, Schedule, check_fault, check_faults, choose
 from deploy.scenario import FaultSettings, resolve
 from protocol.settings import BadSetting
 from protocol.streams import stream
@@ -124,6 +126,16 @@ def test_live_there_are_no_newcomers_or_jumping_clocks_and_link_faults_must_be_a
         check_faults([drop], TEAM, live=True, link_faults=False)
     with pytest.raises(BadSetting, match="works in a simulation only"):
         check_faults([FaultSettings(at=1.0, verb="jump", who="1", value=9.0)], TEAM, live=True)
+
+
+@pytest.mark.parametrize("value", [-0.5, 2e9, math.nan, math.inf])
+def test_what_no_link_can_do_is_refused_of_orders_by_hand_too(value: float) -> None:
+    """They are no part of a scenario, whose values are checked when it is read."""
+    for verb in ("drop", "delay"):
+        with pytest.raises(BadSetting, match=r"value = .*: should be "):
+            check_fault(FaultSettings(at=0.0, verb=verb, value=value), "", TEAM, live=True, link_faults=True)
+    with pytest.raises(BadSetting, match=r"options\.jitter = .*: should be a number from 0 to 1e\+09"):
+        check_fault(FaultSettings(at=0.0, verb="delay", value=0.1, options={"jitter": value}), "", TEAM, live=True, link_faults=True)
 
 
 def test_link_faults_end_with_a_share_of_zero_and_a_partition_heals() -> None:

@@ -1,11 +1,13 @@
 """Run directories: one supervisor per name, found by name or as the newest."""
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
 from deploy.scenario import Scenario, resolve
+from deploy.storage import run_directory
 from deploy.storage.kept_runs import kept_runs, new_run_directory
 from deploy.storage.run_directory import RunDirectory, find_running, running_runs, runs_folder
 from protocol.settings import BadSetting, load
@@ -28,6 +30,18 @@ def test_a_run_is_running_until_its_lock_is_closed() -> None:
     assert directory.is_running()
     os.close(lock)
     assert not directory.is_running()
+
+
+def test_where_files_cannot_be_locked_no_run_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(run_directory.fcntl, "flock", refuse)
+    with pytest.raises(
+        BadSetting, match=r"run directory .*one: files cannot be locked: No locks available; COVEY_RUNS names another place"
+    ):
+        held("one")
+    assert not RunDirectory("one").is_running()
 
 
 def test_a_second_run_of_a_name_is_refused_and_says_how_to_end_the_first() -> None:

@@ -122,6 +122,14 @@ def test_a_process_that_cannot_be_restarted_is_told_with_the_reason_and_counts_a
     assert (supervisor._still_since is not None) == (name == "world")
 
 
+def test_an_order_of_which_a_part_is_impossible_does_nothing(supervisor: Supervisor, capsys: pytest.CaptureFixture[str]) -> None:
+    assert let_run(supervisor, {"s2": KILLED}) is None
+    with pytest.raises(BadSetting, match="s2 is not running; `covey restart s2` brings it back"):
+        ask(supervisor, "kill", "s1,s2")
+    assert supervisor.children["s1"].process.poll() is None  # type: ignore[union-attr]
+    assert "killed" not in capsys.readouterr().out.replace("killed by", "")
+
+
 def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Child, "_fork", fail)
     name = next(iter(supervisor.children))

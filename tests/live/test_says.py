@@ -209,6 +209,8 @@ def test_a_class_of_the_users_that_raises_in_the_middle_of_a_run_ends_it_with_on
     code, _, complaints = covey.run(*BAD)
     assert code == 2
     assert "mine:Bad.command" in complaints and "no way" in complaints and "Traceback" not in complaints
+    result = json.loads((covey.runs / "latest" / "result.json").read_text())
+    assert result["exit_code"] == 2 and 0 < result["ticks"] < 40  # what came before is kept
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ def test_every_mutant_can_be_planted_and_names_fast_tests_that_exist() -> None:
             assert (ROOT / file).is_file(), f"{mutant.name}: there is no {file}"
             assert f"def {name.partition('[')[0]}" in (ROOT / file).read_text(), f"{mutant.name}: there is no {test}"
             assert name.partition("[")[0] not in slow_tests(file), f"{mutant.name}: {test} is slow"
+            assert not re.search(r"^pytestmark = .*mark\.slow", (ROOT / file).read_text(), re.MULTILINE), f"{mutant.name}: {file} is slow"
 
 
 def test_mutants_have_names_of_their_own_and_are_many() -> None:
