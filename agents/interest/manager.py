@@ -37,7 +37,7 @@ BUSY, LONGEST = 8.0, 5.0  # an agent whose timer is late waits so many times the
 UNHEARD = 3  # times that an agent without peers asks again before it asks in more tiles: the others may only be late
 MOST_QUESTIONS = 8  # in all; then an agent takes part, certified or not
 AHEAD = 16.0  # m: a tile is subscribed to this far before it is needed, so that a period of beacons has come by then
-FORGOTTEN = 2.5  # periods without a beacon or gossip after which a peer is forgotten
+FORGOTTEN = 2.5  # periods, or rounds at a slower pace, without a beacon or gossip after which a peer is forgotten
 CHECK = 4  # ticks between two checks of the peers that neighbours name
 LINGER = 4.0  # s of world time for which a subscription is kept after its peer was last needed: half of all are needed again by then
 
@@ -126,7 +126,7 @@ class InterestManager:
 
     def _table(self, own: Beacon, tick: int) -> np.ndarray:
         """The positions of peers (`PositionTable.table`), after those without a recent beacon are forgotten."""
-        self._forgotten |= self._peer_table.forget(tick - math.ceil(FORGOTTEN * self._period))
+        self._forgotten |= self._peer_table.forget(tick - math.ceil(FORGOTTEN * max(self._period, self._peer_table.pace)))
         return self._peer_table.positions.table(beacon_row(own, self._context.config.partition.kind))
 
     # ------------------------------------------------------------------ beacons

@@ -178,6 +178,7 @@ def run(options: BridgeOptions) -> int:
     """Be the bridge until a signal; the exit code."""
     check(options)
     over = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a client waits in Zenoh for its router, where Python would not hear it
     bridge = Bridge(options)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())

@@ -85,7 +85,8 @@ def say(run: str | None, *, held: bool) -> int:
     """Halt or release all bodies of a run and tell what came of it."""
     _, scenario = swarm_to_watch(run, supervised=True)
     run_settings, wrong = scenario.run, [f"bodies.{field}" for field in ERRORS if getattr(scenario.bodies, field)]
-    period = run_settings.dt / run_settings.rate if run_settings.clock == "realtime" else 0.0
+    speed = run_settings.rate if run_settings.clock == "realtime" else run_settings.max_rate
+    period = run_settings.dt / speed if speed else 0.0
     node = Operator(run_settings.name, time.time_ns() // 1_000_000, held=held, period=period, judges=not wrong)
     code = live.run(node, scenario.network)
     moving = sorted(node.bodies - node.standing, key=order)

@@ -39,6 +39,7 @@ WORLD_SECONDS = 60.0  # that a run which nobody attends stands still without a w
 LAST_LOOKS = 100  # every 10 ms, for the last ticks of a run
 EXIT_CRASHED = 1  # of a run in which a process ended by an exception
 EXIT_BAD_INPUT = 2
+STATES = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}  # verb -> state of a process that it is for
 
 log = logging.getLogger(__name__)
 
@@ -304,6 +305,8 @@ class Supervisor:
             try:
                 if action.verb == REFUSED:
                     raise BadSetting(action.options["why"])
+                if action.verb in STATES:  # whoever has died meanwhile, or has been resumed by hand, is passed over, as in a simulation
+                    action = action._replace(names=self._in_state(action.names, STATES[action.verb]))
                 self._act(action)
             except BadSetting as error:
                 self._tell(f"a fault of the scenario could not be carried out: {error}")
@@ -335,8 +338,7 @@ class Supervisor:
             return {"ok": "going down"}
         fault = FaultSettings(at=0.0, verb=verb, who=who, value=request.get("value"), options=request.get("options") or {})
         check_fault(fault, "", [*self.scenario.members], live=True, link_faults=self.scenario.network.link_faults)
-        states = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}
-        candidates = self._agents(states.get(verb, "running"))
+        candidates = self._agents(STATES.get(verb, "running"))
         names = choose(who, candidates, list(self.children), self._rng) if who else candidates
         return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}
 
@@ -416,11 +418,14 @@ class Supervisor:
             self._tell_links(child.name)
 
     def _agents(self, state: str) -> list[str]:
-        """Names of the agents that are running, awake (running and not paused), paused, or dead."""
-        agents = [self.children[name] for name in self.scenario.members]
+        """Names of the agents in a state."""
+        return self._in_state(list(self.scenario.members), state)
+
+    def _in_state(self, names: list[str], state: str) -> list[str]:
+        """Those of the processes that are running, awake (running and not paused), paused, or dead."""
         return [
             child.name
-            for child in agents
+            for child in (self.children[name] for name in names)
             if {
                 "running": child.is_running,
                 "awake": child.is_running and not child.paused,

@@ -104,7 +104,11 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
 
     def key(self) -> str:
         """What tells this trial from all others, the program that runs it included."""
-        return key_of([self.scenario, self.overrides(), fingerprint()], self.resolve())
+        return self.key_with(self.resolve())
+
+    def key_with(self, scenario: Scenario) -> str:
+        """The key of this trial with the scenario that it has been played with."""
+        return key_of([self.scenario, self.overrides(), fingerprint()], scenario)
 
     def command(self) -> str:
         """The command that repeats this trial."""
@@ -160,7 +164,7 @@ def row_of(trial: Trial, scenario: Scenario, result: Result) -> Row:
     head = {"scenario": trial.scenario, "seed": trial.seed, "team": trial.team, "triple": scenario.team.triple}
     head |= {"start_targets": trial.targets, "method": trial.method}
     tail = {"code": fingerprint(), "command": trial.command()}
-    return {**head, **found, **tail, **flat_settings(scenario), "wall_s": result.wall_s, "key": trial.key()}
+    return {**head, **found, **tail, **flat_settings(scenario), "wall_s": result.wall_s, "key": trial.key_with(scenario)}
 
 
 def flat_settings(scenario: Scenario) -> Row:

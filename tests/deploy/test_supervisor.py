@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from deploy.faults.faults import Schedule
 from deploy.live import supervisor as supervising
 from deploy.live.processes import Child
 from deploy.live.supervisor import Supervisor
-from deploy.scenario import resolve
+from deploy.scenario import FaultSettings, resolve
 from deploy.storage.run_directory import RunDirectory
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
@@ -64,6 +65,9 @@ class Process:
     def wait(self) -> int:
         assert self.returncode is not None
         return self.returncode
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Nothing that ends it."""
 
     def kill(self) -> None:
         self.returncode = -signal.SIGKILL
@@ -128,6 +132,23 @@ def test_an_order_of_which_a_part_is_impossible_does_nothing(supervisor: Supervi
         ask(supervisor, "kill", "s1,s2")
     assert supervisor.children["s1"].process.poll() is None  # type: ignore[union-attr]
     assert "killed" not in capsys.readouterr().out.replace("killed by", "")
+
+
+def test_the_end_of_a_fault_passes_over_those_who_have_died_meanwhile(supervisor: Supervisor) -> None:
+    supervisor._schedule = Schedule(1, (FaultSettings(at=1.0, verb="pause", who="s1,s2", seconds=2.0),))
+
+    async def run() -> list[list[str]]:
+        for child in supervisor.children.values():
+            child.incarnation, child.process = 1, Process()  # type: ignore[assignment]
+        paused = []
+        for tick in (4, 12):
+            supervisor._on_truth(Truth(sender="world", incarnation=1, tick=tick, time=tick / 4.0))
+            paused.append([name for name, child in supervisor.children.items() if child.paused])
+            supervisor.children["s2"].process = Process(KILLED)  # type: ignore[assignment]
+            supervisor._reap()
+        return paused
+
+    assert asyncio.run(run()) == [["s1", "s2"], []]
 
 
 def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
