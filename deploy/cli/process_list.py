@@ -13,7 +13,7 @@ from rich.table import Table
 from deploy.cli.display import process_table
 from deploy.cli.logs import LogTails, kept_runs
 from deploy.live.control import ControlClient
-from deploy.storage.run_directory import RunDirectory, find_running, running_runs
+from deploy.storage.run_directory import RunDirectory, find_running
 from protocol.settings import BadSetting, read_toml
 
 PLAIN_WIDTH = 160  # columns where there is no terminal
@@ -36,15 +36,15 @@ def ps_all(run: str | None, as_json: bool) -> int:
     """Print the running swarms as `ps` does, and below them what has ended."""
     if run is not None:
         raise BadSetting(f"--run {run}: -a shows all runs; leave one of both out")
-    running = running_runs()
-    names = {directory.name for directory in running}
-    data, silent = [], []
-    for directory in running:
+    data, silent, gone = [], [], []
+    for directory in kept_runs():
+        if not directory.is_running():
+            gone.append(ended_run(directory))
+            continue
         try:
-            data.append(ControlClient(directory).ask("status")["data"])
-        except BadSetting as error:  # it starts, or ends, or is a recording that is said again
+            data.append(ControlClient(find_running(directory.name, supervised=True)).ask("status")["data"])
+        except BadSetting as error:  # it starts, or ends, or has no supervisor
             silent.append(str(error))
-    gone = [ended_run(directory) for directory in kept_runs() if directory.name not in names]
     if as_json:
         print(json.dumps({"running": data, "ended": gone}))
         return 0
@@ -61,13 +61,13 @@ def ps_all(run: str | None, as_json: bool) -> int:
 
 
 def ended_run(directory: RunDirectory) -> dict[str, Any]:
-    """Facts about a run that has ended: its scenario, its end, its dead processes, and its result file."""
+    """Facts about a run that has ended: its scenario, its end, its dead agents and bodies, and its result file."""
     try:
         config = read_toml(directory.config)
     except BadSetting:  # it ended before it wrote its configuration
         config = {}
     entries = LogTails(directory, ("supervisor",)).read()
-    deaths = [match for entry in entries if (match := DEATH.match(str(entry.fields.get("message", "")))) and match[1] != "world"]
+    deaths = [match for entry in entries if (match := DEATH.match(str(entry.fields.get("message", "")))) and not _left(*match.groups())]
     return {
         "run": directory.name,
         "scenario": config.get("run", {}).get("scenario", ""),
@@ -76,6 +76,11 @@ def ended_run(directory: RunDirectory) -> dict[str, Any]:
         "deaths": [{"name": match[1], "end": match[2]} for match in deaths],
         "result": os.path.relpath(directory.result) if directory.result.exists() else None,
     }
+
+
+def _left(name: str, end: str) -> bool:
+    """Whether a process ended because the run did: the world, or a body after the last tick."""
+    return name == "world" or (name.endswith(".body") and end == "exit code 0")
 
 
 def ended_table(runs: list[dict[str, Any]]) -> Table:

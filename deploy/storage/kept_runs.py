@@ -158,7 +158,7 @@ def removable(name: str) -> RunDirectory:
     if directory is None or not directory.config.exists():
         raise BadSetting(f"{name}: there is no run of this name in {runs_folder()}; `covey runs` lists them")
     if directory.is_running():
-        raise BadSetting(f"{directory.name}: the run is running; end it with `covey down --run {directory.name}`")
+        raise BadSetting(f"{directory.name}: the run is running; {directory.how_to_end()}")
     return directory
 
 

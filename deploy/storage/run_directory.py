@@ -135,6 +135,14 @@ class RunDirectory:
         """Whether the run is a recording that is said again: it can be heard, but nobody is there to be asked."""
         return self._is("replayed")
 
+    def how_to_end(self) -> str:
+        """What the run is, where it has no supervisor, and how it is ended while it runs."""
+        if self.is_simulated():
+            return "it is a simulation, which has no processes and no network; Ctrl-C in its terminal ends it"
+        if self.is_replayed():
+            return "it is a recording that is said again, which can be heard but has no processes; Ctrl-C in its terminal ends it"
+        return f"end it with `covey down --run {self.name}`"
+
     def _is(self, kind: str) -> bool:
         try:
             return bool(json.loads(self.versions.read_text(encoding="utf-8")).get(kind))
@@ -153,7 +161,7 @@ class RunDirectory:
 
 def is_running_already(name: str) -> BadSetting:
     """The complaint about a name whose run is running."""
-    return BadSetting(f"--run {name}: a run of this name is running; end it with `covey down --run {name}` or take another name")
+    return BadSetting(f"--run {name}: a run of this name is running; {RunDirectory(name).how_to_end()}; or take another name")
 
 
 def _sweep(folder: Path) -> None:
@@ -176,15 +184,15 @@ def _exists(pid: int) -> bool:
 
 
 def find_running(name: str | None, *, supervised: bool = False) -> RunDirectory:
-    """The running run of that name, or the newest; with `supervised` one that has processes. Raises BadSetting when there is none."""
+    """The running swarm of that name, or the newest; with `supervised` one that has processes. Raises BadSetting when there is none."""
     if name is not None:
         with contextlib.suppress(OSError):
             name = os.readlink(runs_folder() / LATEST) if name == LATEST else name
         directory = RunDirectory(name)
         if not directory.is_running():
             raise BadSetting(f"--run {name}: no run of this name is running in {runs_folder()}{_others()}")
-        if supervised and directory.is_replayed():
-            raise BadSetting(f"--run {name}: is a recording that is said again; it can be heard, but it has no processes")
+        if directory.is_simulated() or (supervised and directory.is_replayed()):
+            raise BadSetting(f"--run {name}: {directory.how_to_end()}")
         return directory
     running = [directory for directory in running_runs() if not (supervised and directory.is_replayed())]
     if not running:
@@ -193,7 +201,7 @@ def find_running(name: str | None, *, supervised: bool = False) -> RunDirectory:
 
 
 def running_runs() -> list[RunDirectory]:
-    """All swarms of processes that are running, the newest last."""
+    """All runs that are running and can be heard, the newest last; no simulations."""
     folder = runs_folder()
     names = [path.name for path in folder.iterdir() if path.is_dir() and not path.is_symlink()] if folder.is_dir() else []
     running = [directory for directory in map(RunDirectory, names) if directory.is_running() and not directory.is_simulated()]

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy.__main__ import app
+from deploy.cli.process_list import ended_run, ps_all
 from deploy.cli.runs import rm, runs
 from deploy.cli.simulate import simulate_here
 from deploy.recording.recording import find_recording
@@ -165,7 +166,40 @@ def test_a_running_simulation_is_no_swarm_that_could_be_asked() -> None:
     assert running_runs() == []
     with pytest.raises(BadSetting, match="no run is running"):
         find_running(None)
+    for supervised in (False, True):
+        with pytest.raises(BadSetting, match=r"--run virtual: it is a simulation, .* no network; Ctrl-C"):
+            find_running("virtual", supervised=supervised)
     os.close(lock)
+
+
+@pytest.mark.parametrize(("kind", "is_called"), [("simulated", "a simulation"), ("replayed", "a recording that is said again")])
+def test_a_run_without_a_supervisor_is_not_ended_by_down(kind: str, is_called: str) -> None:
+    directory, lock = new_run_directory("hunt", "quick")
+    directory.write_config(resolve("quick"), simulated=kind == "simulated", replayed=kind == "replayed")
+    for refused in (lambda: rm(["hunt"], False, None, False), lambda: new_run_directory("hunt", "quick")):
+        with pytest.raises(BadSetting, match=rf"running; it is {is_called}.*Ctrl-C in its terminal ends it") as complaint:
+            refused()
+        assert "down" not in str(complaint.value)
+    os.close(lock)
+
+
+def test_ps_a_calls_a_simulation_ended_only_once_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    directory, lock = new_run_directory("virtual", "quick")
+    directory.write_config(resolve("quick"), simulated=True)
+    ps_all(None, as_json=False)
+    assert capsys.readouterr().out.startswith("--run virtual: it is a simulation")
+    ps_all(None, as_json=True)
+    assert json.loads(capsys.readouterr().out) == {"running": [], "ended": []}
+    os.close(lock)
+    ps_all(None, as_json=True)
+    assert [run["run"] for run in json.loads(capsys.readouterr().out)["ended"]] == ["virtual"]
+
+
+def test_a_body_that_left_after_the_last_tick_has_not_died_before() -> None:
+    directory = RunDirectory(play("hunt"))
+    ends = ("s1.body ended: exit code 0", "s2.body ended: killed by SIGKILL", "s3.body ended: exit code 1", "world ended: exit code 0")
+    directory.log("supervisor").write_text("".join(json.dumps({"time": 1.0, "message": end}) + "\n" for end in ends))
+    assert [death["name"] for death in ended_run(directory)["deaths"]] == ["s2.body", "s3.body"]
 
 
 def test_a_running_run_is_not_removed_and_then_nothing_is() -> None:
