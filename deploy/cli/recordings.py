@@ -151,16 +151,21 @@ async def _play(source: ReplaySource, server: PageServer | None, recording: Reco
 async def _say_again(source: ReplaySource, recording: Recording, over: asyncio.Event) -> None:
     """Publish the played messages under the same keys, as a run with its own directory that `echo`, `hz`, `ls` and `watch --page` find."""
     directory, lock = new_run_directory(f"{recording.run[:48]}-replay", recording.scenario.run.scenario)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    network = msgspec.structs.replace(recording.scenario.network, listen=(endpoint,), seeds=())
-    found = msgspec.structs.replace(network, listen=NetworkSettings().listen, seeds=(endpoint,))
-    directory.write_config(msgspec.structs.replace(recording.scenario, network=found), replayed=True)
-    source.outbox = deque(maxlen=100_000)
-    driver = Driver(ReplayNode(recording.run, source.outbox), network)
-    serving = asyncio.create_task(driver.serve())
-    print(f"said again as run {directory.name}: covey echo 'estimate/*' --run {directory.name}", flush=True)
-    await over.wait()
-    driver.stop(0, "the replay is over")
-    await serving
-    shutil.rmtree(directory.path, ignore_errors=True)  # other commands found the run by it; it holds no results
-    os.close(lock)
+    try:
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        recorded = recording.scenario.network  # may have certificates or a router, which are not here
+        network = NetworkSettings(listen=(endpoint,), lease=recorded.lease, most_per_second=recorded.most_per_second)
+        found = msgspec.structs.replace(network, listen=NetworkSettings().listen, seeds=(endpoint,))
+        directory.write_config(msgspec.structs.replace(recording.scenario, network=found), replayed=True)
+        source.outbox = deque(maxlen=100_000)
+        driver = Driver(ReplayNode(recording.run, source.outbox), network)
+        await driver.open()
+        print(f"said again as run {directory.name}: covey echo 'estimate/*' --run {directory.name}", flush=True)
+        serving, ending = asyncio.create_task(driver.serve()), asyncio.create_task(over.wait())
+        await asyncio.wait((serving, ending), return_when=asyncio.FIRST_COMPLETED)
+        ending.cancel()
+        driver.stop(0, "the replay is over")
+        await serving
+    finally:
+        shutil.rmtree(directory.path, ignore_errors=True)  # other commands found the run by it; it holds no results
+        os.close(lock)
