@@ -77,8 +77,9 @@ def agent_config(scenario: Scenario) -> AgentConfig:
     fields["filter"] = msgspec.structs.replace(scenario.filter, seed=seed)
     if scenario.timing.interest == "neighbours":
         fields["members"] = {}
-    if not scenario.network.encrypted:  # only certificates are checked against this list
-        fields["network"] = msgspec.structs.replace(scenario.network, admit=())
+    # Only certificates are checked against this list, which agents without a roster need in full.
+    admitted = scenario.network.admit or tuple(scenario.members) if scenario.network.encrypted else ()
+    fields["network"] = msgspec.structs.replace(scenario.network, admit=admitted)
     return AgentConfig(**fields)
 
 

@@ -74,7 +74,9 @@ def pose_with_error(pose: Pose, before: Pose, config: WorldConfig, name: str, ti
 
 
 def check_given(config: WorldConfig) -> None:
-    """Raise BadSetting unless every member has a usable pose where poses are given, or if bodies of their own should err."""
+    """Raise BadSetting unless every member has a usable pose where poses are given. Bodies of their own neither err nor are recorded."""
+    if config.bodies.host == "own" and config.recorded.kind == "mrclam":
+        raise BadSetting("bodies.host = 'own': should be 'world' with recorded.kind = 'mrclam', whose bodies were recorded as well")
     for field in ERRORS:
         if config.bodies.host == "own" and getattr(config.bodies, field):
             wrong = getattr(config.bodies, field)

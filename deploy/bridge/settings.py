@@ -45,6 +45,9 @@ def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
     run, bodies, arena, limits, network, members = (data[key] for key in ("run", "bodies", "arena", "limits", "network", "members"))
     if agent not in members:
         raise Wrong(f"--agent {agent}: the run has no such agent; it has {', '.join(members)}")
+    measures = data["sensors"].get(members[agent], {}).get("measures", "position")
+    if measures != "position":
+        raise Wrong(f"sensors.{members[agent]}.measures = {measures!r}: a robot reports places here; should be 'position'")
     if run["clock"] != "realtime":
         raise Wrong(f"run.clock = {run['clock']!r}: a robot cannot wait; should be 'realtime'")
     fence, epoch = bodies.get("fence"), bodies["epoch"]

@@ -196,11 +196,14 @@ class Supervisor:
     def _make_result(self, code: int) -> None:
         now = asyncio.get_running_loop().time()
         self.scorer.finish(now)
+        try:
+            write_scores(self.directory.scores, self.scorer.scores)  # first: the figures of tracks take a long time after a long run
+        except OSError as error:
+            self._tell(f"{self.directory.scores}: {error.strerror}; the scores are not kept")
         result = self.scorer.result(now - (self._first_truth_at or now))
         self.result = msgspec.structs.replace(result, exit_code=code, tick_rate=self.scorer.tick_rate.whole())
         try:
             self.directory.result.write_text(self.result.to_json() + "\n", encoding="utf-8")
-            write_scores(self.directory.scores, self.scorer.scores)
         except OSError as error:
             self._tell(f"{self.directory.result}: {error.strerror}; the result is not kept")
 

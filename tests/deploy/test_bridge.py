@@ -412,6 +412,9 @@ def test_the_session_of_a_bridge_is_that_of_a_body_of_ours(mode: str, run_file: 
 def wrong_inputs(run_file: Path) -> Iterator[tuple[BridgeOptions, str]]:
     yield BridgeOptions(run_file, "s99"), "--agent s99: the run has no such agent; it has s1, s2"
     yield BridgeOptions(run_file.with_name("none.toml"), "s3"), "none.toml: No such file or directory"
+    ranging = {"team.composition": "A3", "sensors.A.measures": "bearing", "sensors.A.bearing_noise": 2.0}
+    (other := run_file.with_name("ranging.toml")).write_text(toml_text(resolve("quick", ranging)))
+    yield BridgeOptions(other, "s3"), "sensors.A.measures = 'bearing': a robot reports places here; should be 'position'"
     yield BridgeOptions(run_file, "s3", offset=-1.0), "--offset -1.0: should be from 0 to 10 m"
     yield BridgeOptions(run_file, "s3", origin=(0.0, math.nan, 0.0)), "should be three finite numbers"
     yield BridgeOptions(run_file, "s3", domain=300), "--domain 300: should be a ROS_DOMAIN_ID from 0 to 232"

@@ -91,6 +91,10 @@ def test_the_names_that_certificates_admit_are_told_only_where_there_are_certifi
     assert agent_config(scenario).network.admit == ()
     secure = msgspec.structs.replace(scenario.network, ca="ca.pem")
     assert agent_config(msgspec.structs.replace(scenario, network=secure)).network.admit == ("s1", "s2")
+    all_members = msgspec.structs.replace(secure, admit=())
+    timing = msgspec.structs.replace(scenario.timing, interest="neighbours")  # without a roster the agents know no other names
+    found = agent_config(msgspec.structs.replace(scenario, network=all_members, timing=timing))
+    assert (found.members, found.network.admit) == ({}, tuple(scenario.members))
 
 
 def test_trials_that_pair_have_the_same_filter_seed_and_others_have_another() -> None:

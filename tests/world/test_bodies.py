@@ -12,7 +12,7 @@ from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
 from world import bodies as module
 from world.bodies import Bodies, check_given, free_pose, pose_with_error, start_pose
-from world.config import BodySettings, WorldConfig, WorldRun
+from world.config import BodySettings, RecordedSettings, WorldConfig, WorldRun
 
 LIMITS = LimitSettings(speed=2.0, turn_rate=5.0)
 
@@ -109,6 +109,13 @@ def test_errors_of_poses_are_refused_for_bodies_of_their_own(field: str) -> None
     settings = WorldConfig(bodies=BodySettings(host="own", **{field: 0.1}))
     with pytest.raises(BadSetting, match=rf"bodies\.{field} = 0\.1: should be 0 with bodies of their own"):
         check_given(settings)
+
+
+def test_recorded_robots_have_no_bodies_of_their_own() -> None:
+    recorded = RecordedSettings(kind="mrclam", data="somewhere")
+    check_given(WorldConfig(recorded=recorded))
+    with pytest.raises(BadSetting, match=r"bodies\.host = 'own': should be 'world' with recorded\.kind = 'mrclam'"):
+        check_given(WorldConfig(recorded=recorded, bodies=BodySettings(host="own")))
 
 
 def test_the_last_pose_that_is_drawn_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:

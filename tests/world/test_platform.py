@@ -116,6 +116,16 @@ def test_its_own_detections_reach_the_agent(monkeypatch: pytest.MonkeyPatch) -> 
     assert seen.detections.tolist() == [[1.0, 2.0], [3.0, 4.0]]
 
 
+def test_its_places_are_said_as_what_the_sensor_measures(monkeypatch: pytest.MonkeyPatch) -> None:
+    measures = {
+        f"sensors.A.{field}": value for field, value in (("measures", "range-bearing"), ("range_noise", 0.1), ("bearing_noise", 2.0))
+    }
+    body = started(monkeypatch, ((5.0, 6.0, 0.5 * math.pi), np.array([[5.0, 9.0], [1.0, 6.0]])), **measures)
+    [seen] = body.handle(Timer(), 0.0)
+    assert isinstance(seen, Observation)
+    assert seen.detections == pytest.approx(np.array([[3.0, 0.0], [4.0, 0.5 * math.pi]]), abs=1e-6)
+
+
 def test_without_a_command_for_half_a_second_it_is_stopped_once(monkeypatch: pytest.MonkeyPatch) -> None:
     body = started(monkeypatch)
     body.handle(Timer(), 0.0)
