@@ -117,9 +117,7 @@ def test_its_own_detections_reach_the_agent(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_its_places_are_said_as_what_the_sensor_measures(monkeypatch: pytest.MonkeyPatch) -> None:
-    measures = {
-        f"sensors.A.{field}": value for field, value in (("measures", "range-bearing"), ("range_noise", 0.1), ("bearing_noise", 2.0))
-    }
+    measures = {"sensors.A.measures": "range-bearing", "sensors.A.range_noise": 0.1, "sensors.A.bearing_noise": 2.0}
     body = started(monkeypatch, ((5.0, 6.0, 0.5 * math.pi), np.array([[5.0, 9.0], [1.0, 6.0]])), **measures)
     [seen] = body.handle(Timer(), 0.0)
     assert isinstance(seen, Observation)
