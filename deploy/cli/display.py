@@ -1,9 +1,10 @@
 """Progress for people: a live panel in a terminal, plain lines elsewhere."""
 
+import contextlib
 import os
 import select
-import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,8 @@ import msgspec
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+
+from deploy.cli.errors import FAILED, OK, complain, lead_nowhere
 
 if TYPE_CHECKING:  # they bring scipy and shapely, which `ps` has no use for
     from deploy.scoring.result import Result
@@ -22,16 +25,27 @@ SLOW = 0.95  # of the speed that was asked for: a slower world says its factor
 MOST_NAMED = 3  # agents named in a line
 
 
+class Output(Console):
+    """A console that raises BrokenPipeError where the reader has gone; Rich's own ends the process."""
+
+    def on_broken_pipe(self) -> None:
+        """Called while the error is handled."""
+        raise
+
+
 class Display:
     """Shows the status of one run while it runs; use as a context. With `to_stderr` standard output stays free for the result.
 
     What cannot be written at once is left out: neither a pipe that nobody reads nor a terminal that is held (Ctrl-S) may hold up the run.
+    An output that fails at the first line ends the command. One that fails later is given up, and the run goes on.
     """
 
     def __init__(self, title: str = "", to_stderr: bool = False) -> None:
         self._title = title
-        self._console = Console(stderr=to_stderr, highlight=False)
-        self._live = Live(console=self._console, auto_refresh=False, transient=True) if self._console.is_terminal else None
+        self._number = 2 if to_stderr else 1
+        self.console = Output(stderr=to_stderr, highlight=False)
+        self._has_begun = False  # the first line has been written, or left out
+        self._live = Live(console=self.console, auto_refresh=False, transient=True) if self.console.is_terminal else None
         self._period = LIVE_PERIOD if self._live else PLAIN_PERIOD
         self._shown_at = -self._period
 
@@ -48,28 +62,48 @@ class Display:
     def close(self) -> None:
         """Take the panel off the screen; lines may still follow."""
         if self._live:
-            self._live.stop()
+            self._write(self._live.stop)
 
     def event(self, text: str) -> None:
         """One line that stays; nothing for an empty text."""
-        if text and self._is_ready():
-            self._console.print(text, markup=False, soft_wrap=True)
-            sys.stdout.flush()
+        if not text:
+            return
+        if self._is_ready():
+            self._write(lambda: self.console.print(text, markup=False, soft_wrap=True))
+        self._has_begun = True
 
     def status(self, status: "Status") -> None:
         """The newest figures, in place of the last ones."""
         if time.monotonic() - self._shown_at < self._period or not self._is_ready():
             return
         self._shown_at = time.monotonic()
-        if self._live:
-            self._live.update(status_table(status), refresh=True)
+        if live := self._live:
+            self._write(lambda: live.update(status_table(status), refresh=True))
         else:
             self.event(status_line(status))
 
+    def _write(self, write: Callable[[], None]) -> None:
+        """Write, or give the output up when it takes no more."""
+        try:
+            write()
+        except BrokenPipeError:
+            lead_nowhere(self._number)
+            if not self._has_begun:
+                raise SystemExit(FAILED) from None
+            self.console.quiet = True
+        except OSError as error:
+            if not self._has_begun:
+                raise
+            self.console.quiet = True
+            if self._number == 1:
+                complain(f"standard output: {error.strerror}; the run goes on without its lines", FAILED)
+
     def _is_ready(self) -> bool:
         """Whether some lines can be written without waiting for a reader."""
+        if self.console.quiet:
+            return False
         try:
-            return bool(select.select([], [self._console.file], [], 0.0)[1])
+            return bool(select.select([], [self.console.file], [], 0.0)[1])
         except (OSError, ValueError):  # no descriptor, so nothing to wait for
             return True
 
@@ -159,10 +193,21 @@ def process_cells(row: dict[str, Any]) -> list[str]:
     return [row["name"], row["class"], state, str(row["pid"] or ""), str(row["incarnation"]), *figures]
 
 
-def show_result(result: "Result", path: Path | None, as_json: bool) -> None:
-    """The result as a table, or as the last line of standard output."""
-    console = Console(stderr=as_json, highlight=False)
+def show_result(result: "Result", path: Path | None, as_json: bool) -> int:
+    """Show the result as a table, or as the last line of standard output. The exit code: 1 when there is no room for it.
+
+    A reader who has gone is no error.
+    """
     where = f"; kept in {os.path.relpath(path)}" if path else ""
-    console.print(result_table(result, f"{result.scenario}, seed {result.seed}: {result.agents} agents{where}"))
-    if as_json:
-        print(result.to_json())
+    table = result_table(result, f"{result.scenario}, seed {result.seed}: {result.agents} agents{where}")
+    try:
+        if not as_json:
+            Output(highlight=False).print(table)
+            return OK
+        with contextlib.suppress(OSError):  # the line that follows holds the same
+            Output(stderr=True, highlight=False).print(table)
+        print(result.to_json(), flush=True)
+    except OSError as error:
+        lead_nowhere()
+        return OK if isinstance(error, BrokenPipeError) else complain(f"standard output: {error.strerror}", FAILED)
+    return OK

@@ -38,7 +38,7 @@ def guarded(command: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
-        _lead_nowhere()
+        lead_nowhere()
         return OK  # the reader of the pipe has closed it
     except Exception as error:
         if os.environ.get("COVEY_DEBUG"):
@@ -51,8 +51,10 @@ def _tell(error: Exception) -> int:
 
     if isinstance(error, CycloptsError | BadSetting):
         return complain(str(error), BAD_INPUT)
-    if isinstance(error, OSError) and error.strerror and (error.filename or _output_fails()):
-        return complain(f"{error.filename or 'standard output'}: {error.strerror}", FAILED)
+    if isinstance(error, OSError) and error.strerror:
+        if error.filename or _output_fails():
+            return complain(f"{error.filename or 'standard output'}: {error.strerror}", FAILED)
+        return complain(f"this machine refuses: {error.strerror}; {_details(error)}", FAILED)
     if isinstance(error, MemoryError):
         return complain("there is not enough memory for this", FAILED)
     return complain(f"an error of Covey's own: {type(error).__name__}: {error}; {_details(error)}", FAILED)
@@ -102,14 +104,14 @@ def _output_fails() -> bool:
         sys.stdout.flush()
         os.write(1, b"\n")  # a flush may succeed after one that has failed
     except OSError:
-        _lead_nowhere()
+        lead_nowhere()
         return True
     return False
 
 
-def _lead_nowhere() -> None:
-    """Point standard output at the null device, so that the flush at the end of the process succeeds."""
+def lead_nowhere(number: int = 1) -> None:
+    """Point standard output, or error (2), at the null device, so that the flush at the end of the process succeeds."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 1)
+        os.dup2(nowhere, number)
         os.close(nowhere)

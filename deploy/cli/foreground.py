@@ -3,10 +3,10 @@
 import asyncio
 import logging
 import os
-import sys
 from typing import NoReturn
 
 from deploy.cli.display import Display, show_result
+from deploy.cli.errors import OK
 from deploy.cli.options import DisplayOptions
 from deploy.cli.terminal import is_at_terminal, open_browser, until_key
 from deploy.live.supervisor import EXIT_CRASHED, Supervisor
@@ -60,17 +60,17 @@ def run_in_foreground(
                 display.close()
                 if recorder is not None and recorder.stopped:
                     display.event(f"{path}: {recorder.stopped}; the recording ended early, {recorder.lost} messages are not in it")
+                shown = OK
                 if supervisor.result is not None:
-                    show_result(supervisor.result, directory.path, showing.json)
+                    shown = show_result(supervisor.result, directory.path, showing.json)
                     if other is not None and supervisor.result.ticks:
                         display.event(beside_in_words(supervisor.result, other))
                 if stays and code in (0, EXIT_CRASHED):
                     display.event(f"the page stays at {address} until Enter or Ctrl-C")
                     await until_key()
-                return code
+                return code or shown
 
         code = asyncio.run(work())
-    sys.stdout.flush()  # raises when there is no room for it
     leave(code)
 
 

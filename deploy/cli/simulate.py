@@ -1,15 +1,15 @@
 """`simulate`: a scenario in one process, in virtual time."""
 
 import os
+import sys
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Literal
 
-from rich.console import Console
-
-from deploy.cli.display import show_result
+from deploy.cli.display import Display, show_result
+from deploy.cli.errors import FAILED, complain
 from deploy.cli.scenario_checks import faults_without_effect
 from deploy.live.warmup import compile_once
 from deploy.recording.observers import Observers, open_recorder, recording_path
@@ -37,36 +37,37 @@ def simulate_here(
     if trace is not None:
         check_trace(trace)
     if requested_name is None and record is not True:
-        result, _, path = _simulate(scenario, clock, recording_path(record, Path()), trace)
-        _show(result, None, as_json, path)
-        return 0
+        result, _, path, series = _simulate(scenario, clock, recording_path(record, Path()))
+        return _show(result, None, as_json, path, series, trace)
     directory, lock = new_run_directory(requested_name, scenario.run.scenario)
     scenario = named(scenario, directory.name)
     directory.write_config(scenario, simulated=True)
     link_latest(directory)
-    result, scores, path = _simulate(scenario, clock, recording_path(record, directory.path), trace)
-    directory.result.write_text(result.to_json() + "\n", encoding="utf-8")
-    write_scores(directory.scores, scores)
+    result, scores, path, series = _simulate(scenario, clock, recording_path(record, directory.path))
+    try:
+        directory.result.write_text(result.to_json() + "\n", encoding="utf-8")
+        write_scores(directory.scores, scores)
+    except OSError as error:
+        complain(f"{directory.result}: {error.strerror}; the result is not kept", FAILED)
     os.close(lock)
-    _show(result, directory.path, as_json, path)
-    return 0
+    return _show(result, directory.path, as_json, path, series, trace)
 
 
 def _simulate(
-    scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None, trace: Path | None
-) -> tuple[Result, list[Score], Path | None]:
-    """The result, the scores of all ticks, and where the run was recorded."""
+    scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None
+) -> tuple[Result, list[Score], Path | None, Trace]:
+    """The result, the scores of all ticks, where the run was recorded, and what a trace holds."""
     compile_once()
     simulation = Simulation(scenario, clock=clock)
     series = Trace(simulation)
-    console = Console(stderr=True, highlight=False)
+    display = Display(to_stderr=True)
     if clock == "lockstep" and (remark := faults_without_effect(scenario)):
-        console.print(f"covey: {remark}", markup=False, soft_wrap=True)
-    simulation.scorer.on_report = lambda told: console.print(f"[{told.time:.1f} s] {told.text}", markup=False, soft_wrap=True)
+        display.event(f"covey: {remark}")
+    simulation.scorer.on_report = lambda told: display.event(f"[{told.time:.1f} s] {told.text}")
     if path is not None:
         Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
-    with console.status("") if console.is_terminal else nullcontext() as spinner:
-        show = (lambda text: spinner.update(text)) if spinner else console.print
+    with display.console.status("") if display.console.is_terminal else nullcontext() as spinner:
+        show = (lambda text: spinner.update(text)) if spinner else display.event
         progress = ProgressLine(show, 0.25 if spinner else 5.0)
 
         def heard(truth: Truth) -> None:
@@ -75,15 +76,18 @@ def _simulate(
 
         simulation.on_truth = heard
         result = simulation.run()
+    return result, simulation.scorer.scores, path, series
+
+
+def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | None, series: Trace, trace: Path | None) -> int:
+    """Show the result and write the trace, which may fail."""
+    code = show_result(result, folder, as_json)
+    if recorded is not None:
+        with suppress(OSError):
+            print(f"recorded in {os.path.relpath(recorded)}", file=sys.stderr, flush=True)
     if trace is not None:
         series.write(trace, result)
-    return result, simulation.scorer.scores, path
-
-
-def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | None) -> None:
-    show_result(result, folder, as_json)
-    if recorded is not None:
-        Console(stderr=True, highlight=False).print(f"recorded in {os.path.relpath(recorded)}", soft_wrap=True)
+    return code
 
 
 class ProgressLine:

@@ -102,8 +102,9 @@ class Supervisor:
         """Run to the end; the exit code. Raises BadSetting when a process refuses its input."""
         loop = asyncio.get_running_loop()
         self._over = loop.create_future()
-        for number, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
-            loop.add_signal_handler(number, self._on_signal, code)
+        for number, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # which `nohup` has set
+                loop.add_signal_handler(number, self._on_signal, code)
         loop.add_signal_handler(signal.SIGCHLD, self._reap)
         if self._zygote is not None:
             loop.add_reader(self._zygote.fileno(), self._hear, self._zygote)

@@ -21,7 +21,7 @@ from protocol.settings import BadSetting
 
 LONGEST = 64  # characters of a name, which is a part of every key
 NAME = re.compile(r"^(?!\.+\Z)[A-Za-z0-9_.-]{1,64}\Z")
-INTERRUPTED = (130, 143)  # exit codes of a run that a signal has stopped
+INTERRUPTED = (129, 130, 143)  # exit codes of a run that a signal has stopped
 UNITS = {"m": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}  # s
 
 
