@@ -156,7 +156,7 @@ def test_a_run_that_ignores_sighup_goes_on(folder: Path) -> None:
 def test_a_run_whose_output_fills_its_disk_goes_on_and_ends_with_1(folder: Path) -> None:
     """The disk of the output has room for the first line alone, not for the table."""
     (folder / "log").mkdir()
-    line = f"head -c 3900 /dev/zero > log/up; exec {' '.join(program(*SHORT))} >> log/up"
+    line = f"unset PYTHONUNBUFFERED; head -c 3900 /dev/zero > log/up; exec {' '.join(program(*SHORT))} >> log/up"
     code, complaints = namespaced("-m", f"mount -t tmpfs -o size=4k none log; {line}", folder)
     assert (code, complaints[-1]) == (1, "covey: standard output: No space left on device")
     assert (kept_result(folder)["exit_code"], kept_result(folder)["ticks"]) == (0, 12)
