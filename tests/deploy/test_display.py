@@ -27,7 +27,7 @@ from tests.deploy.wrong_inputs import folder
 __all__ = ["folder"]  # a fixture
 SHORT = ("up", "quick", "--lockstep", "--team", "A3", "--seconds", "3", "--run", "hunt")
 SLOW = ("up", "quick", "--team", "A3", "--rate", "1", "--seconds", "8", "--run", "hunt")
-LONG = ("up", "quick", "--team", "A3", "--rate", "4", "--seconds", "100000", "--run", "hunt")
+LONG = ("up", "quick", "--team", "A3", "--rate", "4", "--seconds", "400", "--run", "hunt")
 
 
 class Full(io.StringIO):
