@@ -75,3 +75,9 @@ def test_every_hint_has_a_text_of_short_sentences() -> None:
     lengths = [len(line.split()) for _, *lines in texts.values() for line in lines]
     assert median(lengths) <= 15 and max(lengths) <= 20
     assert len(tour) == 5 and all(step["at"].removeprefix("#") in sources for step in tour)
+
+
+def test_the_explanations_of_errors_say_the_cut_off_of_the_run() -> None:
+    told = node("(tellCutoff(data), [TEXTS.OSPA[2], TEXTS.GOSPA[3]])", 200.0, "texts")
+    assert told == ["A missed or an invented target counts as 200 m.", "Each missed or invented target adds 100 m."]
+    assert "tellCutoff(message.cutoff);" in (STATIC / "main.js").read_text(encoding="utf-8")

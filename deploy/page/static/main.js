@@ -11,6 +11,7 @@ import { buildBelief, buildFigures, buildRoster, fillBelief, fillFigures, fillHe
 import { Player } from "./player.js";
 import { pointAt } from "./pointer.js";
 import { Scene } from "./scene.js";
+import { tellCutoff } from "./texts.js";
 import { Tour } from "./tour.js";
 import { attach, View } from "./view.js";
 
@@ -61,6 +62,7 @@ function text(message) {
 function hello(message) {
   const another = !state.hello || state.hello.run !== message.run || state.hello.agents.length !== message.agents.length;
   state.hello = message;
+  tellCutoff(message.cutoff);
   over = false;
   state.history = fresh({ ...message.curves, beside: message.beside && message.beside.ospa });
   state.happenings = new Map(message.happenings.map((one) => [one[0], one]));

@@ -2,8 +2,8 @@
 
 export const TEXTS = {
   // figures and curves
-  OSPA: ["OSPA", "How far the estimates are from the true targets, in metres.", "A missed or an invented target counts as 10 m.", "0 would be perfect."],
-  GOSPA: ["GOSPA", "The sum of all errors, in metres.", "Found targets add their distance.", "Each missed or invented target adds 5 m.", "Unlike OSPA it grows with the number of targets."],
+  OSPA: ["OSPA", "How far the estimates are from the true targets, in metres.", "A missed or an invented target counts as the cut-off.", "0 would be perfect."],
+  GOSPA: ["GOSPA", "The sum of all errors, in metres.", "Found targets add their distance.", "Each missed or invented target adds half the cut-off.", "Unlike OSPA it grows with the number of targets."],
   targets: ["Targets", "Left: how many targets the agents report.", "Right: how many there are.", "Only you see the true number. The agents never do."],
   "in cells": ["Mass in the cells", "The expected number of targets, summed over all agents.", "Each agent counts in its own cell, so no target counts twice."],
   alive: ["Alive", "Agents whose process runs, of all.", "Choose one and kill it: the others take its cell."],
@@ -57,6 +57,12 @@ export const TOUR = [
   { at: "#team", title: "What one of them believes", text: "Choose an agent here or in the arena. You see its particles, its cell and its neighbours, as it knows them from messages alone." },
   { at: "#events", title: "Kill one", text: "In a live swarm, choose an agent and press Kill. Its neighbours take its cell within a tick or two. What came of it is written here as a sentence." },
 ];
+
+// Say the cut-off of a run, m, in figures.
+export function tellCutoff(cutoff) {
+  TEXTS.OSPA[2] = `A missed or an invented target counts as ${cutoff} m.`;
+  TEXTS.GOSPA[3] = `Each missed or invented target adds ${cutoff / 2} m.`;
+}
 
 // What an agent's numbers say, in sentences.
 export function agentLines(agent, outfit) {
