@@ -1,6 +1,6 @@
 """Traces: the time series behind the numbers of a result, one row for each tick, as .npz, .parquet or .csv.
 
-The columns are those of `Score` and what had been sent and played when the tick opened. The result and the settings travel along in
+The columns are those of `Score` and what had been sent and played when the tick opened; rounds of the dead still count. The result and the settings travel along in
 .npz (the texts `result` and `scenario`) and .parquet (metadata).
 """
 
@@ -40,8 +40,7 @@ class Trace:
 
     def tell(self, truth: Truth) -> None:
         """A tick has opened."""
-        bus, agents = self._simulation.bus, self._simulation.agents
-        rounds = sum(agent.counters["rounds"] for agent in agents.values())
+        bus, agents, rounds = self._simulation.bus, self._simulation.agents, self._simulation.scorer.tick_rate.rounds
         self._sent[truth.tick] = {"messages": bus.messages, "bytes": bus.bytes, "rounds": rounds, "agents": len(agents)}
 
     def columns(self) -> dict[str, list[float]]:

@@ -36,6 +36,8 @@ def test_the_result_follows_from_the_series(played: tuple[Trace, Result], tmp_pa
         assert data["hole"].max() == result.hole_area and data["coverage"][4:].mean() == pytest.approx(result.steady_coverage)
         assert (np.diff(data["messages"]) > 0).all() and data["messages"][-1] <= result.messages
         assert data["agents"].tolist() == [6] * 10 + [5] * 10
+        assert data["rounds"].tolist() == [6 * tick for tick in range(10)] + [60 + 5 * tick for tick in range(10)]
+        assert data["rounds"][-1] + 5 == result.rounds
         assert json.loads(str(data["result"]))["transcript"] == result.transcript
         assert json.loads(str(data["scenario"]))["run"]["seed"] == result.seed
 
