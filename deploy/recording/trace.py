@@ -1,7 +1,7 @@
 """Traces: the time series behind the numbers of a result, one row for each tick, as .npz, .parquet or .csv.
 
-The columns are those of `Score` and what had been sent and played when the tick opened; rounds of the dead still count. The result and the settings travel along in
-.npz (the texts `result` and `scenario`) and .parquet (metadata).
+The columns are those of `Score` and what had been sent and played when the tick opened; rounds of the dead still count.
+The result and the settings travel along in .npz (the texts `result` and `scenario`) and .parquet (metadata).
 """
 
 import csv
