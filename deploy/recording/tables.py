@@ -4,6 +4,7 @@ Five tables: `scores` (a row per tick), `agents` (per agent and tick), `targets`
 times in s, angles in rad. A label of 0 is none. The drawing for Foxglove is in `deploy.recording.foxglove`.
 """
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,11 @@ from deploy.scoring.scorer import Scorer
 from deploy.scoring.scores import COLUMNS
 from protocol.geometry import polygon_area
 from protocol.measuring import places_of
-from protocol.messages import Gossip
+from protocol.messages import Gossip, Hello
 from protocol.node import Event, messages_of
 from protocol.observer_messages import Estimate, Truth
-from protocol.sensing import measurement_of
-from protocol.settings import sensor_of
+from protocol.sensing import SensorModel, measurement_of
+from protocol.settings import BadSetting, sensor_of
 
 TableRow = tuple[Any, ...]
 NUMBER, WHOLE, WORD = pyarrow.float64(), pyarrow.int64(), pyarrow.string()
@@ -56,6 +57,7 @@ def tables(recording: Recording) -> dict[str, pyarrow.Table]:
     """All five tables by name."""
     scorer = Scorer(recording.scenario, recorded=True)
     dt = recording.scenario.run.dt
+    sensors = {name: sensor_of(recording.scenario, sensor_class) for name, sensor_class in recording.scenario.members.items()}
     rows: dict[str, list[TableRow]] = {name: [] for name in SCHEMAS}
 
     def hear(event: Event, now: float) -> None:
@@ -68,8 +70,10 @@ def tables(recording: Recording) -> dict[str, pyarrow.Table]:
                 rows["estimates"] += [
                     (message.tick, message.tick * dt, message.sender, *place, label, *rest) for place, label, rest in said
                 ]
+            elif isinstance(message, Hello):
+                _note_sensor(sensors, message, recording.scenario)
             elif isinstance(message, Gossip):
-                places = _places(message, recording.scenario)
+                places = _places(message, sensors.get(message.sender))
                 rows["detections"] += [(message.tick, message.tick * dt, message.sender, x, y) for x, y in places.tolist()]
 
     scorer.on_event = hear
@@ -80,11 +84,17 @@ def tables(recording: Recording) -> dict[str, pyarrow.Table]:
     return {"scores": _table(schema, [tuple(getattr(score, name) for name in COLUMNS) for score in scorer.scores]), **found}
 
 
-def _places(gossip: Gossip, scenario: Scenario) -> np.ndarray:
-    """The places of the detections of a gossip (M, 2), m."""
-    if gossip.sender not in scenario.members:
+def _note_sensor(sensors: dict[str, SensorModel], hello: Hello, scenario: Scenario) -> None:
+    """Remember the sensor that a guest announces; one of an unknown class has none."""
+    if hello.role == "agent" and hello.sender not in sensors:
+        with contextlib.suppress(BadSetting):
+            sensors[hello.sender] = hello.sensor or sensor_of(scenario, hello.sensor_class)
+
+
+def _places(gossip: Gossip, sensor: SensorModel | None) -> np.ndarray:
+    """The places of the detections of a gossip (M, 2), m; as they came where the sensor is not known."""
+    if sensor is None:
         return gossip.detections
-    sensor = sensor_of(scenario, scenario.members[gossip.sender])
     return places_of(measurement_of(sensor), sensor.reach, gossip.pose, gossip.detections)
 
 

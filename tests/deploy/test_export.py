@@ -26,6 +26,9 @@ from deploy.recording.rerun_file import write_rerun
 from deploy.recording.tables import tables, write_tables
 from deploy.scenario import FaultSettings, resolve
 from deploy.simulation import Simulation
+from protocol import codec
+from protocol.messages import Gossip, Hello, Message
+from protocol.node import received
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting
 
@@ -65,6 +68,22 @@ def test_tables_come_back_from_their_files_with_every_digit(run: Run, tmp_path: 
     assert set(files) == {"scores", "agents", "targets", "estimates", "detections"}
     again = csv.read_csv(files["scores"]) if form == "csv" else parquet.read_table(files["scores"])
     assert again["gospa"].to_pylist() == [score.gospa for score in run[0].scorer.scores]
+
+
+def test_detections_of_a_guest_are_places_though_its_sensor_measures_range_and_bearing(tmp_path: Path) -> None:
+    wedge = {"angle": 66.0, "radius": 8.4, "prob_detection": 0.9}
+    ranging = {**wedge, "measures": "range-bearing", "range_noise": 0.1, "bearing_noise": 1.0}
+    recorder = Recorder(tmp_path / "a.mcap", resolve("quick", {"sensors.R": ranging, "run.name": "seen"}))
+    scan = np.array([[4.0, np.pi / 2.0]], dtype=np.float32).tobytes()
+    fields: dict[str, Any] = {"cod": (1.0, 2.0), "power_radius": 0.0, "unused": 0.0, "detections_bytes": scan}
+    said: list[Message] = [Hello(sender=name, incarnation=1, sensor_class=kind) for name, kind in (("guest", "R"), ("other", "nobody's"))]
+    said += [Gossip(sender=name, incarnation=1, tick=0, pose=(1.0, 2.0, np.pi / 2.0), **fields) for name in ("guest", "other")]
+    for message in said:
+        recorder.see(received(message, payloads=[codec.encode(message)]), 0.0)
+    recorder.close()
+    rows = {row["agent"]: (row["x"], row["y"]) for row in tables(Recording(tmp_path / "a.mcap"))["detections"].to_pylist()}
+    assert rows["guest"] == pytest.approx((-3.0, 2.0), abs=1e-5)
+    assert rows["other"] == pytest.approx((4.0, np.pi / 2.0))  # nobody knows what it measures
 
 
 def test_a_recording_without_anything_in_it_gives_empty_tables(tmp_path: Path) -> None:
