@@ -15,6 +15,7 @@ from mcap.writer import Writer
 from deploy.page.picture import Picture
 from deploy.recording.moments import colour_of, moments
 from deploy.recording.recording import Recording
+from deploy.scoring.scorer import Scorer
 from deploy.scoring.scores import COLUMNS
 
 Json = dict[str, Any]
@@ -25,16 +26,16 @@ LIFETIME = {"sec": 5, "nsec": 0}
 
 def write_foxglove(recording: Recording, path: Path) -> int:
     """Write the drawing; returns the number of scenes."""
-    scenes = 0
+    scenes, scorer = 0, Scorer(recording.scenario, recorded=True)
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("")
         scene_channel, score_channel = _channels(writer)
-        for picture, time, score in moments(recording):
+        for picture, time in moments(recording, scorer):
             _say(writer, scene_channel, time, scene(picture, time))
-            if score is not None:
-                _say(writer, score_channel, score.time, {name: getattr(score, name) for name in COLUMNS})
             scenes += 1
+        for score in scorer.scores:
+            _say(writer, score_channel, score.time, {name: getattr(score, name) for name in COLUMNS})
         writer.finish()
     return scenes
 

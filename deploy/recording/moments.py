@@ -7,7 +7,7 @@ from typing import NamedTuple
 from deploy.page.picture import Picture
 from deploy.recording.recording import Recording, event_of
 from deploy.recording.rescore import rescore_slowly
-from deploy.scoring.scorer import Score, Scorer
+from deploy.scoring.scorer import Scorer
 from protocol.message import Message
 from protocol.node import messages_of
 
@@ -25,12 +25,11 @@ class Moment(NamedTuple):
 
     picture: Picture
     time: float  # of this tick, s of the world
-    score: Score | None
 
 
-def moments(recording: Recording) -> Iterator[Moment]:
-    """Every tick but the last."""
-    scorer, picture, newest = Scorer(recording.scenario, recorded=True), Picture(recording.scenario), 0
+def moments(recording: Recording, scorer: Scorer) -> Iterator[Moment]:
+    """Every tick but the last. At the end the scorer has all scores, those of the last ticks and of ticks with late estimates, too."""
+    picture, newest = Picture(recording.scenario), 0
     scorer.on_event = picture.see
     scorer.on_report = lambda told: picture.note("told", told.who, told.text, told.time)
     faults = deque(recording.faults)
@@ -41,11 +40,7 @@ def moments(recording: Recording) -> Iterator[Moment]:
             newest = picture.truth.tick
             picture.show(newest - 1)
             assert picture.shown is not None
-            yield Moment(picture, picture.shown.time, _score_of(scorer, newest - 1))
-
-
-def _score_of(scorer: Scorer, tick: int) -> Score | None:
-    return next((score for score in reversed(scorer.scores[-3:]) if score.tick == tick), None)
+            yield Moment(picture, picture.shown.time)
 
 
 def colour_of(index: int) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from deploy.page.picture import Picture
 from deploy.recording.moments import colour_of, moments
 from deploy.recording.recording import Recording
-from deploy.scoring.scorer import Score
+from deploy.scoring.scorer import Score, Scorer
 from deploy.scoring.scores import COLUMNS
 from protocol.settings import BadSetting
 
@@ -34,18 +34,18 @@ def write_rerun(recording: Recording, path: Path) -> int:
     stream = rerun.RecordingStream("covey", recording_id=f"{recording.run}-{recording.scenario.run.seed}")
     stream.save(path)
     _log_arena(stream, recording)
-    ticks, told = 0, 0
-    for picture, time, score in moments(recording):
+    ticks, told, scorer = 0, 0, Scorer(recording.scenario, recorded=True)
+    for picture, time in moments(recording, scorer):
         stream.set_time("world", duration=time)
         _log_bodies(stream, picture)
         _log_areas(stream, picture)
         _log_points(stream, picture)
-        if score is not None:
-            _log_score(stream, score)
         for one in [happening for happening in picture.happenings if happening.number > told]:
             stream.log("happenings", rerun.TextLog(one.text, level="WARN" if one.kind in WARNINGS else "INFO"))
             told = one.number
         ticks += 1
+    for score in scorer.scores:
+        _log_score(stream, score)
     stream.flush()
     stream.disconnect()
     return ticks
@@ -116,6 +116,7 @@ def _log_points(stream: "RecordingStream", picture: Picture) -> None:
 def _log_score(stream: "RecordingStream", score: Score) -> None:
     import rerun
 
+    stream.set_time("world", duration=score.time)
     for name in COLUMNS:
         if name not in ("tick", "time"):
             stream.log(f"score/{name}", rerun.Scalars(float(getattr(score, name))))

@@ -25,6 +25,7 @@ from deploy.recording.recording import Recording, find_recording
 from deploy.recording.rerun_file import write_rerun
 from deploy.recording.tables import tables, write_tables
 from deploy.scenario import FaultSettings, resolve
+from deploy.scoring.scorer import Scorer
 from deploy.simulation import Simulation
 from protocol import codec
 from protocol.messages import Gossip, Hello, Message
@@ -108,24 +109,42 @@ def fits(data: Any, schema: dict[str, Any]) -> bool:
     return isinstance(data, plain) and (kind == "boolean" or not isinstance(data, bool))
 
 
-def test_the_drawing_for_foxglove_keeps_to_the_schema_of_scene_updates(run: Run, tmp_path: Path) -> None:
-    count = write_foxglove(run[1], tmp_path / "a.foxglove.mcap")
-    schema = json.loads(SCENE_SCHEMA.read_text(encoding="utf-8"))
+def drawn_for_foxglove(file: Path) -> tuple[list[Any], list[Any]]:
+    """The scenes and the scores of a drawing."""
     scenes, scores = [], []
-    with (tmp_path / "a.foxglove.mcap").open("rb") as file:
-        for found, channel, message in make_reader(file).iter_messages():
+    with file.open("rb") as opened:
+        for found, channel, message in make_reader(opened).iter_messages():
             assert found is not None
             assert channel.message_encoding == "json"
             (scenes if found.name == "foxglove.SceneUpdate" else scores).append(json.loads(message.data))
+    return scenes, scores
+
+
+def test_the_drawing_for_foxglove_keeps_to_the_schema_of_scene_updates(run: Run, tmp_path: Path) -> None:
+    count = write_foxglove(run[1], tmp_path / "a.foxglove.mcap")
+    schema = json.loads(SCENE_SCHEMA.read_text(encoding="utf-8"))
+    scenes, scores = drawn_for_foxglove(tmp_path / "a.foxglove.mcap")
     assert len(scenes) == count == 19
     assert all(fits(scene, schema) for scene in scenes)
     assert scores[-1]["ospa"] == run[0].scorer.scores[scores[-1]["tick"]].ospa
     moments = [scene["entities"][0]["timestamp"] for scene in scenes]
-    assert [moment["sec"] + 1e-9 * moment["nsec"] for moment in moments] == [score["time"] for score in scores]
+    assert [moment["sec"] + 1e-9 * moment["nsec"] for moment in moments] == [score["time"] for score in scores[:-1]]
     entities = {entity["id"]: entity for entity in scenes[10]["entities"]}
     assert {"arena", "targets", "estimates", "agent s1"} <= set(entities)
     assert len(entities["targets"]["spheres"]) == 3
     assert [gone["id"] for gone in scenes[-1]["deletions"]] == ["agent s2"]
+
+
+def test_a_drawing_has_the_scores_that_came_late_because_an_agent_was_silent(tmp_path: Path) -> None:
+    scenario = resolve("quick", {"run.seconds": 5.0})
+    pause = FaultSettings(at=2.0, verb="pause", who="s2", seconds=1.0)
+    simulation = Simulation(msgspec.structs.replace(scenario, faults=(pause,)), clock="realtime")
+    Observers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
+    simulation.run()
+    write_foxglove(Recording(tmp_path / "a.mcap"), tmp_path / "a.foxglove.mcap")
+    _, scores = drawn_for_foxglove(tmp_path / "a.foxglove.mcap")
+    assert [(score["tick"], score["ospa"]) for score in scores] == [(score.tick, score.ospa) for score in simulation.scorer.scores]
+    assert len(scores) == 20
 
 
 def test_the_drawing_for_rerun_holds_every_tick_and_its_scores(run: Run, tmp_path: Path) -> None:
@@ -140,7 +159,7 @@ def test_the_drawing_for_rerun_holds_every_tick_and_its_scores(run: Run, tmp_pat
             times = [nanoseconds / 1e9 for nanoseconds in batch.column("world").cast("int64").to_pylist()]
             rows.setdefault(chunk.entity_path, {}).update(zip(times, batch.column(names[0]).to_pylist()))
     ospa = rows["/score/ospa"]
-    assert [ospa[time] for time in sorted(ospa)] == [[score.ospa] for score in run[0].scorer.scores[:19]]
+    assert [ospa[time] for time in sorted(ospa)] == [[score.ospa] for score in run[0].scorer.scores]
     truth = next(message for message in messages(run[1]) if isinstance(message, Truth) and message.tick == 7)
     assert np.array(rows["/arena/targets"][7 * 0.25])[:, :2] == pytest.approx(truth.targets, abs=1e-5)
     assert len(rows["/arena/cells"][7 * 0.25]) == 6
@@ -155,7 +174,7 @@ def test_faults_and_what_became_of_them_stand_on_the_time_line_of_a_drawing(tmp_
     simulation.scorer.on_report = lambda one: told.append((one.time, one.text))
     Observers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
     simulation.run()
-    *_, last = moments(Recording(tmp_path / "a.mcap"))
+    *_, last = moments(Recording(tmp_path / "a.mcap"), Scorer(simulation.scenario, recorded=True))
     happened = [(one.kind, one.time, one.text) for one in last.picture.happenings]
     assert ("partition", 1.0, "cut off s1, s2") in happened and ("heal", 2.0, "s1, s2: no longer cut off") in happened
     assert told and [(time, text) for kind, time, text in happened if kind == "told"] == told
