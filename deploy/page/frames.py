@@ -21,7 +21,8 @@ from protocol.observer_messages import Estimate
 LONGEST_SIDE = 128  # squares of the density grid
 FULL_DENSITY = 0.25  # expected targets per m^2 at which the grid is at 63 % of its range,
 FULL_SQUARE = 0.15  # or so many in a square of the grid, where squares are larger than those of 100 m
-RECENT = 30  # happenings that every frame repeats
+RECENT = 30  # happenings that every frame repeats, or
+RECENT_PER_AGENT = 3  # so many for each agent: a whole team may be lost, and told of, between two frames
 MOST_POINTS = 1200  # of a curve in a greeting
 MOST_PARTICLES = 3000  # of one agent's belief
 CURVES = ("time", "ospa", "gospa", "targets", "estimated", "mass", "hole", "overlap")
@@ -75,7 +76,7 @@ def moment(picture: Picture, score: Score | None) -> dict[str, Any]:
     """What a frame says in its JSON part: the tick of the score, of which everything has been heard. Lengths in m, to the centimetre."""
     newest = picture.truth.tick if picture.truth else 0
     picture.show(score.tick if score else newest - 1)
-    truth = picture.shown
+    truth, recent = picture.shown, max(RECENT, RECENT_PER_AGENT * len(picture.agents))
     return {
         "type": "frame",
         "tick": truth.tick if truth else -1,
@@ -85,7 +86,7 @@ def moment(picture: Picture, score: Score | None) -> dict[str, Any]:
         "targets": _flat(truth.targets) if truth else [],
         "ids": [int(number) % 2**31 for number in truth.ids] if truth else [],
         "agents": [_agent(picture, known) for known in picture.agents.values()],
-        "happenings": [_happening(one) for one in list(picture.happenings)[-RECENT:]],
+        "happenings": [_happening(one) for one in list(picture.happenings)[-recent:]],
     }
 
 

@@ -67,6 +67,14 @@ def kinds(picture: Picture) -> list[tuple[str, str]]:
     return [(one.kind, one.who) for one in picture.happenings]
 
 
+def test_a_frame_tells_of_all_agents_of_a_large_team_that_die_at_once() -> None:
+    picture = Picture(scenario(**{"team.composition": "100A"}))
+    names = list(picture.agents)
+    for event in [received(truth(8)), *(Alive("agent", name, 1) for name in names), *(Gone("agent", name, 1) for name in names)]:
+        picture.see(event, 0.0)
+    assert [who for _, _, kind, who, _ in moment(picture, None)["happenings"] if kind == "lost"] == names
+
+
 def test_an_agent_that_is_lost_and_comes_back_stands_on_the_time_line_with_the_worlds_time() -> None:
     picture = shown(Alive("agent", "s1", 1), truth(8), Gone("agent", "s1", 1), truth(9), Alive("agent", "s1", 2))
     assert [(one.kind, one.who, one.time) for one in picture.happenings] == [("lost", "s1", 2.0), ("back", "s1", 2.25)]
