@@ -111,7 +111,8 @@ def fits(data: Any, schema: dict[str, Any]) -> bool:
 
 def drawn_for_foxglove(file: Path) -> tuple[list[Any], list[Any]]:
     """The scenes and the scores of a drawing."""
-    scenes, scores = [], []
+    scenes: list[Any] = []
+    scores: list[Any] = []
     with file.open("rb") as opened:
         for found, channel, message in make_reader(opened).iter_messages():
             assert found is not None
