@@ -70,8 +70,11 @@ def kinds(picture: Picture) -> list[tuple[str, str]]:
 def test_a_frame_tells_of_all_agents_of_a_large_team_that_die_at_once() -> None:
     picture = Picture(scenario(**{"team.composition": "100A"}))
     names = list(picture.agents)
-    for event in [received(truth(8)), *(Alive("agent", name, 1) for name in names), *(Gone("agent", name, 1) for name in names)]:
-        picture.see(event, 0.0)
+    picture.see(received(truth(8)), 0.0)
+    for name in names:
+        picture.see(Alive("agent", name, 1), 0.0)
+    for name in names:
+        picture.see(Gone("agent", name, 1), 0.0)
     assert [who for _, _, kind, who, _ in moment(picture, None)["happenings"] if kind == "lost"] == names
 
 
