@@ -21,6 +21,7 @@ from deploy.scenario import Scenario, world_names
 from deploy.storage.run_directory import RunDirectory
 
 Spawn = Literal["zygote", "exec"]  # how agents are started
+State = Literal["running", "awake", "paused", "dead"]
 
 CRASHES = (1, *(-number for number in (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGFPE)))
 LAST_BYTES = 1 << 16  # of a log, in which the cause of an end is looked for
@@ -54,6 +55,15 @@ class Child:
     def is_running(self) -> bool:
         """Whether the process exists and has not been seen to end; a paused one is running."""
         return self.process is not None
+
+    def is_in(self, state: State) -> bool:
+        """Whether it is in a state; `awake` is running and not paused."""
+        return {
+            "running": self.is_running,
+            "awake": self.is_running and not self.paused,
+            "paused": self.paused,
+            "dead": self.has_started and not self.is_running,
+        }[state]
 
     @property
     def pid(self) -> int | None:

@@ -17,7 +17,7 @@ import numpy as np
 from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
 from deploy.faults.links import Links, describe
 from deploy.live.control import Answer, ControlServer
-from deploy.live.processes import Child, process_rows, rooms
+from deploy.live.processes import Child, State, process_rows, rooms
 from deploy.live.seeds import endpoints, seed_listeners
 from deploy.live.startup import Startup
 from deploy.live.zygote import Zygote
@@ -39,7 +39,12 @@ WORLD_SECONDS = 60.0  # that a run which nobody attends stands still without a w
 LAST_LOOKS = 100  # every 10 ms, for the last ticks of a run
 EXIT_CRASHED = 1  # of a run in which a process ended by an exception
 EXIT_BAD_INPUT = 2
-STATES = {"kill": "running", "pause": "awake", "resume": "paused", "restart": "dead"}  # verb -> state of a process that it is for
+STATES: dict[str, State] = {
+    "kill": "running",
+    "pause": "awake",
+    "resume": "paused",
+    "restart": "dead",
+}  # verb -> state of a process that it is for
 
 log = logging.getLogger(__name__)
 
@@ -310,7 +315,7 @@ class Supervisor:
                 if action.verb == REFUSED:
                     raise BadSetting(action.options["why"])
                 if action.verb in STATES:  # whoever has died meanwhile, or has been resumed by hand, is passed over, as in a simulation
-                    action = action._replace(names=self._in_state(action.names, STATES[action.verb]))
+                    action = action._replace(names=[name for name in action.names if self.children[name].is_in(STATES[action.verb])])
                 self._act(action)
             except BadSetting as error:
                 self._tell(f"a fault of the scenario could not be carried out: {error}")
@@ -421,22 +426,9 @@ class Supervisor:
             self._start.expect()
             self._tell_links(child.name)
 
-    def _agents(self, state: str) -> list[str]:
+    def _agents(self, state: State) -> list[str]:
         """Names of the agents in a state."""
-        return self._in_state(list(self.scenario.members), state)
-
-    def _in_state(self, names: list[str], state: str) -> list[str]:
-        """Those of the processes that are running, awake (running and not paused), paused, or dead."""
-        return [
-            child.name
-            for child in (self.children[name] for name in names)
-            if {
-                "running": child.is_running,
-                "awake": child.is_running and not child.paused,
-                "paused": child.paused,
-                "dead": child.has_started and not child.is_running,
-            }[state]
-        ]
+        return [name for name in self.scenario.members if self.children[name].is_in(state)]
 
     def status(self) -> dict[str, Any]:
         """The data of `ps` and `watch`: the scores of the swarm, and every process."""
