@@ -1,5 +1,6 @@
 """Bytes to messages and back: msgpack maps, checked for size, type, range and sender before a node receives them."""
 
+import re
 from collections.abc import Iterable
 
 import msgspec
@@ -8,9 +9,11 @@ from protocol.compact import unpacked
 from protocol.fields import Malformed
 from protocol.keys import NAME, OF_ALL, Key, parse_message_key
 from protocol.message import WIRE_VERSION, Message
-from protocol.messages import KINDS, Beacon, Gossip, Observation, plain_arrays
+from protocol.messages import KINDS, Beacon, Gossip, Observation, are_contents_valid
 
 MAX_BYTES = 512 * 1024
+OUTSIDE = re.compile(r"Expected `(int|float)` [<>]")  # how msgspec says that a number is outside its limits,
+TOO_LONG = re.compile(r"Expected `(bytes|array)` of length <=")  # and that an array or a list is too long
 
 
 class _Wire(msgspec.Struct):
@@ -44,27 +47,28 @@ def decode(key: str, payload: bytes) -> Message:
 def decode_all(arrivals: Iterable[tuple[str, bytes]]) -> list[Message | Malformed]:
     """The result of `decode` for each key and payload: the message, or the `Malformed` that it raises.
 
-    The arrays of all gossips are checked in one pass, which costs less.
+    The contents of the arrays of all gossips are checked in one pass, which costs less.
     """
     found: list[Message | Malformed] = []
-    plain: list[Gossip] = []
+    gossips: list[Gossip] = []
     for key, payload in arrivals:
         try:
             message = _parse(key, payload)
-            if type(message) is Gossip and message.is_surely_valid():
-                plain.append(message)
+            if type(message) is Gossip:
+                message.check_lengths()
+                gossips.append(message)
             else:
                 message.check()
             found.append(message)
         except Malformed as error:
             found.append(error)
-    return found if not plain or plain_arrays(plain) else [_checked(message) for message in found]
+    return found if not gossips or are_contents_valid(gossips) else [_checked(message) for message in found]
 
 
 def _checked(message: Message | Malformed) -> Message | Malformed:
     try:
-        if isinstance(message, Message):
-            message.check()
+        if isinstance(message, Gossip):
+            message.check_contents()
     except Malformed as error:
         return error
     return message
@@ -81,13 +85,18 @@ def _parse(key: str, payload: bytes) -> Message:
         message = _decoders[parts.kind].decode(payload)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError, UnicodeError) as error:
         _check_version(payload)
-        raise Malformed("format", f"{parts.kind}: {error}") from None
+        raise Malformed(_reason(str(error)), f"{parts.kind}: {error}") from None
     if message.wire != WIRE_VERSION:
         raise Malformed("version", f"wire = {message.wire}: this software speaks version {WIRE_VERSION}")
     _check_name(parts, message)
     if isinstance(message, Gossip) and message.particles:
         _unpack(message)
     return message
+
+
+def _reason(text: str) -> str:
+    """The reason of `Malformed` for what msgspec says."""
+    return "range" if OUTSIDE.match(text) else "size" if TOO_LONG.match(text) else "format"
 
 
 def _unpack(gossip: Gossip) -> None:
@@ -110,12 +119,12 @@ def _check_version(payload: bytes) -> None:
 
 
 def _check_name(parts: Key, message: Message) -> None:
-    named = message.recipient if isinstance(message, Observation) else message.sender
     if isinstance(message, Beacon) and message.tile != parts.tile:
         raise Malformed("sender", f"tile = {message.tile}: was said in the tile {parts.tile}")
-    if parts.kind not in OF_ALL and named != parts.name:
+    named = message.recipient if isinstance(message, Observation) else message.sender
+    if named != parts.name and parts.kind not in OF_ALL:
         if not NAME.match(named):
             raise Malformed("format", f"{parts.kind}: {named[:64]!r} is no name")
         raise Malformed("sender", f"{named!r} speaks under the key of {parts.name!r}")
-    if not isinstance(message, Observation) and parts.kind not in OF_ALL:
+    if named == message.sender == parts.name:
         msgspec.structs.force_setattr(message, "sender", parts.name)  # one string object per sender makes look-ups faster

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from protocol.fields import Malformed
+from protocol.fields import MAX_ROWS, Malformed
 from protocol.streams import key, scramble
 
 STEP = 1.0 / 256.0  # m, of the grid; twice as large as often as a cell is too wide for 16 bits
@@ -40,6 +40,8 @@ def unpacked(data: bytes, sender: str, stamp: int) -> tuple[np.ndarray, np.ndarr
     count, rest = divmod(len(data) - HEAD, ROW)
     if count < 1 or rest:
         raise Malformed("shape", f"particles: {len(data)} bytes are not {HEAD} and a whole number of {ROW}")
+    if count > MAX_ROWS:
+        raise Malformed("size", f"particles: {count} particles, at most {MAX_ROWS} are allowed")
     west, south, step, speed = np.frombuffer(data, "<f4", 4).astype(float).tolist()
     columns, rows, turns = np.frombuffer(data, "<u2", 3 * count, HEAD).reshape(3, count)
     with np.errstate(all="ignore"):  # wrong bits give numbers that the check of the message refuses

@@ -3,8 +3,8 @@
 Lengths in m, times in s, angles in rad.
 """
 
-import struct
-from operator import lt
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -12,9 +12,8 @@ import numpy as np
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]  # of a participant or a sensor class
 
-MAX_DETECTIONS = 8192
-MAX_PARTICLES = 8192
-MAX_NAMES = 8192
+MAX_ROWS = 8192  # of every array and of every list of names that a round reads
+MAX_DETECTIONS = MAX_PARTICLES = MAX_NAMES = MAX_ROWS
 FARTHEST = 1.0e6  # largest coordinate, m
 LARGEST_AREA = FARTHEST**2  # m^2
 LEAST_RADIUS, LEAST_ANGLE = 1.0e-3, 1.0e-6  # of a sensor, m and rad
@@ -34,21 +33,18 @@ class Malformed(ValueError):
 
 
 class Rows(NamedTuple):
-    """The layout of an array on the wire: type of its numbers, numbers per row, and largest number of rows."""
+    """The layout of an array on the wire: type of its numbers, numbers per row, and bytes of a row. The types of messages hold limits."""
 
     field: str
     number: np.dtype
     columns: int
-    most: int
+    size: int
 
     def count(self, data: bytes) -> int:
-        """The number of rows; raises Malformed for a part of a row or too many rows."""
-        rows, rest = divmod(len(data), self.number.itemsize * self.columns)
+        """The number of rows; raises Malformed for a part of a row."""
+        rows, rest = divmod(len(data), self.size)
         if rest:
-            size = self.number.itemsize * self.columns
-            raise Malformed("shape", f"{self.field}: {len(data)} bytes are no whole number of rows of {size} bytes")
-        if rows > self.most:
-            raise Malformed("size", f"{self.field}: {rows} rows, at most {self.most} are allowed")
+            raise Malformed("shape", f"{self.field}: {len(data)} bytes are no whole number of rows of {self.size} bytes")
         return rows
 
     def read(self, data: bytes) -> np.ndarray:
@@ -61,19 +57,6 @@ def check_number(field: str, value: float, least: float = -FARTHEST, most: float
     """Refuse NaN, infinity and anything outside [least, most]: one bad float would win every comparison downstream."""
     if not least <= value <= most:
         raise Malformed("range", f"{field} = {value}: should be a finite number from {least:g} to {most:g}")
-
-
-def check_vector(field: str, values: tuple[float, ...]) -> None:
-    """Refuse a vector with NaN, infinity or anything beyond `FARTHEST`."""
-    for value in values:
-        if not -FARTHEST <= value <= FARTHEST:
-            raise Malformed("range", f"{field} = {values}: every number should be finite and within +-{FARTHEST:g}")
-
-
-def surely_valid(pose: tuple[float, float, float], point: tuple[float, float], lengths: tuple[float, ...]) -> bool:
-    """Whether one sum of magnitudes proves that all these numbers are in range and no length is negative; see `check_rows`."""
-    (x, y, heading), (east, north) = pose, point
-    return abs(x) + abs(y) + abs(heading) + abs(east) + abs(north) + sum(lengths) < 0.5 * FARTHEST and min(lengths) >= 0.0
 
 
 def check_rows(rows: Rows, data: bytes) -> int:
@@ -91,17 +74,17 @@ def check_rows(rows: Rows, data: bytes) -> int:
     return count
 
 
-DETECTIONS, STATES = Rows("detections", F4, 2, MAX_DETECTIONS), Rows("states", F4, 4, MAX_PARTICLES)
-CLAIM, CELL = Rows("claim", F8, 3, MAX_NAMES), Rows("cell", F8, 2, MAX_NAMES)
-TARGETS, POSES = Rows("targets", F8, 2, MAX_DETECTIONS), Rows("poses", F8, 3, MAX_NAMES)
-OBSTACLES = Rows("obstacles", F8, 2, MAX_NAMES)
-IDS, TARGET_IDS = Rows("ids", U8, 1, MAX_PARTICLES), Rows("ids", U8, 1, MAX_DETECTIONS)
+def rows_of(field: str, number: np.dtype, columns: int) -> Rows:
+    """The layout of rows of so many numbers."""
+    return Rows(field, number, columns, number.itemsize * columns)
 
 
-LABELS, PEAK_LABELS = Rows("labels", U8, 1, MAX_PARTICLES), Rows("labels", U8, 1, MAX_DETECTIONS)
-DETAILS = Rows("details", F4, 6, MAX_DETECTIONS)
+DETECTIONS, STATES, CLAIM = rows_of("detections", F4, 2), rows_of("states", F4, 4), rows_of("claim", F8, 3)
+CELL, TARGETS, POSES, OBSTACLES = rows_of("cell", F8, 2), rows_of("targets", F8, 2), rows_of("poses", F8, 3), rows_of("obstacles", F8, 2)
+IDS, LABELS, DETAILS = rows_of("ids", U8, 1), rows_of("labels", U8, 1), rows_of("details", F4, 6)
 LARGEST_LABEL = 2**53 - 1
 BYTE_VALUES = bytes(range(256))
+NO_LABEL = bytes(8)
 
 
 def pack_labels(labels: np.ndarray) -> tuple[bytes, bytes]:
@@ -116,41 +99,46 @@ def pack_labels(labels: np.ndarray) -> tuple[bytes, bytes]:
     return table.tobytes(), pack(table.searchsorted(labels), "<u1" if len(table) <= 256 else "<u2")
 
 
-def read_labels(table: bytes, numbers: bytes, count: int) -> np.ndarray:
-    """The labels (N,) of `count` particles from the results of `pack_labels`."""
-    if not table:
-        return np.zeros(count, U8)
-    return np.frombuffer(table, U8).take(np.frombuffer(numbers, "<u1" if len(table) <= 8 * 256 else "<u2"))
+LabelPart = tuple[bytes, bytes, int]  # a result of `pack_labels`, and the number of particles
 
 
-def are_label_numbers(table: bytes, numbers: bytes, count: int) -> bool:
-    """Whether `numbers` has one number for each of `count` particles, and all are smaller than the length of the table."""
-    known = len(table) // 8
-    if known <= 256:
-        return len(numbers) == (count if known else 0) and not numbers.translate(None, BYTE_VALUES[:known])
-    return len(numbers) == 2 * count and int(np.frombuffer(numbers, "<u2").max(initial=0)) < known
-
-
-def surely_valid_labels(table: bytes, numbers: bytes, count: int) -> bool:
-    """Whether `check_labels` would refuse nothing."""
-    if not table:
-        return not numbers
-    known = len(table) // 8
-    if len(table) % 8 or known > MAX_PARTICLES or not are_label_numbers(table, numbers, count):
-        return False
-    labels = struct.unpack(f"<{known}Q", table)
-    return labels[-1] <= LARGEST_LABEL and all(map(lt, labels, labels[1:]))
-
-
-def check_labels(table: bytes, numbers: bytes, count: int) -> None:
-    """Refuse a table that does not ascend or exceeds its limits, and numbers of labels that are not in it."""
+def check_label_numbers(table: bytes, numbers: bytes, count: int) -> None:
+    """Refuse `numbers` unless there is one below the length of the table for each of `count` particles, or none without a table."""
+    if not table and not numbers:
+        return
     known = LABELS.count(table)
-    if not are_label_numbers(table, numbers, count):
+    if known <= 256:
+        fit = len(numbers) == (count if known else 0) and not numbers.translate(None, BYTE_VALUES[:known])
+    else:
+        fit = len(numbers) == 2 * count and int(np.frombuffer(numbers, "<u2").max(initial=0)) < known
+    if not fit:
         text = f"label_numbers: should be {count} numbers below {known}, in {1 if known <= 256 else 2} byte(s) each, or none without labels"
         raise Malformed("shape", text)
-    labels = np.frombuffer(table, U8)
-    if not bool(np.all(labels[1:] > labels[:-1])) or (known and int(labels[-1]) > LARGEST_LABEL):
-        raise Malformed("range", f"labels: should be strictly ascending and at most {LARGEST_LABEL}")
+
+
+def read_labels(parts: Sequence[LabelPart]) -> np.ndarray:
+    """The labels (N,) of the particles of several gossips, end to end."""
+    tables = [table or NO_LABEL for table, _, _ in parts]
+    numbers = [numbers if table else bytes(count) for table, numbers, count in parts]
+    if max(map(len, tables), default=0) <= 8 * 256:
+        places = np.frombuffer(b"".join(numbers), "u1").astype(np.int64)
+    else:
+        wide = [np.frombuffer(each, "<u1" if len(table) <= 8 * 256 else "<u2") for each, table in zip(numbers, tables)]
+        places = np.concatenate(wide).astype(np.int64)
+    starts = np.array([0, *accumulate([len(table) // 8 for table in tables])][:-1], np.int64)
+    return np.frombuffer(b"".join(tables), U8).take(places + starts.repeat(np.array([count for _, _, count in parts], np.int64)))
+
+
+def ascend(parts: Sequence[bytes]) -> bool:
+    """Whether the uint64 numbers of each part ascend strictly, each part by itself."""
+    numbers = np.frombuffer(b"".join(parts), U8)
+    falls = (np.flatnonzero(numbers[1:] <= numbers[:-1]) + 1).tolist()  # allowed only where the next part begins
+    return not falls or set(falls).issubset(accumulate([len(part) // 8 for part in parts]))
+
+
+def are_labels(tables: Sequence[bytes]) -> bool:
+    """Whether tables of labels ascend strictly and hold no number beyond `LARGEST_LABEL`."""
+    return ascend(tables) and int(np.frombuffer(b"".join(tables), U8).max(initial=0)) <= LARGEST_LABEL
 
 
 def pack(array: np.ndarray, dtype: str) -> bytes:

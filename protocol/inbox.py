@@ -139,9 +139,9 @@ class Inbox:
 
     def _without_old(self, batch: list[Arrival], part: str, most: int) -> list[Arrival]:
         """The batch without messages of a key with `part` of which `most` newer ones of the session are in the batch or in the queue."""
-        newer = Counter((arrival.key, arrival.source) for arrival in (*batch, *self._queue) if part in arrival.key)
-        if not newer:
+        if not any(part in arrival.key for arrival in batch):
             return batch
+        newer = Counter((arrival.key, arrival.source) for arrival in (*batch, *self._queue) if part in arrival.key)
         kept = []
         for arrival in batch:
             if part in arrival.key:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import msgspec
 
-from protocol.fields import Name
+from protocol.fields import FARTHEST, LARGEST_AREA, LARGEST_SETTING, LATEST, MAX_ROWS, Name
 
 WIRE_VERSION = 2
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -16,9 +16,18 @@ Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 LagNumber = Annotated[int, msgspec.Meta(ge=0, le=64)]
 PaceNumber = Annotated[int, msgspec.Meta(ge=1, le=64)]
 TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
-Vector = tuple[float, float]
-Triple = tuple[float, float, float]
-Setting = bool | int | float | str
+Number = Annotated[float, msgspec.Meta(ge=-FARTHEST, le=FARTHEST)]  # a limit also refuses NaN: it would win every comparison downstream
+Length = Annotated[float, msgspec.Meta(ge=0.0, le=FARTHEST)]  # and every other number that is never negative
+Area = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_AREA)]
+Time = Annotated[float, msgspec.Meta(ge=-LATEST, le=LATEST)]
+Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LATEST)]
+Rows8 = Annotated[bytes, msgspec.Meta(max_length=8 * MAX_ROWS)]  # an array of at most `MAX_ROWS` rows of 8 bytes
+Rows16 = Annotated[bytes, msgspec.Meta(max_length=16 * MAX_ROWS)]
+Rows24 = Annotated[bytes, msgspec.Meta(max_length=24 * MAX_ROWS)]
+Names = Annotated[tuple[str, ...], msgspec.Meta(max_length=MAX_ROWS)]
+Vector = tuple[Number, Number]
+Triple = tuple[Number, Number, Number]
+Setting = bool | int | Annotated[float, msgspec.Meta(ge=-LARGEST_SETTING, le=LARGEST_SETTING)] | str
 Agreed = dict[str, dict[str, Setting]]  # section -> name -> value of the settings on which all agree (`agreement`)
 
 
@@ -30,4 +39,4 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, omit_default
     wire: int = msgspec.field(default_factory=lambda: WIRE_VERSION)  # a factory, so that it is always said
 
     def check(self) -> None:
-        """Raise `Malformed` unless every array and number is in range."""
+        """Raise `Malformed` unless every array is in range and all parts fit each other. The types hold the limits of single numbers."""

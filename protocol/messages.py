@@ -1,13 +1,12 @@
 """The messages: frozen msgspec structs, one per kind, on the wire as msgpack maps (docs/reference/protocol.md specifies them).
 
-Arrays are raw little-endian bytes on the wire; properties return read-only numpy views of them. `check` holds the rules of a message
-alone. Rules that need the context are checked elsewhere: the sender against the key in `codec`, the limits of the announced sensor in
-the agent. All lengths in m, times in s, angles in rad.
+Arrays are raw little-endian bytes on the wire; properties return read-only numpy views of them. The types hold the limits of single
+numbers, and `check` the other rules of a message alone. Rules that need the context are checked elsewhere: the sender against the key in
+`codec`, the limits of the announced sensor in the agent. All lengths in m, times in s, angles in rad.
 """
 
 import math
 import struct
-from itertools import accumulate
 from typing import Union
 
 import msgspec
@@ -22,31 +21,42 @@ from protocol.fields import (
     F8,
     FARTHEST,
     IDS,
-    LARGEST_AREA,
-    LARGEST_SETTING,
-    LATEST,
+    LARGEST_LABEL,
     LEAST_ANGLE,
     LEAST_RADIUS,
-    MAX_DETECTIONS,
-    MAX_NAMES,
-    MAX_PARTICLES,
     MAX_SETTINGS,
     OBSTACLES,
     STATES,
-    U8,
     VALUE_SIZE,
     Malformed,
     Name,
-    check_labels,
+    are_labels,
+    ascend,
+    check_label_numbers,
     check_number,
     check_rows,
-    check_vector,
     pack,
     read_labels,
-    surely_valid,
-    surely_valid_labels,
 )
-from protocol.message import Agreed, Count, LagNumber, Message, PaceNumber, Tick, TileNumber, Triple, Vector
+from protocol.message import (
+    Agreed,
+    Area,
+    Count,
+    LagNumber,
+    Length,
+    Message,
+    Names,
+    Number,
+    PaceNumber,
+    Rows8,
+    Rows16,
+    Rows24,
+    Tick,
+    TileNumber,
+    Time,
+    Triple,
+    Vector,
+)
 from protocol.observer_messages import Estimate, Truth
 from protocol.once import once
 from protocol.sensing import WedgeSensor
@@ -60,14 +70,12 @@ def check_sensor(sensor: WedgeSensor | None) -> None:
 
 
 def check_settings(settings: Agreed) -> None:
-    """Refuse settings that are too many or not finite; names and texts count their characters, other values `VALUE_SIZE`."""
+    """Refuse settings that are too many; names and texts count their characters, other values `VALUE_SIZE`."""
     size = 0
     for section, values in settings.items():
         size += len(section)
         for name, value in values.items():
             size += len(name) + (len(value) if isinstance(value, str) else VALUE_SIZE)
-            if isinstance(value, float) and not abs(value) <= LARGEST_SETTING:
-                check_number(f"settings.{section[:64]}.{name[:64]}", value, -LARGEST_SETTING, LARGEST_SETTING)
     if size > MAX_SETTINGS:
         raise Malformed("size", f"settings: {size} characters, at most {MAX_SETTINGS} are allowed")
 
@@ -79,9 +87,9 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     software: str = ""
     sensor_class: str = ""  # a name from the scenario, "A" to "H" for those of the paper
     sensor: WedgeSensor | None = None  # the numbers of a wedge; None: the receiver looks the class up in its own scenario
-    max_speed: float = 0.0  # m/s
-    max_turn_rate: float = 0.0  # rad/s
-    heard: tuple[str, ...] = ()
+    max_speed: Length = 0.0  # m/s
+    max_turn_rate: Length = 0.0  # rad/s
+    heard: Names = ()
     local: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
     settings: Agreed = {}  # those on which all agree; a setting that is missing is not compared
 
@@ -91,11 +99,7 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
         return whole(self.settings)
 
     def check(self) -> None:
-        check_number("max_speed", self.max_speed, least=0.0)
-        check_number("max_turn_rate", self.max_turn_rate, least=0.0)
         check_sensor(self.sensor)
-        if len(self.heard) > MAX_NAMES:
-            raise Malformed("size", f"heard: {len(self.heard)} names, at most {MAX_NAMES} are allowed")
         if self.settings:
             check_settings(self.settings)
 
@@ -106,17 +110,17 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
     tick: Tick
     position: Vector  # of the sensor
     cod: Vector  # centroid of detection
-    power_radius: float
-    reach: float  # of the footprint, from the position
+    power_radius: Length
+    reach: Length  # of the footprint, from the position
     column: TileNumber  # of the tile to which this is addressed: the tile of the position, or one that is asked for beacons
     row: TileNumber
     sensor_class: str = ""  # as in Hello
     sensor: WedgeSensor | None = None  # as in Hello
     asks: bool = False  # True: every receiver sends a beacon soon
     settings: Count = 0  # hash of the settings of the Hello; 0: not given
-    widest_reach: float = 0.0  # the largest reach, distance from sensor to COD and power radius of all known agents, the sender included
-    widest_offset: float = 0.0
-    widest_radius: float = 0.0
+    widest_reach: Length = 0.0  # the largest reach, distance from sensor to COD and power radius of all known agents, the sender included
+    widest_offset: Length = 0.0
+    widest_radius: Length = 0.0
 
     @once
     def numbers(self) -> bytes:
@@ -130,13 +134,6 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
 
     def check(self) -> None:
         check_sensor(self.sensor)
-        check_vector("position", self.position)
-        check_vector("cod", self.cod)
-        check_number("power_radius", self.power_radius, least=0.0)
-        check_number("reach", self.reach, least=0.0)
-        check_number("widest_reach", self.widest_reach, least=0.0)
-        check_number("widest_offset", self.widest_offset, least=0.0)
-        check_number("widest_radius", self.widest_radius, least=0.0)
 
 
 UNKNOWN_AGE = 255
@@ -154,28 +151,28 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     tick: Tick
     pose: Triple  # x, y, heading
     cod: Vector  # centroid of detection (14); the generator of the cell, but with `voronoi` the position is
-    power_radius: float  # g(U) (13)
-    unused: float  # U, m^2 (11)
-    detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
+    power_radius: Length  # g(U) (13)
+    unused: Area  # U, m^2 (11)
+    detections_bytes: Rows8 = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
     scanned: bool = True  # False: no scan in this tick, unlike an empty scan
     listening: bool = False  # True: a new incarnation without a cell
     claim_tick: Tick = 0  # the round in which the claim was cut
-    claim_names: tuple[str, ...] = ()  # the generators that bound the cell, the sender first; empty: no cell
-    claim_bytes: bytes = msgspec.field(name="claim", default=b"")  # (G, 3) float64: their generators, x, y and power radius
+    claim_names: Names = ()  # the generators that bound the cell, the sender first; empty: no cell
+    claim_bytes: Rows24 = msgspec.field(name="claim", default=b"")  # (G, 3) float64: their generators, x, y and power radius
     diagram_hash: Count = 0  # hash of all generators from which the claim was cut
-    weight: float = 0.0  # of each particle, expected targets
-    states_bytes: bytes = msgspec.field(name="states", default=b"")  # (N, 4) float32: x, y, vx, vy
-    ids_bytes: bytes = msgspec.field(name="ids", default=b"")  # (N,) uint64
+    weight: Length = 0.0  # of each particle, expected targets
+    states_bytes: Rows16 = msgspec.field(name="states", default=b"")  # (N, 4) float32: x, y, vx, vy
+    ids_bytes: Rows8 = msgspec.field(name="ids", default=b"")  # (N,) uint64
     components_bytes: bytes = msgspec.field(name="components", default=b"")  # (N,) of `COMPONENT`, from a tracker of Gaussian mixtures
-    labels_bytes: bytes = msgspec.field(name="labels", default=b"")  # (K,) uint64: a table of labels, strictly ascending
+    labels_bytes: Rows8 = msgspec.field(name="labels", default=b"")  # (K,) uint64: a table of labels, strictly ascending
     label_numbers_bytes: bytes = msgspec.field(name="label_numbers", default=b"")  # (N,) uint8, uint16 if K > 256: places in the table
     particles: bytes = b""  # in place of states and ids, which are empty on the wire then: the same in few bytes (protocol/compact.py)
     goal: Vector | None = None  # the place that the sensor goes to; None: it stays
-    goal_utilisation: float = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
+    goal_utilisation: Length = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
     pace: PaceNumber = 1  # the sender has the time for the ticks that this number divides
     behind: LagNumber = 0  # the particles are so many ticks older than those of the tick before: later rounds wait for late gossips
     lag: LagNumber = 0  # rounds must be played so many ticks late, so that the sender hears most gossips
-    pose_noise: Vector | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
+    pose_noise: tuple[Length, Length] | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
     claim_ages: bytes = b""  # ticks before `claim_tick` of each generator of the claim; empty: all are of it
 
     def __hash__(self) -> int:
@@ -216,7 +213,12 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     @once
     def labels(self) -> np.ndarray:
         """The label of each particle (N,) uint64; 0: none."""
-        return read_labels(self.labels_bytes, self.label_numbers_bytes, len(self.ids_bytes) // 8)
+        return read_labels([self.label_parts])
+
+    @property
+    def label_parts(self) -> tuple[bytes, bytes, int]:
+        """The table of labels, the numbers in it, and the number of particles (`fields.read_labels`)."""
+        return self.labels_bytes, self.label_numbers_bytes, len(self.ids_bytes) // 8
 
     @once
     def numbers(self) -> bytes:
@@ -228,14 +230,9 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         return _pack_numbers(x, y, *ahead, east, north, self.power_radius, self.unused, self.weight, *counts, self.scanned, *noise)
 
     @once
-    def stated_area(self) -> float:
-        """The larger one of U and of the area of a disc with the power radius, m^2."""
-        return max(self.unused, math.pi * self.power_radius**2)
-
-    @once
-    def cod_distance(self) -> float:
-        """The distance of the centroid of detection from the sensor, m."""
-        return math.dist(self.cod, self.pose[:2])
+    def extent(self) -> tuple[float, float]:
+        """The larger one of U and of the area of a disc with the power radius, m^2; the distance of the COD from the sensor, m."""
+        return max(self.unused, math.pi * self.power_radius**2), math.dist(self.cod, self.pose[:2])
 
     @once
     def plan(self) -> bytes:
@@ -252,52 +249,28 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         return pack(np.concatenate([places.min(axis=0), places.max(axis=0)]), "<f8")
 
     def check(self) -> None:
-        self._check_numbers()
-        check_rows(DETECTIONS, self.detections_bytes)
-        self._check_claim(check_rows(CLAIM, self.claim_bytes))
-        states, count = check_rows(STATES, self.states_bytes), IDS.count(self.ids_bytes)
+        self.check_lengths()
+        self.check_contents()
+
+    def check_lengths(self) -> None:
+        """Refuse arrays that do not fit each other, and what no array states."""
+        DETECTIONS.count(self.detections_bytes)
+        self._check_claim(CLAIM.count(self.claim_bytes))
+        states, count = STATES.count(self.states_bytes), IDS.count(self.ids_bytes)
         if count != states:
             raise Malformed("shape", f"ids: {count} ids for {states} states")
-        check_labels(self.labels_bytes, self.label_numbers_bytes, count)
-        if count > 1:
-            ids = np.frombuffer(self.ids_bytes, U8)
-            if 0 in (ids[1:] > ids[:-1]).tobytes():
-                raise Malformed("range", "ids: should be strictly ascending")
+        check_label_numbers(*self.label_parts)
+
+    def check_contents(self) -> None:
+        """Refuse numbers of an array that are out of range, and ids and labels that do not ascend."""
+        check_rows(DETECTIONS, self.detections_bytes)
+        check_rows(CLAIM, self.claim_bytes)
+        check_rows(STATES, self.states_bytes)
+        if not ascend([self.ids_bytes]):
+            raise Malformed("range", "ids: should be strictly ascending")
+        if not are_labels([self.labels_bytes]):
+            raise Malformed("range", f"labels: should be strictly ascending and at most {LARGEST_LABEL}")
         check_components(self.components_bytes)
-
-    def is_surely_valid(self) -> bool:
-        """Whether everything but the contents of the arrays is valid; `plain_arrays` proves those. False: `check` decides."""
-        detections, claim, ids = len(self.detections_bytes), len(self.claim_bytes), len(self.ids_bytes)
-        return (
-            surely_valid(self.pose, self.cod, (self.power_radius, self.weight, self.goal_utilisation))
-            and (self.goal is None or surely_valid(self.pose, self.goal, (0.0,)))
-            and (self.pose_noise is None or surely_valid(self.pose, self.cod, self.pose_noise))
-            and 0.0 <= self.unused <= LARGEST_AREA
-            and not (detections % 8 or claim % 24 or ids % 8 or self.components_bytes)
-            and detections <= 8 * MAX_DETECTIONS
-            and ids <= 8 * MAX_PARTICLES
-            and len(self.states_bytes) == 2 * ids
-            and surely_valid_labels(self.labels_bytes, self.label_numbers_bytes, ids // 8)
-            and claim == 24 * len(self.claim_names)
-            and claim <= 24 * MAX_NAMES
-            and (self.claim_names[0] == self.sender if claim else not ids)
-            and len(self.claim_ages) in (0, len(self.claim_names))
-            and (self.claim_tick < self.tick or not self.claim_tick)
-        )
-
-    def _check_numbers(self) -> None:
-        if self.goal is not None:
-            check_vector("goal", self.goal)
-        check_number("goal_utilisation", self.goal_utilisation, least=0.0)
-        for number in self.pose_noise or ():
-            check_number("pose_noise", number, least=0.0)
-        if surely_valid(self.pose, self.cod, (self.power_radius, self.weight)) and 0.0 <= self.unused <= LARGEST_AREA:
-            return
-        check_vector("pose", self.pose)
-        check_vector("cod", self.cod)
-        check_number("power_radius", self.power_radius, least=0.0)
-        check_number("unused", self.unused, least=0.0, most=LARGEST_AREA)
-        check_number("weight", self.weight, least=0.0)
 
     def _check_claim(self, generators: int) -> None:
         if len(self.claim_names) != generators:
@@ -314,19 +287,17 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
             raise Malformed("range", f"claim_tick = {self.claim_tick}: should be earlier than tick = {self.tick}")
 
 
-def plain_arrays(gossips: list[Gossip]) -> bool:
-    """Whether one pass proves that the arrays of plain gossips hold finite numbers in range and ascending ids (see `check_rows`).
-
-    False: the `check` of each gossip decides.
-    """
+def are_contents_valid(gossips: list[Gossip]) -> bool:
+    """Whether one pass proves that `check_contents` refuses none of these gossips (see `check_rows`); False: it decides."""
     states = np.frombuffer(b"".join([gossip.states_bytes for gossip in gossips]), F4)
     claims = np.frombuffer(b"".join([gossip.claim_bytes for gossip in gossips]), F8)
     detections = np.frombuffer(b"".join([gossip.detections_bytes for gossip in gossips]), F4)
-    if not np.vdot(states, states) + np.vdot(claims, claims) + np.vdot(detections, detections) < 0.5 * FARTHEST**2:
-        return False
-    ids = np.frombuffer(b"".join([gossip.ids_bytes for gossip in gossips]), U8)
-    falls = (np.flatnonzero(ids[1:] <= ids[:-1]) + 1).tolist()  # allowed only where the next gossip begins
-    return not falls or set(falls).issubset(accumulate([len(gossip.ids_bytes) // 8 for gossip in gossips]))
+    return (
+        not any(gossip.components_bytes for gossip in gossips)
+        and float(np.vdot(states, states) + np.vdot(claims, claims) + np.vdot(detections, detections)) < 0.5 * FARTHEST**2
+        and ascend([gossip.ids_bytes for gossip in gossips])
+        and are_labels([gossip.labels_bytes for gossip in gossips])
+    )
 
 
 class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observation"):
@@ -334,10 +305,10 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
 
     recipient: Name
     tick: Tick
-    time: float  # world time since its start
+    time: Time  # world time since its start
     pose: Triple
-    detections_bytes: bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
-    obstacles_bytes: bytes = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
+    detections_bytes: Rows8 = msgspec.field(name="detections", default=b"")  # (M, 2) float32
+    obstacles_bytes: Rows16 = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
 
     @once
     def detections(self) -> np.ndarray:
@@ -350,8 +321,6 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
         return OBSTACLES.read(self.obstacles_bytes)
 
     def check(self) -> None:
-        check_number("time", self.time, -LATEST, LATEST)
-        check_vector("pose", self.pose)
         check_rows(DETECTIONS, self.detections_bytes)
         check_rows(OBSTACLES, self.obstacles_bytes)
 
@@ -362,20 +331,13 @@ class BodyPose(Message, frozen=True, kw_only=True, dict=True, tag="pose"):
     tick: Tick
     pose: Triple
 
-    def check(self) -> None:
-        check_vector("pose", self.pose)
-
 
 class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
     """From an agent to the world: the motion of its body until the next tick (1)."""
 
     tick: Tick
     velocity: Vector  # m/s
-    turn_rate: float  # rad/s, counter-clockwise
-
-    def check(self) -> None:
-        check_vector("velocity", self.velocity)
-        check_number("turn_rate", self.turn_rate)
+    turn_rate: Number  # rad/s, counter-clockwise
 
 
 class Halt(Message, frozen=True, kw_only=True, dict=True, tag="halt"):

@@ -21,6 +21,7 @@ from agents.tracking.births import Scan
 from agents.tracking.measuring import EXACT, kernel_variance, likely_poses, model_of, noise_of, spread_of
 from agents.tracking.particles import Particles
 from protocol.components import COMPONENT
+from protocol.fields import read_labels
 from protocol.measuring import places_of
 from protocol.messages import GOSSIP_NUMBERS, Gossip
 from protocol.once import once
@@ -87,8 +88,8 @@ class AnnouncedSensor(NamedTuple):
     sensor: SensorModel
     facts: SensorFacts
     columns: bytes  # its part of a row, the columns of `_SENSOR_COLUMNS`: lengths in m, angles in rad, clutter density per m^2
-    most_area: float  # of a gossip's `stated_area`, m^2: D with `TOLERANCE`
-    most_distance: float  # of a gossip's `cod_distance`, m: the reach with `TOLERANCE`
+    most_area: float  # of the area in a gossip's `extent`, m^2: D with `TOLERANCE`
+    most_distance: float  # of the distance in it, m: the reach with `TOLERANCE`
     bounds: Bounds
 
 
@@ -116,7 +117,6 @@ def _facts(sensor: SensorModel) -> SensorFacts:
     return sensor_facts(sensor)
 
 
-_NO_LABELS = np.empty(0, dtype=np.uint64)
 Stated = tuple[np.ndarray, np.ndarray, np.ndarray]  # states (N, 4) float32; ids and labels (N,) uint64
 
 
@@ -271,7 +271,7 @@ class GossipTable:
         gossips = self.gossips
         states = np.frombuffer(bytearray().join([gossips[row].states_bytes for row in rows]), dtype=np.float32)
         ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
-        return states.reshape(-1, 4), ids, np.concatenate([_NO_LABELS, *[gossips[row].labels for row in rows]])
+        return states.reshape(-1, 4), ids, read_labels([gossips[row].label_parts for row in rows])
 
     @once
     def boxes(self) -> np.ndarray:

@@ -57,7 +57,8 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) 
     """Whether a gossip stays within what its sender's sensor can do: U <= D, the COD within reach, and the goal in the arena."""
     if gossip.goal is not None and not (0.0 <= gossip.goal[0] <= arena.width and 0.0 <= gossip.goal[1] <= arena.height):
         return False
-    return gossip.stated_area <= announced.most_area and gossip.cod_distance <= announced.most_distance
+    area, distance = gossip.extent
+    return area <= announced.most_area and distance <= announced.most_distance
 
 
 def restated(gossip: Gossip, tick: int, generator: Sequence[float], diagram: str) -> Gossip:

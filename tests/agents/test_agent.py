@@ -339,3 +339,14 @@ def test_a_beacon_of_other_settings_is_refused() -> None:
         agent.handle(received(msgspec.structs.replace(seen, sender="s3" if settings == right else "s2", settings=settings)), 0.1)
         assert agent.peer_table.peers.keys() == known
     assert agent.counters["rejected.settings"] == 1
+
+
+def test_a_gossip_of_a_tick_far_ahead_says_nothing_about_the_lag() -> None:
+    agent, lags = met(msgspec.structs.replace(CONFIG, timing=TimingSettings(look_ahead=2.5))), []
+    agent.handle(word(2**40, lag=5), 1.0)
+    for tick in range(12):
+        agent.handle(see(tick), 1.0 + 0.25 * tick)
+        agent.handle(word(tick), 1.0 + 0.25 * tick)
+        agent.handle(Timer(), 1.24 + 0.25 * tick)
+        lags.append(agent._rounds.lag.current)
+    assert set(lags) == {0}

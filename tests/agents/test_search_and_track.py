@@ -1,6 +1,7 @@
 """Search and track by numbers worked by hand: what is worth seeing, who leaves what to whom, where an agent goes and looks."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from agents.coverage.search_plan import (
 )
 from agents.round import context_of
 from agents.tracking.particles import NONE, Particles, unlabelled
+from protocol.codec import decode, encode
 from protocol.fields import Malformed
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
@@ -186,16 +188,22 @@ def test_sectors_count_counter_clockwise_from_ahead() -> None:
     assert sector_of(np.cos(angles), np.sin(angles)).tolist() == [0, 0, 1, 18, 36, 36, 71, 0]
 
 
+def received(**fields: Any) -> None:
+    """Raise what a receiver of a gossip with these fields raises."""
+    gossip = Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, **fields)
+    decode("covey/demo/gossip/s1", encode(gossip))
+
+
 @pytest.mark.parametrize("goal", [(math.nan, 1.0), (1.0, math.inf), (1.0e7, 1.0)])
 def test_a_goal_that_is_no_place_is_refused(goal: tuple[float, float]) -> None:
     with pytest.raises(Malformed, match="goal"):
-        Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, goal=goal).check()
+        received(goal=goal)
 
 
 @pytest.mark.parametrize("value", [math.nan, -1.0, math.inf])
 def test_a_utilisation_that_is_no_number_is_refused(value: float) -> None:
     with pytest.raises(Malformed, match="goal_utilisation"):
-        Gossip(sender="s1", incarnation=1, tick=4, pose=(0, 0, 0), cod=(0, 0), power_radius=1.0, unused=1.0, goal_utilisation=value).check()
+        received(goal_utilisation=value)
 
 
 def test_an_agent_without_a_goal_counts_as_one_that_stays() -> None:

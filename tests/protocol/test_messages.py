@@ -1,4 +1,4 @@
-"""Messages: arrays read back, and every rule of `check` with the smallest message that breaks it."""
+"""Messages: arrays read back, and every rule of a receiver with the smallest message that breaks it."""
 
 import math
 from typing import Any
@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from protocol.codec import decode, encode
 from protocol.fields import FARTHEST, Malformed, pack
+from protocol.keys import message_key
 from protocol.message import Message
 from protocol.messages import KINDS, Beacon, Command, Gossip, Hello, Observation
 from protocol.observer_messages import Estimate, Truth
@@ -44,11 +46,16 @@ def changed(message: Message, **fields: Any) -> Message:
     return msgspec.structs.replace(message, **fields)
 
 
+def check(message: Message) -> None:
+    """Raise what a receiver raises."""
+    decode(message_key("demo", message), encode(message))
+
+
 @pytest.mark.parametrize(
     "message", [GOSSIP, BEACON, HELLO, OBSERVATION, COMMAND, ESTIMATE, TRUTH], ids=lambda message: type(message).__name__
 )
 def test_a_sound_message_of_every_kind_passes(message: Message) -> None:
-    message.check()
+    check(message)
 
 
 def test_all_nine_kinds_are_known_by_their_tag() -> None:
@@ -73,7 +80,7 @@ def test_arrays_are_read_only_and_messages_frozen() -> None:
 
 def test_an_agent_that_saw_nothing_and_owns_nothing_sends_empty_arrays_of_the_right_shape() -> None:
     empty = Gossip(sender="s1", incarnation=1, tick=1, pose=(0.0, 0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, unused=0.0)
-    empty.check()
+    check(empty)
     assert (empty.detections.shape, empty.claim.shape, empty.states.shape, empty.ids.shape) == ((0, 2), (0, 3), (0, 4), (0,))
 
 
@@ -129,7 +136,7 @@ BROKEN = [
 )
 def test_each_rule_is_refused_with_its_reason_and_names_the_field(message: Message, fields: dict[str, Any], reason: str, word: str) -> None:
     with pytest.raises(Malformed, match=word) as caught:
-        changed(message, **fields).check()
+        check(changed(message, **fields))
     assert caught.value.reason == reason
 
 
@@ -150,7 +157,7 @@ def test_no_number_of_any_message_may_be_nan_infinite_or_huge(message: Message, 
     for place in range(len(value)) if isinstance(value, tuple) else [None]:
         broken = bad if place is None else (*value[:place], bad, *value[place + 1 :])
         with pytest.raises(Malformed, match=field) as caught:
-            changed(message, **{field: broken}).check()
+            check(changed(message, **{field: broken}))
         assert caught.value.reason == "range"
 
 
@@ -171,12 +178,12 @@ ARRAYS = [
 @pytest.mark.parametrize(("message", "field", "dtype"), ARRAYS, ids=[f"{type(message).__name__}-{field}" for message, field, _ in ARRAYS])
 def test_one_bad_number_anywhere_in_an_array_is_found(message: Message, field: str, dtype: str, bad: float) -> None:
     sound = np.frombuffer(getattr(message, field), dtype=dtype)
-    message.check()
+    check(message)
     for place in range(len(sound)):
         broken = sound.copy()
         broken[place] = bad
         with pytest.raises(Malformed, match="finite") as caught:
-            changed(message, **{field: broken.tobytes()}).check()
+            check(changed(message, **{field: broken.tobytes()}))
         assert caught.value.reason == "range"
 
 
@@ -186,17 +193,17 @@ def test_one_bad_number_anywhere_in_an_array_is_found(message: Message, field: s
 def test_the_bound_is_exact_also_where_the_sum_of_squares_is_too_large_to_tell(edge: float, accepted: bool) -> None:
     message = changed(OBSERVATION, detections_bytes=pack(np.array([[edge, 0.0], [edge, edge]]), "<f4"))
     if accepted:
-        message.check()
+        check(message)
     else:
         with pytest.raises(Malformed, match="detections"):
-            message.check()
+            check(message)
 
 
 def test_a_full_sized_array_of_the_largest_allowed_numbers_passes() -> None:
-    changed(OBSERVATION, detections_bytes=pack(np.full((4096, 2), FARTHEST), "<f4")).check()
+    check(changed(OBSERVATION, detections_bytes=pack(np.full((4096, 2), FARTHEST), "<f4")))
 
 
 def test_an_error_never_repeats_a_long_name() -> None:
     with pytest.raises(Malformed) as caught:
-        changed(GOSSIP, claim_names=("x" * 100_000, "s2")).check()
+        check(changed(GOSSIP, claim_names=("x" * 100_000, "s2")))
     assert len(str(caught.value)) < 200
