@@ -72,6 +72,8 @@ class Loss:
         if self.closed is None and self.name not in view.cells and is_taken(self.cell, view):
             self.closed, self.settled = view.tick - self.tick, view.time + SETTLE
             self.heirs = shares(self.cell, view.cells)
+        if self.closed is None and self.verb == "died" and len(view.cells.get(self.name, ())):
+            return f"{self.what()}: it was back before others took its cell"
         if self.closed is None:
             return f"{self.what()}: its cell is still open" if view.time >= self.time + GIVE_UP else None
         if view.time >= self.settled - 0.5 * SETTLE:

@@ -97,13 +97,12 @@ def test_holes_elsewhere_and_a_sliver_in_the_cell_do_not_keep_it_open() -> None:
 def test_what_is_open_at_the_end_of_the_run_is_told_then() -> None:
     chronicle = Chronicle()
     chronicle.see(view(99, BEFORE))
-    for name in ("s2", "s3"):
-        chronicle.lose(name, "died", 100, 25.0)
+    chronicle.lose("s2", "died", 100, 25.0)
     chronicle.see(view(101, AFTER))
     chronicle.lose("s1", "is paused", 101, 25.25)
     texts = [one.text for one in chronicle.finish()]
     assert texts[0] == "s2 died at 25.0 s: s1 (60 %) and s3 (40 %) took its cell within 1 tick; no target lost"
-    assert texts[2] == "s1 is paused at 25.2 s: its cell was open when the run ended"
+    assert texts[1] == "s1 is paused at 25.2 s: its cell was open when the run ended"
     assert chronicle.finish() == []
 
 
@@ -129,6 +128,22 @@ def test_a_return_is_told_when_the_agent_owns_a_cell_and_overtakes_what_was_open
     chronicle.regain("s2", 102)
     told = play(chronicle, [view(102, BEFORE), view(103, AFTER), view(104, {**AFTER, "s2": np.empty((0, 2))}), view(105, BEFORE)])
     assert told == [EventReport(26.25, "s2", "s2 is back: it owns a cell again after 3 ticks")]
+
+
+def test_a_death_whose_agent_is_back_before_others_took_its_cell_is_told_as_such() -> None:
+    chronicle = Chronicle()
+    chronicle.see(view(99, BEFORE))
+    chronicle.lose("s2", "died", 100, 25.0)
+    chronicle.lose("s9", "died", 100, 25.0)
+    opened = {name: BEFORE[name] for name in ("s1", "s3")}
+    told = play(chronicle, [view(101, opened, hole=0.3)])
+    chronicle.regain("s2", 102)
+    told += play(chronicle, [view(102, {**opened, "s2": np.empty((0, 2))}, hole=0.3), *[view(tick, BEFORE) for tick in range(103, 190)]])
+    assert [one.text for one in told] == [
+        "s2 died at 25.0 s: it was back before others took its cell",
+        "s2 is back: it owns a cell again after 1 tick",
+        "s9 died at 25.0 s; it owned no cell",
+    ]
 
 
 def test_an_agent_that_is_back_in_the_same_process_was_silent_and_has_not_died() -> None:
