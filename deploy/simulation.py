@@ -145,7 +145,7 @@ class Simulation:
                 self.scorer.note_fault(action.verb, f"{action.verb} {', '.join(action.names)}", ",".join(action.names), self.bus.now)
             self.injector.strike(action)
             if action.verb in LINK_VERBS:
-                self.scorer.note_fault(action.verb, describe(action))
+                self.scorer.note_fault(action.verb, describe(action), sides=self.links.sides(alive))
         self.on_truth(truth)
 
 

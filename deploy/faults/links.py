@@ -59,6 +59,18 @@ class Links:
         """Whether the session between two nodes has been cut; one direction is enough."""
         return (one, other) in self._torn or (other, one) in self._torn
 
+    def sides(self, names: Iterable[str]) -> int:
+        """The number of groups into which cuts divide some nodes; no message goes from one group to another in either direction."""
+        apart = self._cut & {(receiver, sender) for sender, receiver in self._cut}
+        rest, found = set(names), 0
+        while rest:
+            reached, found = [rest.pop()], found + 1
+            for one in reached:
+                heard = {other for other in rest if (one, other) not in apart}
+                reached.extend(heard)
+                rest -= heard
+        return found
+
     def carry(self, sender: str, receiver: str, key: str, payload: bytes, now: float) -> Sequence[tuple[float, bytes]]:
         """(delay s, payload) of every copy that arrives (`protocol.virtual.Link`)."""
         ears = self._ears.get(receiver)

@@ -386,7 +386,7 @@ class Supervisor:
         for name in self.scenario.members:
             self._tell_links(name)
         text = describe(action)
-        self.scorer.note_fault(action.verb, text)
+        self.scorer.note_fault(action.verb, text, sides=self._links.sides(self._agents("running")))
         log.info(text)
         self._tell(text)
         return text

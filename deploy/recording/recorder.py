@@ -124,7 +124,8 @@ class Recorder:
     def note_fault(self, fault: Fault) -> None:
         """Record a fault that was ordered."""
         if not self._closed:
-            self._writer.add_metadata(FAULT, {"time": repr(fault.time), "verb": fault.verb, "text": fault.text, "who": fault.who})
+            about = {"time": repr(fault.time), "verb": fault.verb, "text": fault.text, "who": fault.who, "sides": str(fault.sides)}
+            self._writer.add_metadata(FAULT, about)
             self._guarded(self._settle)
 
     def flush(self, after: float = 0.0) -> None:

@@ -160,7 +160,8 @@ class Recording:
                 about = record.metadata
             elif record.name == FAULT:
                 found = record.metadata
-                self.faults.append(Fault(float(found["time"]), found["verb"], found["text"], found.get("who", "")))
+                who, sides = found.get("who", ""), int(found.get("sides", 1))
+                self.faults.append(Fault(float(found["time"]), found["verb"], found["text"], who, sides))
         return about
 
     def _note_channels(self, chunk: Chunk) -> None:

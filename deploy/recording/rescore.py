@@ -35,7 +35,7 @@ def rescore_slowly(recording: Recording, scorer: Scorer) -> Iterator[float]:
         scorer.handle(event_of(entry), now)
         while faults and scorer.truth is not None and scorer.truth.time >= faults[0].time:
             fault = faults.popleft()
-            scorer.note_fault(fault.verb, fault.text, fault.who, now)
+            scorer.note_fault(fault.verb, fault.text, fault.who, now, fault.sides)
         yield entry.time
     scorer.finish(now)
 

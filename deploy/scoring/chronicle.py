@@ -113,20 +113,19 @@ class Return:
 
 @dataclass
 class Cut:
-    """A cut between agents, until each side covers the arena by itself; or a healing, until the cells tile it again."""
+    """A cut or a healing, until each side covers the arena by itself; one side alone is the whole team."""
 
-    verb: str  # partition, heal
     tick: int
     sides: int
 
     def see(self, view: ScoredTick) -> str | None:
         """Look at the next tick; the sentence once the cells have settled."""
-        if view.tick <= self.tick or view.hole > CLOSED:
+        if view.tick <= self.tick or view.hole > CLOSED or abs(view.overlap - (self.sides - 1)) > CLOSED:
             return None
         ticks = f"{view.tick - self.tick} tick{'s' * (view.tick - self.tick != 1)}"
-        if self.verb == "heal":
-            return f"the links are clear: the cells tile the arena again after {ticks}" if view.overlap <= CLOSED else None
-        return f"the cut: each side covers the whole arena by itself after {ticks}" if view.overlap >= self.sides - 1 - CLOSED else None
+        if self.sides == 1:
+            return f"the links are clear: the cells tile the arena again after {ticks}"
+        return f"the cut: each side covers the whole arena by itself after {ticks}"
 
 
 class Chronicle:
@@ -136,7 +135,6 @@ class Chronicle:
         self._open: list[Loss | Return | Cut] = []
         self._last: ScoredTick | None = None
         self._cells: dict[str, np.ndarray] = {}  # the newest of each agent
-        self._sides = 1  # into which cuts divide the agents
 
     def lose(self, name: str, verb: str, tick: int, time: float) -> None:
         """An agent has gone."""
@@ -159,11 +157,11 @@ class Chronicle:
         """A paused or silent agent goes on: its loss is not reported if nobody has taken its cell."""
         self._open = [one for one in self._open if not (isinstance(one, Loss) and one.name == name and one.closed is None)]
 
-    def cut(self, verb: str, tick: int) -> None:
-        """Links have been cut, or are clear again. Each cut since the last healing adds a side."""
-        self._sides = self._sides + 1 if verb == "partition" else 1
+    def cut(self, verb: str, tick: int, sides: int) -> None:
+        """Links were cut (partition) or cleared (heal), and `sides` are left. Nothing is told of a cut that leaves one side."""
         self._open = [one for one in self._open if not isinstance(one, Cut)]
-        self._open.append(Cut(verb, tick, self._sides))
+        if verb == "heal" or sides > 1:
+            self._open.append(Cut(tick, sides))
 
     def see(self, view: ScoredTick) -> list[EventReport]:
         """Show a scored tick; the sentences that are due."""

@@ -16,6 +16,7 @@ class Fault(NamedTuple):
     verb: str
     text: str
     who: str = ""  # names of the affected agents, with commas
+    sides: int = 1  # into which cuts divide the living agents, once it is carried out
 
 
 class EventReport(NamedTuple):

@@ -308,16 +308,16 @@ class Scorer(Node):
             self._events.append(told)
             self.on_report(told)
 
-    def note_fault(self, verb: str, text: str, who: str = "", now: float = 0.0) -> None:
-        """Note an ordered fault that no message shows, such as a cut or a pause; `who`: names with commas."""
-        self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text, who))
+    def note_fault(self, verb: str, text: str, who: str = "", now: float = 0.0, sides: int = 1) -> None:
+        """Note an ordered fault that no message shows, such as a cut or a pause; `who` and `sides` as in `Fault`."""
+        self.faults.append(Fault(self.truth.time if self.truth else 0.0, verb, text, who, sides))
         names = [name for name in who.split(",") if name]
         if verb == "pause":
             self._begin_pause(names)
         elif verb in ("resume", "kill", "restart"):
             self._end_pause(verb, names, now)
         elif verb in ("partition", "heal") and self.truth is not None:
-            self._chronicle.cut(verb, self.truth.tick)
+            self._chronicle.cut(verb, self.truth.tick, sides)
         self.on_fault(self.faults[-1])
 
     def _begin_pause(self, names: list[str]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from deploy.scenario import FaultSettings, resolve
 from deploy.scoring.chronicle import Chronicle, ScoredTick, names_of, shares
 from deploy.scoring.result import EventReport
-from deploy.simulation import simulate
+from deploy.simulation import Simulation, simulate
 
 
 def box(west: float, south: float, east: float, north: float) -> np.ndarray:
@@ -161,24 +161,32 @@ def test_an_agent_that_is_back_in_the_same_process_was_silent_and_has_not_died()
 
 def test_a_cut_is_told_when_both_sides_cover_the_arena_and_a_healing_when_the_cells_tile_it() -> None:
     chronicle = Chronicle()
-    chronicle.cut("partition", 100)
+    chronicle.cut("partition", 100, 2)
     told = play(chronicle, [view(tick, BEFORE, overlap=min(1.0, 0.25 * (tick - 100))) for tick in range(101, 110)])
     assert [one.text for one in told] == ["the cut: each side covers the whole arena by itself after 4 ticks"]
-    chronicle.cut("heal", 110)
+    chronicle.cut("heal", 110, 1)
     told = play(chronicle, [view(111, BEFORE, overlap=0.5), view(112, BEFORE, hole=0.1), view(113, BEFORE), view(114, BEFORE)])
     assert [one.text for one in told] == ["the links are clear: the cells tile the arena again after 3 ticks"]
 
 
 def test_a_second_cut_is_told_when_all_three_sides_cover_the_arena() -> None:
     chronicle = Chronicle()
-    chronicle.cut("partition", 100)
+    chronicle.cut("partition", 100, 2)
     assert len(play(chronicle, [view(101, BEFORE, overlap=1.0)])) == 1
-    chronicle.cut("partition", 110)
+    chronicle.cut("partition", 110, 3)
     told = play(chronicle, [view(110 + tick, BEFORE, overlap=1.0 + 0.25 * tick) for tick in range(1, 8)])
     assert [one.text for one in told] == ["the cut: each side covers the whole arena by itself after 4 ticks"]
-    chronicle.cut("heal", 120)
-    chronicle.cut("partition", 130)
-    assert len(play(chronicle, [view(131, BEFORE, overlap=1.0)])) == 1
+    chronicle.cut("heal", 120, 2)
+    told = play(chronicle, [view(121, BEFORE, overlap=2.0), view(122, BEFORE, overlap=1.5), view(123, BEFORE, overlap=1.0)])
+    assert [one.text for one in told] == ["the cut: each side covers the whole arena by itself after 3 ticks"]
+
+
+def test_a_cut_that_leaves_all_agents_connected_is_not_told_and_its_healing_is() -> None:
+    chronicle = Chronicle()
+    chronicle.cut("partition", 100, 1)
+    assert play(chronicle, [view(101, BEFORE), view(102, BEFORE, overlap=0.5), view(103, BEFORE, overlap=1.0)]) == []
+    chronicle.cut("heal", 110, 1)
+    assert len(play(chronicle, [view(111, BEFORE, overlap=0.5), view(112, BEFORE)])) == 1
 
 
 def test_a_silence_in_which_nobody_took_the_cell_is_no_open_cell() -> None:
@@ -198,6 +206,20 @@ def test_shares_are_of_the_former_cell_and_many_heirs_are_counted() -> None:
     assert names_of([("a", 0.5), ("b", 0.25)]) == "a (50 %) and b (25 %)"
     assert names_of([(name, 0.15) for name in "abcdef"]) == "a (15 %), b (15 %), c (15 %), d (15 %) and 2 more"
     assert names_of([]) == ""
+
+
+def test_the_same_cut_twice_has_two_sides_and_a_second_one_after_a_part_was_healed_has_two_again() -> None:
+    faults = (
+        FaultSettings(at=5.0, verb="partition", who="s1,s2"),
+        FaultSettings(at=10.0, verb="partition", who="s1,s2"),
+        FaultSettings(at=15.0, verb="partition", who="s4"),
+        FaultSettings(at=20.0, verb="heal", who="s4", options={"only_cut": True}),
+        FaultSettings(at=25.0, verb="heal"),
+    )
+    simulation = Simulation(msgspec.structs.replace(resolve("quick", {"run.seconds": 30.0, "targets.count": 2}), faults=faults))
+    told = simulation.run().events
+    assert [fault.sides for fault in simulation.scorer.faults] == [2, 2, 3, 1, 1]
+    assert [one.time // 5.0 * 5.0 for one in told] == [5.0, 10.0, 15.0, 25.0]
 
 
 def test_the_result_of_a_run_tells_every_death_and_return_and_a_paused_agent_is_not_counted_dead() -> None:

@@ -38,6 +38,21 @@ def test_one_way_the_rest_hear_nothing_and_a_bridge_hears_both_sides() -> None:
     assert ALL - hears(links) == {("s1", "s3"), ("s1", "s4"), ("s3", "s1"), ("s4", "s1")}
 
 
+def test_sides_are_groups_that_hear_nothing_of_each_other_among_those_asked_about() -> None:
+    links, cut = Links(1, TEAM), {"kind": "both"}
+    assert links.sides(TEAM) == 1 and links.sides([]) == 0
+    for names, sides in ((["s1", "s2"], 2), (["s1", "s2"], 2), (["s2"], 3)):
+        links.act(Action("partition", names, None, cut))
+        assert links.sides(TEAM) == sides
+    assert links.sides(["s1", "s3", "s4"]) == 2 and links.sides(["s3", "s4"]) == 1
+    links.act(Action("heal", ["s1"], None, {"only_cut": True}))
+    assert links.sides(TEAM) == 1 and links.sides(["s2", "s3"]) == 2  # s1 hears both
+    for kind in ("one-way", "bridge"):
+        links.act(Action("heal", []))
+        links.act(Action("partition", ["s1"], None, {"kind": kind}))
+        assert links.sides(TEAM) == 1
+
+
 def test_the_world_is_cut_off_only_by_name() -> None:
     links = Links(1, TEAM)
     links.act(Action("partition", ["world"]))

@@ -243,7 +243,7 @@ def test_the_recording_of_a_simulation_is_the_same_to_the_last_byte_every_time(t
 def test_faults_that_do_not_show_by_themselves_stand_in_the_recording(tmp_path: Path, whole: bool) -> None:
     recorder = Recorder(tmp_path / "a.mcap", scenario())
     recorder.see(heard(command(1)), 0.0)
-    recorder.note_fault(Fault(12.25, "partition", "cut off s1"))
+    recorder.note_fault(Fault(12.25, "partition", "cut off s1", sides=2))
     recorder.see(heard(command(2)), 0.0)
     recorder.note_fault(Fault(13.0, "pause", "pause s2, s3", "s2,s3"))
     recorder.note_fault(Fault(14.0, "heal", "all links are clear again"))
@@ -253,9 +253,9 @@ def test_faults_that_do_not_show_by_themselves_stand_in_the_recording(tmp_path: 
         (tmp_path / "a.mcap").write_bytes(data)
     recording = Recording(tmp_path / "a.mcap")
     assert recording.faults == [
-        (12.25, "partition", "cut off s1", ""),
-        (13.0, "pause", "pause s2, s3", "s2,s3"),
-        (14.0, "heal", "all links are clear again", ""),
+        (12.25, "partition", "cut off s1", "", 2),
+        (13.0, "pause", "pause s2, s3", "s2,s3", 1),
+        (14.0, "heal", "all links are clear again", "", 1),
     ]
     assert len(list(recording.entries())) == 2
     assert recording.is_whole == whole
