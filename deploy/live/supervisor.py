@@ -185,7 +185,7 @@ class Supervisor:
 
     def _status(self) -> Status:
         """The status of the swarm, and what its start waits for."""
-        return msgspec.structs.replace(self.scorer.status(), waiting=self._start.waiting())
+        return msgspec.structs.replace(self.scorer.status(time.monotonic()), waiting=self._start.waiting())
 
     async def _wait_for_the_last_ticks(self) -> None:
         """Let what was said before the end arrive, which takes its time on a busy machine.

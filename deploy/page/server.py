@@ -94,7 +94,7 @@ class PageServer:
         self._shown: tuple[Any, ...] = ()
         self._version = -1
         self._shown_at = 0.0
-        self.is_frozen = False  # the run is over: what is shown stays
+        self._at_end: dict[str, Any] | None = None  # what frames say beside the picture once the run is over
 
     def bind(self) -> str:
         """Take the port and return the page's address; raises BadSetting when it is taken."""
@@ -128,10 +128,15 @@ class PageServer:
 
     def freeze(self) -> None:
         """The run is over: what is shown stays, and says so."""
-        self.is_frozen = True
+        self._at_end = self._at_end or {**self.source.extra(), "over": True}
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether the run is over."""
+        return self._at_end is not None
 
     def _extra(self) -> dict[str, Any]:
-        return {**self.source.extra(), "over": True} if self.is_frozen else self.source.extra()
+        return self._at_end or self.source.extra()
 
     async def close(self) -> None:
         """Say goodbye to the browsers and stop to serve."""

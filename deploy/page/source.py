@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -110,7 +111,7 @@ class LiveSource:
     def extra(self) -> dict[str, Any]:
         if self._waiting and self.picture.truth is None:
             return {"waiting": self._waiting}
-        tick_rate = self._scorer.tick_rate.now()
+        tick_rate = self._scorer.tick_rate.at(time.monotonic())
         speeds = [None if speed is None else round(speed, 1) for speed in (tick_rate.ticks_per_s, tick_rate.asked_per_s)]
         return {"tick_rate": [*speeds, tick_rate.skipped, tick_rate.late], "advice": tick_rate.advice}
 

@@ -346,8 +346,8 @@ class Scorer(Node):
         """Live agents and their incarnations, by their tokens, in team order."""
         return {name: self._alive[name] for name in self._names if name in self._alive}
 
-    def status(self) -> Status:
-        """The newest score and what is known of each agent."""
+    def status(self, now: float) -> Status:
+        """The newest score and what is known of each agent at a time of the driver's clock, s."""
         last = self.scores[-1] if self.scores else NO_SCORE
         run = self._scenario.run
         return Status(
@@ -362,7 +362,7 @@ class Scorer(Node):
             hole=last.hole,
             overlap=last.overlap,
             messages=self._tally.messages,
-            tick_rate=self.tick_rate.now(),
+            tick_rate=self.tick_rate.at(now),
             agents=[self._agent_status(name) for name in self._names],
             arena=(self._scenario.arena.width, self._scenario.arena.height),
             places=_pairs([self.truth.targets] if self.truth else []),

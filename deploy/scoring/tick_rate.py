@@ -80,9 +80,13 @@ class TickRateMeter:
         """Rounds that all agents have played."""
         return sum(count[0] for count in self._counts.values())
 
-    def now(self) -> TickRate:
-        """The rate of the last seconds."""
-        return self._status(self._ticks[0] if self._ticks else None, WINDOW)
+    def at(self, now: float) -> TickRate:
+        """The rate of the last seconds at a time of the clock, s: where ticks fail to come, at most what one more tick would make it."""
+        found = self._status(self._ticks[0] if self._ticks else None, WINDOW)
+        if found.ticks_per_s is not None:
+            since, first = max((one for one in self._ticks if one[0] <= now - WINDOW), default=self._ticks[0])
+            found.ticks_per_s = min(found.ticks_per_s, (self._ticks[-1][1] + 1 - first) / (now - since))
+        return found
 
     def whole(self) -> TickRate:
         """The rate of the whole run."""

@@ -121,7 +121,7 @@ def test_a_lost_agent_leaves_a_hole_that_closes_when_the_cells_of_the_rest_cover
     (kill,) = result.kills
     assert (kill.name, kill.tick, kill.time, kill.closed_seconds, kill.closed_ticks) == ("b", 1, 1.0, 0.75, 1)
     assert result.hole_area == pytest.approx(0.5, abs=1e-12)
-    rows = {agent.name: agent for agent in scorer.status().agents}
+    rows = {agent.name: agent for agent in scorer.status(2.0).agents}
     assert not rows["b"].alive and rows["b"].left_at == 1.0
     assert rows["a"].alive and rows["a"].cell == 1.0 and rows["a"].pose == (2.0, 2.0, 2.0)
 
@@ -246,8 +246,8 @@ def test_an_agent_of_other_settings_is_told_of_once_and_named_in_the_table_of_pr
         scorer.handle(received(Hello(sender="b", incarnation=1, settings=settings)), 0.0)
         scorer.handle(received(Hello(sender="a", incarnation=1, settings=right)), 0.0)
         if len(settings):
-            assert [agent.differs for agent in scorer.status().agents] == [[], ["arena.height", "arena.width", "filter.gate"]]
+            assert [agent.differs for agent in scorer.status(2.0).agents] == [[], ["arena.height", "arena.width", "filter.gate"]]
     assert told == [("b", ("arena.height", "arena.width", "filter.gate"))]
-    assert [agent.differs for agent in scorer.status().agents] == [[], []]
+    assert [agent.differs for agent in scorer.status(2.0).agents] == [[], []]
     row = {"name": "b", "class": "B", "state": "running", "pid": 7, "incarnation": 1, "differs": ["arena.width", "filter.gate"]}
     assert process_cells(row)[2] == "running, refused: other arena.width, filter.gate"

@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import struct
+import time
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
@@ -306,10 +307,14 @@ def test_a_frame_says_that_the_run_is_over_and_how_fast_it_went() -> None:
             async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws") as ws:
                 first = await frame_of(ws)
                 assert "over" not in first and first["tick_rate"][1:] == [None, 0, 0]
+                for tick in range(20, 23):
+                    simulation.scorer.tick_rate.tick(time.monotonic() - 0.25 * (22 - tick), tick)
                 simulation.scorer.finish(simulation.bus.now)
-                assert (await frame_of(ws))["over"] is True
+                last = await frame_of(ws)
+                assert last["over"] is True
+                await asyncio.sleep(0.3)
                 async with session.get(f"{url}api/frame") as answer:
-                    assert (await answer.json())["over"] is True
+                    assert (await answer.json())["tick_rate"] == last["tick_rate"]  # no tick is missing after the last one
         finally:
             await server.close()
 

@@ -35,12 +35,24 @@ def test_what_is_asked_is_the_rate_of_real_time_or_the_pace_of_lockstep() -> Non
 
 def test_the_speed_is_that_of_the_last_seconds_and_that_of_the_whole_run() -> None:
     pace = TickRateMeter(scenario(clock="lockstep"))
-    assert pace.now().ticks_per_s is None
+    assert pace.at(100.0).ticks_per_s is None
     run_at(pace, 10.0, 10.0)
     for tick in range(1, 101):
         pace.tick(110.0 + tick / 20.0, 100 + tick)
-    assert pace.now().ticks_per_s == pytest.approx(20.0)
+    assert pace.at(115.0).ticks_per_s == pytest.approx(20.0)
     assert pace.whole().ticks_per_s == pytest.approx(200.0 / 15.0)
+
+
+def test_the_rate_falls_when_no_tick_comes_and_stays_while_slow_ticks_come_on_time() -> None:
+    still = TickRateMeter(scenario(clock="realtime", rate=2.0))
+    run_at(still, 8.0, 10.0)
+    rates = [still.at(110.0 + seconds).ticks_per_s for seconds in (0.0, 0.125, 1.0, 5.0, 20.0)]
+    assert rates == pytest.approx([8.0, 8.0, 33 / 5, 1 / 5, 1 / 20])
+    assert still.at(130.0).advice == ""  # a world that stands still says nothing about the machine
+    assert still.whole().ticks_per_s == 8.0
+    slow = TickRateMeter(scenario(clock="lockstep"))
+    run_at(slow, 0.1, 30.0)
+    assert [slow.at(130.0 + seconds).ticks_per_s for seconds in (0.0, 5.0, 10.0)] == pytest.approx([0.1, 0.1, 0.1])
 
 
 def test_rounds_are_counted_over_all_incarnations() -> None:
@@ -49,22 +61,22 @@ def test_rounds_are_counted_over_all_incarnations() -> None:
     pace.count(told("s1", 1, {"rounds": 20, "skipped": 4}))
     pace.count(told("s1", 2, {"rounds": 5, "late": 3}))
     pace.count(told("s2", 1, {"rounds": 7}))
-    found = pace.now()
+    found = pace.at(100.0)
     assert (found.rounds, found.skipped, found.late) == (32, 4, 3)
 
 
 def test_a_machine_that_keeps_up_gets_no_advice_and_one_that_does_not_gets_a_rate_that_fits() -> None:
     calm = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(calm, 8.0, 10.0, skipped=4)
-    assert calm.now().advice == ""
+    assert calm.at(110.0).advice == ""
     busy = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(busy, 8.0, 10.0, skipped=100)
-    assert busy.now().advice == (
+    assert busy.at(110.0).advice == (
         "this machine is too small for 6 agents at rate 2 (50 % of the rounds are skipped): take --rate 1 or less, or --lockstep"
     )
     slow = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(slow, 4.0, 10.0)
-    assert "(50 % of the ticks come): take --rate 1 or less" in slow.now().advice
+    assert "(50 % of the ticks come): take --rate 1 or less" in slow.at(110.0).advice
 
 
 def test_the_rounds_that_a_paused_agent_skips_are_counted_and_give_no_advice() -> None:
@@ -72,18 +84,18 @@ def test_the_rounds_that_a_paused_agent_skips_are_counted_and_give_no_advice() -
     run_at(meter, 8.0, 10.0, skipped=0)
     meter.excuse("s2")
     meter.count(told("s2", 1, {"rounds": 20, "skipped": 60}))
-    assert (meter.now().skipped, meter.now().advice) == (60, "")
+    assert (meter.at(110.0).skipped, meter.at(110.0).advice) == (60, "")
     meter.count(told("s3", 1, {"rounds": 20, "skipped": 60}))
-    assert "are skipped): take --rate" in meter.now().advice
+    assert "are skipped): take --rate" in meter.at(110.0).advice
 
 
 def test_there_is_no_advice_in_the_first_seconds_nor_in_lockstep() -> None:
     early = TickRateMeter(scenario(clock="realtime", rate=2.0))
     run_at(early, 8.0, 2.0, skipped=100)
-    assert early.now().advice == ""
+    assert early.at(102.0).advice == ""
     patient = TickRateMeter(scenario(clock="lockstep", max_rate=2.5))
     run_at(patient, 1.0, 10.0, skipped=100)
-    assert patient.now().advice == ""
+    assert patient.at(110.0).advice == ""
 
 
 @pytest.mark.parametrize("clock", ["realtime", "lockstep"])
@@ -91,9 +103,9 @@ def test_a_monitor_that_misses_messages_says_that_its_figures_are_too_bad(clock:
     meter = TickRateMeter(scenario(clock=clock))
     meter.unread = 7872
     run_at(meter, 8.0, 2.0)
-    assert meter.now().advice == ""  # a machine that is too small is told first, and that needs some seconds
+    assert meter.at(110.0).advice == ""  # a machine that is too small is told first, and that needs some seconds
     run_at(meter, 8.0, 10.0)
-    assert meter.now().advice == (
+    assert meter.at(110.0).advice == (
         "the monitor found no time for 7872 messages: holes and errors are overstated; the agents need a lower priority"
     )
 
@@ -122,6 +134,6 @@ def test_a_slow_world_says_its_factor_and_who_is_slow_or_stalled_is_named() -> N
     run_at(meter, 4.0, 10.0)
     for name, stalled in (("s1", 0), ("s2", 900), ("s3", 0), ("s4", 0), ("s5", 0)):
         meter.count(told(name, 1, {"stalled_ms": stalled} if stalled else {}, pace=1 if name == "s2" else 4))
-    found = meter.now()
+    found = meter.at(110.0)
     line = tick_rate_words({name: getattr(found, name) for name in found.__struct_fields__})
     assert line == "4.0 of 10 ticks/s, 0.40 x the speed asked for, pace 4: s1, s3, s4 and 1 more, stalled: s2"
