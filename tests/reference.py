@@ -83,6 +83,7 @@ def metrics() -> str:
     head = f"""# Metrics
 
 {MADE} The server of the page answers `/metrics` for Prometheus. One endpoint serves the whole swarm, and every sample has the label `run`.
+Of an agent whose token is gone `covey_agent_up`, the age and the counters remain; its other gauges have no sample.
 
 ```yaml
 scrape_configs:

@@ -89,16 +89,17 @@ def _scores(score: Score | None) -> Iterator[Family]:
 
 def _agents(picture: Picture) -> Iterator[Family]:
     spoken = [(known, known.estimate) for known in picture.agents.values() if known.estimate is not None]
+    living = [(known, estimate) for known, estimate in spoken if known.alive]  # a dead agent owns nothing
     up = [({"agent": known.name}, float(known.alive)) for known in picture.agents.values()]
     yield Family("agent_up", "gauge", "1 while the agent's token is up.", up)
     ages = [(known.name, picture.age(known)) for known in picture.agents.values()]
     yield Family(
         "agent_age_seconds", "gauge", "Age of the last gossip, s of the world.", [({"agent": n}, a) for n, a in ages if a is not None]
     )
-    yield Family("agent_mass", "gauge", "Expected targets in the agent's cell.", [({"agent": k.name}, e.mass) for k, e in spoken])
-    yield Family("agent_load", "gauge", "Expected targets in the agent's footprint.", [({"agent": k.name}, e.load) for k, e in spoken])
-    yield Family("agent_unused_square_meters", "gauge", "Unused capacity U.", [({"agent": k.name}, e.unused) for k, e in spoken])
-    yield Family("agent_round_seconds", "gauge", "How long the last round took.", [({"agent": k.name}, e.round_seconds) for k, e in spoken])
+    yield Family("agent_mass", "gauge", "Expected targets in the agent's cell.", [({"agent": k.name}, e.mass) for k, e in living])
+    yield Family("agent_load", "gauge", "Expected targets in the agent's footprint.", [({"agent": k.name}, e.load) for k, e in living])
+    yield Family("agent_unused_square_meters", "gauge", "Unused capacity U.", [({"agent": k.name}, e.unused) for k, e in living])
+    yield Family("agent_round_seconds", "gauge", "How long the last round took.", [({"agent": k.name}, e.round_seconds) for k, e in living])
     yield from _agent_counters(spoken)
 
 

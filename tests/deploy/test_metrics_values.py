@@ -24,6 +24,19 @@ def test_no_figure_of_the_score_stands_under_the_name_of_another() -> None:
     assert {name: found[f"covey_{name}", 'run="covey"'] for name in FIGURES} == FIGURES
 
 
+def test_of_an_agent_that_has_gone_only_its_counters_its_age_and_that_it_is_down_are_left() -> None:
+    picture = played(10)[1]
+
+    def named(name: str) -> set[str]:
+        found = samples(metrics_page(picture, None, PageFigures()).decode())
+        return {family.removeprefix("covey_agent_") for family, labels in found if f'agent="{name}"' in labels}
+
+    gauges = {"mass", "load", "unused_square_meters", "round_seconds"}
+    assert named("s3") == named("s4") > gauges
+    picture.see(Gone("agent", "s3", 1), 0.0)
+    assert named("s4") - named("s3") == gauges
+
+
 def test_an_agent_is_up_for_as_long_as_its_token() -> None:
     picture, up = Picture(played(1)[0].scenario), []
     for event in (Alive("agent", "s3", 1), Gone("agent", "s3", 1)):
