@@ -145,7 +145,8 @@ class LiveSource:
                 status = (await self._control("status", ""))["data"]
                 self._waiting = status["swarm"]["waiting"]
                 self.picture.pause(frozenset(row["name"] for row in status["processes"] if row["state"] == "paused"))
-                for fault in status["faults"][self._faults :]:
+                known = max(self._faults, len(self._scorer.faults))  # those of its own scorer the picture is told at once
+                for fault in status["faults"][known:]:
                     self.picture.note_fault(Fault(*fault))
                 self._faults = len(status["faults"])
             with contextlib.suppress(TimeoutError):

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from deploy.page.picture import PAUSES
 from deploy.page.server import PageServer
 from deploy.recording.recorder import FLUSH_SECONDS, Recorder
 from deploy.recording.recording import NAME
@@ -90,7 +89,7 @@ class Observers:
     def _note_fault(self, fault: Fault) -> None:
         if self._recorder is not None:
             self._recorder.note_fault(fault)
-        if self._page is not None and fault.verb in PAUSES:  # the page's source asks the supervisor for the others
+        if self._page is not None:
             self._page.source.picture.note_fault(fault)
 
     def _tell(self, told: EventReport) -> None:

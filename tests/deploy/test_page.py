@@ -6,6 +6,7 @@ import struct
 import time
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import aiohttp
@@ -13,6 +14,8 @@ import msgspec
 import pytest
 
 from deploy.__main__ import app
+from deploy.live.control import Answer, ControlServer
+from deploy.page import source as page_source
 from deploy.page.picture import Picture
 from deploy.page.server import Address, Client, PageServer, address_of
 from deploy.page.source import LiveSource
@@ -256,10 +259,10 @@ def test_links_can_be_cut_from_the_page_where_the_scenario_allows_link_faults() 
         assert source.about(False)["verbs"] == []
 
 
-def watched(ticks: int) -> tuple[Simulation, PageServer]:
+def watched(ticks: int, directory: RunDirectory | None = None) -> tuple[Simulation, PageServer]:
     """A simulation of 12 ticks with a page beside it, played for some of them."""
     simulation = Simulation(resolve("quick", {"run.seconds": 3.0, "run.dt": 0.25, "team.composition": "3E"}))
-    server = PageServer(LiveSource(simulation.scorer, Picture(simulation.scenario), None), Address("127.0.0.1", 0, True))
+    server = PageServer(LiveSource(simulation.scorer, Picture(simulation.scenario), directory), Address("127.0.0.1", 0, True))
     Observers(simulation.scorer, None, server)
     while simulation.scorer.truth is None or simulation.scorer.truth.tick < ticks - 1:
         simulation.bus.step()
@@ -330,3 +333,36 @@ def test_a_paused_agent_whose_token_goes_is_paused_on_the_page_until_it_is_kille
     simulation.scorer.note_fault("resume", "resume s2", "s2")
     assert states(server) == ["dead", "alive", "alive"]
     assert [kill.name for kill in simulation.scorer.result(0.0).kills] == ["s1"]
+
+
+def test_each_ordered_fault_stands_once_on_the_time_line_of_the_supervisors_page_and_of_one_outside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COVEY_RUNS", str(tmp_path))
+    monkeypatch.setattr(page_source, "STATE_PERIOD", 0.01)
+    directory = RunDirectory("r")
+    directory.path.mkdir(parents=True)
+    (supervised, inside), (_, outside) = watched(6, directory), watched(6, directory)
+    for verb, who in (("pause", "s1"), ("resume", "s1"), ("partition", "")):
+        supervised.scorer.note_fault(verb, f"{verb} {who}", who)
+
+    async def scene() -> None:
+        asked = 0
+
+        async def answer(request: dict[str, Any]) -> Answer:
+            nonlocal asked
+            asked += 1
+            return {"ok": "", "data": {"swarm": {"waiting": ""}, "processes": [], "faults": supervised.scorer.faults}}
+
+        control = ControlServer(directory, answer)
+        await control.open()
+        pages = [asyncio.create_task(server.source.chores()) for server in (inside, outside)]
+        while asked < 4:
+            await asyncio.sleep(0.01)
+        for page in pages:
+            page.cancel()
+        await control.close()
+
+    asyncio.run(scene())
+    for server in (inside, outside):
+        assert [one.kind for one in server.source.picture.happenings] == ["paused", "heard", "partition"]
