@@ -4,19 +4,17 @@ Rules. A row is frame, id, left, top, width, height, confidence, x, y, z, as in 
 `SIDES` x `study.cutoff` m around its place, so that boxes of a target and of an estimate farther away than about two thirds of the cut-off
 do not overlap by half. The top of the picture is north. The last three columns are the place in m. Estimates without a label go into
 det/det.txt with the id -1, as detections do; estimates with labels go into res/res.txt as well. Their ids count the labels from 1 in
-the order in which they appear, because readers of these files make tables as long as the largest id. A label counts once in a frame
-(deploy/scoring/tracks.py).
+the order in which they appear, because readers of these files make tables as long as the largest id. Every frame holds the estimates that
+the scorer counts in its tick: an agent whose estimate of the tick is missing has its last one there, moved on by its velocity. A label
+counts once in a frame (deploy/scoring/tracks.py).
 """
 
 from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
 from deploy.recording.recording import Recording
-from deploy.recording.reported import reported_ticks
+from deploy.recording.rescore import rescore
 from deploy.scenario import Scenario
-from deploy.scoring.tracks import UniqueLabels
 
 SIDES = 2.0
 UNKNOWN = -1
@@ -25,19 +23,17 @@ UNKNOWN = -1
 def write_mot(recording: Recording, folder: Path) -> list[Path]:
     """The files, in a folder that is made."""
     scenario, truth, found, labelled = recording.scenario, [], [], []
-    numbers, names, last = dict[int, int](), UniqueLabels(), -1
-    for tick in reported_ticks(recording):
-        frame = last = tick.truth.tick + 1
-        truth += [_row(scenario, frame, int(name), x, y) for name, (x, y) in zip(tick.truth.ids, tick.truth.targets.tolist())]
-        found += [_row(scenario, frame, UNKNOWN, one.x, one.y) for one in tick.targets]
-        named = [one for one in tick.targets if one.label is not None]
-        places = np.array([(one.x, one.y) for one in named]).reshape(-1, 2)
-        labels = names.of([one.label or 0 for one in named], [one.existence for one in named], places).tolist()
-        labelled += [_row(scenario, frame, numbers.setdefault(label, len(numbers) + 1), one.x, one.y) for label, one in zip(labels, named)]
+    scorer, numbers, frame = rescore(recording), dict[int, int](), 0
+    for score, tick, has_label in zip(scorer.scores, scorer.tracks.ticks, scorer.tracks.labelled):
+        frame = score.tick + 1
+        truth += [_row(scenario, frame, int(name), x, y) for name, (x, y) in zip(tick.ids, tick.targets.tolist())]
+        found += [_row(scenario, frame, UNKNOWN, x, y) for x, y in tick.estimates.tolist()]
+        for label, (x, y) in zip(tick.labels[has_label].tolist(), tick.estimates[has_label].tolist()):
+            labelled.append(_row(scenario, frame, numbers.setdefault(label, len(numbers) + 1), x, y))
     files = [_written(folder / "gt" / "gt.txt", truth), _written(folder / "det" / "det.txt", found)]
     if labelled:
         files.append(_written(folder / "res" / "res.txt", labelled))
-    return [*files, _written(folder / "seqinfo.ini", _about(recording, last))]
+    return [*files, _written(folder / "seqinfo.ini", _about(recording, frame))]
 
 
 def _row(scenario: Scenario, frame: int, name: int, x: float, y: float) -> str:
@@ -52,7 +48,7 @@ def _about(recording: Recording, frames: int) -> list[str]:
         "[Sequence]",
         f"name={recording.run}",
         f"frameRate={1.0 / scenario.run.dt:g}",
-        f"seqLength={max(frames, 0)}",
+        f"seqLength={frames}",
         f"imWidth={scenario.arena.width:g}",
         f"imHeight={scenario.arena.height:g}",
     ]

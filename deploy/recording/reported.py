@@ -20,7 +20,6 @@ class ReportedTarget(NamedTuple):
     agent: str
     number: int  # in the estimate of that agent, from 0
     label: int | None
-    existence: float = 0.0
 
 
 class ReportedTick(NamedTuple):
@@ -32,9 +31,8 @@ class ReportedTick(NamedTuple):
 
 def reported_by(estimate: Estimate) -> Iterator[ReportedTarget]:
     """The targets in an estimate."""
-    existence = estimate.details[:, 5].tolist()
     for number, ((x, y), label) in enumerate(zip(estimate.targets.tolist(), estimate.labels.tolist())):
-        yield ReportedTarget(x, y, estimate.sender, number, label or None, existence[number])
+        yield ReportedTarget(x, y, estimate.sender, number, label or None)
 
 
 def reported_ticks(recording: Recording) -> Iterator[ReportedTick]:

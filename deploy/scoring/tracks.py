@@ -23,6 +23,7 @@ class TrackLog:
 
     def __init__(self, scenario: Scenario) -> None:
         self.ticks: list[TrackTick] = []
+        self.labelled: list[np.ndarray] = []  # (M,) of each tick: whether the agent gave the estimate a label
         self._names = UniqueLabels()
         self._cutoff = scenario.study.cutoff
         self._window = max(1, round(WINDOW / scenario.run.dt))
@@ -32,6 +33,7 @@ class TrackLog:
         labels = [label for estimate in estimates for label in estimate.labels.tolist()]
         existence = [value for estimate in estimates for value in estimate.details[:, 5].tolist()]
         self.ticks.append(TrackTick(truth.ids, truth.targets, self._names.of(labels, existence, positions), positions))
+        self.labelled.append(np.array(labels, dtype=np.uint64) != NO_LABEL)
 
     def figures(self) -> dict[str, float]:
         """The scores, by the names of the fields of `Result`."""

@@ -28,14 +28,19 @@ ORIGIN = (50.7, -1.2)
 BEGAN = "2016-01-12T13:02:11Z"
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recorded(folder: Path, settings: dict[str, object]) -> Recording:
     """20 ticks of the scenario `quick`."""
-    file = tmp_path_factory.mktemp("run") / "a.mcap"
-    simulation = Simulation(resolve("quick", {"run.seconds": 5.0, "run.name": "seen"}))
+    file = folder / "a.mcap"
+    simulation = Simulation(resolve("quick", {"run.seconds": 5.0, "run.name": "seen", **settings}))
     Observers(simulation.scorer, open_recorder(file, simulation.scenario, virtual=True))
     simulation.run()
     return Recording(file)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A run in which every agent reports every tick."""
+    return recorded(tmp_path_factory.mktemp("run"), {})
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +92,10 @@ def indexed(values: list[list[int]]) -> list[np.ndarray]:
     return [np.array([known.index(value) for value in row], dtype=int) for row in values]
 
 
-def test_trackeval_and_motmetrics_score_the_exported_tracks_as_the_run_does(recording: Recording, tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [1, 4])
+def test_trackeval_and_motmetrics_score_the_exported_tracks_as_the_run_does(every: int, tmp_path: Path) -> None:
     metrics, motmetrics = pytest.importorskip("trackeval").metrics, pytest.importorskip("motmetrics")
+    recording = recorded(tmp_path, {"timing.estimate_every": every})
     frames, cutoff, result = exported(write_mot(recording, tmp_path)), recording.scenario.study.cutoff, rescore(recording).result(0.0)
     near = [similarity(targets, places, cutoff) for _, targets, _, places in frames]
     data = {
