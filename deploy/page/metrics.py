@@ -69,7 +69,12 @@ def _swarm(picture: Picture) -> Iterator[Family]:
     yield Family("messages_total", "counter", "Messages heard.", [({}, picture.messages)])
     yield Family("message_bytes_total", "counter", "Payload of the messages heard.", [({}, picture.bytes)])
     rejected = [({"sender": sender, "reason": reason}, count) for (sender, reason), count in sorted(picture.rejected.items())]
-    yield Family("rejected_total", "counter", "Messages that the monitor refused.", [(labels, float(count)) for labels, count in rejected])
+    yield Family(
+        "rejected_total",
+        "counter",
+        "Messages that the monitor refused; (other): their sender is no known agent.",
+        [(labels, float(count)) for labels, count in rejected],
+    )
 
 
 def _scores(score: Score | None) -> Iterator[Family]:

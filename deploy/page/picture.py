@@ -26,6 +26,7 @@ from protocol.settings import BadSetting, sensor_of
 TRAIL = 12.0  # s of the world that trails reach back, and `MOST_TICKS` at least
 MOST_HAPPENINGS = 2000
 UNKNOWN = 0  # incarnation of an agent that has not been heard
+OTHER = "(other)"  # under which rejected messages are counted whose sender is no known agent: anybody can make up names
 MOST_TICKS = 24  # kept of what an agent said
 
 
@@ -117,7 +118,7 @@ class Picture:
         self.trail: deque[Truth] = deque()
         self.messages = 0
         self.bytes = 0
-        self.rejected: Counter[tuple[str, str]] = Counter()  # by sender and reason
+        self.rejected: Counter[tuple[str, str]] = Counter()  # by sender, a known agent or `OTHER`, and reason
         self.roster_version = 0  # grows when an agent or its sensor becomes known
         self.version = 0  # grows with everything that is heard
         self.paused: frozenset[str] = frozenset()  # as the supervisor says
@@ -299,9 +300,10 @@ class Picture:
             self._settle()
 
     def _reject(self, event: Rejected) -> None:
-        self.rejected[event.sender, event.reason] += 1
-        if event.sender in self.agents:
-            self.agents[event.sender].rejected += 1
+        known = self.agents.get(event.sender)
+        self.rejected[known.name if known else OTHER, event.reason] += 1
+        if known:
+            known.rejected += 1
 
     def _known(self, name: str) -> KnownAgent:
         return self.agents.get(name) or self._meet(name, "", None)
