@@ -1,7 +1,8 @@
-"""The cache of compiled loops on disk, valid while their source files are unchanged.
+"""The cache of compiled loops on disk, valid while their source files, Python and numba are unchanged.
 
 Rules. numba checks only the file of the function that it loads. A loop that calls a function of another file would stay outdated after a
-change of that file. The folder of the cache is therefore named after a hash of the contents of all `SOURCES`.
+change of that file. The folder of the cache is therefore named after a hash of the contents of all `SOURCES`. The versions of Python and
+numba are part of it: what one of them has compiled another does not load.
 """
 
 import contextlib
@@ -10,8 +11,10 @@ import hashlib
 import os
 import re
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +27,16 @@ SOURCES = (
     "agents/interest/position_table.py",
 )
 COMPLETE = "complete"  # the file in that folder which says that all loops have been compiled
-MOST_FOLDERS = 4  # one for each state of the sources, the present one included; going back to a recent state needs no compilation
+MOST_FOLDERS = 4  # one for each state of sources and versions, this one included; a recent state needs no compilation
 
 
 @cache
 def folder() -> Path:
-    """The folder of the compiled loops of these sources.
+    """The folder of the compiled loops of these sources, this Python and this numba.
 
     It lies under NUMBA_CACHE_DIR if that is set, else beside the sources if they are writable, else under the cache of the user.
     """
-    digest = hashlib.blake2b(digest_size=8)
+    digest = hashlib.blake2b(f"{sys.implementation.cache_tag} {metadata.version('numba')}\0".encode(), digest_size=8)
     for source in sorted(path for pattern in SOURCES for path in HERE.parents[1].glob(pattern)):
         digest.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
     return _base() / f"kernels-{digest.hexdigest()}"

@@ -133,6 +133,18 @@ def test_loops_are_complete_when_a_process_that_compiled_all_has_said_so_and_not
     assert cache.compiled_before()
 
 
+def test_another_python_or_another_numba_has_loops_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine, folders = cache.folder.__wrapped__, []
+    assert mine() == cache.folder()
+    with monkeypatch.context() as other:
+        other.setattr(sys.implementation, "cache_tag", "cpython-399")
+        folders.append(mine())
+    with monkeypatch.context() as other:
+        other.setattr(cache.metadata, "version", lambda package: f"9.9 of {package}")
+        folders.append(mine())
+    assert len({cache.folder(), *folders}) == 3
+
+
 def test_old_loops_are_removed_but_the_newest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "folder", lambda: tmp_path / "kernels-now")
     for age, name in enumerate(("now", "a", "b", "c", "d", "e")):
