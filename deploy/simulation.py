@@ -13,7 +13,7 @@ from typing import Literal
 import msgspec
 
 from agents.agent import Agent
-from agents.backend import PLAIN, Backend
+from agents.backend import Backend
 from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
 from deploy.faults.injector import Build, Injector
 from deploy.faults.links import Links, describe
@@ -46,11 +46,9 @@ def rare_collections() -> Iterator[None]:
 
 
 def compiled() -> Backend:
-    """The compiled backend, or the plain one where numba cannot be imported; the bits are the same."""
-    try:
-        from agents.compiled.backend import FAST
-    except ImportError:
-        return PLAIN
+    """The compiled backend; the first call imports the compiler."""
+    from agents.compiled.backend import FAST
+
     return FAST
 
 

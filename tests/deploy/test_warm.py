@@ -11,6 +11,7 @@ import pytest
 
 from agents.compiled.cache import folder
 from agents.compiled.correction_kernels import correct
+from deploy.simulation import compiled
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
@@ -36,6 +37,12 @@ from agents.compiled.cache import loops_on_disk, number_of_loops
 assert before and loops_on_disk() == number_of_loops()  # what the progress of the first start counts
 print(sorted(compiled() - before))
 """
+
+
+def test_a_compiler_that_cannot_be_imported_is_an_error_and_makes_no_slow_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "agents.compiled.backend", None)
+    with pytest.raises(ImportError, match="None in sys"):
+        compiled()
 
 
 @pytest.mark.slow
