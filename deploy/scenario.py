@@ -35,7 +35,7 @@ class FaultSettings(Section, frozen=True, kw_only=True):
     """[[faults]] one thing that happens to the swarm."""
 
     at: NotNegative  # world time, s
-    verb: str
+    verb: str  # what happens; docs/how-to/own-scenario.md#faults-in-a-scenario has a table of all verbs, and of which need `who`
     who: str = ""  # a name, names with commas, a number, or a share such as "30%"
     seconds: NotNegative | None = None  # for how long; None = until the end
     value: NotNegative | None = None  # of the verb: a probability, a delay in s

@@ -161,8 +161,9 @@ def _members(kind: type) -> Iterator[str]:
 
 
 def _cell(text: str) -> str:
-    """A text as it may stand in a cell of a table."""
-    return re.sub(r"\s+", " ", text).replace("|", "\\|")
+    """A text as it may stand in a cell of a table. The path of a page becomes a link to it."""
+    linked = re.sub(r"\bdocs/([\w/-]*?([\w-]+)\.md\S*)", r"[\2](../\1)", text)
+    return re.sub(r"\s+", " ", linked).replace("|", "\\|")
 
 
 PAGES: dict[str, Callable[[], str]] = {"settings.md": settings, "command-line.md": command_line, "metrics.md": metrics, "python.md": python}
