@@ -24,7 +24,7 @@ from deploy.studies.engines import (
     shared_progress,
 )
 from deploy.studies.results import StudyFolder
-from deploy.studies.trials import Row, cost
+from deploy.studies.trials import Row, cost, newest_source
 from protocol.settings import BadSetting
 
 PLAIN_WIDTH = 180  # columns where there is no terminal
@@ -41,18 +41,25 @@ def run_open_trials(
     name: str, folder: StudyFolder, trials: Sequence[Job], workers: int | None, scheduler: str | None, console: Console, play: Play
 ) -> list[Row]:
     """The rows of all trials in their order. Trials that the folder lacks are run first."""
-    done = folder.finished()
-    open_trials = [(number, trial) for number, trial in enumerate(trials) if trial.key() not in done]
+    done, keys = folder.finished(), [trial.key() for trial in trials]
+    open_trials = [(number, trial) for number, trial in enumerate(trials) if keys[number] not in done]
     count = len(trials) - len(open_trials)
     console.print(f"{name}: {len(trials)} trials" + (f", {count} of them done already" if count else "") + f"; {folder.path}")
     if open_trials:
-        _run(folder, trials, open_trials, workers or os.cpu_count() or 1, scheduler, console, play)
+        _run(folder, trials, keys, open_trials, workers or os.cpu_count() or 1, scheduler, console, play)
     finished = folder.finished()
-    return [finished[trial.key()] for trial in trials]
+    return [finished[key] for key in keys]
 
 
 def _run(
-    folder: StudyFolder, trials: Sequence[Job], todo: Sequence[Numbered], workers: int, scheduler: str | None, console: Console, play: Play
+    folder: StudyFolder,
+    trials: Sequence[Job],
+    keys: Sequence[str],
+    todo: Sequence[Numbered],
+    workers: int,
+    scheduler: str | None,
+    console: Console,
+    play: Play,
 ) -> None:
     """Run the open trials; every row goes into the folder when it is finished."""
     if not scheduler:
@@ -63,7 +70,7 @@ def _run(
     previous = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that workers are ended on the way out
     try:
         with closing(engine), _bar(console, len(trials), ahead) as show_progress:
-            _follow(engine, folder, trials, ahead, show_progress)
+            _follow(engine, folder, trials, keys, ahead, show_progress)
     except TrialFailed as error:
         raise BadSetting(f"a trial failed, the others are kept: {error}") from error
     except KeyboardInterrupt:
@@ -73,14 +80,28 @@ def _run(
         signal.signal(signal.SIGTERM, previous)
 
 
-def _follow(engine: FinishedTrials, folder: StudyFolder, trials: Sequence[Job], ahead: "RemainingWork", tell: "ProgressBar") -> None:
+def _follow(
+    engine: FinishedTrials, folder: StudyFolder, trials: Sequence[Job], keys: Sequence[str], ahead: "RemainingWork", tell: "ProgressBar"
+) -> None:
+    """Keep the rows that come; `keys` are those of the trials when the study began. Raises BadSetting for a row of another key."""
     for rows in engine:
         for number, row in rows:
-            if row["key"] != trials[number].key():
-                raise BadSetting(f"a worker runs another program ({row['code']}) than this one; start again with one version")
+            if row["key"] != keys[number]:
+                changed = _what_changed(trials[number], keys[number], row["code"])
+                raise BadSetting(f"{changed}; {ahead.finished} of {len(trials)} trials are kept")
             folder.add(row)
             ahead.finish(number)
         tell.show()
+
+
+def _what_changed(trial: Job, key: str, code: str) -> str:
+    """What has changed since the study began, and the remedy, when a worker of program `code` gives a row of another key for a trial."""
+    if trial.key() != key:
+        return f"{trial.file()}: was changed while the study ran; undo that and start the study again, or all trials are played anew"
+    return (
+        f"a worker runs another program ({code}) than this one: it has another version, or a source was changed while the study ran"
+        f" ({newest_source()} was the last); start the study again"
+    )
 
 
 class RemainingWork:

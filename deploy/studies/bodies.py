@@ -8,12 +8,13 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from deploy.scenario import FaultSettings, Scenario, resolve
+from deploy.scenario import FaultSettings, Scenario, find, resolve
 from deploy.simulation import Simulation
 from deploy.studies.trials import CORE, Row, key_of, source_hash
 from protocol.observer_messages import Truth
@@ -52,6 +53,10 @@ class BodyRun(msgspec.Struct, frozen=True, kw_only=True):
         killed = stream(self.seed, "killed").permutation(list(given.members))[: len(DEATHS)].tolist()
         faults = tuple(FaultSettings(at=share * self.seconds, verb="kill", who=name) for share, name in zip(DEATHS, killed))
         return msgspec.structs.replace(given, faults=faults)
+
+    def file(self) -> Path:
+        """The file of its scenario."""
+        return find(SCENARIO)
 
     def key(self) -> str:
         """What tells this run from all others, the program that plays it included."""

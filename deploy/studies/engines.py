@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Protocol
 
 from deploy.scenario import Scenario
@@ -28,6 +29,9 @@ class Job(Protocol):
 
     def key(self) -> str:
         """What tells it from all others, the program included; its row has the same."""
+
+    def file(self) -> Path:
+        """The file of its scenario."""
 
     def command(self) -> str:
         """What repeats it, or what it is."""

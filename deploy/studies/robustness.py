@@ -7,13 +7,14 @@ world does not wait (`realtime` in virtual time), so that what is late is lost.
 
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
 from deploy.faults.faults import Schedule
-from deploy.scenario import FaultSettings, Scenario, resolve
+from deploy.scenario import FaultSettings, Scenario, find, resolve
 from deploy.simulation import Simulation
 from deploy.studies.trials import CORE, Row, key_of, source_hash
 from protocol.settings import BadSetting
@@ -71,6 +72,10 @@ class Bout(msgspec.Struct, frozen=True, kw_only=True):
             case "partition":
                 return (FaultSettings(at=self.at, verb="partition", who="50%", seconds=self.level),)
         return ()
+
+    def file(self) -> Path:
+        """The file of its scenario."""
+        return find(SCENARIO)
 
     def key(self) -> str:
         """What tells this bout from all others, the program that runs it included."""

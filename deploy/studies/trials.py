@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from deploy.scenario import SEARCH_EXTRACTION, Scenario, resolve
+from deploy.scenario import SEARCH_EXTRACTION, Scenario, find, resolve
 from deploy.scoring.error_parts import ErrorParts
 from deploy.scoring.result import Result
 from deploy.simulation import Simulation
@@ -102,6 +102,10 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
         """The scenario to run; raises BadSetting naming what is wrong."""
         return resolve(self.scenario, self.overrides())
 
+    def file(self) -> Path:
+        """The file of its scenario."""
+        return find(self.scenario)
+
     def key(self) -> str:
         """What tells this trial from all others, the program that runs it included."""
         return self.key_with(self.resolve())
@@ -138,11 +142,19 @@ def fingerprint() -> str:
 def source_hash(parts: tuple[str, ...]) -> str:
     """A hash of source files and folders, named from the root."""
     digest = hashlib.blake2b(digest_size=6)
-    for part in parts:
-        path = ROOMS / part
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            digest.update(file.read_bytes())
+    for file in _source_files(parts):
+        digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def newest_source() -> Path:
+    """The file of `CORE` that was changed last."""
+    return max(_source_files(CORE), key=lambda file: file.stat().st_mtime)
+
+
+def _source_files(parts: Sequence[str]) -> list[Path]:
+    paths = [ROOMS / part for part in parts]
+    return [file for path in paths for file in (sorted(path.rglob("*.py")) if path.is_dir() else [path])]
 
 
 def run_trial(trial: Trial, progress: Callable[[float], None] = lambda share: None) -> Row:

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from deploy.cli.study import run_study
-from deploy.cli.study_progress import RemainingWork, remaining, words
+from deploy.cli.study_progress import ProgressBar, RemainingWork, _follow, console_of, remaining, words
 from deploy.studies.design import Design, design_fields, design_with, dotted_options
-from deploy.studies.engines import TrialFailed, on_a_cluster, on_this_machine, shared_progress
+from deploy.studies.engines import FinishedTrials, TrialFailed, on_a_cluster, on_this_machine, shared_progress
 from deploy.studies.results import StudyFolder
 from deploy.studies.trials import Trial, run_trial
 from protocol.settings import BadSetting
@@ -56,8 +56,28 @@ def test_workers_give_the_rows_that_this_process_gives(run: Callable[..., dict[s
 def test_rows_of_another_program_are_not_mixed_in(run: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
     """This process believes in other sources than its workers read."""
     monkeypatch.setattr("deploy.studies.trials.fingerprint", lambda: "0123456789ab")
-    with pytest.raises(BadSetting, match=r"a worker runs another program \([0-9a-f]{12}\)"):
+    with pytest.raises(
+        BadSetting,
+        match=r"a worker runs another program \([0-9a-f]{12}\) .*\.py was the last\); start the study again; 0 of 4 trials are kept$",
+    ):
         run()
+
+
+def test_a_scenario_file_that_changes_in_the_middle_of_a_study_is_named_and_the_trials_before_are_kept(tmp_path: Path) -> None:
+    file, folder = tmp_path / "mine.toml", StudyFolder(tmp_path / "study")
+    file.write_text("[run]\nseconds = 1.0\n")
+    trials = [Trial(scenario=str(file), seed=seed, team="A2", targets=1, method="power") for seed in (1, 2)]
+    keys = [trial.key() for trial in trials]
+
+    def engine() -> FinishedTrials:
+        yield [(0, {"key": keys[0], "code": "a"})]
+        file.write_text("[run]\nseconds = 2.0\n")
+        yield [(1, {"key": trials[1].key(), "code": "a"})]
+
+    ahead, tell = RemainingWork(trials, list(enumerate(trials)), [0.0, 0.0]), console_of(as_json=True)
+    with folder.claimed(), pytest.raises(BadSetting, match=r"/mine\.toml: was changed while the study ran; .*; 1 of 2 trials are kept$"):
+        _follow(engine(), folder, trials, keys, ahead, ProgressBar(tell, ahead, 2, None))
+    assert folder.finished().keys() == {keys[0]}
 
 
 @pytest.mark.slow
