@@ -87,6 +87,7 @@ class Simulation:
                 raise BadSetting('bodies.host: must be "world" where control.mode is "oracle", which assigns all bodies at once')
             given, build = without_oracle(given), Oracle(scenario, self.world).build
         self.injector = Injector(self.bus, self.links, given, backend or compiled(), build)
+        self.is_stopped = False  # where it is set, `run` ends before the next event
         self.on_truth: Callable[[Truth], None] = lambda truth: None  # called with every new tick, after the faults of the tick
         self._schedule = Schedule(scenario.run.seed, scenario.faults)
         self._started = time.perf_counter()
@@ -121,9 +122,9 @@ class Simulation:
         targets.place(number, place)
 
     def run(self) -> Result:
-        """Play the run to its end."""
+        """Play the run to its end, or until it is stopped."""
         with rare_collections():
-            while not self.done and self.bus.step():
+            while not self.is_stopped and not self.done and self.bus.step():
                 pass
         return self.result()
 

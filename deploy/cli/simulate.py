@@ -1,12 +1,16 @@
 """`simulate`: a scenario in one process, in virtual time."""
 
 import os
+import signal
 import sys
 import time
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from types import FrameType
 from typing import Literal
+
+import msgspec
 
 from deploy.cli.display import Display, show_result
 from deploy.cli.errors import FAILED, complain
@@ -30,9 +34,10 @@ def simulate_here(
     trace: Path | None = None,
     clock: Literal["lockstep", "realtime"] = "lockstep",
 ) -> int:
-    """Run the same nodes in this process in virtual time.
+    """Run the same nodes in this process in virtual time; the exit code.
 
-    The result is kept as a run when it is named (`requested_name`) or recorded without a file's name.
+    The result is kept as a run when it is named (`requested_name`) or recorded without a file's name. Of a simulation that a signal has
+    stopped it is that of the ticks so far.
     """
     if trace is not None:
         check_trace(trace)
@@ -75,8 +80,35 @@ def _simulate(
             progress.tell(truth.tick + 1, scenario.run.ticks)
 
         simulation.on_truth = heard
-        result = simulation.run()
-    return result, simulation.scorer.scores, path, series
+        with _stopped_by_signals(simulation) as received:
+            result = simulation.run()
+    code = 128 + received[0] if received else 0
+    return msgspec.structs.replace(result, exit_code=code), simulation.scorer.scores, path, series
+
+
+@contextmanager
+def _stopped_by_signals(simulation: Simulation) -> Iterator[list[int]]:
+    """The numbers of the signals that have stopped the simulation. From the first one on signals do again what they did before.
+
+    A signal that is ignored, as SIGHUP is under `nohup`, stays so.
+    """
+    received = list[int]()
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        simulation.is_stopped = True
+        restore()
+
+    numbers = [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, stop) for number in numbers}
+    try:
+        yield received
+    finally:
+        restore()
 
 
 def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | None, series: Trace, trace: Path | None) -> int:
@@ -87,7 +119,7 @@ def _show(result: Result, folder: Path | None, as_json: bool, recorded: Path | N
             print(f"recorded in {os.path.relpath(recorded)}", file=sys.stderr, flush=True)
     if trace is not None:
         series.write(trace, result)
-    return code
+    return result.exit_code or code
 
 
 class ProgressLine:

@@ -16,7 +16,7 @@ import pytest
 
 from deploy.cli.display import Display, show_result
 from deploy.cli.errors import guarded
-from deploy.cli.simulate import simulate_here
+from deploy.cli.simulate import ProgressLine, simulate_here
 from deploy.scenario import resolve
 from deploy.scoring.result import Result
 from deploy.simulation import simulate
@@ -98,6 +98,20 @@ def test_a_simulation_whose_result_cannot_be_kept_shows_it(
     shown, complaints = capsys.readouterr()
     assert json.loads(shown)["ticks"] == 2
     assert f"{folder}/runs/hunt/result.json: No space left on device; the result is not kept" in complaints
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGHUP, 129), (signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_simulation_with_the_result_of_the_ticks_so_far(
+    number: signal.Signals, code: int, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COVEY_RUNS", str(folder / "runs"))
+    monkeypatch.setattr(ProgressLine, "tell", lambda line, done, ticks: signal.raise_signal(number) if done == 5 else None)
+    before = signal.getsignal(number)
+    assert simulate_here(resolve("quick", {"run.seconds": 5.0}), "hunt", as_json=True) == code
+    assert signal.getsignal(number) == before
+    result, shown = kept_result(folder), json.loads(capsys.readouterr().out)
+    assert (result["exit_code"], result["ticks"], result) == (code, 5, shown)
+    assert [run.state for run in kept_runs()] == ["interrupted"]
 
 
 def test_a_run_that_sighup_has_stopped_is_listed_as_interrupted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
