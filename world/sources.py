@@ -17,7 +17,7 @@ from world.config import RecordedSettings, WorldConfig
 from world.detector import Detector, Sightings
 from world.recorded.mrclam import read_mrclam
 from world.recorded.pedestrians import read_pedestrians
-from world.recorded.robots import ReplayedBodies, ReplayedScans
+from world.recorded.robots import ReplayedBodies, ReplayedScans, frames_by_tick
 from world.recorded.ships import read_ships
 from world.recorded.targets import RecordedTargets
 from world.recorded.tracks import RecordedWorld
@@ -104,13 +104,15 @@ def body_source(config: WorldConfig) -> BodySource:
 
 
 def recording_of(config: WorldConfig) -> RecordedWorld:
-    """The recording that a configuration names; raises BadSetting for a wrong file, and for a run that is longer than it."""
-    settings = config.recorded
+    """The recording that a configuration names; raises BadSetting for a wrong file, a run that is longer than it, and too long ticks."""
+    settings, run = config.recorded, config.run
     if not settings.data:
         raise BadSetting("recorded.data: is missing; `--data PATH` says where the files of this world are")
     recording = READERS[settings.kind](Path(settings.data), settings)
-    end = settings.start + (config.run.ticks - 1) * config.run.dt
-    if end > recording.seconds + config.run.dt:
+    end = settings.start + (run.ticks - 1) * run.dt
+    if end > recording.seconds + run.dt:
         most = recording.seconds - settings.start
-        raise BadSetting(f"run.seconds = {config.run.seconds:g}: the recording ends before; should be at most {most:.1f}")
+        raise BadSetting(f"run.seconds = {run.seconds:g}: the recording ends before; should be at most {most:.1f}")
+    for robot in recording.bodies:
+        frames_by_tick(robot, run.dt, settings.start, run.ticks)
     return recording

@@ -112,6 +112,15 @@ def test_a_frame_goes_into_the_nearest_tick_and_never_two_into_one() -> None:
     assert {tick: len(scan) for tick, scan in found.items()} == {1: 2, 2: 1, 3: 1}
 
 
+def test_frames_that_come_faster_than_the_ticks_are_refused_and_not_delayed_ever_more() -> None:
+    """A frame every .2 s; in ticks of .25 s every fifth has none of its own."""
+    moments = np.arange(50) / 5.0
+    robot = ReplayedBody(np.array([0.0, 10.0]), np.zeros((2, 3)), moments, [np.array([[1.0, 0.1]])] * 50)
+    assert list(scans_by_tick(robot, dt=0.2, start=0.0, ticks=50)) == list(range(50))
+    with pytest.raises(BadSetting, match=r"^run\.dt = 0\.25: the frame .* at 2\.\d* s .*; should be less than .* two frames, 0\.200 s$"):
+        scans_by_tick(robot, dt=0.25, start=0.0, ticks=50)
+
+
 def test_a_replay_from_the_middle_of_a_recording_states_each_measurement_from_where_the_robot_was_then() -> None:
     """A robot at .2 m/s; a landmark 3 m ahead of it, .1 s after second 600, which is the first of the replay."""
     robot = ReplayedBody(

@@ -1,8 +1,9 @@
 """Replayed robots: bodies that go where they went, and scans that return what their sensors returned.
 
 Rules. A frame is what a sensor measured at one moment. Each frame goes into the scan of the tick nearest to its moment, or into the next
-one that is free, so that no scan holds a target twice. Its ranges and bearings are stated from the pose of that tick: the
-robot's own motion between the two moments is taken out, and the target is taken to stand still for so long.
+one that is free, so that no scan holds a target twice. Ticks that are too long for that are refused. The ranges and bearings of a frame
+are stated from the pose of that tick: the robot's own motion between the two moments is taken out, and the target is taken to stand still
+for so long.
 """
 
 import math
@@ -14,9 +15,12 @@ from protocol.fields import MAX_DETECTIONS
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
 from protocol.sensing import Pose, SensorModel
+from protocol.settings import BadSetting
 from world.detector import Sightings
 from world.recorded.targets import RecordedTargets
 from world.recorded.tracks import ReplayedBody
+
+MOST_LATE = 2  # ticks; frames of MRCLAM, one in 0.236 s, come up to 0.17 s late in ticks of 0.2 s, and 3 s in ticks of 0.25 s
 
 
 class ReplayedBodies:
@@ -58,16 +62,31 @@ class ReplayedScans:
 
 
 def scans_by_tick(robot: ReplayedBody, dt: float, start: float, ticks: int) -> dict[int, np.ndarray]:
-    """Each frame between the first and the last tick, by the tick that it goes into."""
-    found: dict[int, np.ndarray] = {}
-    for moment, frame in zip(robot.frame_times.tolist(), robot.frames):
-        tick = round((moment - start) / dt)
+    """The scan of each tick that a frame goes into."""
+    found = {}
+    for tick, number in frames_by_tick(robot, dt, start, ticks).items():
+        before, after = robot.at(float(robot.frame_times[number])), robot.at(start + tick * dt)
+        stated = from_other_pose(robot.frames[number], before, after).astype(np.float32)
+        found[tick] = stated[np.lexsort((stated[:, 1], stated[:, 0]))][:MAX_DETECTIONS]
+    return found
+
+
+def frames_by_tick(robot: ReplayedBody, dt: float, start: float, ticks: int) -> dict[int, int]:
+    """The number of each frame between the first and the last tick, by the tick that it goes into.
+
+    Raises BadSetting for ticks so long that a frame would come more than `MOST_LATE` ticks after the nearest one.
+    """
+    found: dict[int, int] = {}
+    for number, moment in enumerate(robot.frame_times.tolist()):
+        tick = nearest = round((moment - start) / dt)
         while tick in found:
             tick += 1
-        if not 0 <= tick < ticks:
-            continue
-        stated = from_other_pose(frame, robot.at(moment), robot.at(start + tick * dt)).astype(np.float32)
-        found[tick] = stated[np.lexsort((stated[:, 1], stated[:, 0]))][:MAX_DETECTIONS]
+        if tick - nearest > MOST_LATE:
+            period = float(np.median(np.diff(robot.frame_times)))
+            late = f"the frame that a robot measured at {moment:.2f} s would come more than {MOST_LATE} ticks late"
+            raise BadSetting(f"run.dt = {dt:g}: {late}; should be less than the time between two frames, {period:.3f} s")
+        if 0 <= tick < ticks:
+            found[tick] = number
     return found
 
 
