@@ -20,7 +20,7 @@ from agents.compiled.measuring_kernels import pairs as ray_pairs
 from agents.compiled.particle_kernels import blank, likely_sensors, normal, scramble, wedge
 
 _S52 = np.uint64(52)
-_BEARING = 2.0  # the model of a bearing alone, of agents/tracking/measuring.py
+_POSITION, _BEARING = 0.0, 2.0  # models of agents/tracking/measuring.py
 _FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
 
@@ -265,6 +265,12 @@ def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: f
     return x < west - wide or x > east + wide or y < south - wide or y > north + wide
 
 
+@njit
+def _has_rays(sensor: np.ndarray) -> bool:
+    """Whether the detections of a scan are anything but exact positions; `sensor` is a row of the gossip table."""
+    return sensor[16] != _POSITION or sensor[20] > 0.0 or sensor[21] > 0.0
+
+
 @cached
 def correct(
     particles: tuple,
@@ -281,14 +287,13 @@ def correct(
     """Twin of `regions.correct` for wedges: states, weights, ids and labels of the particles after all scans, the births last.
 
     `noises` are the deviations of the sensors and of the likelihood in m, the squared gate in m^2, the gate in deviations, and the variance
-    of a particle's kernel in m^2. `all_rays` has no columns if all detections are exact positions.
+    of a particle's kernel in m^2. `all_rays` has no columns if all detections are exact positions; a scan of these never uses its rays.
     `miss` is (certainty, side of a bin). `birth` is (on, particles each, radius, least, least share, most, speed, key of the births,
     directions, stamp of the labels).
     """
     states, weights, ids, labels = particles
     on, each, radius, _, _, _, speed, births_key, directions, stamp = birth
     noise, likelihood_noise, gate2, gate, kernel = noises
-    has_rays = all_rays.shape[1] > 0
     box = around(polygon, 0.0)
     sensors, begins = _scans(table, polygon, box, halo)
     scans, starts, close = len(sensors), np.zeros(len(sensors) + 1, np.int64), 0
@@ -305,8 +310,9 @@ def correct(
     rays = np.empty((close, all_rays.shape[1]))
     for m in range(close):
         detections[m], rays[m] = all_detections[picked[m]], all_rays[picked[m]]
-        if has_rays:
-            spreads[m] = rays[m, 3]
+    for s in range(scans):
+        if _has_rays(table[sensors[s]]):
+            spreads[starts[s] : starts[s + 1]] = rays[starts[s] : starts[s + 1], 3]
     if on:
         densities = _nearby(x[:count], y[:count], weights, detections, radius)
     found, gained, in_view = _pair_buffers(2 * count + 256), np.empty(capacity), np.empty(capacity + 1, np.int64)
@@ -316,7 +322,7 @@ def correct(
         at_columns[n], at_rows[n] = _bin(x[n], y[n], miss[1], raster[0], raster[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
-        likely = likely_sensors(sensor)
+        likely, has_rays = likely_sensors(sensor), _has_rays(sensor)
         seen = in_view[: _probabilities(x[:count], y[:count], likely, probabilities, in_view)]
         for n in seen:
             gained[n] = 0.0

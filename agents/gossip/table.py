@@ -296,8 +296,8 @@ class GossipTable:
             if numbers[KIND] != NO_SCAN:
                 rows = slice(end - np.int64(numbers[DETECTIONS]), end)
                 order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), key("sensor", gossip.sender)
-                rays, kappa = self.rays[rows] if self.has_rays else None, float(numbers[KAPPA])
-                noise = float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])
+                noise, kappa = (float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])), float(numbers[KAPPA])
+                rays = self.rays[rows] if numbers[MODEL] or noise != EXACT else None  # whatever other sensors in the table measure
                 scan = Scan(salt, announced_sensor.sensor, gossip.pose, self.detections[rows], order, kappa, rays, noise)
                 found.append((float(numbers[PROB]), scan))
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]

@@ -34,7 +34,7 @@ class Scan(NamedTuple):
     detections: np.ndarray  # (M, 2) float64: their places, m
     numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
-    rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None if all sensors measure positions and poses are exact
+    rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None if these are positions from an exact pose
     pose_noise: tuple[float, float] = EXACT  # standard deviations of the pose, m on each axis and rad
 
     def probability(self, points: np.ndarray) -> np.ndarray:

@@ -91,6 +91,18 @@ def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, s
     assert sum(heard) < 0.6 * len(heard) * (len(heard) - 1)
 
 
+def test_who_hears_nobody_that_measures_bearings_plays_as_if_it_did() -> None:
+    """A few sensors measure range and bearing; of the positions that the others measure all make the same particles."""
+    camera = {"angle": 120.0, "radius": 10.0, "prob_detection": 0.9, "measures": "range-bearing", "range_noise": 0.3, "bearing_noise": 2.0}
+    runs = []
+    for interest in ("all", "neighbours"):
+        options = {"team.composition": "E20,P2", "run.dt": 0.5, "run.seconds": 10.0, "timing.interest": interest, "sensors.P": camera}
+        runs.append(play(resolve("efficacy", options)))
+    (_, everything), (simulation, all_the_same) = runs
+    assert everything == all_the_same
+    assert any(not agent.peer_table.interest_set.keys() & {"s21", "s22"} for agent in simulation.agents.values())
+
+
 @pytest.mark.slow
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(4, 12))
