@@ -71,8 +71,8 @@ def _keep_out_of_git(ignored: Path) -> None:
 
 
 def work_tree(folder: Path) -> Path | None:
-    """The git work tree in which a folder lies."""
-    here = folder.absolute()
+    """The git work tree in which a folder lies; `..` and links are followed first."""
+    here = folder.resolve()
     return next((path for path in (here, *here.parents) if (path / ".git").exists()), None)
 
 

@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from deploy.cli.keys import keys
-from deploy.live.certificates import make_keys
+from deploy.live.certificates import make_keys, work_tree
 from protocol.settings import BadSetting
 
 
@@ -120,6 +120,11 @@ def test_keys_are_kept_out_of_git_and_out_of_work_trees_unless_that_is_asked_for
     ):
         make_keys(["s1"], folder)
     assert not folder.exists()
+    (tmp_path / "clone" / ".git").mkdir(parents=True)
+    assert work_tree(tmp_path / "clone" / ".." / "keys") == tmp_path.resolve()
+    (tmp_path / ".git").rename(tmp_path / "no-git")
+    assert work_tree(tmp_path / "clone" / ".." / "keys") is None  # as docs/how-to/many-machines.md types it in a clone
+    (tmp_path / "no-git").rename(tmp_path / ".git")
     make_keys(["s1"], folder, in_git=True)
     assert (folder / ".gitignore").read_text() == "*\n"
 
