@@ -11,7 +11,18 @@ import msgspec
 import tomli_w
 
 from agents.config import AgentConfig
-from protocol.settings import BadSetting, Fraction, NotNegative, Positive, RunSettings, Section, convert, read_toml, sensor_of
+from protocol.settings import (
+    BadSetting,
+    Fraction,
+    NotNegative,
+    Positive,
+    RunSettings,
+    Section,
+    SensorSettings,
+    convert,
+    read_toml,
+    sensor_of,
+)
 from world.config import BodySettings, RecordedSettings, TargetSettings, WorldConfig, WorldRun
 from world.sources import recording_of
 
@@ -20,6 +31,7 @@ SEARCH_EXTRACTION = {"bin": 0.7, "threshold": 0.3, "beside": 0.7}  # what goes w
 LAWS = {"lloyd": "the paper's method", "search-and-track": "search and track"}
 MOST_SEARCH_BINS = 1_000_000  # every agent keeps in mind when each bin of the arena was last seen
 FOLDER = Path(__file__).parent / "scenarios"
+RESERVED = ("world", "monitor", "supervisor", "operator")  # names of processes that are no agents
 ORACLE = "oracle"  # a control mode that only simulations have (`oracle.Oracle`)
 PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4": (5, 20, 15), "5": (6, 24, 18)}
 
@@ -106,7 +118,8 @@ def team_counts(team: TeamSettings) -> dict[str, int]:
     for part in re.split(r"[+,\s]+", text):
         match = re.fullmatch(r"(\d{1,9})([A-Za-z_]\w*)|([A-Za-z_]\w*?)(\d{1,9})", part)
         if match is None:
-            raise BadSetting(f"team.composition = {team.composition!r}: should be a team 1-8, or such as 20E+4H or A4,B12")
+            right = "should be a team 1-8, or such as 20E+4H or A4,B12; a class name has letters, digits and _ here, any in [members]"
+            raise BadSetting(f"team.composition = {team.composition!r}: {right}")
         sensor_class, number = match[2] or match[3], int(match[1] or match[4])
         counts[sensor_class] = counts.get(sensor_class, 0) + number
     if not 0 < sum(counts.values()) <= 10000:
@@ -145,6 +158,8 @@ def read(name: str, overrides: dict[str, Any] | None = None) -> tuple[dict[str, 
 
 def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str) -> Scenario:
     """A scenario with its members by name, and with what follows from its `data`; raises BadSetting for a team that cannot be."""
+    for sensor_class, sensor in scenario.sensors.items():
+        check_sensor_fields(sensor, f"{source}: sensors.{sensor_class}.")
     try:
         members = scenario.members or _name_members(team_counts(scenario.team))
         for sensor_class in dict.fromkeys(members.values()):
@@ -213,9 +228,26 @@ def recording_remarks(scenario: Scenario) -> tuple[str, ...]:
     return recording_of(world_config(scenario)).remarks if scenario.recorded.kind != "none" else ()
 
 
+def check_sensor_fields(sensor: SensorSettings, where: str) -> None:
+    """Raise BadSetting for a field that a sensor of this kind does not read, or needs; `where` stands before the names of fields."""
+    if sensor.model != "wedge":
+        if sensor.model.partition(":")[0].endswith(".py"):
+            raise BadSetting(f"{where}model = {sensor.model!r}: should be the name of a module, without .py, such as my_sensors:Camera")
+        for field in ("angle", "radius", "prob_detection", "prob_detection_far", "range_noise", "bearing_noise"):
+            if value := getattr(sensor, field):
+                raise BadSetting(f"{where}{field} = {value:g}: only a wedge reads it; should be left out, or stand in parameters")
+        return
+    if sensor.parameters:
+        raise BadSetting(f"{where}parameters = {sensor.parameters}: a wedge has none; should be left out, or model be module:Class")
+    if sensor.measures != "position" and not sensor.bearing_noise:
+        raise BadSetting(f"{where}bearing_noise = 0: should be more than 0 and at most 45 degrees with measures = {sensor.measures!r}")
+    if sensor.measures == "bearing" and sensor.range_noise:
+        raise BadSetting(f"{where}range_noise = {sensor.range_noise:g}: should be left out, for measures = 'bearing' has no range")
+
+
 def check_names(scenario: Scenario) -> None:
     """Raise BadSetting for an agent that bears the name of another process."""
-    for name in ("world", "monitor", "supervisor", "operator"):
+    for name in RESERVED:
         if name in scenario.members:
             raise BadSetting(f"members.{name}: this name belongs to the {name}; call the agent otherwise")
     for name in bodies_of(scenario).values():

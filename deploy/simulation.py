@@ -68,10 +68,10 @@ class Simulation:
         build: Build = Agent,
         scores: bool = True,
     ) -> None:
-        check_faults(scenario.faults, list(scenario.members))
-        for name in [name.strip() for fault in scenario.faults for name in fault.who.split(",")]:
-            if name in unsimulated(scenario):
-                raise BadSetting(f"faults: a simulation has no process to strike whose name is {name}; `covey up` has")
+        check_faults(scenario.faults, list(scenario.members), world_names(scenario))
+        for number, fault in enumerate(scenario.faults):
+            for name in unsimulated(scenario).intersection(map(str.strip, fault.who.split(","))):
+                raise BadSetting(f"faults[{number}].who = {name!r}: a simulation has no such process to strike; `covey up` has")
         self.scenario = msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, clock=clock, max_rate=0.0))
         self.links = Links(scenario.run.seed, list(scenario.members))
         faulty = any(plain_verb(fault.verb) in LINK_VERBS for fault in scenario.faults)

@@ -138,11 +138,16 @@ class RunOptions:
         import msgspec
 
         from deploy.cli.scenario_checks import check_scenario
-        from deploy.scenario import parse_set, resolve
+        from deploy.scenario import find, parse_set, resolve
+        from protocol.settings import BadSetting
 
-        scenario = resolve(name, {**self.overrides(), **dict(map(parse_set, settings))})
-        scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *self.faults()))
-        check_scenario(scenario)
+        overrides, faults = {**self.overrides(), **dict(map(parse_set, settings))}, self.faults()
+        scenario = resolve(name, overrides)
+        scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *faults))
+        try:
+            check_scenario(scenario)
+        except BadSetting as error:
+            raise BadSetting(f"{find(name)}{' with options' if overrides or faults else ''}: {error}") from error.__cause__
         return scenario
 
     def requested_name(self, scenario: "Scenario") -> str | None:

@@ -7,12 +7,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from agents.coverage.capacity import sensor_facts
 from agents.coverage.control import CheckedLaw, Situation, control_law
 from agents.tracking.births import prior_size
 from agents.tracking.particles import unlabelled
-from deploy.faults.faults import LINK_VERBS, check_fault
-from deploy.scenario import ORACLE, FaultSettings, Scenario, check_names, recording_remarks, spelled_out, world_config
+from deploy.cli.sensor_checks import check_sensor
+from deploy.faults.faults import LINK_VERBS, check_listed_fault
+from deploy.scenario import ORACLE, FaultSettings, Scenario, check_names, recording_remarks, spelled_out, world_config, world_names
 from protocol.endpoints import check_endpoints
 from protocol.geometry import rectangle
 from protocol.mistakes import mistakes
@@ -58,15 +58,15 @@ def all_mistakes(data: dict[str, Any], name: str, source: str, faults: Sequence[
 def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """The mistakes of a resolved scenario: the section, and a line that names a right value."""
     yield from _told("arena", lambda: check_costs(scenario))
-    for sensor_class in dict.fromkeys(scenario.members.values()):
+    for sensor_class in dict.fromkeys([*scenario.members.values(), *scenario.sensors]):
         yield from _told("sensors", lambda name=sensor_class: _try_sensor(scenario, name))  # type: ignore[misc]
     yield from _told("control", lambda: _try_law(scenario))
     yield from _told("targets", lambda: _try_motion(scenario))
     yield from _told("bodies", lambda: _try_bodies(scenario))
     yield from _told("recorded", lambda: _try_recording(scenario))
     yield from _told("pose", lambda: _check_memory(scenario))
-    for number, fault in enumerate(scenario.faults):
-        yield from _told("faults", lambda where=f"faults[{number}].", fault=fault: _try_fault(scenario, fault, where))  # type: ignore[misc]
+    for number in range(len(scenario.faults)):
+        yield from _told("faults", lambda number=number: _try_fault(scenario, number))  # type: ignore[misc]
 
 
 def faults_without_effect(scenario: Scenario) -> str:
@@ -119,12 +119,9 @@ def _try_sensor(scenario: Scenario, sensor_class: str) -> None:
         raise BadSetting(f'{line}: a Gaussian mixture needs places or ranges too; should be range-bearing, or filter.kind = "particles"')
     if not isinstance(sensor, WedgeSensor):
         try:
-            sensor_facts(sensor)
+            check_sensor(sensor, scenario.sensors[sensor_class].model)
         except BadSetting as error:
             raise BadSetting(f"sensors.{sensor_class}: {error}") from error.__cause__
-        except ValueError:
-            model = scenario.sensors[sensor_class].model
-            raise BadSetting(f"sensors.{sensor_class}: {model}: the detection probability is 0 everywhere within its reach") from None
 
 
 def _try_law(scenario: Scenario) -> None:
@@ -191,8 +188,15 @@ def _check_memory(scenario: Scenario) -> None:
         raise BadSetting(f"pose.memory = {memory:g}: should be 0 with recorded.kind = {kind!r}, whose bodies obey no command")
 
 
-def _try_fault(scenario: Scenario, fault: FaultSettings, where: str) -> None:
-    check_fault(fault, where, list(scenario.members), live=False, link_faults=True)
+def _try_fault(scenario: Scenario, number: int) -> None:
+    fault, where = scenario.faults[number], f"faults[{number}]."
+    check_listed_fault(scenario.faults, number, list(scenario.members), world_names(scenario), live=False, link_faults=True)
+    if fault.verb == "join":
+        sensor_class = str(fault.options["class"])
+        try:
+            sensor_of(scenario, sensor_class)
+        except BadSetting as error:
+            raise BadSetting(f"{where}options.class = {sensor_class!r}: {error}") from None
     last = (scenario.run.ticks - 1) * scenario.run.dt
     if fault.at > last:
         raise BadSetting(f"{where}at = {fault.at:g}: the run ends before; its last tick is at {last:g} s")

@@ -27,11 +27,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deploy.scenario import FaultSettings
+from deploy.scenario import RESERVED, FaultSettings
+from protocol.keys import NAME
 from protocol.settings import BadSetting
 from protocol.streams import stream
 
 MOST = 1e9  # of any value: s, kbit/s
+MOST_NAMED = 12  # processes that an error names; more are counted
+NEED_WHO = "should be a name such as s3, a number such as 4, or a share such as 30%"
 PROCESS_VERBS = ("kill", "pause", "resume", "restart", "slow", "starve", "freeze", "join", "twin", "jump")
 LINK_VERBS = ("partition", "heal", "drop", "delay", "throttle", "duplicate", "reorder", "flip")
 VERBS = (*PROCESS_VERBS, *LINK_VERBS)
@@ -97,11 +100,13 @@ def _named(text: str, known: Sequence[str]) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in known:
+            more = f" and {len(known) - MOST_NAMED} more" if len(known) > MOST_NAMED else ""
             raise BadSetting(
-                f"{name!r}: there is no such process; known are {', '.join(known)}, a number such as 4, or a share such as 30%"
+                f"{name!r}: there is no such process; known are {', '.join(known[:MOST_NAMED])}{more}, "
+                "a number such as 4, or a share such as 30%"
             )
     if not names:
-        raise BadSetting("who is missing: give a name such as s3, a number such as 4, or a share such as 30%")
+        raise BadSetting(f"{text!r}: {NEED_WHO}")
     return list(dict.fromkeys(names))
 
 
@@ -110,14 +115,29 @@ def plain_verb(verb: str) -> str:
     return SYNONYMS.get(verb, verb)
 
 
-def check_faults(faults: Sequence[FaultSettings], members: Sequence[str], *, live: bool = False, link_faults: bool = True) -> None:
-    """Raise BadSetting for a fault that cannot be carried out here."""
-    for number, fault in enumerate(faults):
-        check_fault(fault, f"faults[{number}].", members, live=live, link_faults=link_faults)
+def check_faults(
+    faults: Sequence[FaultSettings], members: Sequence[str], others: Sequence[str] = (), *, live: bool = False, link_faults: bool = True
+) -> None:
+    """Raise BadSetting for a fault that cannot be carried out here. `others` are processes that are no agents."""
+    for number in range(len(faults)):
+        check_listed_fault(faults, number, members, others, live=live, link_faults=link_faults)
 
 
-def check_fault(fault: FaultSettings, where: str, members: Sequence[str], *, live: bool, link_faults: bool) -> None:
-    """Raise BadSetting when a fault cannot be carried out here; `where` stands before the names of its fields."""
+def check_listed_fault(
+    faults: Sequence[FaultSettings], number: int, members: Sequence[str], others: Sequence[str], *, live: bool, link_faults: bool
+) -> None:
+    """Raise BadSetting when one of the faults of a scenario cannot be carried out here (`check_faults`)."""
+    fault, where, known = faults[number], f"faults[{number}].", [*members, *newcomers(faults, number), *others]
+    check_fault(fault, where, members, known, live=live, link_faults=link_faults)
+    if fault.verb == "join":
+        _check_newcomer(newcomer(fault, number), where, known)
+
+
+def check_fault(fault: FaultSettings, where: str, members: Sequence[str], known: Sequence[str], *, live: bool, link_faults: bool) -> None:
+    """Raise BadSetting when a fault cannot be carried out here; `where` stands before the names of its fields.
+
+    A number or a share means some of the `members`; a name may be any of the `known` ones.
+    """
     verb = plain_verb(fault.verb)
     if verb not in VERBS:
         raise BadSetting(f"{where}verb = {fault.verb!r}: should be one of {', '.join(VERBS)}")
@@ -129,10 +149,30 @@ def check_fault(fault: FaultSettings, where: str, members: Sequence[str], *, liv
     _check_options(fault, verb, where)
     if verb == "join" or (_means_all(verb, fault.who) and verb != "partition"):
         return
+    if not fault.who.strip():
+        raise BadSetting(f"{where}who is missing: {NEED_WHO}")
     try:
-        choose(fault.who, members, [*members, "world", *(f"{name}.body" for name in members)], stream(0, "faults", 0))
+        choose(fault.who, members, known, stream(0, "faults", 0))
     except BadSetting as error:
         raise BadSetting(f"{where}who = {error}") from None
+
+
+def newcomer(fault: FaultSettings, number: int) -> str:
+    """The name of the agent that joins in fault `number`."""
+    return fault.who or f"guest{number}"
+
+
+def newcomers(faults: Sequence[FaultSettings], number: int) -> list[str]:
+    """The agents that join before fault `number`: at an earlier time, or at the same time and earlier in the list."""
+    at = faults[number].at
+    return [newcomer(one, place) for place, one in enumerate(faults) if one.verb == "join" and (one.at, place) < (at, number)]
+
+
+def _check_newcomer(name: str, where: str, known: Sequence[str]) -> None:
+    if not NAME.match(name):
+        raise BadSetting(f"{where}who = {name!r}: should be 1 to 64 letters, digits, or any of _ . -")
+    if name in (*known, *RESERVED):
+        raise BadSetting(f"{where}who = {name!r}: there is a process of this name; a newcomer needs a name of its own")
 
 
 def _means_all(verb: str, who: str) -> bool:
@@ -146,6 +186,8 @@ def _check_value(fault: FaultSettings, verb: str, where: str) -> None:
     if verb in NEED_VALUE and fault.value is None:
         what = "a share between 0 and 1" if verb in SHARES else "a number of kbit/s" if verb == "throttle" else "a number of seconds"
         raise BadSetting(f"{where}value is missing: {verb} needs {what}")
+    if verb not in NEED_VALUE and fault.value is not None:
+        raise BadSetting(f"{where}value = {fault.value:g}: should be left out for {verb}; only {', '.join(NEED_VALUE)} take it")
     most = 1.0 if verb in SHARES else MOST
     if fault.value is not None and not 0.0 <= fault.value <= most:  # no number (nan) is neither
         raise BadSetting(f"{where}value = {fault.value:g}: should be {'a share between 0 and 1' if verb in SHARES else f'0 to {MOST:g}'}")
@@ -207,7 +249,7 @@ class Schedule:
     def _names(self, index: int, verb: str, candidates: Sequence[str], known: Sequence[str]) -> list[str]:
         who = self.faults[index].who
         if verb == "join":
-            return [who or f"guest{index}"]
+            return [newcomer(self.faults[index], index)]
         if _means_all(verb, who):
             return list(candidates)
         return choose(who, candidates, known, stream(self.seed, "faults", index))

@@ -21,7 +21,7 @@ from deploy.live.processes import Child, State, process_rows, rooms
 from deploy.live.seeds import endpoints, seed_listeners
 from deploy.live.startup import Startup
 from deploy.live.zygote import Zygote
-from deploy.scenario import FaultSettings, Scenario, bodies_of, check_names
+from deploy.scenario import FaultSettings, Scenario, bodies_of, check_names, world_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer, Status
 from deploy.scoring.scores import write_scores
@@ -62,7 +62,8 @@ class Supervisor:
         attended: bool = True,
     ) -> None:
         """`zygote`: from now on the supervisor's, which ends it; None: agents are started from nothing. `attended`: at a terminal."""
-        check_faults(scenario.faults, list(scenario.members), live=True, link_faults=scenario.network.link_faults)
+        link_faults = scenario.network.link_faults
+        check_faults(scenario.faults, list(scenario.members), world_names(scenario), live=True, link_faults=link_faults)
         check_endpoints(scenario.network)
         check_names(scenario)
         for name in ("monitor", *(() if bodies_of(scenario) else ("world",)), *scenario.members):
@@ -346,7 +347,9 @@ class Supervisor:
             self._end(0)
             return {"ok": "going down"}
         fault = FaultSettings(at=0.0, verb=verb, who=who, value=request.get("value"), options=request.get("options") or {})
-        check_fault(fault, "", [*self.scenario.members], live=True, link_faults=self.scenario.network.link_faults)
+        members = [*self.scenario.members]
+        known = [*members, *world_names(self.scenario)]
+        check_fault(fault, "", members, known, live=True, link_faults=self.scenario.network.link_faults)
         candidates = self._agents(STATES.get(verb, "running"))
         names = choose(who, candidates, list(self.children), self._rng) if who else candidates
         return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}

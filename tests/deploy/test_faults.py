@@ -33,7 +33,13 @@ def test_the_same_dice_choose_the_same_and_other_dice_others() -> None:
 
 @pytest.mark.parametrize(
     ("who", "complaint"),
-    [("s99", "s99.*no such process.*s1"), ("", "who is missing"), ("17", "only 16"), ("120%", "at most 100%"), ("-3", "no such process")],
+    [
+        ("s99", "s99.*no such process.*s1"),
+        ("", "should be a name such as s3"),
+        ("17", "only 16"),
+        ("120%", "at most 100%"),
+        ("-3", "no such process"),
+    ],
 )
 def test_whoever_cannot_be_meant_is_refused_in_one_line(who: str, complaint: str) -> None:
     with pytest.raises(BadSetting, match=complaint) as caught:
@@ -100,17 +106,31 @@ def test_a_fault_that_nobody_can_carry_out_is_refused_before_the_run(fault: Faul
         ),
         (FaultSettings(at=1.0, verb="drop", value=0.1, options={"burst": "3"}), r"options\.burst = '3': should be a number"),
         (FaultSettings(at=1.0, verb="join"), r"options\.class is missing"),
-        (FaultSettings(at=1.0, verb="partition"), r"who = who is missing"),
+        (FaultSettings(at=1.0, verb="partition"), r"who is missing: should be a name"),
         (
             FaultSettings(at=1.0, verb="jump", who="1", value=9.0, seconds=5.0),
             r"seconds = 5: should be left out for jump; only kill, .*slow",
         ),
+        (FaultSettings(at=1.0, verb="kill", who="s1", value=0.5), r"value = 0\.5: should be left out for kill; only drop, "),
+        (FaultSettings(at=1.0, verb="join", who="s2", options={"class": "A"}), r"who = 's2': there is a process of this name"),
         (FaultSettings(at=1.0, verb="heal", seconds=0.0), r"seconds = 0: should be left out for heal"),
     ],
 )
 def test_a_fault_that_says_too_little_or_too_much_is_refused_by_field(fault: FaultSettings, complaint: str) -> None:
     with pytest.raises(BadSetting, match=r"faults\[0\]\." + complaint):
         check_faults([fault], TEAM)
+
+
+def test_a_newcomer_can_be_struck_by_name_once_it_has_come() -> None:
+    join = FaultSettings(at=2.0, verb="join", options={"class": "A"})
+    check_faults([FaultSettings(at=3.0, verb="kill", who="guest1"), join], TEAM)
+    with pytest.raises(BadSetting, match=r"faults\[0\]\.who = 'guest1': there is no such process"):
+        check_faults([FaultSettings(at=1.0, verb="kill", who="guest1"), join], TEAM)
+
+
+def test_of_many_processes_the_first_are_named() -> None:
+    with pytest.raises(BadSetting, match=r"known are s1, .* s12 and 89 more, a number such as 4"):
+        check_faults([FaultSettings(at=1.0, verb="kill", who="x")], [f"s{number}" for number in range(1, 101)], ["world"])
 
 
 def test_a_freeze_is_of_all_and_needs_nobody_by_name() -> None:
@@ -133,9 +153,9 @@ def test_what_no_link_can_do_is_refused_of_orders_by_hand_too(value: float) -> N
     """They are no part of a scenario, whose values are checked when it is read."""
     for verb in ("drop", "delay"):
         with pytest.raises(BadSetting, match=r"value = .*: should be "):
-            check_fault(FaultSettings(at=0.0, verb=verb, value=value), "", TEAM, live=True, link_faults=True)
+            check_fault(FaultSettings(at=0.0, verb=verb, value=value), "", TEAM, TEAM, live=True, link_faults=True)
     with pytest.raises(BadSetting, match=r"options\.jitter = .*: should be a number from 0 to 1e\+09"):
-        check_fault(FaultSettings(at=0.0, verb="delay", value=0.1, options={"jitter": value}), "", TEAM, live=True, link_faults=True)
+        check_fault(FaultSettings(at=0.0, verb="delay", value=0.1, options={"jitter": value}), "", TEAM, TEAM, live=True, link_faults=True)
 
 
 def test_link_faults_end_with_a_share_of_zero_and_a_partition_heals() -> None:

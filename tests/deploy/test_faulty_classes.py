@@ -26,7 +26,8 @@ class Camera:
 
     def footprint(self, pose: Pose) -> Any:
         """A square."""
-        return SQUARE + np.array(pose[:2])
+        turn = np.array([[np.cos(pose[2]), np.sin(pose[2])], [-np.sin(pose[2]), np.cos(pose[2])]])
+        return SQUARE @ turn + np.array(pose[:2])
 
 
 class Shape(Camera):
@@ -115,6 +116,56 @@ class Wordy(Camera):
     area = "large"  # type: ignore[assignment]
 
 
+class Absolute(Camera):
+    """It forgets the pose."""
+
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return super().probability(points, (0.0, 0.0, 0.0))
+
+
+class Degrees(Camera):
+    """It takes the heading for degrees, which is right where the heading is 0."""
+
+    area = 39.3
+
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        bearings = np.degrees(np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0])) - pose[2]
+        return np.where(abs(bearings) <= 90.0, super().probability(points, pose), 0.0)
+
+
+class Moody(Camera):
+    """It keeps a state between two calls."""
+
+    calls = 0
+
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        self.calls += 1
+        return super().probability(points, pose) / self.calls
+
+
+class Writes(Camera):
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        points -= np.array(pose[:2])
+        return super().probability(points, (0.0, 0.0, 0.0))
+
+
+class Fixed(Camera):
+    def footprint(self, pose: Pose) -> Any:
+        return SQUARE
+
+
+class Outside(Camera):
+    def footprint(self, pose: Pose) -> Any:
+        return 3.0 * SQUARE + np.array(pose[:2])
+
+
+class Yes(Camera):
+    """A probability of truth values counts as 0 or 1."""
+
+    def probability(self, points: np.ndarray, pose: Pose) -> Any:
+        return super().probability(points, pose) > 0.0
+
+
 class NoCamera:
     """It cannot be built, whatever it is used as."""
 
@@ -195,6 +246,12 @@ PLUGGED = [
     ("sensor", "Bow", "Bow.footprint returned no polygon"),
     ("sensor", "Text", "Text.footprint returned 'everywhere': should be an array of shape (N, 2)"),
     ("sensor", "TwoCorners", "TwoCorners.footprint returned 2 corners: a polygon has at least 3"),
+    ("sensor", "Absolute", "Absolute.probability at the pose (13.7, -8.2, 2.3) differs in 100 % of the places in view"),
+    ("sensor", "Degrees", "should depend on places relative to the pose alone (x m, y m, heading rad)"),
+    ("sensor", "Moody", "differs in 100 % of the places in view from that at (0.0, 0.0, 0.0)"),
+    ("sensor", "Writes", "Writes.probability changed the points that it was given: should leave them as they are"),
+    ("sensor", "Fixed", "Fixed.footprint at the pose (13.7, -8.2, 2.3) is not that at (0.0, 0.0, 0.0), moved and turned"),
+    ("sensor", "Outside", "Outside.footprint returned a corner at 21.2 m: should lie within reach = 8"),
     ("sensor", "NoReach", "NoReach.reach = -1.0: should be a number > 0"),
     ("sensor", "Wordy", "Wordy.area = 'large': should be a number > 0"),
     ("sensor", "NoCamera", "NoCamera raised KeyError: 'no camera'"),
@@ -243,8 +300,9 @@ def test_a_module_that_ends_the_program_while_it_is_imported_is_one_line(
 
 
 def test_the_classes_that_have_no_fault_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--seconds", "2", "--team", "2X", "--set", f"sensors.X.model={__name__}:Camera"]
-    assert typed(["simulate", "quick", *words], capsys)[0] == 0
+    for name in ("Camera", "Yes"):
+        words = ["--seconds", "2", "--team", "2X", "--set", f"sensors.X.model={__name__}:{name}"]
+        assert typed(["simulate", "quick", *words], capsys)[0] == 0
 
 
 def test_there_are_thirty_faults_and_more() -> None:
