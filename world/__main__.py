@@ -129,6 +129,8 @@ def main() -> NoReturn:
     def build(config: WorldConfig, name: str, incarnation: int) -> World | KeptWorld:
         if name != World.name:
             raise BadSetting(f"--name {name}: the world of a run is always called {World.name}")
+        if config.bodies.host == "own":
+            raise BadSetting("bodies.host = 'own': every agent has a body process and nothing is called world; should be --body NAME")
         restored = read_truth(own.restore, config.run.name) if own.restore else None
         if own.keep and not own.restore:
             own.keep.unlink(missing_ok=True)  # of an earlier run: nobody shall go on from that
@@ -148,6 +150,8 @@ def be_body(name: str, keep: Path | None, restore: Path | None) -> NoReturn:
     sys.argv += ["--name", name]
 
     def build(config: WorldConfig, name: str, incarnation: int) -> Body:
+        if config.bodies.host != "own":
+            raise BadSetting(f"bodies.host = {config.bodies.host!r}: should be 'own' for --body; is this the run.toml of the scenario?")
         check_epoch(config, time.time())
         unix = time.time() - time.monotonic()  # read once: a clock that is set while the body runs moves no tick
         body = Body(config, name, incarnation, unix, read_truth(restore, config.run.name) if restore else None)

@@ -21,7 +21,7 @@ from world.recorded.robots import ReplayedBodies, ReplayedScans, frames_by_tick
 from world.recorded.ships import read_ships
 from world.recorded.targets import RecordedTargets
 from world.recorded.tracks import RecordedWorld
-from world.targets import Targets
+from world.targets import Targets, inside
 
 
 class TargetSource(Protocol):
@@ -109,10 +109,33 @@ def recording_of(config: WorldConfig) -> RecordedWorld:
     if not settings.data:
         raise BadSetting("recorded.data: is missing; `--data PATH` says where the files of this world are")
     recording = READERS[settings.kind](Path(settings.data), settings)
+    if settings.start > recording.seconds:
+        raise BadSetting(f"recorded.start = {settings.start:g}: the recording ends before; should be at most {recording.seconds:.1f}")
     end = settings.start + (run.ticks - 1) * run.dt
     if end > recording.seconds + run.dt:
         most = recording.seconds - settings.start
         raise BadSetting(f"run.seconds = {run.seconds:g}: the recording ends before; should be at most {most:.1f}")
     for robot in recording.bodies:
         frames_by_tick(robot, run.dt, settings.start, run.ticks)
+    _check_arena(config, recording)
     return recording
+
+
+def _check_arena(config: WorldConfig, recording: RecordedWorld) -> None:
+    """Raise BadSetting where no target is ever in the arena, which says that the origin is wrong, or the arena."""
+    settings, arena = config.recorded, config.arena
+    moments = settings.start + np.arange(config.run.ticks) * config.run.dt
+    places = [np.empty((0, 2))]
+    for visit in recording.visits:
+        there = moments[(visit.times[0] <= moments) & (moments <= visit.times[-1])]
+        path = np.column_stack([np.interp(there, visit.times, column) for column in visit.places.T])
+        if inside(path, arena).any():
+            return
+        places.append(path)
+    spread = np.vstack(places)
+    where = f"no target is in the arena of {arena.width:g} x {arena.height:g} m between {moments[0]:g} s and {moments[-1]:g} s"
+    if not len(spread):
+        raise BadSetting(f"recorded.start = {settings.start:g}: {where}, nor anywhere else")
+    (west, south), (east, north) = spread.min(axis=0), spread.max(axis=0)
+    found = f"seen from there they lie at x from {west:.0f} to {east:.0f} m and y from {south:.0f} to {north:.0f} m"
+    raise BadSetting(f"recorded.origin = {list(settings.origin)}: {where}; {found}, and should lie within the arena")

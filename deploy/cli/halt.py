@@ -96,6 +96,8 @@ def say(run: str | None, *, held: bool) -> int:
         print(f"{len(node.bodies)} bodies have been told to stand; {wrong[0]} hides whether they do. `covey release` lets them go on")
     elif code == 0:
         print(f"{len(node.bodies)} bodies stand; `covey release` lets them go on")
+    elif not node.bodies:
+        print(f"no body of run {run_settings.name} has answered within {max(MOST, 4.0 * period):g} s: nothing is known to stand")
     else:
-        print(f"{len(node.standing)} bodies stand, not {', '.join(moving) or 'any that is known'}")
+        print(f"{len(node.standing)} bodies stand, not {', '.join(moving)}")
     return code

@@ -20,7 +20,7 @@ from protocol.sensing import WedgeSensor, measurement_of
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given, start_poses
 from world.config import TargetSettings
-from world.sources import body_source
+from world.sources import READERS, body_source
 from world.targets import CheckedMotion, build_motion
 
 MOST_PRIOR = 1_000_000  # particles that an agent starts with
@@ -173,6 +173,11 @@ def _try_bodies(scenario: Scenario) -> None:
 
 def _try_recording(scenario: Scenario) -> None:
     """Read the files of a recorded world."""
+    if scenario.recorded.kind == "none" and scenario.recorded.data:
+        kinds = ", ".join(READERS)
+        raise BadSetting(
+            f"recorded.data = {scenario.recorded.data!r}: is not read with recorded.kind = 'none'; that should be one of {kinds}"
+        )
     if scenario.recorded.kind != "none" and scenario.targets != TargetSettings():
         kind = scenario.recorded.kind
         raise BadSetting(f"recorded.kind = {kind!r}: has targets of its own; should be none where [targets] or --targets says something")

@@ -1,7 +1,9 @@
 """The example sensors against closed forms and their own data, and the scenario that uses them from end to end."""
 
 import math
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,6 +74,29 @@ def test_data_that_are_no_grid_of_probabilities_are_refused(text: str, tmp_path:
 def test_a_scenario_with_a_missing_grid_names_the_sensor() -> None:
     with pytest.raises(BadSetting, match=r"sensors\.S: file = 'nowhere\.csv'"):
         resolve("anisotropic", {"sensors.S.parameters": {"file": "nowhere.csv", "spacing": 2.0}})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"angle": 400.0}, "angle = 400.0: should be a number above 0 and at most 360 degrees"),
+        ({"angle": "wide"}, "angle = 'wide': should be a number above 0 and at most 360 degrees"),
+        ({"radius": -1.0}, "radius = -1.0: should be a number above 0 m"),
+        ({"scale": math.nan}, "scale = nan: should be a number above 0 m"),
+        ({"peak": 1.5}, "peak = 1.5: should be a number above 0 and at most 1"),
+    ],
+)
+def test_a_wrong_parameter_is_named_with_its_value(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(said)):
+        RangeFalling(**({"angle": 90.0, "radius": 5.0, "scale": 3.0, "peak": 0.9} | wrong))
+
+
+def test_a_missing_grid_is_named_with_the_folders_where_it_is_sought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=re.escape(f"file = 'nix.csv': No such file or directory; it should lie in {tmp_path} or ")):
+        SampledGrid("nix.csv", 1.0)
+    with pytest.raises(ValueError, match=r"spacing = 0\.0: should be a number above 0 m"):
+        SampledGrid("side_looking.csv", 0.0)
 
 
 def test_the_data_are_shipped_beside_the_module() -> None:

@@ -99,6 +99,7 @@ TYPED = [
     ("check far.toml", 2, "far.toml: sensors.A.range_noise = 1: should be left out"),
     ("check suffix.toml", 2, "suffix.toml: sensors.A.model = 'mine.py:Camera': should be the name of a module, without .py"),
     ("check dash.toml", 2, "dash.toml: team.composition = '2cam-1': should be a team 1-8"),
+    ("simulate quick --data file", 2, "is not read with recorded.kind = 'none'; that should be one of pedestrians, ships, mrclam"),
     ("simulate member.toml", 2, "members = 'a b': should be 1 to 64 letters"),
     ("simulate class.toml", 2, "sensor class 'Q' does not exist"),
     ("check open.toml", 2, "leaves this machine without TLS"),

@@ -78,7 +78,7 @@ def test_a_target_that_is_silent_for_long_is_away_in_between_and_named(tmp_path:
         (["0 1 nan 1"], "line 2: x = 'nan': should be a finite number"),
         (["0.5 1 1 1"], "line 2: frame = '0.5': should be a whole number >= 0"),
         (["0 1 1 1", "0 1 2 1"], "line 3: person = 1 stands in frame 0 twice"),
-        (["0 1 1 1 "], "line 2: 9 columns; should be 8"),
+        (["0 1 1 1 "], "line 2: 9 columns; should be 8: frame, person, x, z, y, vx, vz, vy between blanks"),
     ],
 )
 def test_a_file_of_people_that_breaks_its_form_is_refused_by_file_and_line(tmp_path: Path, lines: list[str], said: str) -> None:
@@ -148,6 +148,34 @@ def test_a_time_that_is_none_is_refused(tmp_path: Path) -> None:
         read_ships(file, SHIPS)
 
 
+def test_times_may_end_in_z_and_an_offset_is_refused(tmp_path: Path) -> None:
+    file = ships(tmp_path, "0 1 50 -1", "10 1 50 -1")
+    plain = file.read_text()
+    file.write_text(plain.replace(".000,", ".000Z,"))
+    assert read_ships(file, SHIPS).visits[0].times.tolist() == [0.0, 10.0]
+    for offset in ("+01:00", "-0500"):
+        file.write_text(plain.replace(".000,", f".000{offset},"))
+        with pytest.raises(BadSetting, match=r"line 2: Time = '.*': should be such as .*, in UTC"):
+            read_ships(file, SHIPS)
+
+
+def test_the_mark_that_spreadsheets_write_before_the_first_column_is_no_part_of_its_name(tmp_path: Path) -> None:
+    file = ships(tmp_path, "0 1 50 -1")
+    file.write_text("\ufeff" + file.read_text(), encoding="utf-8")
+    assert len(read_ships(file, SHIPS).visits) == 1
+
+
+def test_a_recording_without_a_target_in_the_arena_is_refused_with_the_places_of_all(tmp_path: Path) -> None:
+    file = people(tmp_path, "0 1 101 205", "10 1 102 206", "50 1 104 208")
+    options = {"recorded.data": str(file), "recorded.origin": [0.0, 0.0], "run.seconds": 2.0}
+    with pytest.raises(BadSetting) as error:
+        recording_of(world_config(resolve("students03", options)))
+    places = "seen from there they lie at x from 101 to 104 m and y from 205 to 208 m, and should lie within the arena"
+    arena = "no target is in the arena of 18.2 x 18.2 m between 0 s and 1.6 s"
+    assert str(error.value) == f"recorded.origin = [0.0, 0.0]: {arena}; {places}"
+    recording_of(world_config(resolve("students03", options | {"recorded.origin": [100.0, 200.0]})))
+
+
 def test_a_file_with_many_impossible_lines_is_refused(tmp_path: Path) -> None:
     file = ships(tmp_path, *[f"{at} 235 {50.0 + at % 2} -1.0" for at in range(20)])
     with pytest.raises(BadSetting, match="10 of 20 lines like this: should be at most 1 %"):
@@ -176,6 +204,7 @@ def test_the_solent_has_one_report_that_cannot_be_and_people_have_none() -> None
     ("options", "said"),
     [
         ({"run.seconds": 300.0}, "run.seconds = 300: the recording ends before; should be at most 215.6"),
+        ({"recorded.start": 300.0}, "recorded.start = 300: the recording ends before; should be at most 215.6"),
         ({"recorded.data": ""}, "recorded.data: is missing; `--data PATH` says where the files of this world are"),
         ({"recorded.data": "/nowhere.txt"}, "recorded.data = '/nowhere.txt': No such file or directory"),
     ],

@@ -151,3 +151,12 @@ def test_what_was_counted_is_logged_once_when_a_process_ends(tmp_path: Path, cap
     first, second = (vars(record) for record in caplog.records)
     assert (first["late_commands"], first["ignored_commands"], first["rejected_messages"], first["re_anchored"]) == (2, 2, 0, 0)
     assert (second["late_commands"], second["ignored_commands"], second["clock_corrections"]) == (0, 0, 0)
+
+
+def test_a_world_beside_bodies_of_their_own_and_a_body_beside_a_world_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text("[bodies]\nhost = 'own'\n[members]\ns1 = 'A'\n")
+    (tmp_path / "world.toml").write_text("[members]\ns1 = 'A'\n")
+    central = world_process("--config", str(tmp_path / "own.toml"))
+    assert (central.returncode, central.stdout) == (2, "") and "bodies.host = 'own': every agent has a body process" in central.stderr
+    body = world_process("--body", "s1", "--config", str(tmp_path / "world.toml"))
+    assert (body.returncode, body.stdout) == (2, "") and "bodies.host = 'world': should be 'own' for --body" in body.stderr

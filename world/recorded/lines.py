@@ -66,7 +66,7 @@ class Remarks:
 def text_of(path: Path) -> str:
     """The text of a file; raises BadSetting naming it."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # spreadsheets write a mark before the first column
     except OSError as error:
         raise BadSetting(f"recorded.data = {str(path)!r}: {error.strerror or error}") from None
     except UnicodeDecodeError:
@@ -83,22 +83,22 @@ def csv_lines(path: Path, columns: Sequence[str]) -> list[Line]:
         wrong = f"column {(unknown or missing or head)[0]!r} {fault}"
         raise BadSetting(f"{path}, line 1: {wrong}; should be {', '.join(columns)}")
     places = [head.index(name) for name in columns]
-    return _lines(path, texts, 1, lambda text: text.split(","), places)
+    return _lines(path, texts, 1, lambda text: text.split(","), places, ", ".join(head))
 
 
 def blank_lines(path: Path, columns: Sequence[str]) -> list[Line]:
     """The lines of a file whose columns stand between blanks; a line that begins with # is a comment."""
-    return _lines(path, text_of(path).splitlines(), 0, str.split, range(len(columns)))
+    return _lines(path, text_of(path).splitlines(), 0, str.split, range(len(columns)), f"{', '.join(columns)} between blanks")
 
 
-def _lines(path: Path, texts: Sequence[str], head: int, split: Callable[[str], list[str]], places: Sequence[int]) -> list[Line]:
+def _lines(path: Path, texts: Sequence[str], head: int, split: Callable[[str], list[str]], places: Sequence[int], names: str) -> list[Line]:
     found = []
     for number, text in enumerate(texts[head:], start=head + 1):
         if not text.strip() or text.lstrip().startswith("#"):
             continue
         cells = split(text)
         if len(cells) != len(places):
-            raise BadSetting(f"{path}, line {number}: {len(cells)} columns; should be {len(places)}")
+            raise BadSetting(f"{path}, line {number}: {len(cells)} columns; should be {len(places)}: {names}")
         found.append(Line(path, number, tuple([cells[place].strip() for place in places])))
     if not found:
         raise BadSetting(f"{path}: holds no data")

@@ -33,7 +33,7 @@ def read_ships(path: Path, settings: RecordedSettings) -> RecordedWorld:
         report, known = Report(time, *frame.to_plane(latitude, longitude), line), reports.setdefault(ship, [])
         away = math.hypot(report.x, report.y)
         if away > FARTHEST or abs((longitude - settings.origin[1] + 180.0) % 360.0 - 180.0) > 90.0:
-            from_origin = f"latitude {latitude:g}, longitude {longitude:g}: {away / 1000.0:.0f} km from the origin"
+            from_origin = f"latitude {latitude:g}, longitude {longitude:g}: {away / 1000.0:.0f} km from recorded.origin"
             remarks.leave_out(line, f"{from_origin}; should be at most {FARTHEST / 1000.0:g} km")
         elif known and _jump(known[-1], report) > FASTEST:
             remarks.leave_out(line, f"MMSI {ship} at {_jump(known[-1], report):.0f} m/s: should be at most {FASTEST:g} m/s")
@@ -51,9 +51,12 @@ def _check_origin(settings: RecordedSettings) -> None:
 
 
 def _moment(line: Line) -> np.datetime64:
-    wrong = BadSetting(f"{line.place}: Time = {line.cells[0]!r}: should be such as 2016-01-12 13:02:11.218")
+    wrong = BadSetting(f"{line.place}: Time = {line.cells[0]!r}: should be such as 2016-01-12 13:02:11.218, in UTC")
+    text = line.cells[0].removesuffix("Z")
+    if "+" in text or text.count("-") > 2:  # an offset, which numpy accepts with a warning
+        raise wrong
     try:
-        moment = np.datetime64(line.cells[0], "ms")
+        moment = np.datetime64(text, "ms")
     except ValueError:
         raise wrong from None
     if np.isnat(moment):

@@ -16,12 +16,20 @@ from covey import Pose
 DATA = Path(__file__).parent
 
 
+def _check(name: str, value: object, most: float, right: str) -> None:
+    """Raise ValueError naming a parameter that is no number above 0, or above `most`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= most:
+        raise ValueError(f"{name} = {value!r}: should be a number above 0{'' if right == 'm' else ' and'} {right}")
+
+
 class RangeFalling:
     """A wedge of `angle` degrees whose detection probability falls with the range as peak exp(-(range / scale)^2), up to `radius` m."""
 
     def __init__(self, angle: float, radius: float, scale: float, peak: float = 1.0) -> None:
-        if not (0.0 < angle <= 360.0 and radius > 0.0 and scale > 0.0 and 0.0 < peak <= 1.0):
-            raise ValueError("RangeFalling needs an angle in (0, 360] degrees, radius and scale above 0 m, and a peak in (0, 1]")
+        _check("angle", angle, 360.0, "at most 360 degrees")
+        _check("radius", radius, math.inf, "m")
+        _check("scale", scale, math.inf, "m")
+        _check("peak", peak, 1.0, "at most 1")
         self._angle, self._scale, self._peak = math.radians(angle), scale, peak
         self.reach = radius
         self.area = self._angle * radius**2 / 2.0
@@ -50,14 +58,19 @@ class SampledGrid:
     """
 
     def __init__(self, file: str, spacing: float) -> None:
+        _check("spacing", spacing, math.inf, "m")
+        if not isinstance(file, str):
+            raise ValueError(f"file = {file!r}: should be the name of a CSV file")
         path = Path(file) if Path(file).exists() else DATA / file
         try:
-            with path.open(newline="", encoding="utf-8") as lines:
+            with path.open(newline="", encoding="utf-8-sig") as lines:
                 rows = [[float(cell) for cell in row] for row in csv.reader(lines) if row]
-        except (OSError, ValueError) as error:
-            raise ValueError(f"file = {file!r}: {error}") from None
-        if not rows or len({len(row) for row in rows}) != 1 or not spacing > 0.0:
-            raise ValueError(f"file = {file!r}: should hold rows of equal length, and spacing should be above 0 m")
+        except OSError as error:
+            raise ValueError(f"file = {file!r}: {error.strerror}; it should lie in {Path.cwd()} or {DATA}") from None
+        except ValueError as error:
+            raise ValueError(f"file = {file!r}: {error}; should hold numbers with commas between them") from None
+        if not rows or len({len(row) for row in rows}) != 1:
+            raise ValueError(f"file = {file!r}: should hold rows of equal length")
         self._spacing = spacing
         self._grid = np.array(rows)[::-1, ::-1]  # now rows go ahead and columns to the left, along the sensor's own axes
         if not (np.all(self._grid >= 0.0) and np.all(self._grid <= 1.0) and np.any(self._grid > 0.0)):
