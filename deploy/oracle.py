@@ -16,6 +16,7 @@ from agents.coverage.capacity import centroid_of_detection
 from agents.coverage.control import STAND, ControlInput, Situation, approach
 from deploy.scenario import Scenario
 from protocol.settings import sensor_of
+from world.assignment import linear_sum_assignment
 from world.world import World
 
 
@@ -34,8 +35,6 @@ class Oracle:
 
     def _assigned(self) -> dict[str, tuple[float, float]]:
         """The targets of all bodies that have one."""
-        from scipy.optimize import linear_sum_assignment
-
         names, targets = [name for name in self._world.bodies.poses if name in self._sensors], self._world.scene.targets.positions
         places = np.array([centroid_of_detection(self._sensors[name], self._world.bodies.poses[name]) for name in names])
         apart = np.hypot(places[:, 0, None] - targets[:, 0], places[:, 1, None] - targets[:, 1])

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from world.assignment import linear_sum_assignment
+
 
 def ospa(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0, order: float = 1.0) -> float:
     """Optimal sub-pattern assignment distance of two sets of points, m (22).
@@ -89,8 +91,6 @@ def _assigned_costs(truth: np.ndarray, estimate: np.ndarray, cutoff: float, orde
     costs = np.minimum(np.sqrt(offset_x * offset_x + offset_y * offset_y), cutoff)
     if order != 1.0:
         costs **= order
-    from scipy.optimize import linear_sum_assignment  # a quarter of a second that a swarm need not wait for before it starts
-
     return costs[linear_sum_assignment(costs)]
 
 

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from world.assignment import linear_sum_assignment
+
 EPSILON = float(np.finfo(float).eps)
 ALPHAS = np.arange(0.05, 0.99, 0.05)  # the thresholds over which HOTA is the mean
 MATCHED = 0.5  # least similarity of a match in MOTA and IDF1
@@ -94,9 +96,7 @@ def _indexed(ticks: Sequence[Compared]) -> _Indexed:
 
 def _assigned(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of the assignment with the largest sum."""
-    from scipy.optimize import linear_sum_assignment  # as in world/score.py
-
-    return linear_sum_assignment(-values)  # type: ignore[no-any-return]
+    return linear_sum_assignment(-values)
 
 
 def _clear(indexed: _Indexed) -> tuple[int, float]:

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import os
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from deploy.cli.display import Display, show_result
 from deploy.cli.errors import OK
@@ -11,8 +11,8 @@ from deploy.cli.options import DisplayOptions
 from deploy.cli.terminal import is_at_terminal, open_browser, until_key
 from deploy.live.supervisor import EXIT_CRASHED, Supervisor
 from deploy.live.zygote import Zygote
+from deploy.page.address import address_of
 from deploy.page.picture import Picture
-from deploy.page.server import PageServer, address_of
 from deploy.page.simulated_swarm import SimulatedSwarm
 from deploy.page.source import LiveSource
 from deploy.recording.observers import Observers, open_recorder, recording_path
@@ -22,6 +22,9 @@ from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import RunDirectory
 from protocol.process import JsonLines, leave
 from protocol.settings import BadSetting
+
+if TYPE_CHECKING:
+    from deploy.page.server import PageServer
 
 
 def run_in_foreground(
@@ -81,11 +84,13 @@ def beside_in_words(result: Result, other: SimulatedSwarm) -> str:
     return f"{other.name} in the same world: mean OSPA {theirs:.2f} m; this run: {result.mean_ospa:.2f} m"
 
 
-def page_of(supervisor: Supervisor, page: bool | str, tour: bool, other: SimulatedSwarm | None = None) -> PageServer | None:
+def page_of(supervisor: Supervisor, page: bool | str, tour: bool, other: SimulatedSwarm | None = None) -> "PageServer | None":
     """The page of a run; None when none is wanted. `tour`: it offers its guided tour. `other`: a swarm beside it."""
     address = address_of(page)
     if address is None:
         return None
+    from deploy.page.server import PageServer
+
     scenario = supervisor.scenario
     name = f"{law_in_words(scenario.control.mode)}, live" if other else ""
     return PageServer(LiveSource(supervisor.scorer, Picture(scenario), supervisor.directory, tour, name, other), address)

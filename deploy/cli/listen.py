@@ -17,8 +17,8 @@ from rich.table import Table
 from deploy.cli.listener import KeyedPayload, Listener, Rates, expression, kinds, swarm_to_watch
 from deploy.cli.message_text import block, plain_line
 from deploy.live.control import ask
+from deploy.page.address import address_of
 from deploy.page.picture import Picture
-from deploy.page.server import PageServer, address_of
 from deploy.page.source import LiveSource
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.recorder import RecorderNode
@@ -152,6 +152,8 @@ async def _note_faults(directory: RunDirectory, note: Callable[[Fault], None]) -
 
 def watch_page(page: bool | str, run: str | None) -> int:
     """Show a running swarm on a page, as a subscriber from outside."""
+    from deploy.page.server import PageServer
+
     directory, scenario = swarm_to_watch(run)
     address = address_of(page)
     assert address is not None

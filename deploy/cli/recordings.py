@@ -7,6 +7,7 @@ import os
 import shutil
 from collections import deque
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from rich.console import Console
@@ -15,7 +16,7 @@ from deploy.cli.display import result_table
 from deploy.cli.errors import writing
 from deploy.cli.terminal import stop_event
 from deploy.installation import need_study_packages
-from deploy.page.server import PageServer, address_of
+from deploy.page.address import address_of
 from deploy.recording.recording import DRAWING, NO_END, Recording, find_recording
 from deploy.recording.replay import SPEEDS, ReplayNode, ReplaySource
 from deploy.recording.rescore import difference, rescore
@@ -24,6 +25,9 @@ from deploy.storage.kept_runs import new_run_directory
 from protocol.endpoints import free_port
 from protocol.live import Driver
 from protocol.settings import BadSetting, NetworkSettings
+
+if TYPE_CHECKING:
+    from deploy.page.server import PageServer
 
 ON_EARTH = ("geojson", "cot")  # forms of an export that lie on Earth
 
@@ -114,6 +118,8 @@ def _export_on_earth(recording: Recording, form: str, out: Path | None, origin: 
 
 def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
     """Play a recording on the page, and on Zenoh too if asked, until Ctrl-C."""
+    from deploy.page.server import PageServer
+
     if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise BadSetting(f"--speed {speed:g}: should be a number from {SPEEDS[0]:g} to {SPEEDS[1]:g}")
     if page is False and not publish:
@@ -131,7 +137,7 @@ def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
     return 0
 
 
-async def _play(source: ReplaySource, server: PageServer | None, recording: Recording, publish: bool) -> None:
+async def _play(source: ReplaySource, server: "PageServer | None", recording: Recording, publish: bool) -> None:
     over = stop_event()
     playing = None if server else asyncio.create_task(source.chores())
     if server:

@@ -1,9 +1,7 @@
 """The start of a run: starts every process, and reports what the first tick waits for and which agents miss it."""
 
 import asyncio
-import importlib
 import os
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -35,9 +33,6 @@ class Startup:
         Raises BadSetting when the machine does not let it.
         """
         *first, last = self._children
-        # For the first score. It begins before the agents are forked: on a starved machine it takes longer than the world waits.
-        loading = threading.Thread(target=importlib.import_module, args=["scipy.optimize"], daemon=True)
-        loading.start()
         for child in first:
             if child.zygote is not None:
                 await self._prepare(child.zygote, tell)
@@ -45,7 +40,7 @@ class Startup:
             if child.room == "world":
                 self.expect()
         heard, end = 0, time.monotonic() + HOLD
-        while loading.is_alive() or (time.monotonic() < end and not self._are_heard(first)):
+        while time.monotonic() < end and not self._are_heard(first):
             if len(self._scorer.greeted) > heard:
                 heard, end = len(self._scorer.greeted), time.monotonic() + HOLD
             await asyncio.sleep(0.02)

@@ -10,25 +10,24 @@ import logging
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 from aiohttp import WSMsgType, web
 from aiohttp.typedefs import Handler
 
+from deploy.page.address import LOOPBACK, Address
 from deploy.page.frames import belief, frame, greeting, moment
 from deploy.page.metrics import CONTENT_TYPE, PageFigures, metrics_page
 from deploy.page.source import Source
 from protocol.endpoints import free_port
 from protocol.settings import BadSetting
 
-PORT = 8737  # unless it is taken
 IDLE_PERIOD = 0.5  # s between two frames of one tick, for figures such as messages per second
 SEND_SECONDS = 20.0  # a browser that takes nothing for so long is let go
 MOST_CLIENTS = 64
 STATIC = Path(__file__).parent / "static"
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; connect-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -37,29 +36,6 @@ HEADERS = {
 }
 
 log = logging.getLogger(__name__)
-
-
-class Address(NamedTuple):
-    """Where to listen; `fixed` when a port that is taken is an error."""
-
-    host: str
-    port: int
-    fixed: bool
-
-    @property
-    def is_loopback(self) -> bool:
-        """Whether only this machine can reach it."""
-        return self.host in LOOPBACK
-
-
-def address_of(page: bool | str) -> Address | None:
-    """--page, --page 8080 or --page 0.0.0.0:8080; None when no page is wanted. Raises BadSetting."""
-    if isinstance(page, bool):
-        return Address("127.0.0.1", PORT, False) if page else None
-    host, _, port = page.rpartition(":")
-    if not port.isdecimal() or not 0 <= int(port) <= 65535:
-        raise BadSetting(f"--page {page}: should be a port such as 8080, or host:port")
-    return Address(host or "127.0.0.1", int(port), True)
 
 
 @dataclass(eq=False)

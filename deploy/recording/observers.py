@@ -7,8 +7,8 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from deploy.page.server import PageServer
 from deploy.recording.recorder import FLUSH_SECONDS, Recorder
 from deploy.recording.recording import NAME
 from deploy.scenario import Scenario
@@ -16,6 +16,9 @@ from deploy.scoring.result import EventReport, Fault
 from deploy.scoring.scorer import Scorer
 from protocol.node import Event, Gone
 from protocol.settings import BadSetting
+
+if TYPE_CHECKING:
+    from deploy.page.server import PageServer
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +58,7 @@ def open_recorder(path: Path, scenario: Scenario, *, virtual: bool = False) -> R
 class Observers:
     """The observers of one scorer, as a context in the event loop of the run. A failing observer is removed; the run continues."""
 
-    def __init__(self, scorer: Scorer, recorder: Recorder | None, page: PageServer | None = None) -> None:
+    def __init__(self, scorer: Scorer, recorder: Recorder | None, page: "PageServer | None" = None) -> None:
         self._scorer = scorer
         self._last_tick = scorer.last_tick
         self._is_over = False

@@ -9,12 +9,12 @@ before, and *never seen* otherwise. Only watchers compute this: it needs the tru
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from deploy.scenario import Scenario
 from protocol.observer_messages import Truth
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
+from world.assignment import linear_sum_assignment
 
 
 class Parts(NamedTuple):

@@ -16,8 +16,9 @@ import pytest
 from deploy.__main__ import app
 from deploy.live.control import Answer, ControlServer
 from deploy.page import source as page_source
+from deploy.page.address import Address, address_of
 from deploy.page.picture import Picture
-from deploy.page.server import Address, Client, PageServer, address_of
+from deploy.page.server import Client, PageServer
 from deploy.page.source import LiveSource
 from deploy.recording.observers import Observers
 from deploy.scenario import resolve
