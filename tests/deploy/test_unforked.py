@@ -1,7 +1,6 @@
 """A machine that lets the zygote fork no more costs the one process, not the swarm. Both ends of the zygote run in the test's process."""
 
 import errno
-import gc
 import os
 import signal
 import socket
@@ -30,7 +29,6 @@ def as_before() -> Iterator[None]:
     yield
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, handler)
-    gc.unfreeze()
 
 
 def test_a_fork_that_fails_ends_that_child_alone_and_the_reason_stands_in_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
