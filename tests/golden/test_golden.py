@@ -11,7 +11,7 @@ from agents.backend import PLAIN
 from tests.golden.cases import CASES, INTERESTS, OSPA_SEEDS, PARTITIONS, TICKS, Case, case_of
 from tests.golden.fields import FIELDS
 from tests.golden.make import ROOT, check, steady_ospa
-from tests.golden.record import difference, play, record_of
+from tests.golden.record import Said, difference, play, record_of
 from tests.golden.stored import FOLDER, read, read_ospa
 
 QUICK = [  # some seconds
@@ -20,15 +20,19 @@ QUICK = [  # some seconds
     "anisotropic-neighbours/lockstep/1",
 ]
 SHORT = case_of("20E10G-all/deaths/1")
-NIGHTLY = pytest.mark.nightly  # continuous integration plays one seed, and the largest swarm in two of four troubles
-LONG = ("efficacy-all/realtime/1", "efficacy-all/loss/1", "efficacy-neighbours/realtime/1", "efficacy-neighbours/loss/1")
+SLOW = [  # with QUICK, what continuous integration plays: every trouble with either interest, and every swarm with either
+    "20E10G-all/realtime/1",
+    "20E10G-neighbours/deaths/1",
+    "anisotropic-all/lockstep/1",
+    "anisotropic-all/loss/1",
+    "anisotropic-neighbours/realtime/1",
+    "efficacy-all/deaths/1",
+    "efficacy-neighbours/lockstep/1",
+]
+NIGHTLY = pytest.mark.nightly
 TAPPED = "anisotropic-neighbours/loss/1"
 RUNS = [pytest.param(partition, seed, marks=NIGHTLY if seed > OSPA_SEEDS[0] else ()) for partition in PARTITIONS for seed in OSPA_SEEDS]
-OTHERS = [
-    pytest.param(case, id=str(case), marks=NIGHTLY if case.seed > 1 or str(case) in LONG else ())
-    for case in CASES
-    if str(case) not in QUICK
-]
+OTHERS = [pytest.param(case, id=str(case), marks=() if str(case) in SLOW else NIGHTLY) for case in CASES if str(case) not in QUICK]
 KINDS = [pytest.param(case, id=str(case), marks=() if str(case) == TAPPED else NIGHTLY) for case in CASES if case.seed == 1]
 
 
@@ -77,8 +81,13 @@ def test_the_order_of_hashes_does_not_matter() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_a_difference_names_the_tick_the_agent_and_the_field() -> None:
-    said = play(SHORT)
+@pytest.fixture(scope="module")
+def said() -> list[Said]:
+    """What is said in the short case."""
+    return play(SHORT)
+
+
+def test_a_difference_names_the_tick_the_agent_and_the_field(said: list[Said]) -> None:
     kept = record_of(said)
     assert difference(kept, said) == ""
     changed = copy.deepcopy(said)
@@ -88,14 +97,19 @@ def test_a_difference_names_the_tick_the_agent_and_the_field() -> None:
     assert difference(kept._replace(fields=[], agents=[]), changed) == "tick 7"
 
 
-def test_every_field_is_in_the_record() -> None:
-    said = play(SHORT)
+def test_every_field_is_in_the_record(said: list[Said]) -> None:
     found = {field for tick in said for fields in tick.values() for field in fields}
     assert found == set(FIELDS)
     kept = read(SHORT)
     assert len(kept.ticks) == len(kept.fields) == len(kept.agents) == TICKS
     assert {len(row) for row in kept.fields} == {len(FIELDS)} and {len(row) for row in kept.agents} == {30}
     assert any("." in row for row in kept.agents), "nobody was ever silent: did the faults strike?"
+
+
+def test_no_kind_of_case_is_left_to_the_night() -> None:
+    played = [case_of(name) for name in (*QUICK, *SLOW)]
+    assert {(case.interest, case.trouble) for case in played} == {(case.interest, case.trouble) for case in CASES}
+    assert {(case.swarm, case.interest) for case in played} == {(case.swarm, case.interest) for case in CASES}
 
 
 def test_the_record_is_small() -> None:
