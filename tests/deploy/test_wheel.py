@@ -133,7 +133,7 @@ def test_the_installed_program_simulates_what_the_checkout_simulates_and_demonst
     monkeypatch.delenv(PLAIN, raising=False)
     both = run(home, tmp_path, "python", "-c", BOTH)
     assert Path(both.stdout.strip()).is_relative_to(home), both.stderr
-    words = ("simulate", "anisotropic", "--seconds", "5", "--json")
+    words = ("simulate", "anisotropic", "--seconds", "2", "--json")
     ours = subprocess.run([sys.executable, ROOT / "covey", *words], cwd=tmp_path, capture_output=True, text=True, timeout=200, check=True)
     monkeypatch.setenv(PLAIN, plain)
     assert run(home, tmp_path, "python", "-c", WARM).returncode == 0  # compile first, for a demo is shorter than that
@@ -143,7 +143,7 @@ def test_the_installed_program_simulates_what_the_checkout_simulates_and_demonst
     assert float(one_line.stdout) > 0.0, one_line.stderr
     results = [json.loads(done.stdout.splitlines()[-1]) for done in (theirs, ours)]
     assert results[0]["transcript"] == results[1]["transcript"]
-    demo = run(home, tmp_path, "covey", "demo", "--no-page", "--seconds", "3", "--lockstep", "--json")
+    demo = run(home, tmp_path, "covey", "demo", "--no-page", "--seconds", "2", "--lockstep", "--json")
     assert demo.returncode == 0, demo.stderr
     assert json.loads(demo.stdout.splitlines()[-1])["rounds"] >= 16 * 6
     detached = run(home, tmp_path, "covey", "up", "quick", "--detach", "--spawn", "exec", "--run", "away")

@@ -252,13 +252,13 @@ def test_a_paused_agent_is_paused_everywhere_and_the_dead_own_no_cell(covey: Cov
 
 @pytest.mark.slow
 def test_a_machine_that_is_too_small_is_said_in_the_terminal_in_ps_and_in_the_result(covey: Covey) -> None:
-    """Six agents that are asked for 4000 rounds a second each: no machine is large enough."""
-    supervisor = covey.start("up", "quick", "--rate", "1000", "--seconds", "100000")
+    """Two agents that are asked for 4000 rounds a second each: no machine is large enough."""
+    supervisor = covey.start("up", "quick", "--team", "A2", "--rate", "1000", "--seconds", "100000")
     covey.wait(lambda data: data["swarm"]["tick_rate"]["advice"] != "")
-    assert "this machine is too small for 6 agents at rate 1000" in " ".join(covey.run("ps")[1].split())
+    assert "this machine is too small for 2 agents at rate 1000" in " ".join(covey.run("ps")[1].split())
     assert covey.run("down")[0] == 0
     output, _ = supervisor.communicate(timeout=BOUND)
-    first, later = output.index("6 agents at 4000 ticks/s will be late"), output.index("this machine is too small for 6 agents")
+    first, later = output.index("2 agents at 4000 ticks/s will be late"), output.index("this machine is too small for 2 agents")
     assert first < later
     rate = json.loads((covey.runs / "latest" / "result.json").read_text())["tick_rate"]
     assert rate["asked_per_s"] == 4000.0 and rate["ticks_per_s"] < 4000.0 and "--rate" in rate["advice"]
