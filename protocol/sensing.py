@@ -57,13 +57,13 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
 
     def __post_init__(self) -> None:
         if not 0.0 < self.angle <= 2.0 * math.pi:
-            raise ValueError(f"angle = {self.angle}: a wedge opens by more than 0 and at most 2 pi rad")
+            raise ValueError(f"angle = {self.angle}: should be more than 0 and at most 2 pi rad")
         if not 0.0 < self.radius <= 1.0e6:
-            raise ValueError(f"radius = {self.radius}: the radius of a sensor lies in (0, 1e6] m")
+            raise ValueError(f"radius = {self.radius}: should be more than 0 and at most 1e6 m")
         if not 0.0 < self.prob_detection <= 1.0:
-            raise ValueError(f"prob_detection = {self.prob_detection}: a detection probability lies in (0, 1]")
+            raise ValueError(f"prob_detection = {self.prob_detection}: should be more than 0 and at most 1")
         if self.prob_detection_far is not None and not 0.0 < self.prob_detection_far <= self.prob_detection:
-            right = f"it lies in (0, prob_detection = {self.prob_detection}]"
+            right = f"should be more than 0 and at most prob_detection = {self.prob_detection}"
             raise ValueError(f"prob_detection_far = {self.prob_detection_far}: {right}")
 
     @property

@@ -33,7 +33,7 @@ class Operator(Node):
         self._halt = Halt(sender=self.name, incarnation=incarnation, held=held)
         self._poses: dict[str, tuple[float, Pose]] = {}  # name -> world time and pose
         self._begun = self._due = 0.0
-        self._most = max(MOST, 4.0 * period)
+        self.most = max(MOST, 4.0 * period)  # s for which the order is said
         self._judges = held and judges
         self._stood_at: float | None = None
 
@@ -76,7 +76,7 @@ class Operator(Node):
         done = not self._judges or (self.bodies and self.bodies <= self.standing)
         self._stood_at = (self._stood_at or now) if done else None
         self.seconds = (self._stood_at or now) - self._begun
-        if now - self._begun < (SETTLE if done else self._most):
+        if now - self._begun < (SETTLE if done else self.most):
             return []
         return [Stop(0 if done else 1, "the order has been said")]
 
@@ -97,7 +97,7 @@ def say(run: str | None, *, held: bool) -> int:
     elif code == 0:
         print(f"{len(node.bodies)} bodies stand; `covey release` lets them go on")
     elif not node.bodies:
-        print(f"no body of run {run_settings.name} has answered within {max(MOST, 4.0 * period):g} s: nothing is known to stand")
+        print(f"no body of run {run_settings.name} has answered within {node.most:g} s: nothing is known to stand")
     else:
         print(f"{len(node.standing)} bodies stand, not {', '.join(moving)}")
     return code

@@ -126,5 +126,5 @@ def test_a_wedge_with_an_impossible_number_cannot_be_built(numbers: tuple[float,
 
 @pytest.mark.parametrize("far", [0.0, -0.1, 0.51, math.nan])
 def test_a_probability_at_the_far_edge_above_that_at_the_sensor_or_of_zero_is_refused(far: float) -> None:
-    with pytest.raises(ValueError, match=rf"prob_detection_far = {far}: it lies in \(0, prob_detection = 0\.5\]"):
+    with pytest.raises(ValueError, match=rf"prob_detection_far = {far}: should be more than 0 and at most prob_detection = 0\.5"):
         WedgeSensor(1.0, 1.0, 0.5, None, far)
