@@ -134,6 +134,7 @@ def kept_result(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.live
+@pytest.mark.slow
 def test_a_run_whose_reader_leaves_goes_on_to_its_end(folder: Path) -> None:
     process = running(folder, *SHORT, stderr=subprocess.PIPE)
     assert process.stdout is not None and process.stderr is not None
@@ -145,9 +146,8 @@ def test_a_run_whose_reader_leaves_goes_on_to_its_end(folder: Path) -> None:
 
 
 @pytest.mark.live
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGHUP, 129), pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow)], ids=["HUP", "Ctrl-C"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGHUP, 129), (signal.SIGINT, 130)], ids=["HUP", "Ctrl-C"])
 def test_a_signal_that_takes_the_reader_along_keeps_its_exit_code_and_the_result(number: int, code: int, folder: Path) -> None:
     process = running(folder, *LONG)
     assert process.stdout is not None
@@ -167,6 +167,7 @@ def test_a_run_that_ignores_sighup_goes_on(folder: Path) -> None:
 
 
 @pytest.mark.live
+@pytest.mark.slow
 def test_a_run_whose_output_fills_its_disk_goes_on_and_ends_with_1(folder: Path) -> None:
     """The disk of the output has room for the first line alone, not for the table."""
     (folder / "log").mkdir()

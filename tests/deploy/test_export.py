@@ -207,6 +207,7 @@ def test_figures_are_drawn_tick_by_tick_from_what_had_been_heard(run: Run) -> No
     assert not picture.agents["s2"].alive
 
 
+@pytest.mark.slow
 def test_a_figure_is_a_pdf_with_real_fonts_and_a_png(run: Run, tmp_path: Path) -> None:
     pdf, png = write_figure(run[1], tmp_path)
     assert pdf.read_bytes().startswith(b"%PDF")

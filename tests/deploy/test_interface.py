@@ -158,6 +158,7 @@ def test_a_wrong_option_over_a_scenario_names_no_file_that_the_user_never_saw() 
         covey.scenario(covey.scenario("quick"), dt=99.0)
 
 
+@pytest.mark.slow
 def test_a_recording_gives_back_the_run_that_it_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     words = ("simulate", "quick", "--seconds", "5", "--record", "--run", "kept", "--json")

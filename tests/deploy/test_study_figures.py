@@ -32,6 +32,7 @@ def closed() -> None:
     plt.close("all")
 
 
+@pytest.mark.slow
 def test_efficacy_makes_figure_4_and_the_paired_differences(tmp_path: Path) -> None:
     files = draw(rows(), tmp_path)
     assert sorted(file.name for file in files) == ["figure4.pdf", "figure4.png", "paired.pdf", "paired.png"]

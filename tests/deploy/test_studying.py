@@ -63,6 +63,7 @@ def test_rows_of_another_program_are_not_mixed_in(run: Callable[..., dict[str, A
         run()
 
 
+@pytest.mark.slow
 def test_a_scenario_file_that_changes_in_the_middle_of_a_study_is_named_and_the_trials_before_are_kept(tmp_path: Path) -> None:
     file, folder = tmp_path / "mine.toml", StudyFolder(tmp_path / "study")
     file.write_text("[run]\nseconds = 1.0\n")

@@ -96,10 +96,11 @@ def test_a_zygote_that_takes_longer_than_the_start_line_gives_a_complete_swarm(c
     assert complaints.count("could not be carried out: kill '3': only 0 agents qualify") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("moments", "loops"),
-    [((0.4, 2.5), ()), pytest.param(MOMENTS, LOOPS, marks=[pytest.mark.slow, pytest.mark.nightly])],
+    [((0.4, 2.5), ()), pytest.param(MOMENTS, LOOPS, marks=pytest.mark.nightly)],
     ids=["two", "ten"],
 )
 def test_ctrl_c_ends_a_start_at_any_moment(covey: Covey, moments: tuple[float, ...], loops: tuple[int, ...]) -> None:

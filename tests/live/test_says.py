@@ -105,6 +105,7 @@ def test_in_a_terminal_the_end_of_a_demo_stays_with_its_page_until_a_key(covey: 
     assert terminal.end() == 0
 
 
+@pytest.mark.slow
 def test_without_a_terminal_a_demo_ends_by_itself(covey: Covey) -> None:
     code, output, _ = covey.run("demo", "--fast", "--team", "A4", "--seconds", "5", "--page", "0")
     assert code == 0

@@ -59,7 +59,8 @@ def test_a_killed_child_is_reported_and_the_others_live_until_the_zygote_goes(zy
 
 
 @pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="Linux only")
-@pytest.mark.parametrize("clock", [pytest.param("lockstep", marks=pytest.mark.slow), "realtime"])
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
 def test_in_lockstep_agents_let_each_other_finish_and_in_real_time_nobody_is_held_back(zygote: Zygote, tmp_path: Path, clock: str) -> None:
     config = tmp_path / "run.toml"
     config.write_text(f'[run]\nclock = "{clock}"\n[members]\ns1 = "A"\n', encoding="utf-8")

@@ -80,9 +80,8 @@ def cell_of(said: Estimate) -> tuple[float, ...]:
     return tuple(round(float(number), 6) for number in (polygon_area(said.cell), *polygon_centroid(said.cell)))
 
 
-@pytest.mark.parametrize(
-    "team, seed", [pytest.param("4", 1, marks=pytest.mark.slow), ("20E+10G", 2), pytest.param("A24,B24", 3, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("team, seed", [("4", 1), ("20E+10G", 2), ("A24,B24", 3)])
+@pytest.mark.slow
 def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, seed: int) -> None:
     print(f"seed {seed}")
     (_, everything), (simulation, all_the_same) = (play(large(seed, team, interest)) for interest in ("all", "neighbours"))
@@ -157,6 +156,7 @@ def test_all_are_told_of_the_widest_sensor_though_most_never_hear_it() -> None:
     assert {beacon.widest_reach for beacon in told.beacons[:came]} == {8.0}
 
 
+@pytest.mark.slow
 def test_mass_is_kept_when_agents_die() -> None:
     """In a swarm that sees nothing the mass of 16 targets is only moved about."""
     faults = (FaultSettings(at=6.0, verb="kill", who="s2,s9,s17"),)

@@ -71,6 +71,7 @@ def test_delay_without_loss_changes_nothing_in_lockstep(delay: float) -> None:
     assert scenes[0].transcript == scenes[1].transcript
 
 
+@pytest.mark.slow
 def test_messages_half_a_second_late_in_real_time_keep_the_ledger_within_two_per_cent_in_the_mean() -> None:
     seen = watch(ledger(fault(2.0, "delay", "100%", 0.5), run__seconds=30.0), clock="realtime")
     print(f"mean mass {relative(seen, 3.0).mean():.4f}")
