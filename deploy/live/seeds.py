@@ -1,5 +1,6 @@
 """Where the processes of a run find each other: the few that listen on a known port."""
 
+import re
 from collections.abc import Mapping, Sequence
 
 from deploy.scenario import Scenario, world_names
@@ -13,8 +14,8 @@ def seed_listeners(scenario: Scenario) -> dict[str, str]:
     """Which processes listen on a known port, and where: on free ports, or the monitor alone where the scenario says."""
     if scenario.network.mode == "router":
         raise BadSetting("network.mode = router: should be peer or client; the router of a run is its supervisor")
-    if scenario.network.listen != NetworkSettings().listen:
-        return {"monitor": scenario.network.listen[0]}
+    if scenario.network.listen != NetworkSettings().listen:  # any free port (0) has to be chosen here: the others dial it
+        return {"monitor": re.sub(r":0$", lambda _: f":{free_port()}", scenario.network.listen[0])}
     if scenario.network.mode == "client":
         return {"monitor": f"tcp/127.0.0.1:{free_port()}"}
     names = ["monitor", world_names(scenario)[0], *list(scenario.members)[:SEED_AGENTS]]

@@ -1,6 +1,7 @@
 """A child process and what is said of it: how it ended, its last words, its row in `ps`."""
 
 import json
+import re
 import signal
 import subprocess
 import time
@@ -9,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from deploy.live.processes import LAST_BYTES, Child, is_stopped, process_rows
-from deploy.live.seeds import endpoints
+from deploy.live.seeds import endpoints, seed_listeners
+from deploy.scenario import resolve
 from deploy.storage.run_directory import RunDirectory
 
 
@@ -108,6 +110,14 @@ def test_a_seed_listens_and_nobody_dials_itself() -> None:
     seeds = ("tcp/a", "tcp/b")
     assert endpoints("s1", {"s1": "tcp/a"}, seeds) == ["--listen", "tcp/a", "--seed-endpoint", "tcp/b"]
     assert endpoints("s2", {"s1": "tcp/a"}, seeds) == ["--seed-endpoint", "tcp/a", "--seed-endpoint", "tcp/b"]
+
+
+@pytest.mark.parametrize(
+    ("listen", "found"), [("tls/0.0.0.0:0", r"tls/0\.0\.0\.0:[1-9]\d+"), ("tcp/127.0.0.1:7447", r"tcp/127\.0\.0\.1:7447")]
+)
+def test_where_the_scenario_says_any_free_port_the_others_are_told_which(listen: str, found: str) -> None:
+    listeners = seed_listeners(resolve("quick", {"network.listen": [listen]}))
+    assert list(listeners) == ["monitor"] and re.fullmatch(found, listeners["monitor"])
 
 
 @pytest.mark.parametrize(
