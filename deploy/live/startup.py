@@ -24,7 +24,7 @@ class Startup:
     def __init__(self, members: list[str], children: list[Child], scorer: Scorer, zygote: Zygote | None, log: Path) -> None:
         """`members` are the agents that the scenario has, `log` is that of the zygote."""
         self._members, self._children, self._scorer, self._zygote, self._log = members, children, scorer, zygote, log
-        self._begun = time.monotonic()
+        self._begun = self._prepared = time.monotonic()  # when the start began, and when agents could be forked
         self._is_told = False  # the early end of the zygote has been reported
 
     async def start_all(self, tell: Callable[[str], None]) -> None:
@@ -53,6 +53,7 @@ class Startup:
         while not zygote.is_ready and not zygote.is_gone:
             await asyncio.sleep(LOOK)
             zygote.collect()
+            self._prepared = time.monotonic()
         if not zygote.is_ready and not self._is_told:
             self._is_told = True
             log = os.path.relpath(self._log)
@@ -76,7 +77,10 @@ class Startup:
             return ""
         if self._zygote is None or self._zygote.is_ready or self._zygote.is_gone:
             alive = self._scorer.alive()
-            return f"there are {self._who([name for name in self._members if name not in alive])}"
+            present = self._who([name for name in self._members if name not in alive])
+            if not alive and time.monotonic() - self._prepared > HOLD:
+                return f"there are {present}; none is heard, and the logs may say why: {os.path.relpath(self._log.parent)}"
+            return f"there are {present}"
         if compiled_before():
             return "loading the compiled loops"
         number, seconds = number_of_loops(), time.monotonic() - self._begun
