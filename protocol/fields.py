@@ -1,4 +1,4 @@
-"""The rules for the fields of a message: arrays as raw little-endian bytes, and bounds for every number.
+"""The rules for the fields of a message: limits of numbers, and arrays as raw little-endian bytes.
 
 Lengths in m, times in s, angles in rad.
 """

@@ -28,6 +28,7 @@ from protocol.fields import (
     OBSTACLES,
     STATES,
     VALUE_SIZE,
+    LabelPart,
     Malformed,
     Name,
     are_labels,
@@ -213,10 +214,10 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     @once
     def labels(self) -> np.ndarray:
         """The label of each particle (N,) uint64; 0: none."""
-        return read_labels([self.label_parts])
+        return read_labels([self.label_part])
 
     @property
-    def label_parts(self) -> tuple[bytes, bytes, int]:
+    def label_part(self) -> LabelPart:
         """The table of labels, the numbers in it, and the number of particles (`fields.read_labels`)."""
         return self.labels_bytes, self.label_numbers_bytes, len(self.ids_bytes) // 8
 
@@ -259,7 +260,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         states, count = STATES.count(self.states_bytes), IDS.count(self.ids_bytes)
         if count != states:
             raise Malformed("shape", f"ids: {count} ids for {states} states")
-        check_label_numbers(*self.label_parts)
+        check_label_numbers(*self.label_part)
 
     def check_contents(self) -> None:
         """Refuse numbers of an array that are out of range, and ids and labels that do not ascend."""

@@ -271,7 +271,7 @@ class GossipTable:
         gossips = self.gossips
         states = np.frombuffer(bytearray().join([gossips[row].states_bytes for row in rows]), dtype=np.float32)
         ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
-        return states.reshape(-1, 4), ids, read_labels([gossips[row].label_parts for row in rows])
+        return states.reshape(-1, 4), ids, read_labels([gossips[row].label_part for row in rows])
 
     @once
     def boxes(self) -> np.ndarray:
