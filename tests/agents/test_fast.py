@@ -37,7 +37,7 @@ FAST = fast.FAST
 SIDE = 40.0
 ARENA, BOX = ArenaSettings(width=SIDE, height=SIDE), rectangle(SIDE, SIDE)
 seeds = st.integers(0, 2**32 - 1)
-some = settings(max_examples=60)
+some = settings(max_examples=40)
 SENSORS = (*SENSOR_CLASSES.values(), WedgeSensor(math.radians(200.0), 12.0, 0.9, None, 0.1))  # the last sees less far away
 
 
@@ -285,7 +285,7 @@ def case(seed: int, size: int, owners: int, in_table: bool, interest: str, other
 
 
 @given(seeds, st.integers(0, 150), st.integers(0, 5), st.booleans(), st.sampled_from(["all", "neighbours"]), st.integers(0, 2))
-@settings(max_examples=160)
+@settings(max_examples=100)
 def test_update_regions(seed: int, size: int, owners: int, in_table: bool, interest: str, others: int) -> None:
     """All steps at once, of no owner, of one and of several, with sensors of both kinds."""
     assert_same("update_regions", *case(seed, size, owners, in_table, interest, others))

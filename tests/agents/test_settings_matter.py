@@ -32,12 +32,12 @@ BASE: dict[str, Any] = {
     "arena.width": 36.0,
     "arena.height": 30.0,
     "run.dt": 0.25,
-    "run.seconds": 2.0,
     "detection.clutter": 2.0,
     "filter.least_particles": 20,
     "birth.background_particles": 40,
     "capacity.mode": "saturating",
 }
+SECONDS = {"lloyd": 1.25, "search-and-track": 2.0}  # by control law: until every setting has mattered
 CHANGES: dict[str, Any] = {  # another value of each; the base is BASE, and the defaults
     "filter.kind": "gaussian-mixture",
     "filter.seed": 5,
@@ -132,7 +132,7 @@ def said(
     setting: str = "", value: object = None, plain: bool = False, law: str = "lloyd", kind: str = "particles", noise: float = 0.0
 ) -> bytes:
     """The hash of all that the swarm says. `noise`: of the agents' poses, m."""
-    base = BASE | {"control.mode": law, "filter.kind": kind, "pose.position_noise": noise}
+    base = BASE | {"run.seconds": SECONDS[law], "control.mode": law, "filter.kind": kind, "pose.position_noise": noise}
     options = base | ({setting: value} if setting else {})
     simulation, heard = Simulation(resolve("efficacy", options), backend=PLAIN if plain else compiled(), scores=False), []
 
@@ -190,7 +190,7 @@ def test_a_setting_of_wrong_poses_changes_what_the_swarm_does_alike_in_plain_and
 
 @pytest.mark.parametrize("setting", AMONG_NEIGHBOURS)
 def test_a_setting_for_neighbours_changes_what_is_sent(setting: str) -> None:
-    options = BASE | {"arena.width": 60.0, "timing.interest": "neighbours"}
+    options = BASE | {"run.seconds": 2.0, "arena.width": 60.0, "timing.interest": "neighbours"}
     deliveries = []
     for change in ({}, {setting: AMONG_NEIGHBOURS[setting]}):
         simulation = Simulation(resolve("efficacy", options | change), scores=False)

@@ -16,13 +16,13 @@ from tests.golden.stored import FOLDER, read, read_ospa
 
 QUICK = [  # some seconds
     "20E10G-all/deaths/1",
-    "20E10G-neighbours/loss/1",
     "anisotropic-neighbours/lockstep/1",
 ]
 SHORT = case_of("20E10G-all/deaths/1")
 SLOW = [  # with QUICK, what continuous integration plays: every trouble with either interest, and every swarm with either
     "20E10G-all/realtime/1",
     "20E10G-neighbours/deaths/1",
+    "20E10G-neighbours/loss/1",
     "anisotropic-all/lockstep/1",
     "anisotropic-all/loss/1",
     "anisotropic-neighbours/realtime/1",
