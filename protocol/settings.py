@@ -142,7 +142,7 @@ class NetworkSettings(Section, frozen=True, kw_only=True):
     lease: Positive = 5.0  # s without a byte until a link counts as lost; longer than a machine stands still
     most_per_second: Annotated[int, msgspec.Meta(ge=1)] = 1000  # messages of one session under one key; more is a flood. In lockstep 5000
     insecure: bool = False  # allow endpoints beyond loopback without TLS
-    ca: str = ""  # mutual TLS: the file of the authority that all trust; in the next two, {name} stands for the process's name
+    ca: str = ""  # mutual TLS: the file of the authority that all trust; here and in the next two {name} stands for the process's name
     certificate: str = ""
     key: str = ""
     admit: tuple[Name, ...] = ()  # agents whose certificates count; none: the members
@@ -155,7 +155,7 @@ class NetworkSettings(Section, frozen=True, kw_only=True):
 
     def files(self, name: str) -> dict[str, str]:
         """The files of mutual TLS by field, for the owner of that common name."""
-        return {"ca": self.ca, "certificate": self.certificate.replace("{name}", name), "key": self.key.replace("{name}", name)}
+        return {field: getattr(self, field).replace("{name}", name) for field in ("ca", "certificate", "key")}
 
 
 class Common(msgspec.Struct, frozen=True, kw_only=True):
