@@ -5,6 +5,7 @@ come. Without faults the trajectory is that of a live lockstep run, to the last 
 """
 
 import gc
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -50,6 +51,15 @@ def compiled() -> Backend:
     from agents.compiled.backend import FAST
 
     return FAST
+
+
+def compile_once() -> None:
+    """On the first start on a machine compile every loop, with a notice."""
+    from agents.compiled.warmup import compiled_before, warm
+
+    if not compiled_before():
+        print("covey: compiling the particle loops, once on this machine; some 40 s", file=sys.stderr, flush=True)
+        warm()
 
 
 class Simulation:

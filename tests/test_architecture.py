@@ -43,6 +43,7 @@ SHELL = {  # the files where time, sockets and threads live; all others are core
     "protocol/so_linger.py",
     "protocol/stdin.py",
     "agents/__main__.py",
+    "agents/compiled/warmup.py",
     "world/__main__.py",
 }
 OUTSIDE_WORLD = {"random", "secrets", "uuid", "time", "datetime", "socket", "asyncio", "threading", "subprocess", "multiprocessing"}

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from agents import agent
+from agents.compiled.warmup import warm
 from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, Replay, RoundResult
 from agents.tracking.belief import Belief, Copies
@@ -21,7 +22,6 @@ from agents.tracking.tracker import OwnedState
 from deploy import __main__ as command_line
 from deploy.installation import command
 from deploy.live import zygote
-from deploy.live.warmup import warm
 from protocol.geometry import rectangle
 from protocol.keys import order
 from protocol.messages import Gossip

@@ -5,12 +5,12 @@ import contextlib
 import logging
 
 from deploy.cli.terminal import open_browser, stop_event
-from deploy.live.warmup import compile_once
 from deploy.page.address import address_of
 from deploy.page.comparison import SPEEDS, ComparisonSource
 from deploy.page.server import PageServer
 from deploy.page.simulated_swarm import SimulatedSwarm
 from deploy.scenario import Scenario, law_in_words, with_deaths
+from deploy.simulation import compile_once
 from protocol.settings import BadSetting
 
 

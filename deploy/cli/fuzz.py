@@ -5,7 +5,7 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from deploy.live.warmup import compile_once
+from deploy.simulation import compile_once
 from deploy.verify.fuzz import MIXED, PROFILES, run
 from protocol.settings import BadSetting
 

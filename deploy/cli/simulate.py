@@ -15,13 +15,12 @@ import msgspec
 from deploy.cli.display import Display, show_result
 from deploy.cli.errors import FAILED, complain
 from deploy.cli.scenario_checks import faults_without_effect
-from deploy.live.warmup import compile_once
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
 from deploy.scoring.result import Result
 from deploy.scoring.scores import Score, write_scores
-from deploy.simulation import Simulation
+from deploy.simulation import Simulation, compile_once
 from deploy.storage.kept_runs import link_latest, new_run_directory
 from protocol.observer_messages import Truth
 

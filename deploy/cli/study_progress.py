@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager, nullcontext
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from deploy.live.warmup import compile_once
+from deploy.simulation import compile_once
 from deploy.studies.engines import (
     FinishedTrials,
     Job,

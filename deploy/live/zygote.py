@@ -232,7 +232,7 @@ def _be_agent(words: list[str], descriptors: list[int]) -> NoReturn:
 
 
 def _warm_up() -> None:
-    from deploy.live.warmup import warm  # loads the agents, after the signal has been asked for
+    from agents.compiled.warmup import warm  # loads the agents, after the signal has been asked for
 
     gc.disable()  # there is hardly any garbage in all that is imported, and looking for it took a tenth of the time
     warm()

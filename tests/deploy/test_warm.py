@@ -16,7 +16,7 @@ from deploy.simulation import compiled
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
 import sys
-from deploy.live.warmup import warm
+from agents.compiled.warmup import warm
 
 def compiled():
     modules = [module for name, module in sys.modules.items() if name.startswith("agents.")]
@@ -57,12 +57,14 @@ def test_after_warming_up_no_fault_makes_anybody_compile() -> None:
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core compiles by itself")
 def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    program = "from deploy.live import warmup; warmup.warm(); import resource; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime)"
+    program = (
+        "from agents.compiled import warmup; warmup.warm(); import resource; print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime)"
+    )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=880, check=False)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 5.0  # s of the second process
     assert len(list(tmp_path.rglob("*.estimate_tracks-*.nbc"))) == 1  # for one kind of arguments: what one compiles the other loads
-    program = "from agents.compiled.backend import FAST; from deploy.live import warmup; warmup.warm(); print(warmup.compiled_before())"
+    program = "from agents.compiled.backend import FAST; from agents.compiled import warmup; warmup.warm(); print(warmup.compiled_before())"
     program += "; from agents.compiled.region_kernels import update_regions; print(sum(update_regions.stats.cache_misses.values()))"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=110, check=False)
     assert done.stdout.split() == ["True", "0"], done.stderr
@@ -79,7 +81,7 @@ def test_who_finds_loops_that_nobody_has_called_complete_compiles_once_and_says_
 
 @pytest.mark.slow
 def test_who_warms_up_while_another_does_waits_for_it() -> None:
-    program = "from deploy.live.warmup import warm; print('begins', flush=True); warm(); print('warm')"
+    program = "from agents.compiled.warmup import warm; print('begins', flush=True); warm(); print('warm')"
     held = os.open(correct.stats.cache_path, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
     try:

@@ -20,7 +20,7 @@ BUILD = "import sys; from setuptools.build_meta import build_wheel; build_wheel(
 BUILD_SDIST = "import sys; from setuptools.build_meta import build_sdist; build_sdist(sys.argv[1])"
 PARTS = ("pyproject.toml", "README.md", "LICENSE", *ROOMS)
 STRANGER = "class Runner: ...\n"  # what the folder `agents` of site-packages holds when openai-agents is installed
-WARM = "from covey.deploy.live.warmup import warm; warm()"
+WARM = "from covey.agents.compiled.warmup import warm; warm()"
 PLAIN = "NUMBA_DISABLE_JIT"  # the loops run as plain Python
 BOTH = "import agents, covey, covey.agents.agent; assert agents.Runner; print(covey.__file__)"
 

@@ -225,8 +225,7 @@ def simulate(
 
     `progress` is called with the share of the ticks that are done. Raises BadSetting naming what is wrong.
     """
-    from deploy.live.warmup import compile_once
-    from deploy.simulation import Simulation
+    from deploy.simulation import Simulation, compile_once
 
     found = scenario(
         name,

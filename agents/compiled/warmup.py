@@ -1,4 +1,4 @@
-"""Loading the compiled functions before they are needed, and a notice when they must be compiled first."""
+"""Loading the compiled functions before they are needed; the first time on a machine compiles them."""
 
 import contextlib
 import fcntl
@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -15,7 +16,6 @@ from agents.agent import Agent
 from agents.backend import PLAIN, Backend
 from agents.compiled.cache import compiled_before, is_switched_off, loops_on_disk, note_complete, tidy
 from agents.config import AgentConfig, ControlSettings, TimingSettings
-from deploy.installation import ROOT, command
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Started, Timer, received
 from protocol.settings import ArenaSettings, convert
@@ -27,13 +27,6 @@ LOST = (4, 5)  # ticks in which the agents do not hear each other
 SKIPPED = (8, 9)  # ticks that s2 does not see
 LATE = 1e3  # s after which every open round closes
 LONGEST = 90.0  # s to wait for the next loop while another process compiles
-
-
-def compile_once() -> None:
-    """On the first start on a machine compile every loop, with a notice."""
-    if not compiled_before():
-        print("covey: compiling the particle loops, once on this machine; some 40 s", file=sys.stderr, flush=True)
-        warm()
 
 
 def warm() -> None:
@@ -63,7 +56,8 @@ def _compile_on_two_cores(fast: Backend) -> None:
 
     The half that is compiled here is longer. So the second process begins with a part of it, which is found on disk when its turn comes.
     """
-    other = subprocess.Popen(command("deploy.live.warmup"), cwd=ROOT, stdin=subprocess.PIPE)
+    top = Path(__file__).resolve().parents[__name__.count(".")]  # the folder that the rooms are imported from, or the package around them
+    other = subprocess.Popen([sys.executable, "-m", __name__], cwd=top, stdin=subprocess.PIPE)
     try:
         _play_all(PLAIN._replace(**{name: getattr(fast, name) for name in HALF}))
         other.wait()
