@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from protocol.process import arguments
+from protocol.settings import NetworkSettings, convert
 
 ROOT = Path(__file__).resolve().parents[2]
 MACHINES = ROOT / "deploy" / "machines"
@@ -91,6 +92,15 @@ def test_the_command_of_a_unit_is_one_that_the_process_understands(name: str) ->
     )
     assert words[:3] == ["/opt/covey/bin/python", "-P", "-m"]
     understood(words[3:])
+
+
+def test_the_keys_that_the_page_names_are_those_that_systemd_hands_to_the_agent() -> None:
+    page = (ROOT / "docs" / "how-to" / "many-machines.md").read_text()
+    [block] = re.findall(r"```toml\n(\[network\]\nca = .*?)```", page, re.DOTALL)
+    named = convert(tomllib.loads(block)["network"], NetworkSettings, "").files("s3")
+    handed = re.findall(r"^LoadCredential=(\w+):", (MACHINES / "covey-agent@.service").read_text(), re.MULTILINE)
+    folder = "/run/credentials/covey-agent@s3.service"  # the unit's credentials folder, %d
+    assert named == {what: f"{folder}/{what}" for what in named} and set(named) <= set(handed)
 
 
 def test_the_commands_of_the_compose_file_are_ones_that_the_processes_understand() -> None:
