@@ -12,10 +12,10 @@ MOST = 50  # mistakes that are reported
 PLAIN: tuple[Any, ...] = (1.0, 1, "x", False, {}, [])  # one of them replaces a missing or wrong value
 
 
-def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str]], dict[str, Any]]:
+def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str | int]], dict[str, Any]]:
     """The mistakes, a line each in the words of the file; their paths; and the data without them, valid for `into`."""
     found: list[str] = []
-    paths: list[list[str]] = []
+    paths: list[list[str | int]] = []
     rest = copy.deepcopy(data)
     for _ in range(10 * MOST):
         try:
@@ -32,7 +32,7 @@ def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str
     return [*found, "and more"], paths, {}
 
 
-def _what(text: str, data: dict[str, Any], into: type) -> tuple[str, list[str], Any]:
+def _what(text: str, data: dict[str, Any], into: type) -> tuple[str, list[str | int], Any]:
     """The kind of a mistake, the names that lead to it, and its type: an unknown field, a wrong key, a missing field, a wrong value."""
     complaint, _, where = text.partition(" - at ")
     path, value, hint = locate(data, into, where)
@@ -47,15 +47,15 @@ def _what(text: str, data: dict[str, Any], into: type) -> tuple[str, list[str], 
     return "wrong", path, hint
 
 
-def _mend(data: dict[str, Any], kind: str, path: list[str], hint: Any) -> None:
+def _mend(data: dict[str, Any], kind: str, path: list[str | int], hint: Any) -> None:
     """Remove the mistake; a required field gets some valid value."""
     holder: Any = data
     for step in path[:-1]:
-        holder = holder[int(step)] if isinstance(holder, list) else holder[step]
+        holder = holder[step]
     if kind != "missing" and isinstance(holder, dict):
         holder.pop(path[-1])
         return
-    holder[int(path[-1]) if isinstance(holder, list) else path[-1]] = _some(hint)
+    holder[path[-1]] = _some(hint)
 
 
 def _some(hint: Any) -> Any:

@@ -11,6 +11,7 @@ import math
 import os
 import re
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -271,11 +272,16 @@ def explain(text: str, data: Any, into: Any) -> str:
         fields = list(getattr(hint, "__struct_encode_fields__", ()))
         close = difflib.get_close_matches(unknown[1], fields, n=1)
         hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(fields)}"
-        return f"{'.'.join([*path, unknown[1]])}: there is no such field; {hint}"
+        return f"{place([*path, unknown[1]])}: there is no such field; {hint}"
     missing = re.search(r"missing required field `(.*)`", complaint)
     if missing:
-        return f"{'.'.join(path)} = {value!r}: the field {missing[1]} is missing"
-    return f"{'.'.join(path)} = {value!r}: {_right(complaint, hint)}"
+        return f"{place(path)} = {value!r}: the field {missing[1]} is missing"
+    return f"{place(path)} = {value!r}: {_right(complaint, hint)}"
+
+
+def place(path: Sequence[str | int]) -> str:
+    """A place in a file in words: `faults[0].at`, where lists count from 0."""
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
 
 
 PLAIN_WORDS = {
@@ -298,14 +304,14 @@ def _right(complaint: str, hint: Any) -> str:
     return words.replace("Expected", "should be", 1)
 
 
-def locate(data: Any, into: Any, where: str) -> tuple[list[str], Any, Any]:
-    """Names, value and type along a msgspec path such as `$.faults[0].at`; `[...]`, some key of a table, is looked up by trying."""
-    path: list[str] = []
+def locate(data: Any, into: Any, where: str) -> tuple[list[str | int], Any, Any]:
+    """Names and numbers, value and type along a msgspec path such as `$.faults[0].at`; `[...]`, some key, is looked up by trying."""
+    path: list[str | int] = []
     value, hint = data, into
     for step in re.findall(r"\.\.\.|[^.\[\]`$]+", where.removeprefix("`key` in ")):
         if step == "...":
             step = next((key for key, item in value.items() if not fits(item, get_args(hint)[-1])), step)
-        path.append(step)
+        path.append(int(step) if isinstance(value, list | tuple) else step)
         value = value[int(step)] if isinstance(value, list | tuple) else value.get(step)
         hint = part_of(hint, step)
     if where.startswith("`key`"):

@@ -182,7 +182,7 @@ def test_a_wrong_file_is_told_with_its_path_and_without_options(tmp_path: Path) 
     path.write_text("[[faults]]\nat = 5.0\nverb = 'kill'\nwhom = '30%'\n", encoding="utf-8")
     with pytest.raises(BadSetting) as caught:
         resolve(str(path))
-    assert str(caught.value) == f"{path}: faults.0.whom: there is no such field; did you mean who?"
+    assert str(caught.value) == f"{path}: faults[0].whom: there is no such field; did you mean who?"
 
 
 def test_an_unknown_scenario_lists_the_known_ones() -> None:

@@ -185,7 +185,7 @@ def test_check_tells_all_that_is_wrong_with_a_file_a_line_each(folder: Path, cap
         whom = "s1"
     """)
     code, complaints = typed(["check", "many.toml"], capsys)
-    typing = ["run.seed = -1", "run.sead", "targets.count = 1.5", "faults.0.at = 'soon'", "faults.1.whom", "the field at is missing"]
+    typing = ["run.seed = -1", "run.sead", "targets.count = 1.5", "faults[0].at = 'soon'", "faults[1].whom", "the field at is missing"]
     parts = [*typing, "control.mode", "network.listen"]
     assert code == 2 and len(complaints) == len(parts), complaints
     assert all(line.startswith("covey: many.toml: ") for line in complaints)

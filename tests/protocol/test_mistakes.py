@@ -52,17 +52,18 @@ TEXT = "should be a text, got a whole number"
         (
             {"faults": [{}, {"at": "soon"}, {"at": 1, "who": 2}]},
             [
-                "faults.0 = {}: the field at is missing",
-                "faults.1.at = 'soon': should be a number, got a text",
-                "faults.2.who: there is no such field; known are at, verb",
+                "faults[0] = {}: the field at is missing",
+                "faults[1].at = 'soon': should be a number, got a text",
+                "faults[2].who: there is no such field; known are at, verb",
             ],
         ),
-        ({"faults": [3, {"at": 1}]}, ["faults.0 = 3: should be a table, got a whole number"]),
+        ({"faults": [3, {"at": 1}]}, ["faults[0] = 3: should be a table, got a whole number"]),
         (
             {"members": {"a b": "A", "c d": "A", "ok": 3}},
             [f"members = 'a b': {NAMES}", f"members = 'c d': {NAMES}", f"members.ok = 3: {TEXT}"],
         ),
-        ({"network": {"listen": [1, "tcp/x", 2]}}, [f"network.listen.0 = 1: {TEXT}", f"network.listen.2 = 2: {TEXT}"]),
+        ({"members": {"0": 3}}, [f"members.0 = 3: {TEXT}"]),  # a name; numbers in lists stand in brackets
+        ({"network": {"listen": [1, "tcp/x", 2]}}, [f"network.listen[0] = 1: {TEXT}", f"network.listen[2] = 2: {TEXT}"]),
     ],
 )
 def test_every_mistake_is_told_once(data: dict[str, Any], lines: list[str]) -> None:

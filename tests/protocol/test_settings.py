@@ -77,7 +77,7 @@ WRONG = [
     ({"arena": {"height": -4.0}}, "arena.height = -4.0: should be a number > 0.0"),
     ({"detection": {"clutter": -0.1}}, "detection.clutter = -0.1: should be a number >= 0.0"),
     ({"network": {"listen": "tcp/x"}}, "network.listen = 'tcp/x': should be a list, got a text"),
-    ({"network": {"listen": ["tcp/x", 3]}}, "network.listen.1 = 3: should be a text, got a whole number"),
+    ({"network": {"listen": ["tcp/x", 3]}}, "network.listen[1] = 3: should be a text, got a whole number"),
     ({"network": {"insecure": 1}}, "network.insecure = 1: should be true or false, got a whole number"),
     ({"sensors": {"A": {}, "X": {"angle": 400.0}}}, "sensors.X.angle = 400.0: should be a number <= 360.0"),
     ({"sensors": {"X": {"radius": 0}}}, "sensors.X.radius = 0: should be a number > 0.0"),
@@ -86,10 +86,10 @@ WRONG = [
     ({"sensors": {"X": 3}}, "sensors.X = 3: should be a table, got a whole number"),
     ({"members": {"s1": "A", "s2": 7}}, "members.s2 = 7: should be a text, got a whole number"),
     ({"members": {"s1": "A", "s 2": "A"}}, "members = 's 2': should be 1 to 64 letters, digits, or any of _ . -"),
-    ({"listed": {"items": [{}, {"dt": 99.0}]}}, "listed.items.1.dt = 99.0: should be a number <= 10.0"),
-    ({"listed": {"items": [{"d": 1.0}]}}, "listed.items.0.d: there is no such field; did you mean dt?"),
+    ({"listed": {"items": [{}, {"dt": 99.0}]}}, "listed.items[1].dt = 99.0: should be a number <= 10.0"),
+    ({"listed": {"items": [{"d": 1.0}]}}, "listed.items[0].d: there is no such field; did you mean dt?"),
     ({"listed": {"corner": [1.0]}}, "listed.corner = [1.0]: should be a list of length 2, got 1"),
-    ({"listed": {"corner": [1.0, "x"]}}, "listed.corner.1 = 'x': should be a number, got a text"),
+    ({"listed": {"corner": [1.0, "x"]}}, "listed.corner[1] = 'x': should be a number, got a text"),
 ]
 
 
@@ -109,7 +109,7 @@ def test_a_missing_field_is_named() -> None:
 
     with pytest.raises(BadSetting) as caught:
         convert({"faults": [{}]}, Outer, "swarm.toml")
-    assert str(caught.value) == "swarm.toml: faults.0 = {}: the field verb is missing"
+    assert str(caught.value) == "swarm.toml: faults[0] = {}: the field verb is missing"
 
 
 def test_no_settings_at_all_give_the_defaults() -> None:
