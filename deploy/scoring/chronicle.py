@@ -36,6 +36,10 @@ class ScoredTick(NamedTuple):
     overlap: float
     cutoff: float  # of OSPA, m
 
+    def owns_a_cell(self, name: str) -> bool:
+        """Whether an agent counts at this tick and has ground of its own."""
+        return len(self.cells.get(name, ())) >= 3
+
     def tracked(self) -> set[int]:
         """Ids of the true targets with an estimate nearby."""
         if not len(self.targets) or not len(self.estimates):
@@ -69,10 +73,10 @@ class Loss:
         """Look at the next tick; the sentence once it is due."""
         if view.tick <= self.tick:
             return None
-        if self.closed is None and self.name not in view.cells and is_taken(self.cell, view):
+        if self.closed is None and is_taken(self.name, self.cell, view):
             self.closed, self.settled = view.tick - self.tick, view.time + SETTLE
             self.heirs = shares(self.cell, view.cells)
-        if self.closed is None and self.verb == "died" and len(view.cells.get(self.name, ())):
+        if self.closed is None and self.verb == "died" and view.owns_a_cell(self.name):
             return f"{self.what()}: it was back before others took its cell"
         if self.closed is None:
             return f"{self.what()}: its cell is still open" if view.time >= self.time + GIVE_UP else None
@@ -104,8 +108,7 @@ class Return:
 
     def see(self, view: ScoredTick) -> str | None:
         """Look at the next tick; the sentence once it owns a cell."""
-        cell = view.cells.get(self.name)
-        if view.tick <= self.tick or cell is None or len(cell) < 3:
+        if view.tick <= self.tick or not view.owns_a_cell(self.name):
             return None
         ticks = view.tick - self.tick
         return f"{self.name} is back: it owns a cell again after {ticks} tick{'s' * (ticks != 1)}"
@@ -124,7 +127,7 @@ class Cut:
             return None
         ticks = f"{view.tick - self.tick} tick{'s' * (view.tick - self.tick != 1)}"
         if self.sides == 1:
-            return f"the links are clear: the cells tile the arena again after {ticks}"
+            return f"the healing: the cells tile the arena again after {ticks}"
         return f"the cut: each side covers the whole arena by itself after {ticks}"
 
 
@@ -193,9 +196,16 @@ class Chronicle:
         self._open = [one for one in self._open if isinstance(one, Cut) or one.name != name]
 
 
-def is_taken(cell: np.ndarray, view: ScoredTick) -> bool:
-    """Whether living cells cover a former cell (K, 2) in m but for the share `OPEN`; so they do where there is no hole at all."""
-    if len(cell) < 3 or view.hole <= CLOSED:
+def is_taken(name: str, cell: np.ndarray, view: ScoredTick) -> bool:
+    """Whether others cover the former cell (K, 2) m of an agent but for the share `OPEN`; not while the agent itself owns a cell.
+
+    They do where there is no hole at all.
+    """
+    if len(cell) < 3:
+        return True
+    if view.owns_a_cell(name):
+        return False
+    if view.hole <= CLOSED:
         return True
     former = shapely.Polygon(cell)
     others = shapely.union_all([shapely.Polygon(other) for other in view.cells.values() if len(other) >= 3])

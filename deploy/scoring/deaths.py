@@ -16,6 +16,7 @@ class _Death:
     now: float
     cell: np.ndarray  # (K, 2), its last one, m
     closed: tuple[float, int] | None = None  # s, ticks
+    is_over: bool = False  # others have its cell, or the agent owned one again before
 
 
 class Deaths:
@@ -34,10 +35,13 @@ class Deaths:
         self._deaths = [loss for loss in self._deaths if (loss.name, loss.time) != (name, time)]
 
     def see(self, view: ScoredTick, now: float) -> None:
-        """Note whose former cells the cells of a tick cover."""
+        """Note whose former cells others cover at a tick; once an agent owns a cell again there is nothing left for them to close."""
         for loss in self._deaths:
-            if loss.closed is None and view.tick > loss.tick and is_taken(loss.cell, view):
+            if loss.is_over or view.tick <= loss.tick:
+                continue
+            if is_taken(loss.name, loss.cell, view):
                 loss.closed = now - loss.now, view.tick - loss.tick
+            loss.is_over = loss.closed is not None or view.owns_a_cell(loss.name)
 
     def kills(self) -> tuple[Kill, ...]:
         """All deaths in order."""

@@ -5,6 +5,7 @@ import numpy as np
 
 from deploy.scenario import FaultSettings, resolve
 from deploy.scoring.chronicle import Chronicle, ScoredTick, names_of, shares
+from deploy.scoring.deaths import Deaths
 from deploy.scoring.result import EventReport
 from deploy.simulation import Simulation, simulate
 
@@ -146,6 +147,24 @@ def test_a_death_whose_agent_is_back_before_others_took_its_cell_is_told_as_such
     ]
 
 
+def closed_ticks(*views: ScoredTick) -> int | None:
+    """In how many ticks others took the cell of s2, which died at tick 100, by what was scored then."""
+    deaths = Deaths()
+    deaths.lose("s2", 100, 25.0, 0.0, BEFORE["s2"])
+    for one in views:
+        deaths.see(one, 0.25 * (one.tick - 100))
+    return deaths.kills()[0].closed_ticks
+
+
+def test_a_hole_is_closed_by_others_and_not_by_the_agent_that_is_back() -> None:
+    opened = {name: BEFORE[name] for name in ("s1", "s3")}
+    cellless = {**AFTER, "s2": np.empty((0, 2))}
+    assert closed_ticks(view(101, opened, hole=0.3), view(102, AFTER), view(103, BEFORE)) == 2
+    assert closed_ticks(view(101, opened, hole=0.3), view(102, cellless), view(103, BEFORE)) == 2
+    assert closed_ticks(view(101, opened, hole=0.3), view(102, BEFORE), view(103, BEFORE)) is None
+    assert closed_ticks(view(101, opened, hole=0.3), view(102, BEFORE), view(200, AFTER)) is None, "the agent was back before it died again"
+
+
 def test_an_agent_that_is_back_in_the_same_process_was_silent_and_has_not_died() -> None:
     chronicle = Chronicle()
     chronicle.see(view(99, BEFORE))
@@ -166,7 +185,7 @@ def test_a_cut_is_told_when_both_sides_cover_the_arena_and_a_healing_when_the_ce
     assert [one.text for one in told] == ["the cut: each side covers the whole arena by itself after 4 ticks"]
     chronicle.cut("heal", 110, 1)
     told = play(chronicle, [view(111, BEFORE, overlap=0.5), view(112, BEFORE, hole=0.1), view(113, BEFORE), view(114, BEFORE)])
-    assert [one.text for one in told] == ["the links are clear: the cells tile the arena again after 3 ticks"]
+    assert [one.text for one in told] == ["the healing: the cells tile the arena again after 3 ticks"]
 
 
 def test_a_second_cut_is_told_when_all_three_sides_cover_the_arena() -> None:
