@@ -37,9 +37,9 @@ PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4
 
 
 class TeamSettings(Section, frozen=True, kw_only=True):
-    """[team] either a team of the paper by number, or a composition such as "20E+4H" or "A4,B12"."""
+    """[team] either a team of the paper by number, or a composition such as "20E+4H" or "A4,B12"; [members] takes its place."""
 
-    composition: str = "1"
+    composition: str = "1"  # empty: the members are spelled out
     triple: str = "ACD"  # the three classes of teams 2 to 5, a column that Table II has lost
 
 
@@ -151,6 +151,8 @@ def read(name: str, overrides: dict[str, Any] | None = None) -> tuple[dict[str, 
     data = read_toml(path)
     if not data:
         raise BadSetting(f"{path}: says nothing; `covey init NAME.toml` writes a scenario to begin with")
+    if data.keys() == set(AgentConfig.__struct_fields__):
+        raise BadSetting(f"{path}: is what agents know of a run, no scenario; should be a scenario, such as the run.toml beside it")
     for dotted, value in (overrides or {}).items():
         _lay_over(data, dotted, value)
     return data, str(path) if not overrides else f"{path} with options"
@@ -161,7 +163,7 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
     for sensor_class, sensor in scenario.sensors.items():
         check_sensor_fields(sensor, f"{source}: sensors.{sensor_class}.")
     try:
-        members = scenario.members or _name_members(team_counts(scenario.team))
+        team, members = _team_and_members(scenario, data.get("team", {}))
         for sensor_class in dict.fromkeys(members.values()):
             sensor_of(scenario, sensor_class)
     except BadSetting as error:
@@ -188,7 +190,7 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
     recorded = scenario.recorded
     if recorded.data:  # another process reads it, from another folder
         recorded = msgspec.structs.replace(recorded, data=str((find(name).parent / recorded.data).absolute()))
-    return msgspec.structs.replace(scenario, members=members, run=run, network=network, recorded=recorded, extraction=extraction)
+    return msgspec.structs.replace(scenario, members=members, team=team, run=run, network=network, recorded=recorded, extraction=extraction)
 
 
 def named(scenario: Scenario, run: str) -> Scenario:
@@ -263,6 +265,17 @@ def bodies_of(scenario: Scenario) -> dict[str, str]:
 def world_names(scenario: Scenario) -> list[str]:
     """The processes that are the world of a run: one world, or the bodies."""
     return [*bodies_of(scenario).values()] or ["world"]
+
+
+def _team_and_members(scenario: Scenario, said: dict[str, Any]) -> tuple[TeamSettings, dict[str, str]]:
+    """The team and its members by name, when [team] has `said` this; raises BadSetting where it says others than [members]."""
+    own = scenario.members
+    team = msgspec.structs.replace(scenario.team, composition="") if own and not said else scenario.team
+    members = own if own and not team.composition else _name_members(team_counts(team))
+    if own and members != own:
+        field, value = next(iter(said.items()))
+        raise BadSetting(f"team.{field} = {value!r}: should be left out, for [members] names other agents")
+    return team, members
 
 
 def _name_members(counts: dict[str, int]) -> dict[str, str]:

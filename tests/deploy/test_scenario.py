@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig
-from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, team_counts
+from deploy.scenario import FOLDER, TeamSettings, agent_config, find, parse_set, resolve, team_counts, toml_text
 from protocol.settings import BadSetting, Common, convert
 from world.config import WorldConfig
 
@@ -125,15 +125,48 @@ def test_options_are_laid_over_the_file() -> None:
     assert scenario.arena.width == 40.0
 
 
+MEMBERS = '[members]\nlefty = "C"\nrighty = "wide"\n[sensors.wide]\nangle = 180.0\nradius = 4.0\n'
+
+
 def test_a_scenario_that_spells_out_its_members_is_not_asked_for_a_team(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(
-        '[team]\ncomposition = "5"\n[members]\nlefty = "C"\nrighty = "wide"\n[sensors.wide]\nangle = 180.0\nradius = 4.0\n',
-        encoding="utf-8",
-    )
+    path.write_text(f"[team]\n{MEMBERS}", encoding="utf-8")  # an empty section, as `covey init` writes it
     scenario = resolve(str(path))
     assert scenario.members == {"lefty": "C", "righty": "wide"}
     assert scenario.run.scenario == str(path)
+
+
+def test_a_team_beside_members_is_refused_in_the_file_and_as_an_option(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(f'[team]\ncomposition = "5"\n{MEMBERS}', encoding="utf-8")
+    with pytest.raises(BadSetting) as caught:
+        resolve(str(path))
+    assert str(caught.value) == f"{path}: team.composition = '5': should be left out, for [members] names other agents"
+    path.write_text(MEMBERS, encoding="utf-8")
+    with pytest.raises(BadSetting, match=r"mine.toml with options: team.composition = '3': should be left out"):
+        resolve(str(path), {"team.composition": "3"})
+    with pytest.raises(BadSetting, match=r"team.triple = 'ABC': should be left out"):
+        resolve(str(path), {"team.triple": "ABC"})
+
+
+@pytest.mark.parametrize("members", ["", MEMBERS])
+def test_the_run_toml_of_a_scenario_is_a_scenario_with_the_same_members(tmp_path: Path, members: str) -> None:
+    path, again = tmp_path / "mine.toml", tmp_path / "run.toml"
+    path.write_text(f"[run]\nseed = 4\n{members}", encoding="utf-8")
+    scenario = resolve(str(path))
+    again.write_text(toml_text(scenario), encoding="utf-8")
+    assert resolve(str(again)) == scenario
+
+
+def test_what_agents_know_of_a_run_is_no_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "agents.toml"
+    for overrides in ({}, {"timing.interest": "neighbours"}):
+        path.write_text(toml_text(agent_config(resolve("quick", overrides))), encoding="utf-8")
+        with pytest.raises(BadSetting) as caught:
+            resolve(str(path))
+        assert (
+            str(caught.value) == f"{path}: is what agents know of a run, no scenario; should be a scenario, such as the run.toml beside it"
+        )
 
 
 @pytest.mark.parametrize(
