@@ -4,6 +4,9 @@ A scenario names its own as `bodies.platform = "module:Class"`; it is built as C
 body. Every answer is checked. A wrong one ends the process of this body with one line, after the platform was told to stop.
 """
 
+import contextlib
+import inspect
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,10 +19,12 @@ from protocol.pose import integrate
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, LimitSettings, load_named
 from world.bodies import start_poses
-from world.config import WorldConfig
+from world.config import BodySettings, WorldConfig
 
 OWN = "own"
 METHODS = ("read", "drive", "stop")
+SIMULATED = "simulated"
+RIGHT = "should be simulated or module:Class, built as Class(name, **bodies.parameters)"
 
 
 class Platform(Protocol):
@@ -146,20 +151,38 @@ def _detections(what: str, value: Any) -> np.ndarray:
 def build_platform(name: str, config: WorldConfig) -> Platform:
     """The platform of a body; raises BadSetting naming the field."""
     settings = config.bodies
-    if settings.platform == "simulated":
+    if settings.platform == SIMULATED:
         kind = Simulated if settings.model == "point" else Physical
         return kind(start_poses(config)[name], config.run.dt, config.limits)
-    where = f"bodies.platform = {settings.platform!r}"
+    own, where = platform_class(settings), f"bodies.platform = {settings.platform!r}"
     try:
-        platform = load_named(settings.platform)(name, **settings.parameters)
+        platform = own(name, **settings.parameters)
     except (ValueError, ImportError, TypeError) as error:
-        raise BadSetting(f"{where}: {error}; should be simulated or module:Class, built as Class(name, **bodies.parameters)") from None
+        raise BadSetting(f"{where}: {error}; {RIGHT}") from None
     except (Exception, SystemExit) as error:
         raise BadSetting(f"{where}: raised {type(error).__name__}: {error}") from error
+    _check_methods(platform, where)
+    return CheckedPlatform(platform, settings.platform)
+
+
+def platform_class(settings: BodySettings) -> Callable[..., Any]:
+    """The user's own class, not built yet: that may open the ports of a robot. Raises BadSetting naming the field."""
+    where = f"bodies.platform = {settings.platform!r}"
+    try:
+        kind = load_named(settings.platform)
+        with contextlib.suppress(ValueError):  # a class that is not written in Python says not what it takes
+            inspect.signature(kind).bind("", **settings.parameters)
+    except (ValueError, ImportError, TypeError) as error:
+        raise BadSetting(f"{where}: {error}; {RIGHT}") from None
+    if inspect.isclass(kind):
+        _check_methods(kind, where)
+    return kind
+
+
+def _check_methods(platform: Any, where: str) -> None:
     missing = [method for method in METHODS if not callable(getattr(platform, method, None))]
     if missing:
         raise BadSetting(f"{where}: has no method {', '.join(missing)} (see world.platform.Platform)")
-    return CheckedPlatform(platform, settings.platform)
 
 
 def fenced(velocity: Vector, pose: Pose, box: tuple[float, float, float, float], seconds: float) -> Vector:

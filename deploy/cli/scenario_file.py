@@ -12,6 +12,7 @@ from deploy.scenario import Scenario, agent_config, recording_remarks, targets_i
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import ROOM, runs_folder
 from protocol.settings import BadSetting, NetworkSettings
+from world.platform import SIMULATED, platform_class
 
 
 def init(file: Path) -> int:
@@ -60,6 +61,20 @@ def check_network_and_print(scenario: Scenario, name: str) -> int:
     return 1 if wrong else 0
 
 
+def check_platform_class(scenario: Scenario) -> str:
+    """A line about the platform of the user's own, where there is one; raises BadSetting where this machine cannot import it."""
+    bodies = scenario.bodies
+    if bodies.platform == SIMULATED:
+        return ""
+    if bodies.host == "world":
+        return f"bodies.platform = {bodies.platform!r} is read with bodies.host = 'own' alone; one world simulates all bodies here"
+    try:
+        platform_class(bodies)
+    except BadSetting as error:
+        raise BadSetting(f"{scenario.run.scenario}: {error}") from error.__cause__
+    return f"{bodies.platform} can be imported; `covey platform` tries it"
+
+
 def complain(lines: list[str]) -> int:
     """Print all mistakes of a scenario; the exit code."""
     for line in lines:
@@ -68,15 +83,18 @@ def complain(lines: list[str]) -> int:
 
 
 def check(scenario: Scenario) -> int:
-    """Print a summary of the scenario and check that this machine can open a session; raises BadSetting when it cannot."""
+    """Print a summary of the scenario; raises BadSetting where this machine has no platform of the bodies, or opens no session."""
     from protocol.endpoints import check_loopback
     from protocol.live import open_session  # loads zenoh
 
+    platform_remark = check_platform_class(scenario)
     classes = list(scenario.members.values())
     team = ", ".join(f"{classes.count(name)} {name}" for name in dict.fromkeys(classes))
     run = scenario.run
     print(f"scenario   {run.scenario} is right: {len(classes)} agents ({team})")
     print(f"           {targets_in_words(scenario)}, {run.ticks} ticks of {run.dt:g} s")
+    if platform_remark:
+        print(f"bodies     {platform_remark}")
     found = versions()
     for remark in recording_remarks(scenario):
         print(f"left out   {remark}")

@@ -36,6 +36,9 @@ FILES = {
     "far.toml": b"[sensors.A]\nmeasures = 'bearing'\nbearing_noise = 2.0\nrange_noise = 1.0\n",
     "suffix.toml": b"[sensors.A]\nmodel = 'mine.py:Camera'\n",
     "dash.toml": b"[sensors.cam-1]\nangle = 90.0\nradius = 5.0\n[team]\ncomposition = '2cam-1'\n",
+    "robot.toml": b"[bodies]\nhost = 'own'\nplatform = 'no_such_lab:Robot'\n",
+    "port.toml": b"[bodies]\nhost = 'own'\nplatform = 'covey.examples.robots:DifferentialDrive'\nparameters = {port = '/dev/ttyUSB0'}\n",
+    "team.toml": b"[team]\ncomposition = '2A'\n[members]\na = 'A'\n",
     "file": b"",
     "file.mcap": b"no recording",
 }

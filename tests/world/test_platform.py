@@ -15,7 +15,7 @@ from protocol.node import Alive, Gone, Started, Stop, Timer, received
 from protocol.settings import BadSetting, LimitSettings
 from world.body import Body, check_epoch
 from world.config import WorldConfig
-from world.platform import Simulated, build_platform, fenced
+from world.platform import Simulated, build_platform, fenced, platform_class
 from world.unicycle import twist
 
 HERE = "tests.world.test_platform"
@@ -77,7 +77,7 @@ def command(tick: int, velocity: tuple[float, float] = (1.0, 0.0), incarnation: 
     [
         (f"{HERE}:Unstoppable", "has no method stop"),
         (f"{HERE}:Nobody", "has no Nobody"),
-        (f"{HERE}:NeedsAPort", "missing 1 required positional argument: 'port'"),
+        (f"{HERE}:NeedsAPort", "missing a required argument: 'port'"),
         ("robot", "should read module:Name"),
     ],
 )
@@ -85,6 +85,16 @@ def test_a_platform_that_cannot_be_one_is_refused_by_name(platform: str, complai
     with pytest.raises(BadSetting, match=complaint) as refused:
         build_platform("s1", config(platform))
     assert str(refused.value).startswith(f"bodies.platform = {platform!r}: ") and "\n" not in str(refused.value)
+    with pytest.raises(BadSetting, match=complaint):
+        platform_class(config(platform).bodies)
+
+
+def test_a_platform_is_imported_without_being_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    def opens_its_port(self: Robot, name: str) -> None:
+        raise AssertionError("built")
+
+    monkeypatch.setattr(Robot, "__init__", opens_its_port)
+    assert platform_class(config().bodies) is Robot
 
 
 @pytest.mark.parametrize(
