@@ -213,8 +213,8 @@ def law_in_words(mode: str) -> str:
 
 
 def with_deaths(scenario: Scenario) -> Scenario:
-    """The scenario, with 3 agents that die at mid-run where it has no faults."""
-    if scenario.faults:
+    """The scenario, with 3 agents that die at mid-run where it has no faults; one agent at least is left."""
+    if scenario.faults or len(scenario.members) == 1:
         return scenario
     deaths = FaultSettings(at=scenario.run.seconds / 2.0, verb="kill", who=str(min(3, len(scenario.members) - 1)))
     return msgspec.structs.replace(scenario, faults=(deaths,))

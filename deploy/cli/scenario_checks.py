@@ -12,6 +12,7 @@ from agents.tracking.births import prior_size
 from agents.tracking.particles import unlabelled
 from deploy.cli.sensor_checks import check_sensor
 from deploy.faults.faults import LINK_VERBS, check_listed_fault
+from deploy.faults.rehearsal import rehearse
 from deploy.scenario import ORACLE, FaultSettings, Scenario, check_names, recording_remarks, spelled_out, world_config, world_names
 from protocol.endpoints import check_endpoints
 from protocol.geometry import rectangle
@@ -65,8 +66,13 @@ def complaints(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _told("bodies", lambda: _try_bodies(scenario))
     yield from _told("recorded", lambda: _try_recording(scenario))
     yield from _told("pose", lambda: _check_memory(scenario))
-    for number in range(len(scenario.faults)):
-        yield from _told("faults", lambda number=number: _try_fault(scenario, number))  # type: ignore[misc]
+    wrong = [told for number in range(len(scenario.faults)) for told in _told("faults", lambda number=number: _try_fault(scenario, number))]  # type: ignore[misc]
+    yield from wrong or (("faults", finding.text) for finding in rehearse(scenario) if finding.is_refused)
+
+
+def fault_remarks(scenario: Scenario) -> list[str]:
+    """A line for each fault that changes nothing."""
+    return [finding.text for finding in rehearse(scenario) if not finding.is_refused]
 
 
 def faults_without_effect(scenario: Scenario) -> str:

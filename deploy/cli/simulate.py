@@ -14,7 +14,7 @@ import msgspec
 
 from deploy.cli.display import Display, show_result
 from deploy.cli.errors import FAILED, complain
-from deploy.cli.scenario_checks import faults_without_effect
+from deploy.cli.scenario_checks import fault_remarks, faults_without_effect
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
@@ -65,6 +65,8 @@ def _simulate(
     simulation = Simulation(scenario, clock=clock)
     series = Trace(simulation)
     display = Display(to_stderr=True)
+    for remark in fault_remarks(scenario):
+        display.event(f"covey: {remark}")
     if clock == "lockstep" and (remark := faults_without_effect(scenario)):
         display.event(f"covey: {remark}")
     simulation.scorer.on_report = lambda told: display.event(f"[{told.time:.1f} s] {told.text}")

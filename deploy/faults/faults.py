@@ -236,7 +236,7 @@ class Schedule:
             try:
                 names = self._names(index, verb, dead if verb == "restart" else alive, known)
             except BadSetting as error:
-                actions.append(Action(REFUSED, [], None, {"why": f"{verb} {error}"}))
+                actions.append(Action(REFUSED, [], None, {"why": f"faults[{index}].who = {error} for {verb}"}))
                 continue
             actions.append(Action(verb, names, fault.value, fault.options))
             if fault.seconds is not None and verb in INVERSE:

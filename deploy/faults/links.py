@@ -111,7 +111,9 @@ def describe(action: Action) -> str:
     """What a link verb has done, in one line."""
     who = ", ".join(action.names)
     if action.verb == "heal":
-        return f"{who}: no longer cut off" if action.options.get("only_cut") else "all links are clear again"
+        return f"{who or 'nobody'}: no longer cut off" if action.options.get("only_cut") else "all links are clear again"
+    if not who:
+        return f"nobody to {action.verb}"
     if action.verb == "partition":
         kind = {"one-way": "none of the rest hears", "bridge": "cut off but for one bridge:"}.get(
             str(action.options.get("kind")), "cut off"

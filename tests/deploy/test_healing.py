@@ -32,6 +32,7 @@ def test_the_end_of_a_partition_leaves_a_loss_and_another_cut_as_they_are() -> N
     assert links.reception("s2").cut == ("s4",)
     assert links.reception("s2").conditions["s3"].drop == 0.5
     assert describe(Action("heal", ["s1"], None, {"only_cut": True})) == "s1: no longer cut off"
+    assert describe(Action("partition", [])) == "nobody to partition" and describe(Action("drop", [], 0.5)) == "nobody to drop"
 
 
 def test_a_healing_is_of_everything_and_the_end_of_a_partition_is_of_its_cut() -> None:

@@ -151,6 +151,21 @@ def test_the_end_of_a_fault_passes_over_those_who_have_died_meanwhile(supervisor
     assert asyncio.run(run()) == [["s1", "s2"], []]
 
 
+def test_a_fault_that_too_few_are_left_for_is_told_once_and_the_run_goes_on(
+    supervisor: Supervisor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    supervisor._schedule = Schedule(1, (FaultSettings(at=1.0, verb="kill", who="2"),))
+    assert let_run(supervisor, {"s2": KILLED}) is None
+
+    async def run() -> None:
+        for tick in (4, 5):
+            supervisor._on_truth(Truth(sender="world", incarnation=1, tick=tick, time=tick / 4.0))
+
+    asyncio.run(run())
+    told = capsys.readouterr().out
+    assert told.count("a fault of the scenario could not be carried out: faults[0].who = '2': only 1 agents qualify for kill") == 1
+
+
 def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Child, "_fork", fail)
     name = next(iter(supervisor.children))

@@ -105,6 +105,8 @@ TYPED = [
     ("check open.toml", 2, "leaves this machine without TLS"),
     ("simulate quick --seconds 5 --kill world@2", 2, "faults[0].who = 'world': a simulation has no such process"),
     ("check world.toml", 2, "members.world: this name belongs to the world"),
+    ("check few.toml", 2, "few.toml: faults[1].who = '2': only 1 agents qualify for kill at 2 s"),
+    ("simulate few.toml", 2, "few.toml: faults[1].who = '2': only 1 agents qualify for kill at 2 s"),
     ("check robot.toml", 2, "robot.toml: bodies.platform = 'no_such_lab:Robot': No module named 'no_such_lab'"),
     ("check port.toml", 2, "port.toml: bodies.platform = 'covey.examples.robots:DifferentialDrive': "),
     ("check team.toml", 2, "team.toml: team.composition = '2A': should be left out, for [members] names other agents"),

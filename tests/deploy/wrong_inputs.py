@@ -39,6 +39,8 @@ FILES = {
     "robot.toml": b"[bodies]\nhost = 'own'\nplatform = 'no_such_lab:Robot'\n",
     "port.toml": b"[bodies]\nhost = 'own'\nplatform = 'covey.examples.robots:DifferentialDrive'\nparameters = {port = '/dev/ttyUSB0'}\n",
     "team.toml": b"[team]\ncomposition = '2A'\n[members]\na = 'A'\n",
+    "few.toml": b"[team]\ncomposition = '4A'\n[[faults]]\nat = 1.0\nverb = 'kill'\nwho = '3'\n"
+    b"[[faults]]\nat = 2.0\nverb = 'kill'\nwho = '2'\n",
     "file": b"",
     "file.mcap": b"no recording",
 }

@@ -85,15 +85,12 @@ def end_at(covey: Covey, moment: float, loop: int, number: int) -> float:
 def test_a_zygote_that_takes_longer_than_the_start_line_gives_a_complete_swarm(covey: Covey) -> None:
     (covey.folder / "sitecustomize.py").write_text(SLOW)
     variables = {"PYTHONPATH": f"{covey.folder}:{ROOT}"}
-    process = covey.start(
-        *SHORT, "--team", "A3", "--set", "run.start_timeout=4", "--json", "--kill", "3@1", "--kill", "3@2", variables=variables
-    )
+    process = covey.start(*SHORT, "--team", "A3", "--set", "run.start_timeout=4", "--json", "--kill", "3@1", variables=variables)
     output, complaints = process.communicate(timeout=2.0 * BOUND)
     assert process.returncode == 0, complaints
     result = json.loads(output.splitlines()[-1])
     assert (result["missing"], result["ticks"], len(result["kills"])) == ([], 20, 3)
     assert "starting: loading the compiled loops" in complaints
-    assert complaints.count("could not be carried out: kill '3': only 0 agents qualify") == 1
 
 
 @pytest.mark.slow
