@@ -11,9 +11,19 @@ from agents.coverage.control import CheckedLaw, Situation, control_law
 from agents.tracking.births import prior_size
 from agents.tracking.particles import unlabelled
 from deploy.cli.sensor_checks import check_sensor
-from deploy.faults.faults import LINK_VERBS, check_listed_fault
+from deploy.faults.faults import LINK_VERBS, check_listed_fault, plain_verb
 from deploy.faults.rehearsal import rehearse
-from deploy.scenario import ORACLE, FaultSettings, Scenario, check_names, recording_remarks, spelled_out, world_config, world_names
+from deploy.scenario import (
+    ORACLE,
+    FaultSettings,
+    Scenario,
+    check_names,
+    recording_remarks,
+    spelled_out,
+    unsimulated,
+    world_config,
+    world_names,
+)
 from protocol.endpoints import check_endpoints
 from protocol.geometry import rectangle
 from protocol.mistakes import mistakes
@@ -77,14 +87,24 @@ def fault_remarks(scenario: Scenario) -> list[str]:
 
 def faults_without_effect(scenario: Scenario) -> str:
     """A line about faults that change nothing in a simulation in lockstep; empty if there are none."""
-    found = ", ".join(sorted({fault.verb for fault in scenario.faults} & WAITED_FOR))
+    found = ", ".join(sorted(_verbs(scenario) & WAITED_FOR))
     return f"no effect in a simulation without --rate 1, because the world waits: {found}" if found else ""
 
 
 def faults_on_links(scenario: Scenario) -> str:
     """A line about faults that real processes would refuse, because `network.link_faults` is missing; empty if there are none."""
-    found = ", ".join(sorted({fault.verb for fault in scenario.faults} & set(LINK_VERBS)))
+    found = ", ".join(sorted(_verbs(scenario) & set(LINK_VERBS)))
     return f"real processes need network.link_faults = true for {found}" if found and not scenario.network.link_faults else ""
+
+
+def faults_beyond_a_simulation(scenario: Scenario) -> str:
+    """A line about faults of processes that a simulation does not have and refuses; empty if there are none."""
+    struck = {name.strip() for fault in scenario.faults for name in fault.who.split(",")} & unsimulated(scenario)
+    return f"a simulation has no such process to strike: {', '.join(sorted(struck))}" if struck else ""
+
+
+def _verbs(scenario: Scenario) -> set[str]:
+    return {plain_verb(fault.verb) for fault in scenario.faults}
 
 
 def check_costs(scenario: Scenario) -> None:

@@ -5,7 +5,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from deploy.cli.scenario_checks import fault_remarks, faults_on_links, faults_without_effect
+from deploy.cli.scenario_checks import fault_remarks, faults_beyond_a_simulation, faults_on_links, faults_without_effect
 from deploy.cli.template import template
 from deploy.installation import versions
 from deploy.scenario import Scenario, agent_config, recording_remarks, targets_in_words, toml_text, world_config
@@ -108,7 +108,8 @@ def check(scenario: Scenario) -> int:
     if shutil.disk_usage(folder).free < ROOM:
         raise BadSetting(f"runs {runs_folder()}: the disk is full; COVEY_RUNS names another place")
     print(f"runs       {runs_folder()}: writable")
-    for remark in filter(None, (*fault_remarks(scenario), faults_without_effect(scenario), faults_on_links(scenario))):
+    elsewhere = faults_without_effect(scenario), faults_on_links(scenario), faults_beyond_a_simulation(scenario)
+    for remark in filter(None, (*fault_remarks(scenario), *elsewhere)):
         print(f"faults     {remark}")
     if advice := too_small(scenario):
         print(f"warning    {advice}", file=sys.stderr)

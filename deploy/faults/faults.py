@@ -6,7 +6,7 @@ The words are the same in a scenario's [[faults]], on the command line, in a sim
     pause, resume        a process is stopped in its tracks; goes on
     slow                 it takes `value` s over every round
     starve               it gets this share of the time that it needs to play every tick
-    freeze               all processes, the world included, stand still for `value` s
+    freeze               all processes, the world included, stand still for `value` s; without `who`
     join, twin           a newcomer (options.class), or a second process of a name
     jump                 its clock jumps by `value` s (options.back = true: back)
     partition            the selected and the rest do not hear each other (options.kind = "one-way": only the rest is deaf; "bridge":
@@ -61,6 +61,10 @@ OPTIONS: dict[str, dict[str, type]] = {  # what a fault may say beside its value
     "duplicate": {"spread": float},
     "reorder": {"spread": float},
 }
+OF_ALL = {  # verbs that choose nobody, in words
+    "freeze": "stops all processes",
+    "heal": "clears all links; options.only_cut = true ends the cut of the chosen",
+}
 KINDS = ("both", "one-way", "bridge")
 REFUSED = "refused"  # the verb of an action in place of a fault that cannot be carried out
 
@@ -77,9 +81,12 @@ class Action(NamedTuple):
 def choose(who: str, candidates: Sequence[str], known: Sequence[str], rng: np.random.Generator) -> list[str]:
     """Names selected by `who`: names with commas (any known one), or a number or a share of the candidates, drawn at random.
 
+    The name of an agent that is called by a number comes before that number.
     A share is rounded to the nearest number, at least 1. Raises BadSetting naming what would be right.
     """
     text = who.strip()
+    if text in known:
+        return [text]
     share = re.fullmatch(r"(\d+(?:\.\d+)?)\s*%", text)
     if share:
         percent = float(share[1])
@@ -127,10 +134,11 @@ def check_listed_fault(
     faults: Sequence[FaultSettings], number: int, members: Sequence[str], others: Sequence[str], *, live: bool, link_faults: bool
 ) -> None:
     """Raise BadSetting when one of the faults of a scenario cannot be carried out here (`check_faults`)."""
-    fault, where, known = faults[number], f"faults[{number}].", [*members, *newcomers(faults, number), *others]
+    fault, where = faults[number], f"faults[{number}]."
+    known = [*members, *newcomers(faults, number), *(others if plain_verb(fault.verb) in LIVE_VERBS else ())]
     check_fault(fault, where, members, known, live=live, link_faults=link_faults)
     if fault.verb == "join":
-        _check_newcomer(newcomer(fault, number), where, known)
+        _check_newcomer(newcomer(fault, number), where, [*known, *others])
 
 
 def check_fault(fault: FaultSettings, where: str, members: Sequence[str], known: Sequence[str], *, live: bool, link_faults: bool) -> None:
@@ -147,6 +155,8 @@ def check_fault(fault: FaultSettings, where: str, members: Sequence[str], known:
         raise BadSetting(f"{where}verb = {fault.verb!r}: link faults need network.link_faults = true in the scenario")
     _check_value(fault, verb, where)
     _check_options(fault, verb, where)
+    if fault.who and verb in OF_ALL and not fault.options.get("only_cut"):
+        raise BadSetting(f"{where}who = {fault.who!r}: should be left out for {verb}, which {OF_ALL[verb]}")
     if verb == "join" or (_means_all(verb, fault.who) and verb != "partition"):
         return
     if not fault.who.strip():

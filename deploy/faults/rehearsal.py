@@ -17,6 +17,8 @@ UNLESS = {
     "resume": "not paused",
 }  # verb -> the agents that it does not change
 
+LESS_IS_MORE = ("starve", "throttle")  # verbs whose small values do more, but whose 0 ends them
+
 
 class FaultFinding(NamedTuple):
     """What is found about a fault; one that cannot be carried out is refused."""
@@ -39,6 +41,7 @@ class _State:
         self._world = world_names(scenario)
         self._living = dict.fromkeys([*self._members, *self._world])
         self._paused: set[str] = set()
+        self._begun: set[str] = set()  # verbs that have come
 
     def due(self, schedule: Schedule, time: float) -> list[Action]:
         """The actions of a tick, which are all drawn before the first of them."""
@@ -55,8 +58,11 @@ class _State:
             yield FaultFinding(f"{verb} at {time:g} s strikes nobody", False)
         elif verb == "partition" and not self._rest(action):
             yield FaultFinding(f"partition at {time:g} s cuts nothing: nobody is on the other side", False)
+        elif verb in LESS_IS_MORE and action.value == 0.0 and verb not in self._begun:
+            yield FaultFinding(f"{verb} at {time:g} s changes nothing: value = 0 only ends an earlier one", False)
         elif verb not in LINK_VERBS and (idle := [name for name in names if self._is_idle(verb, name)]):
             yield FaultFinding(f"{verb} at {time:g} s changes nothing for {_listed(idle)}: {UNLESS.get(verb, 'dead')}", False)
+        self._begun.add(verb)
         for name in names:
             self._change(verb, name)
 

@@ -168,7 +168,7 @@ def strike(kind: str, rng: np.random.Generator, guest: str) -> Iterator[FaultSet
         case "starve":
             yield blow("starve", who="100%" if flag else share, value=round(0.15 + 0.6 * dice, 2))
         case "freeze":
-            yield blow("freeze", who="100%", value=round(0.5 + 6.0 * dice, 2), lasting=None)
+            yield blow("freeze", who="", value=round(0.5 + 6.0 * dice, 2), lasting=None)
         case "twin":
             yield blow("twin", who="1", lasting=None)
         case "join":
@@ -177,8 +177,11 @@ def strike(kind: str, rng: np.random.Generator, guest: str) -> Iterator[FaultSet
 
 def healing() -> tuple[FaultSettings, ...]:
     """What puts everything right."""
-    everyone = [("heal", None), ("slow", 0.0), ("starve", 0.0), ("resume", None), ("restart", None)]
-    return tuple(FaultSettings(at=HEAL_AT, verb=verb, who="100%", value=value) for verb, value in everyone)
+    everyone = [("slow", 0.0), ("starve", 0.0), ("resume", None), ("restart", None)]
+    return (
+        FaultSettings(at=HEAL_AT, verb="heal"),
+        *(FaultSettings(at=HEAL_AT, verb=verb, who="100%", value=value) for verb, value in everyone),
+    )
 
 
 def settled_at(scenario: Scenario) -> float:

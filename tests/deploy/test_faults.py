@@ -5,7 +5,7 @@ import math
 import msgspec
 import pytest
 
-from deploy.cli.scenario_checks import faults_on_links, faults_without_effect
+from deploy.cli.scenario_checks import faults_beyond_a_simulation, faults_on_links, faults_without_effect
 from deploy.faults.faults import REFUSED, Action, Schedule, check_fault, check_faults, choose
 from deploy.scenario import FaultSettings, resolve
 from protocol.settings import BadSetting
@@ -45,6 +45,11 @@ def test_whoever_cannot_be_meant_is_refused_in_one_line(who: str, complaint: str
     with pytest.raises(BadSetting, match=complaint) as caught:
         choose(who, TEAM, TEAM, stream(1, "t"))
     assert "\n" not in str(caught.value)
+
+
+def test_an_agent_that_is_called_by_a_number_is_meant_before_so_many_agents() -> None:
+    assert choose("2", ["1", "2", "3"], ["1", "2", "3"], stream(1, "t")) == ["2"]
+    assert len(choose("2", TEAM, TEAM, stream(1, "t"))) == 2
 
 
 def test_a_share_of_nobody_is_nobody() -> None:
@@ -113,12 +118,19 @@ def test_a_fault_that_nobody_can_carry_out_is_refused_before_the_run(fault: Faul
         ),
         (FaultSettings(at=1.0, verb="kill", who="s1", value=0.5), r"value = 0\.5: should be left out for kill; only drop, "),
         (FaultSettings(at=1.0, verb="join", who="s2", options={"class": "A"}), r"who = 's2': there is a process of this name"),
+        (
+            FaultSettings(at=1.0, verb="freeze", who="s1", value=1.0),
+            r"who = 's1': should be left out for freeze, which stops all processes",
+        ),
+        (FaultSettings(at=1.0, verb="heal", who="s1"), r"who = 's1': should be left out for heal, .* options.only_cut = true"),
+        (FaultSettings(at=1.0, verb="slow", who="world", value=1.0), r"who = 'world': there is no such process"),
+        (FaultSettings(at=1.0, verb="join", who="world", options={"class": "A"}), r"who = 'world': there is a process of this name"),
         (FaultSettings(at=1.0, verb="heal", seconds=0.0), r"seconds = 0: should be left out for heal"),
     ],
 )
 def test_a_fault_that_says_too_little_or_too_much_is_refused_by_field(fault: FaultSettings, complaint: str) -> None:
     with pytest.raises(BadSetting, match=r"faults\[0\]\." + complaint):
-        check_faults([fault], TEAM)
+        check_faults([fault], TEAM, ["world"])
 
 
 def test_a_newcomer_can_be_struck_by_name_once_it_has_come() -> None:
@@ -167,9 +179,12 @@ def test_link_faults_end_with_a_share_of_zero_and_a_partition_heals() -> None:
 
 
 def test_faults_that_change_nothing_here_are_said_in_a_line() -> None:
-    faults = tuple(FaultSettings(at=1.0, verb=verb, who="s1", value=0.5) for verb in ("slow", "delay", "kill"))
+    faults = tuple(FaultSettings(at=1.0, verb=verb, who="s1", value=0.5) for verb in ("slow", "delay", "loss", "kill"))
     scenario = msgspec.structs.replace(resolve("quick"), faults=faults)
     assert faults_without_effect(scenario) == "no effect in a simulation without --rate 1, because the world waits: delay, slow"
-    assert faults_on_links(scenario) == "real processes need network.link_faults = true for delay"
+    assert faults_on_links(scenario) == "real processes need network.link_faults = true for delay, drop"
     linked = msgspec.structs.replace(scenario, network=msgspec.structs.replace(scenario.network, link_faults=True))
     assert faults_on_links(linked) == faults_without_effect(resolve("quick")) == faults_on_links(resolve("quick")) == ""
+    dead_world = msgspec.structs.replace(scenario, faults=(FaultSettings(at=1.0, verb="kill", who="s1,world"),))
+    assert faults_beyond_a_simulation(dead_world) == "a simulation has no such process to strike: world"
+    assert faults_beyond_a_simulation(scenario) == ""

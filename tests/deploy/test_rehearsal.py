@@ -1,10 +1,12 @@
 """Faults played on names alone: what changes nothing, what cannot be carried out, and that draws are those of the run."""
 
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
+from deploy.__main__ import app
 from deploy.faults.rehearsal import FaultFinding, rehearse
 from deploy.scenario import FaultSettings, Scenario, resolve, with_deaths
 from deploy.simulation import Simulation
@@ -45,6 +47,8 @@ def scenario(*faults: FaultSettings, seed: int = 1, **settings: Any) -> Scenario
         ),
         ([fault(3.0, "partition", "s1,s2"), fault(3.0, "heal"), fault(3.0, "freeze", value=1.0), fault(3.0, "jump", "1", value=1.0)], []),
         ([fault(2.0, "join", options={"class": "A"}), fault(3.0, "kill", "guest0"), fault(4.0, "restart", "guest0")], []),
+        ([fault(3.0, "throttle", value=0.0)], ["throttle at 3 s changes nothing: value = 0 only ends an earlier one"]),
+        ([fault(3.0, "starve", "1", value=0.5), fault(4.0, "starve", "1", value=0.0), fault(4.0, "drop", value=0.0)], []),
         ([fault(3.0, "kill", "world"), fault(4.0, "restart", "world")], []),
         ([fault(3.0, "pause", "s1", seconds=90.0), fault(9.75, "kill", "s1", seconds=90.0)], []),
     ],
@@ -86,6 +90,14 @@ def test_draws_are_those_of_a_simulation(seed: int) -> None:
     simulation.injector.strike = lambda action: note(strike, action)  # type: ignore[method-assign]
     simulation.run()
     assert [finding.text for finding in rehearse(given)] == [f"restart at 9 s changes nothing for {', '.join(alive)}: alive"]
+
+
+def test_check_and_simulate_say_what_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "idle.toml"
+    file.write_text("[run]\nseconds = 2.0\n[team]\ncomposition = 'A2'\n[[faults]]\nat = 1.0\nverb = 'restart'\nwho = 's1'\n")
+    for command, line in ("check", "faults     restart at 1 s"), ("simulate", "covey: restart at 1 s"):
+        assert app([command, str(file)], exit_on_error=False, result_action="return_value") == 0
+        assert f"{line} changes nothing for s1: alive\n" in "".join(capsys.readouterr())
 
 
 def test_a_demo_of_one_agent_kills_nobody() -> None:

@@ -35,7 +35,7 @@ def starved(share: float) -> FaultSettings:
 
 @pytest.mark.parametrize("seconds", [3.0, 8.0])
 def test_after_a_stop_of_all_processes_nobody_is_dead_and_every_place_has_one_claim(seconds: float) -> None:
-    simulation = overloaded(FaultSettings(at=START, verb="freeze", who="100%", value=seconds))
+    simulation = overloaded(FaultSettings(at=START, verb="freeze", value=seconds))
     assert given_up(simulation) == 0
     assert all(agent.counters["stalled_ms"] > 2000 for agent in simulation.agents.values())
     after = between(simulation, START + RATE, SECONDS)
@@ -43,7 +43,7 @@ def test_after_a_stop_of_all_processes_nobody_is_dead_and_every_place_has_one_cl
 
 
 def test_a_stop_within_the_lease_changes_nothing_at_all() -> None:
-    frozen = overloaded(FaultSettings(at=START, verb="freeze", who="100%", value=3.0))
+    frozen = overloaded(FaultSettings(at=START, verb="freeze", value=3.0))
     assert [score.ospa for score in frozen.scorer.scores] == [score.ospa for score in overloaded().scorer.scores]
 
 
