@@ -17,7 +17,7 @@ from agents.agent import Agent
 from agents.backend import Backend
 from deploy.faults.faults import LINK_VERBS, REFUSED, Schedule, check_faults, plain_verb
 from deploy.faults.injector import Build, Injector
-from deploy.faults.links import Links, describe
+from deploy.faults.links import Links
 from deploy.oracle import Oracle, without_oracle
 from deploy.scenario import ORACLE, Scenario, bodies_of, unsimulated, world_config, world_names
 from deploy.scoring.result import Result
@@ -154,7 +154,7 @@ class Simulation:
                 self.scorer.note_fault(action.verb, f"{action.verb} {', '.join(action.names)}", ",".join(action.names), self.bus.now)
             self.injector.strike(action)
             if action.verb in LINK_VERBS:
-                self.scorer.note_fault(action.verb, describe(action), sides=self.links.sides(alive))
+                self.scorer.note_fault(action.verb, self.links.describe(action), sides=self.links.sides(alive))
         self.on_truth(truth)
 
 

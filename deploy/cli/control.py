@@ -12,6 +12,8 @@ DOWN_SECONDS = 20.0
 
 def selection(verb: str, names: tuple[str, ...], random: int | None, otherwise: str | None) -> str:
     """The selected agents as one text: names, a share or a number; `otherwise` without any of these. Raises BadSetting."""
+    if not all(map(str.strip, names)):
+        raise BadSetting(f"{verb}: a name is empty; should be names such as s3, a number such as 4, or a share such as 30%")
     if not names and random is None and otherwise is None:
         raise BadSetting(f"{verb}: nobody is named; give names such as s3, a number such as 4, or a share such as 30%")
     if random is not None and names:

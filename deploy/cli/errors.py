@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from cyclopts import CycloptsError
+from cyclopts import CycloptsError, UnusedCliTokensError
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MOST_REMARKS = 3  # about the files of a recorded world, before a run
@@ -49,6 +49,9 @@ def guarded(command: Callable[[], int]) -> int:
 def _tell(error: Exception) -> int:
     from protocol.settings import BadSetting  # loads numpy
 
+    if isinstance(error, UnusedCliTokensError):
+        command = " ".join(error.command_chain or ())
+        return complain(f"{command}: {' '.join(error.unused_tokens or ())}: should be left out; see `covey help {command}`", BAD_INPUT)
     if isinstance(error, CycloptsError | BadSetting):
         return complain(str(error), BAD_INPUT)
     if isinstance(error, OSError) and error.strerror:

@@ -78,11 +78,11 @@ class Action(NamedTuple):
     options: Mapping[str, Any] = {}
 
 
-def choose(who: str, candidates: Sequence[str], known: Sequence[str], rng: np.random.Generator) -> list[str]:
+def choose(who: str, candidates: Sequence[str], known: Sequence[str], rng: np.random.Generator, where: str = "") -> list[str]:
     """Names selected by `who`: names with commas (any known one), or a number or a share of the candidates, drawn at random.
 
     The name of an agent that is called by a number comes before that number.
-    A share is rounded to the nearest number, at least 1. Raises BadSetting naming what would be right.
+    A share is rounded to the nearest number, at least 1. Raises BadSetting naming what would be right; `where` stands before the field.
     """
     text = who.strip()
     if text in known:
@@ -91,29 +91,29 @@ def choose(who: str, candidates: Sequence[str], known: Sequence[str], rng: np.ra
     if share:
         percent = float(share[1])
         if percent > 100.0:
-            raise BadSetting(f"{who!r}: a share is at most 100%")
+            raise BadSetting(f"{where}who = {who!r}: a share is at most 100%")
         number = max(1, int(percent / 100.0 * len(candidates) + 0.5)) if percent > 0.0 and candidates else 0
     elif text.isdecimal():
         number = int(text)
         if number > len(candidates):
-            raise BadSetting(f"{who!r}: only {len(candidates)} agents qualify")
+            raise BadSetting(f"{where}who = {who!r}: only {len(candidates)} agent{'s' * (len(candidates) != 1)} qualify")
     else:
-        return _named(text, known)
+        return _named(text, known, where)
     chosen = rng.choice(len(candidates), size=number, replace=False)
     return [candidates[index] for index in sorted(chosen.tolist())]
 
 
-def _named(text: str, known: Sequence[str]) -> list[str]:
+def _named(text: str, known: Sequence[str], where: str) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in known:
             more = f" and {len(known) - MOST_NAMED} more" if len(known) > MOST_NAMED else ""
             raise BadSetting(
-                f"{name!r}: there is no such process; known are {', '.join(known[:MOST_NAMED])}{more}, "
+                f"{where}who = {name!r}: there is no such process; known are {', '.join(known[:MOST_NAMED])}{more}, "
                 "a number such as 4, or a share such as 30%"
             )
     if not names:
-        raise BadSetting(f"{text!r}: {NEED_WHO}")
+        raise BadSetting(f"{where}who = {text!r}: {NEED_WHO}")
     return list(dict.fromkeys(names))
 
 
@@ -161,10 +161,7 @@ def check_fault(fault: FaultSettings, where: str, members: Sequence[str], known:
         return
     if not fault.who.strip():
         raise BadSetting(f"{where}who is missing: {NEED_WHO}")
-    try:
-        choose(fault.who, members, known, stream(0, "faults", 0))
-    except BadSetting as error:
-        raise BadSetting(f"{where}who = {error}") from None
+    choose(fault.who, members, known, stream(0, "faults", 0), where)
 
 
 def newcomer(fault: FaultSettings, number: int) -> str:
@@ -246,7 +243,7 @@ class Schedule:
             try:
                 names = self._names(index, verb, dead if verb == "restart" else alive, known)
             except BadSetting as error:
-                actions.append(Action(REFUSED, [], None, {"why": f"faults[{index}].who = {error} for {verb}"}))
+                actions.append(Action(REFUSED, [], None, {"why": str(error)}))
                 continue
             actions.append(Action(verb, names, fault.value, fault.options))
             if fault.seconds is not None and verb in INVERSE:
@@ -262,4 +259,4 @@ class Schedule:
             return [newcomer(self.faults[index], index)]
         if _means_all(verb, who):
             return list(candidates)
-        return choose(who, candidates, known, stream(self.seed, "faults", index))
+        return choose(who, candidates, known, stream(self.seed, "faults", index), f"faults[{index}].")

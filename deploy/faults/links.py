@@ -13,6 +13,7 @@ from protocol.links import CLEAR, Condition, Ears, LinkConditions
 
 OWN = {"drop": ("burst",), "delay": ("jitter",), "throttle": ("queue",)}  # options of one verb alone, which end with it
 SPREADING = {"duplicate", "reorder"}  # verbs that share the option `spread`, which ends with the last of them
+CUTS = {"both": "cut off", "one-way": "none of the rest hears", "bridge": "cut off but for one bridge:"}
 
 Direction = tuple[str, str]  # sender, receiver
 
@@ -78,12 +79,24 @@ class Links:
 
     def _partition(self, names: Sequence[str], kind: str) -> set[Direction]:
         """The directions that are cut between those meant and the rest."""
-        side = list(names)
-        rest = [name for name in self._names if name not in side]
-        if kind == "bridge":
-            rest = rest[1:]
-        cut = {(sender, receiver) for sender in side for receiver in rest}
+        cut = {(sender, receiver) for sender in names for receiver in other_side(names, self._names, kind)}
         return cut if kind == "one-way" else cut | {(receiver, sender) for sender, receiver in cut}
+
+    def describe(self, action: Action) -> str:
+        """What a link verb has done, in one line."""
+        who = ", ".join(action.names)
+        if action.verb == "heal":
+            return f"{who or 'nobody'}: no longer cut off" if action.options.get("only_cut") else "all links are clear again"
+        if not who:
+            return f"nobody to {action.verb}"
+        if action.verb == "partition":
+            kind = str(action.options.get("kind", "both"))
+            if not other_side(action.names, self._names, kind):
+                return f"nobody is on the other side of a cut around {who}"
+            return f"{CUTS[kind]} {who}"
+        value = action.value or 0.0
+        amounts = {"delay": f"{value:g} s", "throttle": f"to {value:g} kbit/s" if value else "no more"}
+        return f"{action.verb} {amounts.get(action.verb, f'{100.0 * value:g} % of the messages')} from and to {who}"
 
     def _spoil(self, action: Action) -> None:
         """Set the condition of every link from or to those meant."""
@@ -107,18 +120,7 @@ class Links:
         return {receiver for _, receiver in {*self._cut, *self._conditions}}
 
 
-def describe(action: Action) -> str:
-    """What a link verb has done, in one line."""
-    who = ", ".join(action.names)
-    if action.verb == "heal":
-        return f"{who or 'nobody'}: no longer cut off" if action.options.get("only_cut") else "all links are clear again"
-    if not who:
-        return f"nobody to {action.verb}"
-    if action.verb == "partition":
-        kind = {"one-way": "none of the rest hears", "bridge": "cut off but for one bridge:"}.get(
-            str(action.options.get("kind")), "cut off"
-        )
-        return f"{kind} {who}"
-    value = action.value or 0.0
-    amounts = {"delay": f"{value:g} s", "throttle": f"to {value:g} kbit/s" if value else "no more"}
-    return f"{action.verb} {amounts.get(action.verb, f'{100.0 * value:g} % of the messages')} from and to {who}"
+def other_side(names: Sequence[str], team: Sequence[str], kind: str) -> list[str]:
+    """The agents of a team from whom a cut divides `names`; of a bridge one of the rest hears both sides."""
+    rest = [name for name in team if name not in names]
+    return rest[1:] if kind == "bridge" else rest

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from deploy.faults.faults import LINK_VERBS, MOST_NAMED, REFUSED, Action, Schedule
+from deploy.faults.links import other_side
 from deploy.scenario import Scenario, world_names
 
 UNLESS = {
@@ -56,7 +57,7 @@ class _State:
             yield FaultFinding(f"{action.options['why']} at {time:g} s", True)
         elif not names and verb not in ("freeze", "heal"):
             yield FaultFinding(f"{verb} at {time:g} s strikes nobody", False)
-        elif verb == "partition" and not self._rest(action):
+        elif verb == "partition" and not other_side(names, self._members, str(action.options.get("kind"))):
             yield FaultFinding(f"partition at {time:g} s cuts nothing: nobody is on the other side", False)
         elif verb in LESS_IS_MORE and action.value == 0.0 and verb not in self._begun:
             yield FaultFinding(f"{verb} at {time:g} s changes nothing: value = 0 only ends an earlier one", False)
@@ -65,11 +66,6 @@ class _State:
         self._begun.add(verb)
         for name in names:
             self._change(verb, name)
-
-    def _rest(self, action: Action) -> list[str]:
-        """The agents on the other side of a cut; one of them hears both sides of a bridge."""
-        rest = [name for name in self._members if name not in action.names]
-        return rest[1:] if action.options.get("kind") == "bridge" else rest
 
     def _is_idle(self, verb: str, name: str) -> bool:
         match verb:

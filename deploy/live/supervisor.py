@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from deploy.faults.faults import LINK_VERBS, REFUSED, Action, Schedule, check_fault, check_faults, choose, plain_verb
-from deploy.faults.links import Links, describe
+from deploy.faults.links import Links
 from deploy.live.control import Answer, ControlServer
 from deploy.live.processes import Child, State, process_rows, rooms
 from deploy.live.seeds import endpoints, seed_listeners
@@ -350,6 +350,7 @@ class Supervisor:
         members = [*self.scenario.members]
         known = [*members, *world_names(self.scenario)]
         check_fault(fault, "", members, known, live=True, link_faults=self.scenario.network.link_faults)
+        self._notice_pauses()
         candidates = self._agents(STATES.get(verb, "running"))
         names = choose(who, candidates, list(self.children), self._rng) if who else candidates
         return {"ok": self._act(Action(plain_verb(verb), names, fault.value, fault.options))}
@@ -364,6 +365,8 @@ class Supervisor:
                 raise BadSetting(f"{name} has not been started yet: the run still starts; try again in a second")
             if verb != "restart" and not self.children[name].is_running:
                 raise BadSetting(f"{name} is not running; `covey restart {name}` brings it back")
+            if verb in ("pause", "resume") and not self.children[name].is_in(STATES[verb]):
+                raise BadSetting(f"{name} is {'not paused' if verb == 'resume' else 'paused already'}")
         self._note_pauses(verb, [name for name in names if self.children[name].is_running])
         for name in names:
             child = self.children[name]
@@ -388,7 +391,7 @@ class Supervisor:
         self._links.act(action)
         for name in self.scenario.members:
             self._tell_links(name)
-        text = describe(action)
+        text = self._links.describe(action)
         self.scorer.note_fault(action.verb, text, sides=self._links.sides(self._agents("running")))
         log.info(text)
         self._tell(text)

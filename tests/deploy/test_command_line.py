@@ -80,6 +80,7 @@ def test_several_names_may_follow_each_other(names: tuple[str, ...], random: int
         ((), None, "kill: nobody is named"),
         (("s1", "30%"), None, "s1 30%: should be names, or one"),
         (("s1",), 2, "--random 2: draws agents"),
+        (("s1", " "), None, "kill: a name is empty; should be names such as s3"),
     ],
 )
 def test_who_is_meant_must_be_clear(names: tuple[str, ...], random: int | None, complaint: str) -> None:

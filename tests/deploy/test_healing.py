@@ -1,7 +1,7 @@
 """After `heal` nothing is left of what was done to the links."""
 
 from deploy.faults.faults import Action, Schedule
-from deploy.faults.links import Links, describe
+from deploy.faults.links import Links
 from deploy.scenario import FaultSettings
 
 NAMES = ["s1", "s2", "s3"]
@@ -31,8 +31,11 @@ def test_the_end_of_a_partition_leaves_a_loss_and_another_cut_as_they_are() -> N
     assert not links.torn("s1", "s2") and links.torn("s4", "s2")
     assert links.reception("s2").cut == ("s4",)
     assert links.reception("s2").conditions["s3"].drop == 0.5
-    assert describe(Action("heal", ["s1"], None, {"only_cut": True})) == "s1: no longer cut off"
-    assert describe(Action("partition", [])) == "nobody to partition" and describe(Action("drop", [], 0.5)) == "nobody to drop"
+    assert links.describe(Action("heal", ["s1"], None, {"only_cut": True})) == "s1: no longer cut off"
+    assert links.describe(Action("partition", [])) == "nobody to partition"
+    assert links.describe(Action("drop", [], 0.5)) == "nobody to drop"
+    bridge = Action("partition", NAMES, None, {"kind": "bridge"})
+    assert links.describe(bridge) == "nobody is on the other side of a cut around s1, s2, s3"
 
 
 def test_a_healing_is_of_everything_and_the_end_of_a_partition_is_of_its_cut() -> None:

@@ -1,7 +1,7 @@
 """The links of a swarm: who hears whom after each verb."""
 
 from deploy.faults.faults import Action, Schedule
-from deploy.faults.links import Links, describe
+from deploy.faults.links import Links
 from deploy.scenario import FaultSettings
 from protocol.links import Condition
 
@@ -117,6 +117,7 @@ def test_a_newcomer_is_cut_off_like_all_others() -> None:
 
 
 def test_a_verb_says_what_it_did() -> None:
-    assert describe(Action("drop", ["s1", "s2"], 0.25)) == "drop 25 % of the messages from and to s1, s2"
-    assert describe(Action("delay", ["s1"], 0.5)) == "delay 0.5 s from and to s1"
-    assert describe(Action("partition", ["s1", "s2"], None, {"kind": "one-way"})) == "none of the rest hears s1, s2"
+    links = Links(1, TEAM)
+    assert links.describe(Action("drop", ["s1", "s2"], 0.25)) == "drop 25 % of the messages from and to s1, s2"
+    assert links.describe(Action("delay", ["s1"], 0.5)) == "delay 0.5 s from and to s1"
+    assert links.describe(Action("partition", ["s1", "s2"], None, {"kind": "one-way"})) == "none of the rest hears s1, s2"

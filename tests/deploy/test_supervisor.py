@@ -46,7 +46,7 @@ def test_nobody_is_killed_or_restarted_before_it_has_been_started(supervisor: Su
 def test_who_has_not_been_started_waits_and_is_not_dead(supervisor: Supervisor) -> None:
     assert ask(supervisor, "restart", "50%") == "nobody to restart"
     assert {row["state"] for row in supervisor.status()["processes"]} == {"waiting"}
-    with pytest.raises(BadSetting, match="only 0 agents qualify"):
+    with pytest.raises(BadSetting, match=r"^who = '1': only 0 agents qualify"):
         ask(supervisor, "restart", "1")
 
 
@@ -126,6 +126,17 @@ def test_a_process_that_cannot_be_restarted_is_told_with_the_reason_and_counts_a
     assert (supervisor._still_since is not None) == (name == "world")
 
 
+def test_a_pause_of_who_is_paused_and_a_resume_of_who_is_not_are_told(supervisor: Supervisor) -> None:
+    assert let_run(supervisor, {}) is None
+    with pytest.raises(BadSetting, match="s2 is not paused"):
+        ask(supervisor, "resume", "s2")
+    assert ask(supervisor, "pause", "s2") == "paused s2"
+    with pytest.raises(BadSetting, match="s2 is paused already"):
+        ask(supervisor, "pause", "s1,s2")
+    assert not supervisor.children["s1"].paused
+    assert ask(supervisor, "resume", "s2") == "resumed s2"
+
+
 def test_an_order_of_which_a_part_is_impossible_does_nothing(supervisor: Supervisor, capsys: pytest.CaptureFixture[str]) -> None:
     assert let_run(supervisor, {"s2": KILLED}) is None
     with pytest.raises(BadSetting, match="s2 is not running; `covey restart s2` brings it back"):
@@ -163,7 +174,7 @@ def test_a_fault_that_too_few_are_left_for_is_told_once_and_the_run_goes_on(
 
     asyncio.run(run())
     told = capsys.readouterr().out
-    assert told.count("a fault of the scenario could not be carried out: faults[0].who = '2': only 1 agents qualify for kill") == 1
+    assert told.count("a fault of the scenario could not be carried out: faults[0].who = '2': only 1 agent qualify") == 1
 
 
 def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:
