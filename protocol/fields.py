@@ -16,7 +16,6 @@ MAX_ROWS = 8192  # of every array and of every list of names that a round reads
 MAX_DETECTIONS = MAX_PARTICLES = MAX_NAMES = MAX_ROWS
 FARTHEST = 1.0e6  # largest coordinate, m
 LARGEST_AREA = FARTHEST**2  # m^2
-LEAST_RADIUS, LEAST_ANGLE = 1.0e-3, 1.0e-6  # of a sensor, m and rad
 LATEST = 1.0e12  # largest world time, s
 MAX_SETTINGS, VALUE_SIZE = 65536, 8  # characters of all settings of a Hello; size of a number or boolean
 LARGEST_SETTING = 1.0e12
@@ -51,12 +50,6 @@ class Rows(NamedTuple):
         """The rows, read-only: (N, columns), or (N,) if there is one column."""
         flat = np.frombuffer(data, self.number)
         return flat.reshape(self.count(data), self.columns) if self.columns > 1 else flat
-
-
-def check_number(field: str, value: float, least: float = -FARTHEST, most: float = FARTHEST) -> None:
-    """Refuse NaN, infinity and anything outside [least, most]: one bad float would win every comparison downstream."""
-    if not least <= value <= most:
-        raise Malformed("range", f"{field} = {value}: should be a finite number from {least:g} to {most:g}")
 
 
 def check_rows(rows: Rows, data: bytes) -> int:

@@ -22,8 +22,6 @@ from protocol.fields import (
     FARTHEST,
     IDS,
     LARGEST_LABEL,
-    LEAST_ANGLE,
-    LEAST_RADIUS,
     MAX_SETTINGS,
     OBSTACLES,
     STATES,
@@ -34,7 +32,6 @@ from protocol.fields import (
     are_labels,
     ascend,
     check_label_numbers,
-    check_number,
     check_rows,
     pack,
     read_labels,
@@ -61,13 +58,6 @@ from protocol.message import (
 from protocol.observer_messages import Estimate, Truth
 from protocol.once import once
 from protocol.sensing import WedgeSensor
-
-
-def check_sensor(sensor: WedgeSensor | None) -> None:
-    """Refuse an announced sensor without area: quotients by the area must stay finite."""
-    if sensor is not None:
-        check_number("sensor.radius", sensor.radius, least=LEAST_RADIUS)
-        check_number("sensor.angle", sensor.angle, least=LEAST_ANGLE, most=2.0 * math.pi)
 
 
 def check_settings(settings: Agreed) -> None:
@@ -100,7 +90,6 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
         return whole(self.settings)
 
     def check(self) -> None:
-        check_sensor(self.sensor)
         if self.settings:
             check_settings(self.settings)
 
@@ -132,9 +121,6 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
     def tile(self) -> tuple[int, int]:
         """Column from the west, row from the south."""
         return self.column, self.row
-
-    def check(self) -> None:
-        check_sensor(self.sensor)
 
 
 UNKNOWN_AGE = 255

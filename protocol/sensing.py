@@ -39,6 +39,7 @@ class SensorModel(Protocol):
         """Outline of the field of view (V, 2), counter-clockwise; it need not be convex."""
 
 
+LEAST_ANGLE, LEAST_RADIUS = 1.0e-6, 1.0e-3  # of a wedge, rad and m: quotients by its area stay finite
 _SLIT = 1e-9  # rad
 
 
@@ -56,10 +57,10 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
     prob_detection_far: float | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.angle <= 2.0 * math.pi:
-            raise ValueError(f"angle = {self.angle}: should be more than 0 and at most 2 pi rad")
-        if not 0.0 < self.radius <= 1.0e6:
-            raise ValueError(f"radius = {self.radius}: should be more than 0 and at most 1e6 m")
+        if not LEAST_ANGLE <= self.angle <= 2.0 * math.pi:
+            raise ValueError(f"angle = {self.angle}: should lie in [{LEAST_ANGLE:g}, 2 pi] rad")
+        if not LEAST_RADIUS <= self.radius <= 1.0e6:
+            raise ValueError(f"radius = {self.radius}: should lie in [{LEAST_RADIUS:g}, 1e6] m")
         if not 0.0 < self.prob_detection <= 1.0:
             raise ValueError(f"prob_detection = {self.prob_detection}: should be more than 0 and at most 1")
         if self.prob_detection_far is not None and not 0.0 < self.prob_detection_far <= self.prob_detection:

@@ -19,7 +19,7 @@ import msgspec
 
 from protocol.fields import Name
 from protocol.measuring import Measurement
-from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
+from protocol.sensing import LEAST_RADIUS, SENSOR_CLASSES, SensorModel, WedgeSensor
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1.0e9)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=1.0e9)]
@@ -83,8 +83,8 @@ class SensorSettings(Section, frozen=True, kw_only=True):
     A wedge under a name of Table I is that of the paper but for what is given.
     """
 
-    angle: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None  # viewing angle, degrees
-    radius: Annotated[float, msgspec.Meta(gt=0.0, le=5.0e5)] | None = None  # m
+    angle: Annotated[float, msgspec.Meta(ge=1.0e-4, le=360.0)] | None = None  # viewing angle, degrees
+    radius: Annotated[float, msgspec.Meta(ge=LEAST_RADIUS, le=5.0e5)] | None = None  # m
     prob_detection: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # at the sensor; else that of the paper, or 1
     prob_detection_far: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None  # at the radius, linear between; else no fall
     measures: Literal["position", "range-bearing", "bearing"] = "position"  # of a wedge; positions have the noise of [detection]

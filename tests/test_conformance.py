@@ -402,15 +402,17 @@ def test_the_limits_of_the_page_are_those_of_the_decoder(kind: str, row: Row) ->
 
 @pytest.mark.parametrize("row", SENSOR, ids=lambda row: row.field)
 def test_the_limits_of_a_wedge_are_those_of_the_page(row: Row) -> None:
-    low_high = re.fullmatch(r"more than 0 to ([\de.+-]+)", row.limits)
+    low_high = re.fullmatch(r"(more than 0|[\de.+-]+) to ([\de.+-]+)", row.limits)
     assert low_high is not None
-    high = float(low_high[1])
+    high = float(low_high[2])
+    low = 5e-324 if low_high[1] == "more than 0" else float(low_high[1])
 
     def with_value(value: float) -> str | None:
         return refusal("hello", {**plain("hello"), "sensor": {**plain("hello")["sensor"], row.field: value}})
 
-    assert with_value(high) is None
-    assert [with_value(value) for value in (0.0, -1.0, math.nextafter(high, math.inf), math.nan, math.inf)] == ["format"] * 5
+    assert [with_value(low), with_value(high)] == [None, None]
+    beyond = math.nextafter(low, 0.0), -1.0, math.nextafter(high, math.inf), math.nan, math.inf
+    assert [with_value(value) for value in beyond] == ["format"] * 5
     assert (
         refusal(
             "hello", {**plain("hello"), "sensor": {name: value for name, value in plain("hello")["sensor"].items() if name != row.field}}

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from protocol.codec import decode, encode
+from protocol.keys import message_key
+from protocol.messages import Hello
 from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
 from protocol.settings import (
     ArenaSettings,
@@ -80,7 +83,7 @@ WRONG = [
     ({"network": {"listen": ["tcp/x", 3]}}, "network.listen[1] = 3: should be a text, got a whole number"),
     ({"network": {"insecure": 1}}, "network.insecure = 1: should be true or false, got a whole number"),
     ({"sensors": {"A": {}, "X": {"angle": 400.0}}}, "sensors.X.angle = 400.0: should be a number <= 360.0"),
-    ({"sensors": {"X": {"radius": 0}}}, "sensors.X.radius = 0: should be a number > 0.0"),
+    ({"sensors": {"X": {"radius": 0}}}, "sensors.X.radius = 0: should be a number >= 0.001"),
     ({"sensors": {"X": {"prob_detection": 2.0}}}, "sensors.X.prob_detection = 2.0: should be a number <= 1.0"),
     ({"sensors": {"X": {"raduis": 2.0}}}, "sensors.X.raduis: there is no such field; did you mean radius?"),
     ({"sensors": {"X": 3}}, "sensors.X = 3: should be a table, got a whole number"),
@@ -172,6 +175,21 @@ def test_a_sensor_of_the_scenario_comes_before_one_of_the_paper() -> None:
 )
 def test_what_a_class_of_the_paper_is_not_given_is_that_of_the_paper(given: dict[str, float], sensor: WedgeSensor) -> None:
     assert sensor_of(convert({"sensors": {"A": given}}, Common, "x"), "A") == sensor
+
+
+@pytest.mark.parametrize("smallest", [{"angle": 1.0e-4, "radius": 5.0}, {"angle": 90.0, "radius": 1.0e-3}], ids=["angle", "radius"])
+def test_every_wedge_that_a_scenario_may_name_is_taken_from_the_wire_too(smallest: dict[str, float]) -> None:
+    """A class that loads here and is refused in every Hello would leave its agents without a sensor in the eyes of all others."""
+    sensor = sensor_of(convert({"sensors": {"X": smallest}}, Common, "x"), "X")
+    assert isinstance(sensor, WedgeSensor)
+    hello = Hello(sender="s1", incarnation=1, sensor=sensor)
+    assert decode(message_key("run", hello), encode(hello)) == hello
+
+
+@pytest.mark.parametrize(("field", "value", "least"), [("angle", 9.9e-5, "0.0001"), ("radius", 9.9e-4, "0.001")])
+def test_a_smaller_wedge_is_refused_at_load(field: str, value: float, least: str) -> None:
+    with pytest.raises(BadSetting, match=rf"x: sensors\.X\.{field} = {value}: should be a number >= {least}"):
+        convert({"sensors": {"X": {"angle": 90.0, "radius": 5.0, field: value}}}, Common, "x")
 
 
 def test_360_degrees_is_a_full_disc() -> None:
