@@ -13,7 +13,7 @@ import numpy as np
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]  # of a participant or a sensor class
 
 MAX_ROWS = 8192  # of every array and of every list of names that a round reads
-MAX_DETECTIONS = MAX_PARTICLES = MAX_NAMES = MAX_ROWS
+MAX_DETECTIONS = MAX_NAMES = MAX_ROWS
 FARTHEST = 1.0e6  # largest coordinate, m
 LARGEST_AREA = FARTHEST**2  # m^2
 LATEST = 1.0e12  # largest world time, s

@@ -1,7 +1,7 @@
 """What every message is: its common fields, and the types of numbers on the wire.
 
 Data type: `Message`, a frozen msgspec struct with a tag of its kind. `protocol.messages` holds the kinds. Lengths in m, times in s, angles
-in rad.
+in rad. A type of a number holds its limits, which also refuse NaN: it would win every comparison downstream.
 """
 
 from typing import Annotated
@@ -12,21 +12,21 @@ from protocol.fields import FARTHEST, LARGEST_AREA, LARGEST_SETTING, LATEST, MAX
 
 WIRE_VERSION = 2
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
-Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+Natural = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]  # an incarnation, a hash
 LagNumber = Annotated[int, msgspec.Meta(ge=0, le=64)]
 PaceNumber = Annotated[int, msgspec.Meta(ge=1, le=64)]
 TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
-Number = Annotated[float, msgspec.Meta(ge=-FARTHEST, le=FARTHEST)]  # a limit also refuses NaN: it would win every comparison downstream
-Length = Annotated[float, msgspec.Meta(ge=0.0, le=FARTHEST)]  # and every other number that is never negative
+Number = Annotated[float, msgspec.Meta(ge=-FARTHEST, le=FARTHEST)]  # of either sign: a coordinate, an angle, a speed along an axis
+Magnitude = Annotated[float, msgspec.Meta(ge=0.0, le=FARTHEST)]  # a number that is never negative, whatever its unit: a distance, a mass
 Area = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_AREA)]
 Time = Annotated[float, msgspec.Meta(ge=-LATEST, le=LATEST)]
 Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LATEST)]
-Rows8 = Annotated[bytes, msgspec.Meta(max_length=8 * MAX_ROWS)]  # an array of at most `MAX_ROWS` rows of 8 bytes
-Rows16 = Annotated[bytes, msgspec.Meta(max_length=16 * MAX_ROWS)]
-Rows24 = Annotated[bytes, msgspec.Meta(max_length=24 * MAX_ROWS)]
-Names = Annotated[tuple[str, ...], msgspec.Meta(max_length=MAX_ROWS)]
+RowsOf8Bytes = Annotated[bytes, msgspec.Meta(max_length=8 * MAX_ROWS)]  # an array (`fields.Rows`) of at most `MAX_ROWS` rows of 8 bytes
+RowsOf16Bytes = Annotated[bytes, msgspec.Meta(max_length=16 * MAX_ROWS)]
+RowsOf24Bytes = Annotated[bytes, msgspec.Meta(max_length=24 * MAX_ROWS)]
+Names = Annotated[tuple[str, ...], msgspec.Meta(max_length=MAX_ROWS)]  # any texts: one that is no `Name` is the name of no peer
 Vector = tuple[Number, Number]
-Triple = tuple[Number, Number, Number]
+StatedPose = tuple[Number, Number, Number]  # a `sensing.Pose`: x m, y m, heading rad
 Setting = bool | int | Annotated[float, msgspec.Meta(ge=-LARGEST_SETTING, le=LARGEST_SETTING)] | str
 Agreed = dict[str, dict[str, Setting]]  # section -> name -> value of the settings on which all agree (`agreement`)
 
@@ -35,7 +35,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, omit_default
     """The fields of every message. A field that was not given is left out on the wire: it has its default."""
 
     sender: Name  # unique in the run, the last part of the key
-    incarnation: Count  # grows with every restart under the same name
+    incarnation: Natural  # grows with every restart under the same name
     wire: int = msgspec.field(default_factory=lambda: WIRE_VERSION)  # a factory, so that it is always said
 
     def check(self) -> None:

@@ -7,7 +7,6 @@ numbers, and `check` the other rules of a message alone. Rules that need the con
 
 import math
 import struct
-from typing import Union
 
 import msgspec
 import numpy as np
@@ -39,20 +38,20 @@ from protocol.fields import (
 from protocol.message import (
     Agreed,
     Area,
-    Count,
     LagNumber,
-    Length,
+    Magnitude,
     Message,
     Names,
+    Natural,
     Number,
     PaceNumber,
-    Rows8,
-    Rows16,
-    Rows24,
+    RowsOf8Bytes,
+    RowsOf16Bytes,
+    RowsOf24Bytes,
+    StatedPose,
     Tick,
     TileNumber,
     Time,
-    Triple,
     Vector,
 )
 from protocol.observer_messages import Estimate, Truth
@@ -78,8 +77,8 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     software: str = ""
     sensor_class: str = ""  # a name from the scenario, "A" to "H" for those of the paper
     sensor: WedgeSensor | None = None  # the numbers of a wedge; None: the receiver looks the class up in its own scenario
-    max_speed: Length = 0.0  # m/s
-    max_turn_rate: Length = 0.0  # rad/s
+    max_speed: Magnitude = 0.0  # m/s
+    max_turn_rate: Magnitude = 0.0  # rad/s
     heard: Names = ()
     local: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
     settings: Agreed = {}  # those on which all agree; a setting that is missing is not compared
@@ -100,17 +99,17 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
     tick: Tick
     position: Vector  # of the sensor
     cod: Vector  # centroid of detection
-    power_radius: Length
-    reach: Length  # of the footprint, from the position
+    power_radius: Magnitude
+    reach: Magnitude  # of the footprint, from the position
     column: TileNumber  # of the tile to which this is addressed: the tile of the position, or one that is asked for beacons
     row: TileNumber
     sensor_class: str = ""  # as in Hello
     sensor: WedgeSensor | None = None  # as in Hello
     asks: bool = False  # True: every receiver sends a beacon soon
-    settings: Count = 0  # hash of the settings of the Hello; 0: not given
-    widest_reach: Length = 0.0  # the largest reach, distance from sensor to COD and power radius of all known agents, the sender included
-    widest_offset: Length = 0.0
-    widest_radius: Length = 0.0
+    settings: Natural = 0  # hash of the settings of the Hello; 0: not given
+    widest_reach: Magnitude = 0.0  # the largest reach, distance from sensor to COD and power radius of all known agents and the sender
+    widest_offset: Magnitude = 0.0
+    widest_radius: Magnitude = 0.0
 
     @once
     def numbers(self) -> bytes:
@@ -136,30 +135,30 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
     sender: str  # a Name; checked by comparison with the key, which is parsed once and not in every round
     tick: Tick
-    pose: Triple  # x, y, heading
+    pose: StatedPose  # x, y, heading
     cod: Vector  # centroid of detection (14); the generator of the cell, but with `voronoi` the position is
-    power_radius: Length  # g(U) (13)
+    power_radius: Magnitude  # g(U) (13)
     unused: Area  # U, m^2 (11)
-    detections_bytes: Rows8 = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
+    detections_bytes: RowsOf8Bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
     scanned: bool = True  # False: no scan in this tick, unlike an empty scan
     listening: bool = False  # True: a new incarnation without a cell
     claim_tick: Tick = 0  # the round in which the claim was cut
     claim_names: Names = ()  # the generators that bound the cell, the sender first; empty: no cell
-    claim_bytes: Rows24 = msgspec.field(name="claim", default=b"")  # (G, 3) float64: their generators, x, y and power radius
-    diagram_hash: Count = 0  # hash of all generators from which the claim was cut
-    weight: Length = 0.0  # of each particle, expected targets
-    states_bytes: Rows16 = msgspec.field(name="states", default=b"")  # (N, 4) float32: x, y, vx, vy
-    ids_bytes: Rows8 = msgspec.field(name="ids", default=b"")  # (N,) uint64
+    claim_bytes: RowsOf24Bytes = msgspec.field(name="claim", default=b"")  # (G, 3) float64: their generators, x, y and power radius
+    diagram_hash: Natural = 0  # hash of all generators from which the claim was cut
+    weight: Magnitude = 0.0  # of each particle, expected targets
+    states_bytes: RowsOf16Bytes = msgspec.field(name="states", default=b"")  # (N, 4) float32: x, y, vx, vy
+    ids_bytes: RowsOf8Bytes = msgspec.field(name="ids", default=b"")  # (N,) uint64
     components_bytes: bytes = msgspec.field(name="components", default=b"")  # (N,) of `COMPONENT`, from a tracker of Gaussian mixtures
-    labels_bytes: Rows8 = msgspec.field(name="labels", default=b"")  # (K,) uint64: a table of labels, strictly ascending
+    labels_bytes: RowsOf8Bytes = msgspec.field(name="labels", default=b"")  # (K,) uint64: a table of labels, strictly ascending
     label_numbers_bytes: bytes = msgspec.field(name="label_numbers", default=b"")  # (N,) uint8, uint16 if K > 256: places in the table
     particles: bytes = b""  # in place of states and ids, which are empty on the wire then: the same in few bytes (protocol/compact.py)
     goal: Vector | None = None  # the place that the sensor goes to; None: it stays
-    goal_utilisation: Length = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
+    goal_utilisation: Magnitude = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
     pace: PaceNumber = 1  # the sender has the time for the ticks that this number divides
     behind: LagNumber = 0  # the particles are so many ticks older than those of the tick before: later rounds wait for late gossips
     lag: LagNumber = 0  # rounds must be played so many ticks late, so that the sender hears most gossips
-    pose_noise: tuple[Length, Length] | None = None  # standard deviations of the pose: on each axis, m; of the heading, rad. None: exact
+    pose_noise: tuple[Magnitude, Magnitude] | None = None  # standard deviations of the pose, m on each axis and rad; None: it is exact
     claim_ages: bytes = b""  # ticks before `claim_tick` of each generator of the claim; empty: all are of it
 
     def __hash__(self) -> int:
@@ -293,9 +292,9 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
     recipient: Name
     tick: Tick
     time: Time  # world time since its start
-    pose: Triple
-    detections_bytes: Rows8 = msgspec.field(name="detections", default=b"")  # (M, 2) float32
-    obstacles_bytes: Rows16 = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
+    pose: StatedPose
+    detections_bytes: RowsOf8Bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
+    obstacles_bytes: RowsOf16Bytes = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
 
     @once
     def detections(self) -> np.ndarray:
@@ -316,7 +315,7 @@ class BodyPose(Message, frozen=True, kw_only=True, dict=True, tag="pose"):
     """From a body of its own to the other bodies: where it is at `tick`, so that their agents keep away from it."""
 
     tick: Tick
-    pose: Triple
+    pose: StatedPose
 
 
 class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
@@ -333,15 +332,5 @@ class Halt(Message, frozen=True, kw_only=True, dict=True, tag="halt"):
     held: bool
 
 
-AnyMessage = Union[Hello, Beacon, Gossip, Observation, BodyPose, Command, Estimate, Truth, Halt]  # noqa: UP007 (msgspec wants a union)
-KINDS: dict[str, type[Message]] = {
-    "hello": Hello,
-    "beacon": Beacon,
-    "gossip": Gossip,
-    "observation": Observation,
-    "pose": BodyPose,
-    "command": Command,
-    "estimate": Estimate,
-    "truth": Truth,
-    "halt": Halt,
-}
+_TYPES: tuple[type[Message], ...] = (Hello, Beacon, Gossip, Observation, BodyPose, Command, Estimate, Truth, Halt)
+KINDS = {str(message_type.__struct_config__.tag): message_type for message_type in _TYPES}  # the type of each kind, by its tag

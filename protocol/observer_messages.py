@@ -18,7 +18,21 @@ from protocol.fields import (
     Malformed,
     check_rows,
 )
-from protocol.message import Area, Count, Duration, Length, Message, PaceNumber, Rows8, Rows16, Rows24, Tick, Time, Triple, Vector
+from protocol.message import (
+    Area,
+    Duration,
+    Magnitude,
+    Message,
+    Natural,
+    PaceNumber,
+    RowsOf8Bytes,
+    RowsOf16Bytes,
+    RowsOf24Bytes,
+    StatedPose,
+    Tick,
+    Time,
+    Vector,
+)
 from protocol.once import once
 
 
@@ -26,17 +40,17 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     """From an agent to watchers: its estimate for `tick`, at a slower pace without the scans of its peers, and its counters."""
 
     tick: Tick
-    pose: Triple
+    pose: StatedPose
     cod: Vector
-    power_radius: Length
+    power_radius: Magnitude
     unused: Area
-    load: Length = 0.0  # expected targets in the footprint
-    mass: Length = 0.0  # expected targets in the cell
-    cell_bytes: Rows16 = msgspec.field(name="cell", default=b"")  # (V, 2) float64, counter-clockwise
-    targets_bytes: Rows16 = msgspec.field(name="targets", default=b"")  # (M, 2) float64
-    details_bytes: Rows24 = msgspec.field(name="details", default=b"")  # (M, 6) float32: vx, vy, covariance xx, xy, yy, existence
-    labels_bytes: Rows8 = msgspec.field(name="labels", default=b"")  # (M,) uint64: identities; 0: none
-    diagram_hash: Count = 0  # hash of the generators from which the cell was cut
+    load: Magnitude = 0.0  # expected targets in the footprint
+    mass: Magnitude = 0.0  # expected targets in the cell
+    cell_bytes: RowsOf16Bytes = msgspec.field(name="cell", default=b"")  # (V, 2) float64, counter-clockwise
+    targets_bytes: RowsOf16Bytes = msgspec.field(name="targets", default=b"")  # (M, 2) float64
+    details_bytes: RowsOf24Bytes = msgspec.field(name="details", default=b"")  # (M, 6) float32: vx, vy, covariance xx, xy, yy, existence
+    labels_bytes: RowsOf8Bytes = msgspec.field(name="labels", default=b"")  # (M,) uint64: identities; 0: none
+    diagram_hash: Natural = 0  # hash of the generators from which the cell was cut
     neighbours: tuple[str, ...] = ()  # the agents that bound the cell
     counters: dict[str, int] = {}  # rounds, late, missing, skipped, rejected.<reason>, heard, ...
     round_seconds: Duration = 0.0  # from the opening of the last shared round to its end, waiting included; 0 in virtual time
@@ -84,10 +98,10 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
 
     tick: Tick
     time: Time
-    targets_bytes: Rows16 = msgspec.field(name="targets", default=b"")  # (T, 2) float64
-    ids_bytes: Rows8 = msgspec.field(name="ids", default=b"")  # (T,) uint64
+    targets_bytes: RowsOf16Bytes = msgspec.field(name="targets", default=b"")  # (T, 2) float64
+    ids_bytes: RowsOf8Bytes = msgspec.field(name="ids", default=b"")  # (T,) uint64
     bodies: tuple[str, ...] = ()  # every body, in team order
-    poses_bytes: Rows24 = msgspec.field(name="poses", default=b"")  # (B, 3) float64
+    poses_bytes: RowsOf24Bytes = msgspec.field(name="poses", default=b"")  # (B, 3) float64
     in_view: int = 0  # targets inside the field of view of some live agent's body
     alive: tuple[str, ...] = ()  # the agents with a token that the world sees
 
