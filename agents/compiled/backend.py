@@ -18,7 +18,7 @@ from agents.backend import Backend
 from agents.compiled import birth_kernels, cell_kernels, claim_kernels, merge_kernels, region_kernels, search_kernels, selection_kernels
 from agents.config import AgentConfig
 from agents.coverage import search_plan
-from agents.coverage.cells import NO_CELL, TOUCH, Cell
+from agents.coverage.cells import NO_CELL, Cell
 from agents.gossip.table import COLUMNS, KIND, OTHER, REACH, GossipTable
 from agents.interest import selection
 from agents.interest.tiles import Rectangle
@@ -39,7 +39,7 @@ from protocol.streams import key
 
 def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
     """See `cells.cut_cells`."""
-    corners, bounds, starts = cell_kernels.cut_cells(np.array(indices, dtype=np.int64), points, radii, arena, TOUCH)
+    corners, bounds, starts = cell_kernels.cut_cells(np.array(indices, dtype=np.int64), points, radii, arena)
     chosen, places = bounds.tolist(), starts.tolist()
     return [
         Cell(corners[first:last], tuple(chosen[bound:end])) if end > bound else NO_CELL for (first, bound), (last, end) in pairwise(places)
@@ -241,15 +241,12 @@ def _end_to_end(arrays: list[np.ndarray]) -> np.ndarray:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
-_MARGINS = selection.MARGIN, selection.APPEARANCE, selection.SPACING, selection.SEARCH, selection.BEHIND
-
-
 def select_peers(
     cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: selection.Ground
 ) -> selection.Choice:
     """See `selection.select_peers`."""
     home, bounds = cell if len(cell) else _NO_CORNERS, (ground.bounds.reach, ground.bounds.offset, ground.bounds.radius)
-    chosen, needed = selection_kernels.wanted(home, position, reach, halo, table, ground.arena, bounds, ground.drift, _MARGINS)
+    chosen, needed = selection_kernels.wanted(home, position, reach, halo, table, ground.arena, bounds, ground.drift)
     return selection.Choice(chosen, Rectangle(*needed))
 
 

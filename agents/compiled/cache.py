@@ -19,12 +19,16 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-# Compiled loops depend on each other, on the columns of tables, and on constants of the search.
+# Compiled loops depend on each other, on the columns of tables, and on constants of their plain twins.
 SOURCES = (
     "agents/compiled/*kernels.py",
+    "agents/coverage/cells.py",
     "agents/coverage/search_plan.py",
     "agents/gossip/table.py",
     "agents/interest/position_table.py",
+    "agents/interest/selection.py",
+    "agents/tracking/labels.py",
+    "agents/tracking/measuring.py",
 )
 COMPLETE = "complete"  # the file in that folder which says that all loops have been compiled
 MOST_FOLDERS = 4  # one for each state of sources and versions, this one included; a recent state needs no compilation

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
+from agents.coverage.cells import TOUCH
 
 
 @njit
@@ -154,7 +155,7 @@ def _bisectors(index: int, points: np.ndarray, radii: np.ndarray, ahead: np.ndar
 
 
 @njit
-def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float, scratch: tuple) -> tuple[np.ndarray, int, int]:
+def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, scratch: tuple) -> tuple[np.ndarray, int, int]:
     """Twin of `cells.cut`: the corners relative to the generator, m, their number, and the number of bounding generators.
 
     The corners lie in scratch. The bounding generators are the first entries of `picked`, the third array of the scratch.
@@ -178,7 +179,7 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, t
         for rank in range(count):
             j = picked[rank]
             limit = ahead[j]
-            if limit > farthest + touch:
+            if limit > farthest + TOUCH:
                 break
             order[tried] = j
             tried += 1
@@ -194,7 +195,7 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, t
             if size < 3:
                 return corners, 0, 0
             farthest = _farthest(corners, size)
-        reached = within <= farthest + touch
+        reached = within <= farthest + TOUCH
         beyond, within = within, 2.0 * within
     area = 0.0
     for c in range(size):
@@ -207,7 +208,7 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, t
         j = order[rank]
         nx, ny = _direction(points, index, j)
         for c in range(size):
-            if corners[c, 0] * nx + corners[c, 1] * ny > ahead[j] - touch:
+            if corners[c, 0] * nx + corners[c, 1] * ny > ahead[j] - TOUCH:
                 picked[bounding] = j
                 bounding += 1
                 break
@@ -215,9 +216,7 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, t
 
 
 @cached
-def cut_cells(
-    indices: np.ndarray, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, touch: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def cut_cells(indices: np.ndarray, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Twin of `cells.cut_cells`: corners (V, 2) in m and indices of bounding generators, both cell after cell, and their starts.
 
     The starts (K + 1, 2) are the first corner and the first bounding generator of each cell. An empty cell has neither.
@@ -227,7 +226,7 @@ def cut_cells(
     corners, bounds = np.empty((8 * number + 8, 2)), np.empty(10 * number + 10, np.int64)
     for k in range(number):
         index = indices[k]
-        relative, size, bounding = _cut(index, points, radii, arena, touch, scratch)
+        relative, size, bounding = _cut(index, points, radii, arena, scratch)
         first, bound = starts[k]
         if first + size > len(corners):
             corners = np.concatenate((corners, np.empty((len(corners) + size, 2))))

@@ -18,10 +18,26 @@ from agents.compiled.label_kernels import birth_label, label_scan
 from agents.compiled.measuring_kernels import birth_place, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
 from agents.compiled.particle_kernels import blank, likely_sensors, normal, scramble, wedge
+from agents.gossip.table import (
+    COS,
+    COS_HALF,
+    DETECTIONS,
+    FAR_PROB,
+    HEADING_NOISE,
+    KAPPA,
+    KIND,
+    MODEL,
+    NO_SCAN,
+    PLACE_NOISE,
+    PROB,
+    REACH,
+    SIN,
+    X,
+    Y,
+)
+from agents.tracking.measuring import BEARING, FARTHEST, POSITION
 
 _S52 = np.uint64(52)
-_POSITION, _BEARING = 0.0, 2.0  # models of agents/tracking/measuring.py
-_FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
 
 
@@ -152,9 +168,9 @@ def _probabilities(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilit
 @njit
 def _add_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: np.ndarray) -> None:
     """Add p_d of points, of a row of `GossipTable.table`, to `probabilities` (N,); without branches, for several at once."""
-    sensor_x, sensor_y, cos, sin, reach2, cos_half = sensor[0], sensor[1], sensor[2], sensor[3], sensor[4] * sensor[4], sensor[5]
-    near, far = sensor[6], sensor[19]
-    slope = (far - near) / sensor[4]
+    sensor_x, sensor_y, cos, sin, cos_half = sensor[X], sensor[Y], sensor[COS], sensor[SIN], sensor[COS_HALF]
+    reach2, near, far = sensor[REACH] * sensor[REACH], sensor[PROB], sensor[FAR_PROB]
+    slope = (far - near) / sensor[REACH]
     for n in range(len(x)):
         dx, dy = x[n] - sensor_x, y[n] - sensor_y
         range2 = dx * dx + dy * dy
@@ -226,14 +242,15 @@ def _scans(table: np.ndarray, polygon: np.ndarray, box: tuple[float, float, floa
     scans = first = 0
     for s in range(len(table)):
         row = table[s]
-        if row[8] != 0.0 and not _beyond(box, row[0], row[1], halo + row[4]) and distance(polygon, row[0], row[1]) <= halo + row[4]:
+        x, y, width = row[X], row[Y], halo + row[REACH]
+        if row[KIND] != NO_SCAN and not _beyond(box, x, y, width) and distance(polygon, x, y) <= width:
             place = scans
-            while place > 0 and table[sensors[place - 1], 6] > row[6]:
+            while place > 0 and table[sensors[place - 1], PROB] > row[PROB]:
                 sensors[place], begins[place] = sensors[place - 1], begins[place - 1]
                 place -= 1
             sensors[place], begins[place] = s, first
             scans += 1
-        first += np.int64(row[9])
+        first += np.int64(row[DETECTIONS])
     return sensors[:scans], begins[:scans]
 
 
@@ -249,9 +266,9 @@ def _pick(
     count: int,
 ) -> int:
     """The new count of `picked` after the detections of a scan within the halo of the cell; `box` is the box around the cell."""
-    for m in range(first, first + np.int64(row[9])):
+    for m in range(first, first + np.int64(row[DETECTIONS])):
         x, y = detections[m, 0], detections[m, 1]
-        if row[16] == _BEARING or (not _beyond(box, x, y, halo) and distance(polygon, x, y) <= halo):
+        if row[MODEL] == BEARING or (not _beyond(box, x, y, halo) and distance(polygon, x, y) <= halo):
             picked[count] = m
             count += 1
     return count
@@ -268,7 +285,7 @@ def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: f
 @njit
 def _has_rays(sensor: np.ndarray) -> bool:
     """Whether the detections of a scan are anything but exact positions; `sensor` is a row of the gossip table."""
-    return sensor[16] != _POSITION or sensor[20] > 0.0 or sensor[21] > 0.0
+    return sensor[MODEL] != POSITION or sensor[PLACE_NOISE] > 0.0 or sensor[HEADING_NOISE] > 0.0
 
 
 @cached
@@ -306,7 +323,7 @@ def correct(
     new_states[:count], new_weights[:count], new_ids[:count], new_labels[:count] = states, weights, ids, labels
     x, y, probabilities = np.empty(capacity), np.empty(capacity), np.empty(capacity)
     x[:count], y[:count] = states[:, 0], states[:, 1]
-    detections, densities, spreads = np.empty((close, 2)), np.zeros(close), np.full(close, _FARTHEST * noise)
+    detections, densities, spreads = np.empty((close, 2)), np.zeros(close), np.full(close, FARTHEST * noise)
     rays = np.empty((close, all_rays.shape[1]))
     for m in range(close):
         detections[m], rays[m] = all_detections[picked[m]], all_rays[picked[m]]
@@ -351,13 +368,13 @@ def correct(
             norms[columns[p]] += terms[p]
         born = densities[starts[s] : starts[s + 1]]
         if on:
-            if sensor[16] == _BEARING:
-                born[:] = min(max(birth[3], min(birth[4] * sensor[7], 0.5 * birth[5])), birth[5])
+            if sensor[MODEL] == BEARING:
+                born[:] = min(max(birth[3], min(birth[4] * sensor[KAPPA], 0.5 * birth[5])), birth[5])
             else:
-                _birth_densities(points, norms, sensor[7], born, birth)
+                _birth_densities(points, norms, sensor[KAPPA], born, birth)
         for m in range(len(points)):
             fresh = _seen(points[m, 0], points[m, 1], likely) * born[m]
-            norm = sensor[7] + fresh + norms[m]
+            norm = sensor[KAPPA] + fresh + norms[m]
             norms[m] = norm if norm > 0.0 else 1.0
             born[m] = fresh / norms[m]
         for p in range(pairs):

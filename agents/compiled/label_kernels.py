@@ -8,17 +8,17 @@ from numba import njit
 
 from agents.compiled.cache import cached
 from agents.compiled.particle_kernels import scramble
+from agents.tracking.labels import ADOPTED, ALONE, AROUND, BESIDE, EXPLAINED, FAINT, HASH_BITS, HERE, STRANGER_MASS, TICK_BITS, YOUNG
+from agents.tracking.labels import NO_LABEL as NONE
 
-# The constants of agents/tracking/labels.py, which a test compares.
-NO_LABEL, HASH_BITS, TICK_BITS, EXPLAINED, ADOPTED = np.uint64(0), np.uint64(29), np.uint64(24), 0.02, 0.5
-YOUNG, BESIDE, FAINT, ALONE, HERE, AROUND, STRANGER_MASS = 4, 5.0, 0.02, 3.0, 2.5, 6.0, 0.5
-_ONE, _CUT = np.uint64(1), np.uint64(35)
+NO_LABEL, _HASH_BITS, _TICK_BITS = np.uint64(NONE), np.uint64(HASH_BITS), np.uint64(TICK_BITS)  # ids and shifts are of one type
+_ONE, _CUT = np.uint64(1), np.uint64(64 - HASH_BITS)
 
 
 @njit
 def stamp_of(tick: np.uint64) -> np.uint64:
     """The bits of a tick in the labels that are founded in it."""
-    return ((tick + _ONE) % (_ONE << TICK_BITS)) << HASH_BITS
+    return ((tick + _ONE) % (_ONE << _TICK_BITS)) << _HASH_BITS
 
 
 @njit
@@ -92,7 +92,7 @@ def _derived(label: np.uint64, taken: np.ndarray) -> np.uint64:
     """Twin of `labels._derived`."""
     number = _ONE
     while True:
-        found = (label >> HASH_BITS << HASH_BITS) | (scramble(label, number) >> _CUT) | _ONE
+        found = (label >> _HASH_BITS << _HASH_BITS) | (scramble(label, number) >> _CUT) | _ONE
         if not (taken == found).any():
             return found
         number += _ONE
@@ -161,7 +161,7 @@ def name_peaks(
             break
         given[peak] = labels[place]
     for m in range(peaks):
-        age = ((stamp >> HASH_BITS) + (_ONE << TICK_BITS) - (given[m] >> HASH_BITS)) % (_ONE << TICK_BITS)
+        age = ((stamp >> _HASH_BITS) + (_ONE << _TICK_BITS) - (given[m] >> _HASH_BITS)) % (_ONE << _TICK_BITS)
         open_to[m] = given[m] == NO_LABEL or age <= np.uint64(YOUNG)
         waits |= open_to[m]
     if waits:

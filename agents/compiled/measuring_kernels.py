@@ -13,20 +13,19 @@ from numba import njit
 from agents.compiled.birth_kernels import uniform
 from agents.compiled.cache import cached
 from agents.compiled.particle_kernels import normal, scramble
-
-_POSITION, _BEARING = 0.0, 2.0  # of agents/tracking/measuring.py
-_TINY = 1e-12
+from agents.gossip.table import BEARING_NOISE, HEADING_NOISE, MODEL, PLACE_NOISE, RANGE_NOISE, REACH, X, Y
+from agents.tracking.measuring import BEARING, POSITION, TINY
 
 
 @njit
 def noise_of(sensor: np.ndarray, position_noise: float, kernel: float) -> tuple[float, float, float, float]:
     """Twin of `measuring.noise_of`; `sensor` is a row of the gossip table."""
-    place = kernel + sensor[20] * sensor[20]
-    turn = sensor[18] * sensor[18] + sensor[21] * sensor[21]
-    if sensor[16] == _POSITION:
+    place = kernel + sensor[PLACE_NOISE] * sensor[PLACE_NOISE]
+    turn = sensor[BEARING_NOISE] * sensor[BEARING_NOISE] + sensor[HEADING_NOISE] * sensor[HEADING_NOISE]
+    if sensor[MODEL] == POSITION:
         variance = position_noise * position_noise + place
-        return sensor[16], variance, variance, turn
-    return sensor[16], sensor[17] * sensor[17] + place, place, turn
+        return sensor[MODEL], variance, variance, turn
+    return sensor[MODEL], sensor[RANGE_NOISE] * sensor[RANGE_NOISE] + place, place, turn
 
 
 @njit
@@ -34,22 +33,22 @@ def _density(x: float, y: float, sensor: np.ndarray, point: np.ndarray, ray: np.
     """Twin of `measuring.densities` for one particle and one detection: the squared Mahalanobis distance, and the peak per m^2."""
     model, along_variance, across_variance, bearing_variance = noise
     east, north, far = ray[0], ray[1], ray[2]
-    if model == _POSITION:
+    if model == POSITION:
         ex, ey = x - point[0], y - point[1]
         along, across = ex * east + ey * north, east * ey - north * ex
         wide = across_variance + bearing_variance * (far * far)
         return along * along / along_variance + across * across / wide, 1.0 / (2.0 * math.pi * math.sqrt(along_variance * wide))
-    dx, dy = x - sensor[0], y - sensor[1]
+    dx, dy = x - sensor[X], y - sensor[Y]
     range2 = dx * dx + dy * dy
     distance = math.sqrt(range2)
     along, across = dx * east + dy * north, east * dy - north * dx
-    angle = 2.0 * across / max(distance + along, _TINY)
-    wide = bearing_variance + across_variance / max(range2, _TINY)
+    angle = 2.0 * across / max(distance + along, TINY)
+    wide = bearing_variance + across_variance / max(range2, TINY)
     squared = angle * angle / wide
-    if model == _BEARING:
-        return squared, 1.0 / (math.sqrt(2.0 * math.pi * wide) * (0.5 * sensor[4] * sensor[4]))
+    if model == BEARING:
+        return squared, 1.0 / (math.sqrt(2.0 * math.pi * wide) * (0.5 * sensor[REACH] * sensor[REACH]))
     apart = distance - far
-    peak = 1.0 / (2.0 * math.pi * math.sqrt(along_variance * wide) * max(far, _TINY))
+    peak = 1.0 / (2.0 * math.pi * math.sqrt(along_variance * wide) * max(far, TINY))
     return squared + apart * apart / along_variance, peak
 
 
@@ -89,15 +88,15 @@ def birth_place(new_id: np.uint64, sensor: np.ndarray, point: np.ndarray, ray: n
     model, along_variance, across_variance, bearing_variance = noise
     east, north, far = ray[0], ray[1], ray[2]
     first, second = normal(scramble(new_id, np.uint64(1))), normal(scramble(new_id, np.uint64(2)))
-    if model == _POSITION:
+    if model == POSITION:
         along = first * math.sqrt(along_variance)
         across = second * math.sqrt(across_variance + bearing_variance * (far * far))
         return point[0] + (along * east - across * north), point[1] + (along * north + across * east)
-    if model == _BEARING:
-        distance = sensor[4] * math.sqrt(uniform(scramble(new_id, np.uint64(4))))
+    if model == BEARING:
+        distance = sensor[REACH] * math.sqrt(uniform(scramble(new_id, np.uint64(4))))
     else:
         distance = far + first * math.sqrt(along_variance)
-    half = 0.5 * (second * math.sqrt(bearing_variance + across_variance / max(distance * distance, _TINY)))
+    half = 0.5 * (second * math.sqrt(bearing_variance + across_variance / max(distance * distance, TINY)))
     half = min(max(half, -1.0), 1.0)
     cos, sin = (1.0 - half * half) / (1.0 + half * half), 2.0 * half / (1.0 + half * half)
-    return sensor[0] + distance * (cos * east - sin * north), sensor[1] + distance * (sin * east + cos * north)
+    return sensor[X] + distance * (cos * east - sin * north), sensor[Y] + distance * (sin * east + cos * north)

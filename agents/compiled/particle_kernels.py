@@ -1,7 +1,7 @@
 """Compiled particle kernels: prediction, selection and resampling for numba, each the bit-for-bit twin of a numpy function.
 
 Data types: particles are arrays of states (N, 4), weights (N,), ids and labels (N,) uint64. A sensor is a row of `GossipTable.table`
-(agents/gossip/table.py) or its first seven columns. The arguments of a step of prediction are the tuple of `motion`
+(agents/gossip/table.py). The arguments of a step of prediction are the tuple of `motion`
 (agents/compiled/backend.py).
 
 Rules of all kernels. The numpy functions are the reference and the oracle of the tests; agents/compiled/backend.py wraps the loops in
@@ -16,12 +16,28 @@ from numba import njit
 
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import insert
+from agents.gossip.table import (
+    COS,
+    COS_HALF,
+    COS_LEFT,
+    COS_RIGHT,
+    FAR_PROB,
+    HEADING_NOISE,
+    PLACE_NOISE,
+    PROB,
+    REACH,
+    SIN,
+    SIN_LEFT,
+    SIN_RIGHT,
+    X,
+    Y,
+)
+from agents.tracking.measuring import UNSURE
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
 _LOW = np.uint64(0xFFFF)
-_UNSURE = math.sqrt(3.0)  # deviations, of agents/tracking/measuring.py
 _NORMAL_SCALE = 3.0**0.5 / 65536.0
 _MOST_BITS, _FULLEST = 14, 64  # most bits of an id that choose its bucket, and most ids in a bucket
 
@@ -134,24 +150,24 @@ def _merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
 @njit
 def wedge(x: float, y: float, sensor: np.ndarray) -> float:
     """Twin of `WedgeSensor.probability` for one point; `sensor` is a row of `GossipTable.table`."""
-    dx, dy = x - sensor[0], y - sensor[1]
+    dx, dy = x - sensor[X], y - sensor[Y]
     range2 = dx * dx + dy * dy
-    apart, near, far = math.sqrt(range2), sensor[6], sensor[19]
-    seen = (range2 <= sensor[4] * sensor[4]) & (dx * sensor[2] + dy * sensor[3] >= sensor[5] * apart)
-    return max(near + (far - near) / sensor[4] * apart, far) if seen else 0.0
+    apart, near, far = math.sqrt(range2), sensor[PROB], sensor[FAR_PROB]
+    seen = (range2 <= sensor[REACH] * sensor[REACH]) & (dx * sensor[COS] + dy * sensor[SIN] >= sensor[COS_HALF] * apart)
+    return max(near + (far - near) / sensor[REACH] * apart, far) if seen else 0.0
 
 
 @njit
 def likely_sensors(sensor: np.ndarray) -> np.ndarray:
     """Twin of `measuring.likely_poses`: the rows (6 or 1, COLUMNS) of the sensor at each."""
-    if sensor[20] == 0.0 and sensor[21] == 0.0:
+    if sensor[PLACE_NOISE] == 0.0 and sensor[HEADING_NOISE] == 0.0:
         return sensor.copy().reshape(1, -1)
-    rows, away = np.empty((6, len(sensor))), _UNSURE * sensor[20]
+    rows, away = np.empty((6, len(sensor))), UNSURE * sensor[PLACE_NOISE]
     for k in range(6):
         rows[k] = sensor
-    rows[0, 0], rows[1, 0] = sensor[0] + away, sensor[0] - away
-    rows[2, 1], rows[3, 1] = sensor[1] + away, sensor[1] - away
-    rows[4, 2:4], rows[5, 2:4] = sensor[22:24], sensor[24:26]
+    rows[0, X], rows[1, X] = sensor[X] + away, sensor[X] - away
+    rows[2, Y], rows[3, Y] = sensor[Y] + away, sensor[Y] - away
+    rows[4, COS], rows[4, SIN], rows[5, COS], rows[5, SIN] = sensor[COS_LEFT], sensor[SIN_LEFT], sensor[COS_RIGHT], sensor[SIN_RIGHT]
     return rows
 
 

@@ -18,7 +18,7 @@ from agents.compiled.correction_kernels import correct
 from agents.compiled.extraction_kernels import TRACK, estimate_tracks
 from agents.compiled.label_kernels import rename, stamp_of
 from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take
-from agents.gossip.table import PARTICLES, WEIGHT
+from agents.gossip.table import PARTICLES, REACH, WEIGHT, X, Y
 
 BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
 SIZES = 4  # first columns of a result: the numbers of updated, own and resampled particles, and of estimated targets
@@ -52,11 +52,11 @@ def _surroundings(
     corners: np.ndarray, table: np.ndarray, spans: np.ndarray, width: float, step: float
 ) -> tuple[BoxLimits, tuple[float, float, float]]:
     """A box around all cells and a disc (x, y, radius) around all footprints, m; for a single owner its own box and footprint."""
-    x, y, radius = table[spans[0, 0], 0], table[spans[0, 0], 1], 0.0
+    x, y, radius = table[spans[0, 0], X], table[spans[0, 0], Y], 0.0
     for k in range(len(spans)):
         sensor = table[spans[k, 0]]
-        dx, dy = sensor[0] - x, sensor[1] - y
-        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (sensor[4] + step))
+        dx, dy = sensor[X] - x, sensor[Y] - y
+        radius = max(radius, np.sqrt(dx * dx + dy * dy) + (sensor[REACH] + step))
     return around(corners, width), (x, y, radius)
 
 
@@ -137,9 +137,9 @@ def _gate(predicted: tuple, polygon: np.ndarray, halo: float, sensor: np.ndarray
     x, y, states, weights, ids, labels, known = predicted
     boxed, seen, rows, some = scratch
     west, south, east, north = around(polygon, halo)
-    far2, count, boxes, near_count, far_count = sensor[4] * sensor[4], 0, 0, 0, 0
+    far2, count, boxes, near_count, far_count = sensor[REACH] * sensor[REACH], 0, 0, 0, 0
     for n in range(len(x)):  # without branches, for several at once
-        dx, dy = x[n] - sensor[0], y[n] - sensor[1]
+        dx, dy = x[n] - sensor[X], y[n] - sensor[Y]
         boxed[n] = (west <= x[n]) & (x[n] <= east) & (south <= y[n]) & (y[n] <= north)
         seen[n] = dx * dx + dy * dy <= far2
     for n in range(len(x)):

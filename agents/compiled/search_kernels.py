@@ -42,7 +42,7 @@ from agents.gossip.table import X as SENSOR_X
 from agents.gossip.table import Y as SENSOR_Y
 
 # Columns of the settings (`config.SearchSettings`) and of the numbers of a round (`search_plan.PlanInput`)
-BIN, HORIZON, STALE, WEIGHT, INFLOW, CONFIRMATION, SHARING, FALLOFF, LOOK_AHEAD, STEP_COST, CAPACITY = range(11)
+BIN, HORIZON, STALE, WEIGHT, INFLOW, CONFIRMATION, SHARING, FALLOFF, SECOND_HEADING, STEP_COST, CAPACITY = range(11)
 NOW, DT, X, Y, COS, SIN, REACH, ANGLE, OFFSET, WIDTH, HEIGHT, SPEED, TURN_RATE, OPEN, GOAL_X, GOAL_Y = range(16)
 GOAL_EAST, GOAL_NORTH, UTILISATION, PARTNER_REACH, FIRST = range(5)  # columns of a partner
 
@@ -356,7 +356,7 @@ def _best_turn(
         for shift in range(1, reachable + 1):
             new = min(shift, 2 * half + 1, SECTORS - 2 * half - 1)
             then = max(then, sums[high + shift] - sums[high + shift - new], sums[low - shift + new] - sums[low - shift])
-        value = here + search[LOOK_AHEAD] * then
+        value = here + search[SECOND_HEADING] * then
         if value > best:
             best, choice = value, k
     return choice * width

@@ -11,6 +11,7 @@ from numba import njit
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import distance
 from agents.interest.position_table import GENERATOR_X, GENERATOR_Y, POWER_RADIUS, SENSOR_REACH, SENSOR_X, SENSOR_Y
+from agents.interest.selection import APPEARANCE, BEHIND, MARGIN, SEARCH, SPACING
 
 Limits = tuple[float, float, float, float]
 BLOCK = 4  # points of a grid along each side of a block
@@ -28,7 +29,7 @@ def _limits(corners: np.ndarray) -> Limits:
 
 
 @njit
-def _rivals(points: np.ndarray, table: np.ndarray, spacing: float) -> np.ndarray:
+def _rivals(points: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Twin of `selection._within_reach`: (K, 4) of row number, x and y in m, and squared radius in m^2 of the generators."""
     west, south, east, north = _limits(points)
     x, y = 0.5 * (west + east), 0.5 * (south + north)
@@ -36,7 +37,7 @@ def _rivals(points: np.ndarray, table: np.ndarray, spacing: float) -> np.ndarray
     for p in range(len(points)):
         dx, dy = points[p, 0] - x, points[p, 1] - y
         farthest = max(farthest, dx * dx + dy * dy)
-    radius = math.sqrt(farthest) + spacing
+    radius = math.sqrt(farthest) + SPACING
     number, limit = len(table), np.inf
     least = np.empty(number)
     for n in range(number):
@@ -55,12 +56,12 @@ def _rivals(points: np.ndarray, table: np.ndarray, spacing: float) -> np.ndarray
 
 
 @njit
-def _candidates(points: np.ndarray, rivals: np.ndarray, behind: float, away: np.ndarray, found: np.ndarray) -> int:
+def _candidates(points: np.ndarray, rivals: np.ndarray, away: np.ndarray, found: np.ndarray) -> int:
     """The number of rivals (K, 4) that may own ground near one of a few points; their indices are written into `found`, ascending.
 
     `away` (K,) is scratch. A circle contains the points. Anywhere in it the smallest power distance is at most `limit`, the smallest one
     to the far sides of the circle. A rival is found if its power distance to the near side exceeds that by no more than the margin. The
-    margin is `behind` times the distance from the rival to the best generator, of which this is an upper bound.
+    margin is `BEHIND` times the distance from the rival to the best generator, of which this is an upper bound.
     """
     west, south, east, north = _limits(points)
     x, y = 0.5 * (west + east), 0.5 * (south + north)
@@ -71,24 +72,24 @@ def _candidates(points: np.ndarray, rivals: np.ndarray, behind: float, away: np.
         away[n] = math.sqrt(dx * dx + dy * dy)
         far = away[n] + radius
         limit, most = min(limit, far * far - rivals[n, 3]), max(most, rivals[n, 3])
-    slack, count = behind * (2.0 * radius + math.sqrt(max(limit + most, 0.0))) + 1e-6, 0
+    slack, count = BEHIND * (2.0 * radius + math.sqrt(max(limit + most, 0.0))) + 1e-6, 0
     for n in range(len(rivals)):
         near = max(away[n] - radius, 0.0)
-        if near * near - rivals[n, 3] - behind * near <= limit + slack:
+        if near * near - rivals[n, 3] - BEHIND * near <= limit + slack:
             found[count] = n
             count += 1
     return count
 
 
 @njit
-def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray, spacing: float, behind: float) -> tuple[np.ndarray, np.ndarray]:
+def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `selection.owners` for points in blocks; `ends` holds the end of each block."""
-    rivals = _rivals(points, table, spacing)
+    rivals = _rivals(points, table)
     number = len(rivals)
     power, near = np.empty(number), np.empty(number, np.int64)
     found, least, start = np.zeros(len(table), np.bool_), np.empty(len(points)), 0
     for end in ends:
-        count = _candidates(points[start:end], rivals, behind, power, near)
+        count = _candidates(points[start:end], rivals, power, near)
         for p in range(start, end):
             best, smallest = 0, np.inf
             for m in range(count):
@@ -103,32 +104,30 @@ def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray, spacing: fl
                 row = int(rivals[n, 0])
                 if not found[row]:
                     dx, dy = rivals[n, 1] - rivals[best, 1], rivals[n, 2] - rivals[best, 2]
-                    found[row] = power[m] - smallest <= behind * math.sqrt(dx * dx + dy * dy)
+                    found[row] = power[m] - smallest <= BEHIND * math.sqrt(dx * dx + dy * dy)
         start = end
     return found, least
 
 
 @njit
-def _region(
-    cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, arena: np.ndarray, margin: float, spacing: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _region(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, arena: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `selection.region`: points (N, 2) in m, block after block of neighbouring points, and the end of each block."""
     west, south, east, north = _limits(cell)
-    width = max(halo, reach) + margin + spacing
+    width = max(halo, reach) + MARGIN + SPACING
     first, bottom, last, top = _limits(arena)
     first, bottom = max(min(west, position[0]) - width, first), max(min(south, position[1]) - width, bottom)
     last, top = min(max(east, position[0]) + width, last), min(max(north, position[1]) + width, top)
-    columns, rows = 2 + int(max(last - first, 0.0) / spacing), 2 + int(max(top - bottom, 0.0) / spacing)
+    columns, rows = 2 + int(max(last - first, 0.0) / SPACING), 2 + int(max(top - bottom, 0.0) / SPACING)
     points, count = np.empty((columns * rows, 2)), 0
     ends, blocks = np.empty(columns * rows, np.int64), 0
-    disc, ring = (reach + margin + spacing) * (reach + margin + spacing), halo + margin + spacing
+    disc, ring = (reach + MARGIN + SPACING) * (reach + MARGIN + SPACING), halo + MARGIN + SPACING
     for south_row in range(0, rows, BLOCK):
         for west_column in range(0, columns, BLOCK):
             start = count
             for row in range(south_row, min(south_row + BLOCK, rows)):
-                y = bottom + spacing * row
+                y = bottom + SPACING * row
                 for column in range(west_column, min(west_column + BLOCK, columns)):
-                    x = first + spacing * column
+                    x = first + SPACING * column
                     dx, dy = x - position[0], y - position[1]
                     if dx * dx + dy * dy <= disc or distance(cell, x, y) <= ring:
                         points[count, 0], points[count, 1] = x, y
@@ -140,7 +139,7 @@ def _region(
 
 
 @njit
-def _likeliest_cell(table: np.ndarray, arena: np.ndarray, around: float, spacing: float) -> np.ndarray:
+def _likeliest_cell(table: np.ndarray, arena: np.ndarray) -> np.ndarray:
     """Twin of `selection._likeliest_cell`: a point (1, 2), m."""
     number, home = len(table), np.empty((1, 2))
     x, y, squared = table[number - 1, 3], table[number - 1, 4], table[number - 1, 5] * table[number - 1, 5]
@@ -148,8 +147,8 @@ def _likeliest_cell(table: np.ndarray, arena: np.ndarray, around: float, spacing
     if number == 1:
         return home
     west, south, east, north = _limits(arena)
-    west, south, east, north = max(west, x - around), max(south, y - around), min(east, x + around), min(north, y + around)
-    columns, rows = 2 + int(max(east - west, 0.0) / (2.0 * spacing)), 2 + int(max(north - south, 0.0) / (2.0 * spacing))
+    west, south, east, north = max(west, x - SEARCH), max(south, y - SEARCH), min(east, x + SEARCH), min(north, y + SEARCH)
+    columns, rows = 2 + int(max(east - west, 0.0) / (2.0 * SPACING)), 2 + int(max(north - south, 0.0) / (2.0 * SPACING))
     across, up = (east - west) / (columns - 1), (north - south) / (rows - 1)
     px, py, best = np.empty(columns * rows), np.empty(columns * rows), np.full(columns * rows, np.inf)
     for p in range(len(best)):
@@ -178,27 +177,24 @@ def wanted(
     arena: np.ndarray,
     bounds: tuple[float, float, float],
     drift: float,
-    settings: tuple[float, float, float, float, float],
 ) -> tuple[np.ndarray, Limits]:
     """Twin of `selection.select_peers`: True for the chosen rows, and the needed ground as west, south, east and north in m.
 
-    `bounds` and `drift` are those of `selection.Ground`. `settings` are the constants MARGIN, APPEARANCE, SPACING, SEARCH and BEHIND
-    of agents/interest/selection.py.
+    `bounds` and `drift` are those of `selection.Ground`.
     """
-    margin, appearing, spacing, around, behind = settings
     number, home = len(table) - 1, cell
     if len(cell) == 0:
-        home, halo = _likeliest_cell(table, arena, around, spacing), halo + appearing
-    points, ends = _region(home, position, halo, reach, arena, margin, spacing)
-    owning, least = _owners(points, ends, table, spacing, behind)
+        home, halo = _likeliest_cell(table, arena), halo + APPEARANCE
+    points, ends = _region(home, position, halo, reach, arena)
+    owning, least = _owners(points, ends, table)
     west, south, east, north = _limits(home)
     chosen = owning[:number]
     for n in range(number):
         if not chosen[n]:
-            x, y, width = table[n, SENSOR_X], table[n, SENSOR_Y], halo + margin + table[n, SENSOR_REACH]
+            x, y, width = table[n, SENSOR_X], table[n, SENSOR_Y], halo + MARGIN + table[n, SENSOR_REACH]
             away = max(max(west - x, x - east), max(south - y, y - north))  # a lower bound of the distance
             chosen[n] = away <= width + 1e-6 and distance(home, x, y) <= width
-    look = halo + margin + bounds[0] + drift
+    look = halo + MARGIN + bounds[0] + drift
     west, south, east, north = west - look, south - look, east + look, north + look
     for p in range(len(points)):
         far = math.sqrt(max(least[p] + bounds[2] * bounds[2], 0.0)) + (bounds[1] + drift)

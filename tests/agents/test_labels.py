@@ -6,7 +6,6 @@ import pytest
 
 from agents.compiled import label_kernels
 from agents.config import BirthSettings, FilterSettings
-from agents.tracking import labels as rules
 from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_tracks
 from agents.tracking.labels import birth_labels, derived_label, heaviest, middles, name_peaks, renamed
@@ -168,9 +167,6 @@ def test_the_heaviest_of_equal_labels_is_the_smallest_and_none_is_no_label() -> 
 
 
 def test_the_compiled_rules_give_the_same_labels() -> None:
-    names = "NO_LABEL", "HASH_BITS", "TICK_BITS", "EXPLAINED", "ADOPTED", "YOUNG"
-    names += "BESIDE", "FAINT", "ALONE", "HERE", "AROUND", "STRANGER_MASS"
-    assert [getattr(rules, name) for name in names] == [getattr(label_kernels, name) for name in names]
     rng, beside, moved = np.random.default_rng(3), 0, 0
     choices = np.array([0, 5, 6, 7, YOUNG, YOUNG + 2, NEWER], np.uint64)
     for _ in range(400):
