@@ -32,15 +32,9 @@ class Backend(NamedTuple):
     decide: Callable[..., search_plan.Decision]
 
 
-def births_of(step: Step) -> Particles:
-    """The particles of the background births in this step (`births.background_births`)."""
-    config = step.config
-    return background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
-
-
 PLAIN = Backend(
     cut_cells=cells.cut_cells,
-    background_births=births_of,
+    background_births=background_births,
     update_regions=regions.update_regions,
     resolve_conflicts=claims.resolve_conflicts,
     orphaned=claims.orphaned,

@@ -245,7 +245,7 @@ def _claim(generator_table: GossipTable, cell: Cell, unsubscribed: UnsubscribedG
     everyone = (*generator_table.names, *unsubscribed.names())
     names = tuple([everyone[index] for index in cell.bounds])
     generators = np.concatenate([generator_table.generators, unsubscribed.generators])[np.array(cell.bounds)]
-    return make_claim(names, generators, tuple([order(name) for name in names]))
+    return make_claim(names, generators)
 
 
 def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:

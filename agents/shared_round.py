@@ -26,7 +26,6 @@ class SharedRound(NamedTuple):
 
     step: Step
     tracker: AnyTracker
-    cells: list[Cell]
     regions: list[RegionInput]
     updates: list[Update]
 
@@ -52,10 +51,10 @@ def _computed(table: GossipTable, backend: Backend, tracker: AnyTracker, step: S
     """All regions of a table and their updates."""
     cells = backend.cut_cells(range(len(table.names)), table.points, table.radii, arena)
     regions = [
-        RegionInput(gossip.sender, row, announced_sensor.sensor, gossip.pose, cell.polygon, claim_of(cell, table.names, table.generators))
-        for row, (gossip, announced_sensor, cell) in enumerate(zip(table.gossips, table.sensors, cells))
+        RegionInput(gossip.sender, row, announced.sensor, gossip.pose, cell.polygon, claim_of(cell, table.names, table.generators))
+        for row, (gossip, announced, cell) in enumerate(zip(table.gossips, table.sensors, cells))
     ]
-    return SharedRound(step, tracker, cells, regions, [*tracker.update(table, table, regions, step)])
+    return SharedRound(step, tracker, regions, [*tracker.update(table, table, regions, step)])
 
 
 def claim_of(cell: Cell, names: tuple[str, ...], generators: np.ndarray) -> Claim:

@@ -61,7 +61,7 @@ def access_control(run: str, agents: Iterable[str]) -> dict[str, Any]:
         own = [rule for rule in own if rule["key_exprs"]]
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [name]})
-    rules.append(_rule("all look who is there", ["declare_liveliness_subscriber", "liveliness_query"], ["ingress"], [all_tokens(run)]))
+    rules.append(_rule("all look who is there", LOOKS, ["ingress"], [all_tokens(run)]))
     rules.append(_rule("what I declare goes out", DECLARATIONS, ["egress"], [f"{ROOT}/{run}/**"]))
     policies.append({"rules": [rule["id"] for rule in rules[-2:]], "subjects": names})
     subjects = [{"id": name, "cert_common_names": [name]} for name in names]

@@ -101,14 +101,9 @@ class BusEndpoint:
         part, most = self.node.newest_only
         if not part:
             return events
-        places = [place for place, event in enumerate(events) if is_observation(event)]
+        places = [place for place, event in enumerate(events) if isinstance(event, Received) and event.batch.kind is Observation]
         old = set(places[:-most])
         return [event for place, event in enumerate(events) if place not in old]
-
-
-def is_observation(event: Event) -> bool:
-    """Whether an event is a batch of observations."""
-    return isinstance(event, Received) and event.batch.kind is Observation
 
 
 def place_of(endpoint: BusEndpoint) -> int:

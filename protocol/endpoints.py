@@ -83,16 +83,19 @@ def refused(settings: NetworkSettings, text: str) -> BadSetting:
 _RESERVED: list[socket.socket] = []  # UDP sockets of the ports that `free_port` has returned, kept until the process ends
 
 
-def free_port(lowest: int = 20000, highest: int = 32000) -> int:
+LOWEST_PORT, HIGHEST_PORT = 20000, 32000  # of `free_port`
+
+
+def free_port() -> int:
     """A free TCP port on 127.0.0.1, below the range that the kernel gives to outgoing connections.
 
     Some time passes until another process listens on it. So this process keeps the UDP port of the same number, which marks the port
     as taken for every other call.
     """
-    span = highest - lowest
+    span = HIGHEST_PORT - LOWEST_PORT
     start = int.from_bytes(os.urandom(4), "little")
     for step in range(span):
-        port = lowest + (start + 7 * step) % span
+        port = LOWEST_PORT + (start + 7 * step) % span
         reserved = socket.socket(type=socket.SOCK_DGRAM)
         try:
             reserved.bind(("127.0.0.1", port))
@@ -103,4 +106,4 @@ def free_port(lowest: int = 20000, highest: int = 32000) -> int:
             continue
         _RESERVED.append(reserved)
         return port
-    raise BadSetting(f"no free port between {lowest} and {highest} on 127.0.0.1")
+    raise BadSetting(f"no free port between {LOWEST_PORT} and {HIGHEST_PORT} on 127.0.0.1")

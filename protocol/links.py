@@ -8,20 +8,12 @@ that is lost at 10 % is lost at 30 % too.
 import json
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 import msgspec
 
 from protocol.keys import parse_message_key
 from protocol.settings import Fraction, NotNegative, Section, convert
 from protocol.streams import key, stream
-
-
-class LinkFaults(Protocol):
-    """A hook on what arrives at one process."""
-
-    def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
-        """(delay s, payload) of every copy of a payload that arrives at this process at the time `now`, s."""
 
 
 class Condition(Section, frozen=True, kw_only=True):
@@ -57,7 +49,7 @@ class Channel:
         """(delay s, payload) of every copy that arrives of what is sent at `now` s; the very object unless the copy is corrupt."""
         if condition == CLEAR:
             return [(0.0, payload)]
-        lost, jitter, twice, later, held, hold, flip, where = self.throw()
+        lost, jitter, twice, later, held, hold, flip, where = self.draw()
         waited = self._carry(len(payload), condition, now)
         if self._loses(lost, condition) or math.isinf(waited):
             return LOST
@@ -76,7 +68,7 @@ class Channel:
         self._free_at = begin + 0.008 * size / condition.throttle
         return self._free_at - now
 
-    def throw(self) -> list[float]:
+    def draw(self) -> list[float]:
         """The eight draws of the next message, each in [0, 1)."""
         if not self._draws:
             self._draws = self._rng.random((AT_ONCE, 8)).tolist()[::-1]
@@ -116,25 +108,25 @@ class LinkConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     conditions: dict[str, Condition] = {}
 
 
-class Ears:
+class IncomingLinks:
     """The links towards one node, with one channel per sender."""
 
     def __init__(self, seed: int, receiver: str) -> None:
         self._seed, self._receiver = seed, receiver
-        self._reception = LinkConditions()
+        self._faults = LinkConditions()
         self._lossy: dict[str, float] = {}  # sender -> share of loss, for links with independent loss and no other fault
         self._channels: dict[str, Channel] = {}
 
-    def set(self, reception: LinkConditions) -> None:
+    def set(self, conditions: LinkConditions) -> None:
         """Set the conditions of all links towards this node."""
-        self._reception, plain = reception, reception.conditions.items()
+        self._faults, plain = conditions, conditions.conditions.items()
         self._lossy = {name: condition.drop for name, condition in plain if condition == Condition(drop=condition.drop) != CLEAR}
 
     def hear(self, sender: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
         """(delay s, payload) of every copy that arrives of a message that is sent at `now` s."""
-        if sender in self._reception.cut:
+        if sender in self._faults.cut:
             return LOST
-        condition = self._reception.conditions.get(sender)
+        condition = self._faults.conditions.get(sender)
         if condition is None:
             return [(0.0, payload)]
         channel = self._channels.get(sender)
@@ -143,7 +135,7 @@ class Ears:
         share = self._lossy.get(sender)
         if share is None:
             return channel.copies(payload, condition, now)
-        return LOST if channel.throw()[0] < share else [(0.0, payload)]  # as `copies`, with fewer tests
+        return LOST if channel.draw()[0] < share else [(0.0, payload)]  # as `copies`, with fewer tests
 
 
 class LiveLink:
@@ -153,7 +145,7 @@ class LiveLink:
     """
 
     def __init__(self, seed: int, receiver: str, complain: Callable[[str], None] = lambda text: None) -> None:
-        self._ears = Ears(seed, receiver)
+        self._links = IncomingLinks(seed, receiver)
         self._complain = complain
 
     def on_line(self, line: str) -> None:
@@ -161,13 +153,13 @@ class LiveLink:
         try:
             data = json.loads(line)
             if isinstance(data, dict) and "links" in data:
-                self._ears.set(convert(data["links"], LinkConditions, "links"))
+                self._links.set(convert(data["links"], LinkConditions, "links"))
         except ValueError as error:
             self._complain(str(error))
 
     def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
-        """The copies of a payload that arrives at this process, after the faults of its link."""
-        return self._ears.hear(sender_of(key), payload, now)
+        """(delay s, payload) of every copy of a payload that arrives at this process at `now` s."""
+        return self._links.hear(sender_of(key), payload, now)
 
 
 def sender_of(key: str) -> str:
@@ -178,6 +170,6 @@ def sender_of(key: str) -> str:
     return "world" if parts.kind in ("truth", "observation") else parts.name
 
 
-def as_line(reception: LinkConditions) -> str:
+def as_line(conditions: LinkConditions) -> str:
     """The conditions as the line that `LiveLink.on_line` reads."""
-    return json.dumps({"links": msgspec.to_builtins(reception)})
+    return json.dumps({"links": msgspec.to_builtins(conditions)})

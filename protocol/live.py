@@ -27,7 +27,7 @@ from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
 from protocol.inbox import Arrival, Inbox, RateLimiter
-from protocol.links import LinkFaults
+from protocol.links import LiveLink
 from protocol.message import Message
 from protocol.node import NO_EFFECTS, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, Warn
 from protocol.reception import Reception
@@ -90,7 +90,7 @@ def open_for(result: Future[zenoh.Session], settings: NetworkSettings, own: keys
 class Driver:
     """Drives one node over one Zenoh session inside a running event loop."""
 
-    def __init__(self, node: Node, settings: NetworkSettings, link: LinkFaults | None = None) -> None:
+    def __init__(self, node: Node, settings: NetworkSettings, link: LiveLink | None = None) -> None:
         self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts, reopened
         self._node = node
         self._settings = settings
@@ -225,13 +225,13 @@ class Driver:
         if self._link is None:
             self._receive(arrivals)
         else:
-            self._corrupt(self._link, arrivals)
+            self._apply_faults(self._link, arrivals)
 
     def _drain_all(self) -> None:
         for _ in range(1 + len(self._inbox) // SLICE):
             self._drain()
 
-    def _corrupt(self, link: LinkFaults, arrivals: list[Arrival]) -> None:
+    def _apply_faults(self, link: LiveLink, arrivals: list[Arrival]) -> None:
         at_once, now = list[Arrival](), self._loop.time()
         for arrival in arrivals:
             carried = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload, now)
@@ -299,7 +299,7 @@ class Driver:
 
     async def _join_again(self) -> None:
         """Open another session with the same subscriptions, unless `stop` comes first; messages sent meanwhile are lost."""
-        await self._close(self._let_go())
+        await self._close(self._take_declared())
         self._drain_all()  # what the old session has brought comes before its tokens are doubted
         self._tokens.doubt()
         tries = 0
@@ -315,13 +315,13 @@ class Driver:
                 log.warning("could not open the session anew: %s", error)
                 tries += 1
                 self._settings = elsewhere(self._settings) if tries == MOST_TRIES else self._settings
-                await self._close(self._let_go())
+                await self._close(self._take_declared())
                 await asyncio.sleep(RETRY_SECONDS)
         self.counts["reopened"] += 1
         await asyncio.sleep(SETTLE_SECONDS)
         self._handle_all(self._tokens.lost())
 
-    def _let_go(self) -> list[Any]:
+    def _take_declared(self) -> list[Any]:
         """What the session has declared; the next one begins without any."""
         declared = [self._publishers, self._subscribers, self._declared]
         self._publishers, self._subscribers, self._declared = {}, {}, []
@@ -397,14 +397,14 @@ def run(
     *,
     watch_stdin: bool = False,
     on_line: Callable[[str], None] | None = None,
-    link: LinkFaults | None = None,
+    link: LiveLink | None = None,
 ) -> int:
     """Drive a node until it stops; blocks. Return the node's exit code; 130 after SIGINT, 143 after SIGTERM or the end of stdin."""
     return asyncio.run(_run(node, network, watch_stdin, on_line, link))
 
 
 async def _run(
-    node: Node, network: NetworkSettings, watch_stdin: bool, on_line: Callable[[str], None] | None, link: LinkFaults | None
+    node: Node, network: NetworkSettings, watch_stdin: bool, on_line: Callable[[str], None] | None, link: LiveLink | None
 ) -> int:
     driver = Driver(node, network, link)
     loop = asyncio.get_running_loop()

@@ -22,16 +22,12 @@ class Decoded(NamedTuple):
     payload: bytes
 
 
-def read(key: str, payload: bytes, message: Message | Malformed) -> Decoded | Rejected:
-    """The decoded message with its bytes, or the event that they are rejected."""
-    if isinstance(message, Malformed):
-        return Rejected(key.rpartition("/")[2], message.reason, key, payload)
-    return Decoded(message, payload)
-
-
 def read_all(arrived: Sequence[tuple[str, bytes]]) -> list[Decoded | Rejected]:
-    """`read` of each key and payload; they are decoded together, which costs less."""
-    return [read(key, payload, message) for (key, payload), message in zip(arrived, decode_all(arrived))]
+    """For each key and payload the decoded message, or the event that they are rejected; decoded together, which costs less."""
+    return [
+        Rejected(key.rpartition("/")[2], message.reason, key, payload) if isinstance(message, Malformed) else Decoded(message, payload)
+        for (key, payload), message in zip(arrived, decode_all(arrived))
+    ]
 
 
 def in_batches(arrived: Iterable[Decoded | Event]) -> Iterator[Event]:

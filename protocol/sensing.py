@@ -38,6 +38,9 @@ class SensorModel(Protocol):
     def footprint(self, pose: Pose) -> np.ndarray:
         """Outline of the field of view (V, 2), counter-clockwise; it need not be convex."""
 
+    def __hash__(self) -> int:
+        """That of every object unless a class says otherwise: what follows from a sensor is kept by it."""
+
 
 LEAST_ANGLE, LEAST_RADIUS = 1.0e-6, 1.0e-3  # of a wedge, rad and m: quotients by its area stay finite
 _SLIT = 1e-9  # rad

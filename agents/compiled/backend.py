@@ -23,7 +23,7 @@ from agents.gossip.table import COLUMNS, KIND, OTHER, REACH, GossipTable
 from agents.interest import selection
 from agents.interest.tiles import Rectangle
 from agents.tracking import phd, regions
-from agents.tracking.births import DIRECTIONS, inflow, starting_on_border
+from agents.tracking.births import inflow, starting_on_border, survival_probability
 from agents.tracking.claims import Claim, Claims
 from agents.tracking.extraction import Tracks
 from agents.tracking.measuring import kernel_variance
@@ -32,6 +32,7 @@ from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol import geometry
+from protocol.compact import DIRECTIONS
 from protocol.sensing import WedgeSensor
 from protocol.settings import ArenaSettings
 from protocol.streams import key
@@ -72,7 +73,7 @@ def motion(step: Step) -> MotionArguments:
         0.5 * settings.heading_noise * math.sqrt(run.dt),
         settings.speed,
         settings.position_noise,
-        phd.survival_probability(run.dt, settings),
+        survival_probability(run.dt, settings),
         settings.border == "reflect",
         arena.width,
         arena.height,

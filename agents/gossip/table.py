@@ -93,21 +93,16 @@ class AnnouncedSensor(NamedTuple):
     bounds: Bounds
 
 
-def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
-    """The sensor of an agent, with `clutter` expected points a scan. Equal arguments give the same object within a process."""
-    return _announced(name, sensor, clutter)  # type: ignore[arg-type]  # a sensor model is hashable
-
-
 @lru_cache(maxsize=_MOST_ANNOUNCED)
-def _announced(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
-    """`announced_sensor`, a pure memo."""
+def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> AnnouncedSensor:
+    """The sensor of an agent, with `clutter` expected points a scan; a pure memo: equal arguments give the same object."""
     half, near, far, kind = 0.0, 0.0, 0.0, OTHER
     if isinstance(sensor, WedgeSensor):
         half, near, far, kind = sensor.cos_half_angle, sensor.prob_detection, sensor.far_probability, WEDGE
     measures = model_of(measurement_of(sensor))
     packed = _SENSOR.pack(sensor.reach, half, near, clutter / sensor.area, kind, key("sensor", name), *measures, far)
-    facts = _facts(sensor)  # type: ignore[arg-type]
-    bounds = bounds_of(sensor, facts)  # type: ignore[arg-type]
+    facts = _facts(sensor)
+    bounds = bounds_of(sensor, facts)
     return AnnouncedSensor(sensor, facts, packed, facts.capability * TOLERANCE, sensor.reach * TOLERANCE, bounds)
 
 
@@ -292,13 +287,13 @@ class GossipTable:
     def scans(self) -> list[Scan]:
         """The scans of this tick, in the order of the update: by ascending p_d, then by name."""
         found, ends = [], np.cumsum(self.table[:, DETECTIONS]).astype(np.int64)
-        for gossip, announced_sensor, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
+        for gossip, announced, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
             if numbers[KIND] != NO_SCAN:
                 rows = slice(end - np.int64(numbers[DETECTIONS]), end)
                 order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), key("sensor", gossip.sender)
                 noise, kappa = (float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])), float(numbers[KAPPA])
                 rays = self.rays[rows] if numbers[MODEL] or noise != EXACT else None  # whatever other sensors in the table measure
-                scan = Scan(salt, announced_sensor.sensor, gossip.pose, self.detections[rows], order, kappa, rays, noise)
+                scan = Scan(salt, announced.sensor, gossip.pose, self.detections[rows], order, kappa, rays, noise)
                 found.append((float(numbers[PROB]), scan))
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 

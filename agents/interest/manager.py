@@ -4,8 +4,8 @@ The agent publishes beacons, and receives those of the tiles around it. Its subs
 a swarm of any size.
 
 A new agent first asks for beacons, waits for the answers, and selects peers. Then it waits until the others have had the time to
-subscribe to it. From then on it selects peers every `CHOICE` s, and at the end of a tick in which a peer has come or gone or in which it
-has no cell.
+subscribe to it. From then on it selects peers every `SELECTION_PERIOD` s, and at the end of a tick in which a peer has come or gone or in
+which it has no cell.
 """
 
 import math
@@ -17,13 +17,12 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.coverage.capacity import place
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
-from agents.interest.selection import CHOICE, JUMP, MARGIN, PERIOD, Choice, Ground
-from agents.interest.tiles import Bounds, Box, Rectangle, Tiling, bounds_of
+from agents.interest.selection import BEACON_PERIOD, JUMP, MARGIN, SELECTION_PERIOD, Choice, Ground
+from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling, bounds_of
 from agents.membership.half_open_link import HalfOpenLinkDetector, WorldLinkDetector
 from agents.membership.peer import Peer
 from agents.membership.peer_table import PeerTable
 from agents.round import HORIZON, AgentContext, RoundResult
-from protocol.geometry import distances
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
@@ -53,15 +52,16 @@ class InterestManager:
         self._context, self._peer_table, self._incarnation = context, peer_table, incarnation
         self._tiling = Tiling(config.timing.tile, config.arena)
         drift = JUMP + config.limits.speed * config.run.dt
-        own_bounds = bounds_of(context.sensor, context.facts)  # type: ignore[arg-type]  # a sensor model is hashable
-        self._ground = Ground(context.arena, own_bounds, drift, distances)
-        self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in (PERIOD, CHOICE, LINGER))
+        own_bounds = bounds_of(context.sensor, context.facts)
+        self._ground = Ground(context.arena, own_bounds, drift)
+        periods = BEACON_PERIOD, SELECTION_PERIOD, LINGER
+        self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in periods)
         self._phase, self._turn = key("beacon", context.name) % self._period, 0  # of the beacon that each period brings; its number
         self._unknown_until = 0  # until this tick the others may not know this agent
         self._questions, self._join_at = 0, 0.0
         self._asking = True
         self._last_beacon: Beacon | None = None
-        self._box: Box | None = None  # the tiles to which the agent subscribes
+        self._block: TileBlock | None = None  # the tiles to which the agent subscribes
         self.known: Rectangle | None = None  # the rectangle in which all agents are known; None: nowhere yet
         self._known_from: list[tuple[int, Rectangle]] = []  # ticks from which on larger rectangles are known, the earliest first
         self._chosen_at = 0
@@ -75,7 +75,7 @@ class InterestManager:
 
     def start(self, observation: Observation, outcome: RoundResult, now: float) -> list[Effect]:
         """Start to join with the first observation, which states the own pose: subscribe to the tiles around it and ask for beacons."""
-        if self._box is not None:
+        if self._block is not None:
             return []
         if observation.tick > 0:
             self._unknown_until = observation.tick + 2 * self._period
@@ -97,11 +97,11 @@ class InterestManager:
         if self._asking:
             choice, table = self._select(self._first_cell(own, observation.tick), own, observation.tick)
             soon = choice.needed.wider(AHEAD)
-            box = self._tiling.box(soon)
-            self.known = self._tiling.ground(self._box) if self._box else None
+            block = self._tiling.block(soon)
+            self.known = self._tiling.ground(self._block) if self._block else None
             self._questions += 1
-            if not self._tiling.ground(self._box or box).holds(soon) and self._questions < MOST_QUESTIONS:
-                return self._subscribe_tiles(_union(box, self._box), own)
+            if not self._tiling.ground(self._block or block).holds(soon) and self._questions < MOST_QUESTIONS:
+                return self._subscribe_tiles(_union(block, self._block), own)
             self._asking = False
             self.due = max(now + settle, self._join_at)
             return self._apply(choice, table, observation.tick)
@@ -305,27 +305,27 @@ class InterestManager:
 
     def _follow_tiles(self, needed: Rectangle, tick: int) -> list[Effect]:
         """Subscribe to the tiles of the needed rectangle. A tile is dropped when it lies a whole side outside of it."""
-        assert self._box is not None
-        soon = self._tiling.box(needed.wider(AHEAD))
-        if soon == self._box:
+        assert self._block is not None
+        soon = self._tiling.block(needed.wider(AHEAD))
+        if soon == self._block:
             return []
-        late = self._tiling.box(needed.wider(self._tiling.side))
-        box = _union(soon, _common(self._box, late))
-        if box == self._box:
+        late = self._tiling.block(needed.wider(self._tiling.side))
+        block = _union(soon, _common(self._block, late))
+        if block == self._block:
             return []
-        grown, ground = _union(box, self._box) != self._box, self._tiling.ground(box)
+        grown, ground = _union(block, self._block) != self._block, self._tiling.ground(block)
         self.known = _overlap(self.known, ground) if self.known else None
         self._known_from = [(since, _overlap(some, ground)) for since, some in self._known_from]
         if grown:  # by then every agent in the new tiles has sent a beacon
             self._known_from.append((tick + self._period + self._peer_table.pace, ground))
-        return self._subscribe_tiles(box)
+        return self._subscribe_tiles(block)
 
-    def _subscribe_tiles(self, box: Box, asking: Beacon | None = None) -> list[Effect]:
-        """Subscribe to the beacons of the tiles in a box and to no others; `asking`: a beacon that asks in each new tile."""
+    def _subscribe_tiles(self, block: TileBlock, asking: Beacon | None = None) -> list[Effect]:
+        """Subscribe to the beacons of the tiles in a block and to no others; `asking`: a beacon that asks in each new tile."""
         run = self._context.config.run.name
-        old = set(self._box.tiles()) if self._box else set()
-        added, dropped = sorted(set(box.tiles()) - old), sorted(old - set(box.tiles()))
-        self._box = box
+        old = set(self._block.tiles()) if self._block else set()
+        added, dropped = sorted(set(block.tiles()) - old), sorted(old - set(block.tiles()))
+        self._block = block
         effects: list[Effect] = [Subscribe(beacons_in(run, tile)) for tile in added]
         effects += [Unsubscribe(beacons_in(run, tile)) for tile in dropped]
         if asking is None:
@@ -352,17 +352,17 @@ def _jumped(old: Beacon, new: Beacon) -> bool:
     return apart > JUMP or wider
 
 
-def _union(one: Box, other: Box | None) -> Box:
+def _union(one: TileBlock, other: TileBlock | None) -> TileBlock:
     """The smallest block that holds both."""
     if other is None:
         return one
-    return Box(min(one.west, other.west), min(one.south, other.south), max(one.east, other.east), max(one.north, other.north))
+    return TileBlock(min(one.west, other.west), min(one.south, other.south), max(one.east, other.east), max(one.north, other.north))
 
 
-def _common(one: Box, other: Box) -> Box:
+def _common(one: TileBlock, other: TileBlock) -> TileBlock:
     """The tiles that lie in both blocks; at least a tile of the second."""
     west, south = max(one.west, other.west), max(one.south, other.south)
-    return Box(west, south, max(west, min(one.east, other.east)), max(south, min(one.north, other.north)))
+    return TileBlock(west, south, max(west, min(one.east, other.east)), max(south, min(one.north, other.north)))
 
 
 def _overlap(one: Rectangle, other: Rectangle) -> Rectangle:

@@ -9,18 +9,16 @@ peer is too far away to own anything here, even with the largest power radius th
 """
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, SENSOR_REACH, SENSOR_X
 from agents.interest.tiles import Bounds, Rectangle
+from protocol.geometry import distances
 
-Distances = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (P, 2 or more) to a polygon (V, 2), m
-
-PERIOD = 4.0  # s of world time between two beacons of an agent that hardly moves
-CHOICE = 1.0  # s of world time between two selections
+BEACON_PERIOD = 4.0  # s of world time between two beacons of an agent that hardly moves
+SELECTION_PERIOD = 1.0  # s of world time between two selections
 JUMP = 4.0  # m: an agent whose position, generator or radius differs by more from its last beacon sends another at once
 MARGIN = 14.0  # m: so far a COD jumps in one tick when a class D sensor turns round; 10 m were too little in 2 of 20 runs of 100 s
 APPEARANCE = 8.0  # m more around the place where an empty cell is expected to appear
@@ -35,7 +33,6 @@ class Ground(NamedTuple):
     arena: np.ndarray
     bounds: Bounds
     drift: float  # m: how far an agent may be from the position in its last beacon
-    distances: Distances  # in plain numpy or compiled
 
 
 class Choice(NamedTuple):
@@ -93,7 +90,7 @@ def region(cell: np.ndarray, position: tuple[float, float], halo: float, reach: 
     dx, dy = points[:, 0] - position[0], points[:, 1] - position[1]
     seen = reach + MARGIN + SPACING
     near = dx * dx + dy * dy <= seen * seen
-    return points[near | (ground.distances(cell, points) <= halo + MARGIN + SPACING)]
+    return points[near | (distances(cell, points) <= halo + MARGIN + SPACING)]
 
 
 def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, halo: float, table: np.ndarray, ground: Ground) -> Choice:
@@ -106,7 +103,7 @@ def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, 
         home = cell
     else:
         home, halo = _likeliest_cell(generators, ground.arena), halo + APPEARANCE
-    observing = ground.distances(home, table[:-1, SENSOR_X:SENSOR_REACH]) <= halo + MARGIN + table[:-1, SENSOR_REACH]
+    observing = distances(home, table[:-1, SENSOR_X:SENSOR_REACH]) <= halo + MARGIN + table[:-1, SENSOR_REACH]
     points = region(home, position, halo, reach, ground)
     owning, least = owners(points, generators)
     return Choice(observing | owning[:-1], _needed(home, points, least, halo, ground))

@@ -27,7 +27,7 @@ class Rectangle(NamedTuple):
         return Rectangle(self.west - width, self.south - width, self.east + width, self.north + width)
 
 
-class Box(NamedTuple):
+class TileBlock(NamedTuple):
     """A block of tiles: first and last column and row."""
 
     west: int
@@ -72,18 +72,18 @@ class Tiling:
         (x, y), (column, row), side = point, self._last, self.side
         return max(0, min(column, math.floor(x / side))), max(0, min(row, math.floor(y / side)))
 
-    def box(self, rectangle: Rectangle) -> Box:
+    def block(self, rectangle: Rectangle) -> TileBlock:
         """The tiles that a rectangle touches."""
-        return Box(*self.tile(rectangle[:2]), *self.tile(rectangle[2:]))
+        return TileBlock(*self.tile(rectangle[:2]), *self.tile(rectangle[2:]))
 
-    def around(self, tile: Tile, width: int) -> Box:
+    def around(self, tile: Tile, width: int) -> TileBlock:
         """The block of up to `width` tiles on every side of a tile."""
         (column, row), (columns, rows) = tile, self._last
-        return Box(max(0, column - width), max(0, row - width), min(columns, column + width), min(rows, row + width))
+        return TileBlock(max(0, column - width), max(0, row - width), min(columns, column + width), min(rows, row + width))
 
-    def ground(self, box: Box) -> Rectangle:
+    def ground(self, block: TileBlock) -> Rectangle:
         """The rectangle of all positions whose beacons are published in these tiles; it is infinite where the arena ends."""
-        (west, south, east, north), (column, row), side = box, self._last, self.side
+        (west, south, east, north), (column, row), side = block, self._last, self.side
         return Rectangle(
             west * side if west > 0 else -math.inf,
             south * side if south > 0 else -math.inf,

@@ -26,7 +26,6 @@ from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, OwnedState, RegionInput, Said
 from protocol.compact import packed, quantised
 from protocol.fields import pack, pack_labels
-from protocol.keys import order
 from protocol.messages import Gossip
 
 MOST_COPIES = 6000  # limit against growth without bound: this number of copies,
@@ -36,8 +35,7 @@ MOST_TIMES = 4.0  # or this many times the number in a fresh draw of the same ma
 @lru_cache(maxsize=256)
 def owned_by_sender(gossip: Gossip) -> OwnedState:
     """The state that the sender of a gossip owns; a pure memo, because all listeners of a process read the same gossip."""
-    names = gossip.claim_names
-    claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
+    claim = make_claim(gossip.claim_names, gossip.claim)
     particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids, gossip.labels)
     return OwnedState(gossip.sender, claim, particles, gossip.diagram_hash)
 

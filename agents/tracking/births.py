@@ -16,11 +16,11 @@ from agents.config import BirthSettings, FilterSettings
 from agents.tracking.labels import birth_labels
 from agents.tracking.measuring import BEARING, EXACT, birth_places, kernel_variance, likely_poses, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances, unlabelled
+from agents.tracking.step import Step
+from protocol.compact import DIRECTIONS
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble, uniform
-
-DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
 
 SQUARE = 25.0  # m, side of the squares by which the prior is sorted
 
@@ -101,13 +101,19 @@ def prior_around(
     return select(everywhere, np.sort(np.concatenate(groups))) if groups else NONE
 
 
-@lru_cache(maxsize=8)
-def background_births(seed: int, tick: int, dt: float, settings: FilterSettings, birth: BirthSettings, arena: ArenaSettings) -> Particles:
-    """New particles of `tick` over the whole arena, a pure function of (seed, tick).
+def background_births(step: Step) -> Particles:
+    """New particles of a tick over the whole arena, a pure function of (seed, tick).
 
     Their mass is the `inflow`. The first `starting_on_border` of them start on the border with headings inward (cosine law), the
-    others anywhere. The result is memoised, because in virtual time all agents of a process need it.
+    others anywhere.
     """
+    config = step.config
+    return _background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
+
+
+@lru_cache(maxsize=8)
+def _background_births(seed: int, tick: int, dt: float, settings: FilterSettings, birth: BirthSettings, arena: ArenaSettings) -> Particles:
+    """`background_births`, a pure memo, because in virtual time all agents of a process need it."""
     mass, count = inflow(dt, settings, arena), birth.background_particles
     if not birth.background or mass <= 0.0:
         return NONE

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from protocol.keys import order
 from protocol.settings import ArenaSettings
 
 
@@ -24,9 +25,15 @@ class Claim(NamedTuple):
     wins_ties: np.ndarray  # (G,) bool: this generator comes before the owner in the order of names
 
 
-def make_claim(names: tuple[str, ...], generators: np.ndarray, order: tuple[tuple[int, str], ...]) -> Claim:
-    """The claim of the owner `names[0]`; `order` holds the sort key of each name."""
-    return Claim(names, generators, np.array([other < order[0] for other in order], dtype=bool))
+NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
+
+
+def make_claim(names: tuple[str, ...], generators: np.ndarray) -> Claim:
+    """The claim of the owner `names[0]`; without names it claims nothing."""
+    if not names:
+        return NO_CLAIM
+    ranks = [order(name) for name in names]
+    return Claim(names, generators, np.array([rank < ranks[0] for rank in ranks], dtype=bool))
 
 
 class Claims(NamedTuple):
@@ -42,9 +49,6 @@ def end_to_end(claims: Sequence[Claim]) -> Claims:
     """The claims, at least one, with their generators end to end."""
     generators, wins = np.concatenate([claim.generators for claim in claims]), np.concatenate([claim.wins_ties for claim in claims])
     return Claims(claims, generators, wins, np.array(list(accumulate([len(claim.names) for claim in claims]))))
-
-
-NO_CLAIM = Claim((), np.empty((0, 3)), np.empty(0, dtype=bool))
 
 
 def power_distances(points: np.ndarray, generators: np.ndarray) -> np.ndarray:

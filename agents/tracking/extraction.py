@@ -36,11 +36,6 @@ def select_tracks(tracks: Tracks, chosen: np.ndarray) -> Tracks:
     return Tracks(*(part[chosen] for part in tracks))
 
 
-def estimate_targets(particles: Particles, settings: ExtractionSettings = ExtractionSettings()) -> np.ndarray:
-    """Estimated target positions (M, 2) in m, heaviest first (`estimate_tracks`)."""
-    return estimate_tracks(particles, settings).positions
-
-
 def estimate_tracks(particles: Particles, settings: ExtractionSettings = ExtractionSettings(), tick: int = 0) -> Tracks:
     """Estimated targets of a tick, heaviest first.
 
@@ -62,7 +57,7 @@ def estimate_tracks(particles: Particles, settings: ExtractionSettings = Extract
 
     masses = binned(particles.weights)
     east, north = binned(particles.weights * particles.states[:, 0]), binned(particles.weights * particles.states[:, 1])
-    blocks = block_sums(masses, 2)
+    blocks = block_sums(masses)
     found: list[tuple[float, float]] = []
     cores, existence = list[tuple[int, int]](), list[float]()
     while True:
@@ -77,7 +72,7 @@ def estimate_tracks(particles: Particles, settings: ExtractionSettings = Extract
         found.append((_window_sum(east, *core, 1) / mass, _window_sum(north, *core, 1) / mass))
         _remove_one(masses, east, north, row, column, core)
         near = (slice(max(row - 6, 0), row + 7), slice(max(column - 6, 0), column + 7))
-        fresh = block_sums(masses[near], 2)
+        fresh = block_sums(masses[near])
         top, side = row - near[0].start, column - near[1].start
         beside = fresh[max(top - 4, 0) : top + 5, max(side - 4, 0) : side + 5]
         blocks[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5] = np.where(beside >= settings.beside, beside, 0.0)
@@ -112,14 +107,13 @@ def forecast(tracks: Tracks, seconds: float) -> Tracks:
     return tracks._replace(positions=tracks.positions + tracks.details[:, :2] * seconds)
 
 
-def block_sums(masses: np.ndarray, half: int) -> np.ndarray:
-    """Sums over the (2 half + 1)^2 block around each bin; the margin of `half` bins is 0 or incomplete."""
-    rows = np.zeros_like(masses)
-    for shift in range(-half, half + 1):
-        rows[half:-half] += masses[half + shift : len(masses) - half + shift]
-    sums = np.zeros_like(masses)
-    for shift in range(-half, half + 1):
-        sums[:, half:-half] += rows[:, half + shift : masses.shape[1] - half + shift]
+def block_sums(masses: np.ndarray) -> np.ndarray:
+    """Sums over the 5 x 5 block around each bin; the margin of two bins is 0 or incomplete."""
+    rows, sums = np.zeros_like(masses), np.zeros_like(masses)
+    for shift in range(5):
+        rows[2:-2] += masses[shift : len(masses) - 4 + shift]
+    for shift in range(5):
+        sums[:, 2:-2] += rows[:, shift : masses.shape[1] - 4 + shift]
     return sums
 
 

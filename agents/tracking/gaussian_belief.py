@@ -22,7 +22,6 @@ from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, RegionInput, Said
 from protocol import geometry
-from protocol.keys import order
 from protocol.messages import Gossip
 
 SHARPNESS = 2.0  # bins around a component that are one peak
@@ -79,8 +78,7 @@ class MixtureUpdate(NamedTuple):
 
 def owned_by_sender(gossip: Gossip) -> OwnedMixture:
     """The state that the sender of a gossip owns."""
-    names = gossip.claim_names
-    claim = make_claim(names, gossip.claim, tuple(order(name) for name in names)) if names else NO_CLAIM
+    claim = make_claim(gossip.claim_names, gossip.claim)
     return OwnedMixture(gossip.sender, claim, unpacked(gossip.components), gossip.diagram_hash)
 
 

@@ -49,7 +49,7 @@ def _covariances(count: int, place: float, velocity: float) -> np.ndarray:
 def newcomers(step: Step) -> Mixture:
     """The background births of a tick: a component at each particle of `births.background_births`."""
     config = step.config
-    born = background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
+    born = background_births(step)
     if not len(born.ids):
         return EMPTY
     covariances = _covariances(len(born.ids), (0.5 * config.mixture.spread) ** 2, 0.25 * config.filter.speed**2)

@@ -13,15 +13,13 @@ import numpy as np
 
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, birth_density, founded_labels, measurement_births, survival_probability
-from agents.tracking.extraction import block_sums, estimate_targets
+from agents.tracking.extraction import block_sums
 from agents.tracking.labels import ADOPTED, NO_LABEL, given_labels
 from agents.tracking.measuring import densities, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, join, squared_distances
 from protocol.sensing import measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble
-
-__all__ = ["Particles", "correct", "estimate_targets", "predict", "resample", "survival_probability"]
 
 BINS = 3.0  # bins in the length `vicinity`; two bins to each side of its own bin are near a particle
 
@@ -182,8 +180,8 @@ def missed(
     shape = tuple((places.max(axis=0) - (left, low) + 3)[::-1])
     flat = (places[:, 1] - low) * shape[1] + (places[:, 0] - left)
     own = flat[: len(gained)]
-    masses = block_sums(np.bincount(own, np.where(seen, particles.weights, 0.0), shape[0] * shape[1]).reshape(shape), 2).ravel()[own]
-    explained = block_sums(np.bincount(flat, np.concatenate([gained, born]), shape[0] * shape[1]).reshape(shape), 2).ravel()[own]
+    masses = block_sums(np.bincount(own, np.where(seen, particles.weights, 0.0), shape[0] * shape[1]).reshape(shape)).ravel()[own]
+    explained = block_sums(np.bincount(flat, np.concatenate([gained, born]), shape[0] * shape[1]).reshape(shape)).ravel()[own]
     rest = np.maximum(masses - explained, 0.0)
     factors = rest / _positive(masses) * ((1.0 - probability) / (1.0 - probability * np.minimum(rest, settings.certainty)))
     return np.where(seen, factors, 1.0)

@@ -23,7 +23,6 @@ from deploy import __main__ as command_line
 from deploy.installation import command
 from deploy.live import zygote
 from protocol.geometry import rectangle
-from protocol.keys import order
 from protocol.messages import Gossip
 
 PARTICLES = 2250  # of the whole swarm: 30 targets, 75 each
@@ -59,7 +58,7 @@ def play(
     count = round(PARTICLES / everybody)
     states = np.tile(np.array([*mine.cod, 1.0, 1.0]), (count, 1))
     owned = unlabelled(states, np.full(count, 1.0 / count), np.arange(1, count + 1, dtype=np.uint64))
-    share = OwnedState(me.name, make_claim(names, bounds, tuple(order(name) for name in names)), owned, VIEW)
+    share = OwnedState(me.name, make_claim(names, bounds), owned, VIEW)
     side = math.sqrt(config.arena.width * config.arena.height / everybody)
     angle = TURN_RATE * mine.tick * config.run.dt
     return RoundResult(

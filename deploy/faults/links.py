@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from deploy.faults.faults import Action
-from protocol.links import CLEAR, Condition, Ears, LinkConditions
+from protocol.links import CLEAR, Condition, IncomingLinks, LinkConditions
 
 OWN = {"drop": ("burst",), "delay": ("jitter",), "throttle": ("queue",)}  # options of one verb alone, which end with it
 SPREADING = {"duplicate", "reorder"}  # verbs that share the option `spread`, which ends with the last of them
@@ -27,7 +27,7 @@ class Links:
         self._cut: set[Direction] = set()
         self._torn: set[Direction] = set()  # cut, and the session goes with it
         self._conditions: dict[Direction, Condition] = {}
-        self._ears: dict[str, Ears] = {}
+        self._ears: dict[str, IncomingLinks] = {}
 
     def add(self, name: str) -> None:
         """A newcomer, whose links are clear."""
@@ -48,7 +48,7 @@ class Links:
         else:
             self._spoil(action)
         for name in {*self._ears, *self._receivers()}:
-            self._ears.setdefault(name, Ears(self._seed, name)).set(self.reception(name))
+            self._ears.setdefault(name, IncomingLinks(self._seed, name)).set(self.reception(name))
 
     def reception(self, receiver: str) -> LinkConditions:
         """How one node hears the others."""

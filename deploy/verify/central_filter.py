@@ -45,7 +45,7 @@ class CentralFilter:
         """One tick on: predict, correct with the scans of all `gossips`, draw new particles in each of the `claims`."""
         self.stamp += 1
         config, step = self.config, Step(self.config, self.stamp)
-        born = background_births(config.filter.seed, self.stamp, config.run.dt, config.filter, config.birth, config.arena)
+        born = background_births(step)
         any_sensor = sensor_of(config, next(iter(self._classes.values())))  # its view of the whole is not asked for
         everywhere = RegionInput("", 0, any_sensor, (0.0, 0.0, 0.0), _widely(config.arena), NO_CLAIM)
         [found] = self._backend.update_regions(_all(gossips, self._classes, config), self.particles, born, [everywhere], step)

@@ -37,7 +37,7 @@ def owned_state(
     """What `owner` owns in the diagram of some generators."""
     names = (owner, *(name for name in generators if name != owner))
     table = np.array([generators[name] for name in names])
-    return OwnedState(owner, make_claim(names, table, tuple(map(order, names))), held, diagram_hash)
+    return OwnedState(owner, make_claim(names, table), held, diagram_hash)
 
 
 def words(belief: Belief, others: list[OwnedState], tick: int = 5) -> GossipTable:

@@ -2,16 +2,19 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.config import BirthSettings, FilterSettings
-from agents.tracking.births import DIRECTIONS, Scan, background_births, birth_density, measurement_births, prior
-from agents.tracking.particles import NONE, unlabelled
+from agents.config import AgentConfig, BirthSettings, FilterSettings
+from agents.tracking.births import Scan, background_births, birth_density, measurement_births, prior
+from agents.tracking.particles import NONE, Particles, unlabelled
+from agents.tracking.step import Step
+from protocol.compact import DIRECTIONS
 from protocol.sensing import WedgeSensor
-from protocol.settings import ArenaSettings
+from protocol.settings import ArenaSettings, RunSettings
 
 ARENA = ArenaSettings(width=100.0, height=60.0)
 FILTER, BIRTH = FilterSettings(), BirthSettings()
@@ -22,6 +25,12 @@ def scan(places: list[tuple[float, float]], numbers: list[int] | None = None) ->
     """Detections of one sensor, numbered as in the whole scan."""
     points = np.array(places, dtype=float).reshape(-1, 2)
     return Scan(99, DISC, (50.0, 30.0, 0.0), points, np.array(numbers or range(len(points)), dtype=np.uint64), 3e-4)
+
+
+def born(seed: int, tick: int, filters: FilterSettings, birth: BirthSettings) -> Particles:
+    """The background births of half a second in the arena of these tests."""
+    seeded = msgspec.structs.replace(filters, seed=seed)
+    return background_births(Step(AgentConfig(run=RunSettings(dt=0.5), arena=ARENA, filter=seeded, birth=birth), tick))
 
 
 def test_the_prior_is_uniform_and_has_its_density() -> None:
@@ -41,24 +50,24 @@ def test_no_prior_density_no_prior() -> None:
 
 def test_background_births_bring_what_flows_in_over_the_border() -> None:
     """density x speed x perimeter / pi per second: 0.001 x 2 x 320 / pi x 0.5 s."""
-    births = background_births(1, 3, 0.5, FILTER, BIRTH, ARENA)
+    births = born(1, 3, FILTER, BIRTH)
     assert births.weights.sum() == pytest.approx(0.001 * 2.0 * 320.0 / math.pi * 0.5)
-    assert len(background_births(1, 3, 0.5, FILTER, BirthSettings(background=False), ARENA).ids) == 0
+    assert len(born(1, 3, FILTER, BirthSettings(background=False)).ids) == 0
 
 
 def test_in_a_closed_arena_as_many_are_born_as_die_and_none_on_the_border() -> None:
     closed = FilterSettings(border="reflect", lifetime=20.0)
-    births = background_births(1, 3, 0.5, closed, BirthSettings(background_particles=500), ARENA)
+    births = born(1, 3, closed, BirthSettings(background_particles=500))
     assert births.weights.sum() == pytest.approx(0.001 * 6000.0 * (1.0 - math.exp(-0.5 / 20.0)))
     assert ((births.states[:, :2] > 0.0) & (births.states[:, :2] < [100.0, 60.0])).all()
     counts = np.histogram(births.states[:, 0], bins=5, range=(0, 100))[0]
     assert np.abs(counts - 100).max() < 4.5 * math.sqrt(80.0)
     immortal = FilterSettings(border="reflect", lifetime=0.0)
-    assert len(background_births(1, 3, 0.5, immortal, BIRTH, ARENA).ids) == 0
+    assert len(born(1, 3, immortal, BIRTH).ids) == 0
 
 
 def test_nine_tenths_are_born_on_the_border_with_headings_inward_by_the_cosine_law() -> None:
-    parts = [background_births(2, tick, 0.5, FILTER, BirthSettings(background_particles=1000), ARENA) for tick in range(8)]
+    parts = [born(2, tick, FILTER, BirthSettings(background_particles=1000)) for tick in range(8)]
     states = np.concatenate([part.states for part in parts])
     west, east = states[:, 0] == 0.0, states[:, 0] == 100.0
     south, north = states[:, 1] == 0.0, states[:, 1] == 60.0
@@ -71,7 +80,7 @@ def test_nine_tenths_are_born_on_the_border_with_headings_inward_by_the_cosine_l
 
 
 def test_births_of_different_ticks_have_different_ids() -> None:
-    ids = np.concatenate([background_births(1, tick, 0.5, FILTER, BIRTH, ARENA).ids for tick in range(50)])
+    ids = np.concatenate([born(1, tick, FILTER, BIRTH).ids for tick in range(50)])
     assert len(set(ids.tolist())) == 50 * BIRTH.background_particles
 
 

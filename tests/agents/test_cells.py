@@ -77,7 +77,7 @@ def test_every_place_belongs_to_one_claim_alone_that_of_the_least_power_distance
         if cell.bounds:
             chosen = list(cell.bounds)
             names = tuple(str(number) for number in chosen)
-            claim = make_claim(names, np.column_stack([points, radii])[chosen], tuple((number, "") for number in chosen))
+            claim = make_claim(names, np.column_stack([points, radii])[chosen])
             holders[index] = owned(places, claim, ARENA_SETTINGS)
     assert (holders.sum(axis=0) == 1).all()
     distances = power_distances(places, np.column_stack([points, radii]))
@@ -158,12 +158,12 @@ def test_bounds_name_the_neighbours_alone_and_the_own_generator_first() -> None:
 
 def test_depth_is_the_distance_to_the_nearest_bisector() -> None:
     points = np.array([[10.0, 20.0, 0.0], [30.0, 20.0, 0.0]])
-    claim = make_claim(("s1", "s2"), points, ((1, "s1"), (2, "s2")))
+    claim = make_claim(("s1", "s2"), points)
     assert depths(np.array([[13.0, 5.0], [24.0, 0.0]]), claim).tolist() == [7.0, -4.0]
-    assert depths(np.zeros((1, 2)), make_claim(("s1",), points[:1], ((1, "s1"),))).tolist() == [np.inf]
+    assert depths(np.zeros((1, 2)), make_claim(("s1",), points[:1])).tolist() == [np.inf]
 
 
 def test_nobody_owns_a_place_outside_the_arena() -> None:
-    claim = make_claim(("s1",), np.array([[10.0, 10.0, 0.0]]), ((1, "s1"),))
+    claim = make_claim(("s1",), np.array([[10.0, 10.0, 0.0]]))
     places = np.array([[0.0, 0.0], [40.0, 40.0], [-1e-9, 5.0], [5.0, 40.1]])
     assert owned(places, claim, ARENA_SETTINGS).tolist() == [True, True, False, False]

@@ -21,7 +21,7 @@ from agents.tracking.particles import NONE, Particles, join, select
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol.fields import pack, pack_labels
-from protocol.geometry import EMPTY, distances, rectangle
+from protocol.geometry import EMPTY, rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
@@ -148,7 +148,7 @@ def test_owned(seed: int, count: int, places: int) -> None:
     order = rng.permutation(count).tolist()
     where = np.vstack([rng.random((places, 2)) * 44.0 - 2.0, np.round(rng.random((places, 2)) * SIDE)])
     for names in (order, []):
-        claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[names], tuple((number, "") for number in names))
+        claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[names])
         compiled = claim_kernels.owned(where, claim.generators, claim.wins_ties, SIDE, SIDE)
         assert bits(owned(where, claim, ARENA)) == bits(compiled)
 
@@ -163,7 +163,7 @@ def test_what_claims_together_leave_and_dispute(seed: int, count: int, places: i
     for owner in range(count):
         others = [other for other in rng.permutation(count).tolist() if other != owner and rng.random() < 0.7]
         names = [owner, *others] if rng.random() < 0.9 else []
-        claims.append(make_claim(tuple(map(str, names)), table[names], tuple((name, "") for name in names)))
+        claims.append(make_claim(tuple(map(str, names)), table[names]))
     where = np.vstack([rng.random((places, 4)) * 44.0 - 2.0, np.round(rng.random((places, 4)) * SIDE)])
     assert_same("orphaned", where, end_to_end(claims), ARENA)
     sizes = rng.multinomial(len(where), [1.0 / count] * count)
@@ -180,7 +180,7 @@ def test_copies_after_a_round_and_what_counts_of_them(seed: int, count: int, num
     points, radii = diagram(rng, count)
     cell = cut(0, points, radii, BOX)
     names = cell.bounds
-    claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[list(names)], tuple((name, "") for name in names))
+    claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[list(names)])
     near, told = cloud(rng, number), cloud(rng, int(rng.integers(0, 60)))
     mixed = join([told, select(near, rng.random(number) < 0.5)])
     for border in ("cross", "reflect"):
@@ -264,7 +264,7 @@ def regions_of(rng: np.random.Generator, table: GossipTable, owners: int) -> lis
     generators, found = np.column_stack([points, radii]), []
     for place in rng.permutation(len(table.names))[:owners].tolist():
         cell = cut(place % len(radii), points, radii, BOX) if rng.random() < 0.9 else NO_CELL
-        claim = make_claim(tuple(map(str, cell.bounds)), generators[list(cell.bounds)], tuple((number, "") for number in cell.bounds))
+        claim = make_claim(tuple(map(str, cell.bounds)), generators[list(cell.bounds)])
         gossip = table.gossips[place]
         found.append(RegionInput(gossip.sender, place, table.sensors[place].sensor, gossip.pose, cell.polygon, claim))
     return found
@@ -324,7 +324,7 @@ def test_regions_that_only_wedges_look_at_are_computed_by_the_compiled_loops_in_
     regions = []
     for place, cell in enumerate(cells_of(generators)):
         bounds = list(cell.bounds)
-        claim = make_claim(tuple(map(str, bounds)), generators[bounds], tuple((number, "") for number in bounds))
+        claim = make_claim(tuple(map(str, bounds)), generators[bounds])
         regions.append(RegionInput(f"s{place}", place, table.sensors[place].sensor, said[place].pose, cell.polygon, claim))
     assert_same("update_regions", table, cloud(np.random.default_rng(1), 100), NONE, regions, step())
     assert len(calls) == 1
@@ -343,7 +343,7 @@ def cells_of(generators: np.ndarray) -> list[Cell]:
 def test_nothing_at_all() -> None:
     nobody = table_of([])
     for polygon in (BOX, EMPTY):
-        region = RegionInput("s1", 0, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0), polygon, make_claim((), np.empty((0, 3)), ()))
+        region = RegionInput("s1", 0, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0), polygon, make_claim((), np.empty((0, 3))))
         assert_same("update_regions", nobody, NONE, NONE, [region], step())
     assert_same("update_regions", nobody, NONE, NONE, [], step())
     assert_same("merge", NONE, np.empty(0, dtype=bool), NONE, np.empty(0, dtype=bool))
@@ -360,6 +360,6 @@ def test_whom_to_hear(seed: int, others: int) -> None:
     places = np.column_stack([points + rng.normal(0.0, 5.0, points.shape), rng.choice([5.0, 8.0, 25.0], others + 1)])
     table = np.column_stack([places, points, radii])
     cell = cut(others, points, radii, rectangle(side, side)).polygon
-    ground = Ground(rectangle(side, side), Bounds(25.0, 7.0, 20.0), 5.0, distances)
+    ground = Ground(rectangle(side, side), Bounds(25.0, 7.0, 20.0), 5.0)
     x, y, reach = places[-1].tolist()
     assert_same("select_peers", cell, (x, y), reach, 6.0, table, ground)

@@ -248,7 +248,7 @@ def test_no_two_estimates_have_one_label_and_the_components_of_the_second_take_t
 def halves(border: float) -> list[Claim]:
     """The claims of two agents that share the arena, with a border at x = `border` m."""
     places = np.array([[border - 5.0, 20.0, 1.0], [border + 5.0, 20.0, 1.0]])
-    return [make_claim(names, places[rows], ((0, names[0]), (0, names[1]))) for names, rows in ((("a", "b"), [0, 1]), (("b", "a"), [1, 0]))]
+    return [make_claim(names, places[rows]) for names, rows in ((("a", "b"), [0, 1]), (("b", "a"), [1, 0]))]
 
 
 def test_what_the_agents_hold_together_does_not_depend_on_their_cells() -> None:

@@ -7,7 +7,7 @@ from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
 from agents.interest.manager import BUSY, FORGOTTEN, LINGER, LONGEST, SETTLE, UNHEARD, InterestManager
 from agents.interest.position_table import SENSOR_X, beacon_row
-from agents.interest.selection import JUMP, PERIOD
+from agents.interest.selection import BEACON_PERIOD, JUMP
 from agents.interest.tiles import Rectangle
 from agents.membership.peer_table import PeerTable
 from protocol.geometry import rectangle
@@ -101,7 +101,7 @@ def test_who_stays_away_is_dropped_and_its_token_when_it_is_forgotten() -> None:
     said = [look(watcher, tick, 190.0) for tick in range(1, 10)]
     assert said[int(LINGER) - 1] == [Unsubscribe(GOSSIP)] and sum(map(len, said)) == 1
     assert look(watcher, 10, 30.0) == [Subscribe(GOSSIP)]
-    silent = 11 + int(FORGOTTEN * PERIOD)
+    silent = 11 + int(FORGOTTEN * BEACON_PERIOD)
     watcher.take_beacon(beacon("s3", silent, 60.0))
     assert about_s2(watcher.reselect(HOME, beacon("s1", silent, 10.0), silent)) == [Unsubscribe(GOSSIP), Unsubscribe(TOKEN)]
 
@@ -131,7 +131,7 @@ def test_who_hears_nobody_asks_again_nearby_before_it_looks_farther() -> None:
 @pytest.mark.parametrize("name", ["s1", "s2", "s3"])
 def test_at_a_slower_pace_too_each_period_brings_a_beacon(name: str) -> None:
     agent = Agent(CONFIG, name)
-    made, pace = InterestManager(agent.context, PeerTable(CONFIG, name), 1), int(PERIOD)
+    made, pace = InterestManager(agent.context, PeerTable(CONFIG, name), 1), int(BEACON_PERIOD)
     made.start(SEEN, agent.outcome, 0.0)
     said = [made.close_round(standing(name, tick), agent.outcome) for tick in range(pace, 9 * pace, pace)]
     assert [sum(isinstance(effect, Beacon) for effect in effects) for effects in said] == [1] * 8
@@ -149,14 +149,14 @@ def test_a_newcomer_hears_all_around_the_cell_that_it_is_about_to_get(listening:
 def settled() -> InterestManager:
     """Of s1, who knows s2 and s3 and has listened to all the tiles that it needs for some periods."""
     watcher = lookout()
-    for tick in range(3 * int(PERIOD)):
+    for tick in range(3 * int(BEACON_PERIOD)):
         look(watcher, tick, 30.0)
     return watcher
 
 
 def test_a_newcomer_is_answered_who_should_have_been_heard_of_before() -> None:
     """He may not know me either, unless he has just entered the ground that I know."""
-    watcher, now = settled(), 3 * int(PERIOD)
+    watcher, now = settled(), 3 * int(BEACON_PERIOD)
     edge = max(box.east for box in [watcher.known] if box is not None)
     for name, x, answered in (("s4", 20.0, True), ("s5", edge - JUMP - 0.5, False), ("s6", edge + 1.0, False), ("s4", 21.0, False)):
         assert watcher.take_beacon(beacon(name, now, x)) == answered
@@ -168,7 +168,7 @@ def test_while_little_is_known_whoever_is_new_is_answered() -> None:
 
 
 def test_new_ground_is_known_after_a_period_though_more_has_been_added_since() -> None:
-    watcher, now, period = settled(), 3 * int(PERIOD), int(PERIOD)
+    watcher, now, period = settled(), 3 * int(BEACON_PERIOD), int(BEACON_PERIOD)
     east = [box.east for step in range(period + 2) for box in [grown(watcher, step, now + step)]]
     assert east[: period + 1] == [east[0]] * (period + 1)
     assert east[0] < east[period + 1] < float("inf")

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.config import BirthSettings, FilterSettings
-from agents.tracking.births import Scan
+from agents.tracking.births import Scan, survival_probability
 from agents.tracking.particles import NONE, Particles, select, total, unlabelled
-from agents.tracking.phd import correct, exp_minus, likelihood_noise, predict, resample, sample_size, survival_probability
+from agents.tracking.phd import correct, exp_minus, likelihood_noise, predict, resample, sample_size
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import ArenaSettings
 from protocol.streams import scramble

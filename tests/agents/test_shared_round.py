@@ -46,7 +46,7 @@ def test_the_first_that_asks_computes_its_region_alone_and_the_others_share_all(
     shared = asked(table, config)
     assert isinstance(shared, SharedRound) and asked(table, config) is asked(table, config) is shared
     cells = PLAIN.cut_cells(range(3), table.points, table.radii, ARENA)
-    assert [cell.polygon.tolist() for cell in shared.cells] == [cell.polygon.tolist() for cell in cells]
+    assert [region.polygon.tolist() for region in shared.regions] == [cell.polygon.tolist() for cell in cells]
     assert [region.claim.names[0] for region in shared.regions] == [region.owner for region in shared.regions] == ["s1", "s2", "s3"]
     assert len(shared.updates) == 3
 

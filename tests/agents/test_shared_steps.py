@@ -65,7 +65,7 @@ def table_of(gossips: list[Gossip]) -> GossipTable:
 
 def updated(backend: Backend, received: Particles, table: GossipTable, polygon: np.ndarray) -> RegionUpdate:
     """What s1 with this cell makes of some particles."""
-    claim = make_claim(("s1",), np.array([[10.0, 30.0, 0.0]]), (order("s1"),))
+    claim = make_claim(("s1",), np.array([[10.0, 30.0, 0.0]]))
     return backend.update_regions(table, received, NONE, [RegionInput("s1", 0, SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
 
 
@@ -170,7 +170,7 @@ def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(n
     words = table_of([said("s1", (10.0, 10.0, 0.0)), said("s2", (30.0, 10.0, 0.0)), said("s10", (20.0, 40.0, 0.0))])
     cell = cut(words.names.index(name), words.points, words.radii, rectangle(60.0, 60.0))
     claim = _claim(words, cell, NO_GENERATORS)
-    received = make_claim(claim.names, claim.generators, tuple(order(other) for other in claim.names))
+    received = make_claim(claim.names, claim.generators)
     assert claim.names[0] == name and len(claim.names) == 3
     assert claim.wins_ties.tolist() == received.wins_ties.tolist() == [order(other) < order(name) for other in claim.names]
 
@@ -178,8 +178,8 @@ def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(n
 @BOTH
 def test_a_point_on_a_border_belongs_to_the_first_name_alone(backend: Backend) -> None:
     generators = np.array([[10.0, 10.0, 0.0], [30.0, 10.0, 0.0]])
-    first = make_claim(("s1", "s2"), generators, (order("s1"), order("s2")))
-    second = make_claim(("s2", "s1"), generators[::-1].copy(), (order("s2"), order("s1")))
+    first = make_claim(("s1", "s2"), generators)
+    second = make_claim(("s2", "s1"), generators[::-1].copy())
     between = np.array([[20.0, 25.0, 0.0, 0.0]])
     assert [backend.orphaned(between, end_to_end([claim]), CONFIG.arena).tolist() for claim in (first, second)] == [[False], [True]]
 

@@ -13,7 +13,6 @@ from agents.tracking import phd
 from agents.tracking.claims import make_claim, owned
 from agents.tracking.particles import Particles, unlabelled
 from protocol.geometry import polygon_area, rectangle
-from protocol.keys import order
 from protocol.settings import ArenaSettings
 from protocol.streams import key
 
@@ -73,7 +72,7 @@ def test_its_cells_and_claims_are_ours(stranger: ModuleType) -> None:
             continue
         assert claim[0] == row and {other[0] for other in claim} == {names[bound] for bound in ours.bounds}
         said = tuple(other[0] for other in claim)
-        stated = make_claim(said, np.array([other[1:] for other in claim]), tuple(order(name) for name in said))
+        stated = make_claim(said, np.array([other[1:] for other in claim]))
         assert [stranger.owns(claim, x, y) for x, y in grid.tolist()] == owned(grid, stated, arena).tolist()
     assert sum(areas) == pytest.approx(1600.0) and areas[7] == 0.0
 

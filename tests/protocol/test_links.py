@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from protocol.links import CLEAR, Channel, Condition, Ears, LinkConditions, LiveLink, as_line, corrupted, sender_of
+from protocol.links import CLEAR, Channel, Condition, IncomingLinks, LinkConditions, LiveLink, as_line, corrupted, sender_of
 
 
 def arrivals(condition: Condition, number: int = 20000, seed: int = 1) -> list[list[tuple[float, bytes]]]:
@@ -103,7 +103,7 @@ def test_each_direction_has_dice_of_its_own_and_the_same_seed_repeats_them() -> 
 
 
 def test_ears_are_deaf_to_those_who_are_cut_off_and_clear_to_all_others() -> None:
-    ears = Ears(1, "b")
+    ears = IncomingLinks(1, "b")
     ears.set(LinkConditions(cut=("a",), conditions={"c": Condition(delay=1.0)}))
     assert ears.hear("a", b"x", 0.0) == []
     assert ears.hear("c", b"x", 0.0) == [(1.0, b"x")]
@@ -141,7 +141,7 @@ def test_the_key_says_who_sent_a_message(key: str, sender: str) -> None:
 def test_a_link_that_only_loses_loses_what_one_loses_of_which_more_is_asked(drop: float) -> None:
     heard = []
     for condition in (Condition(drop=drop), Condition(drop=drop, spread=0.1)):  # nothing is held back, so how long it would be says nothing
-        ears = Ears(3, "b")
+        ears = IncomingLinks(3, "b")
         ears.set(LinkConditions(conditions={"a": condition}))
         heard.append([ears.hear("a", b"payload", 0.0) for _ in range(200)])
     assert heard[0] == heard[1]

@@ -78,7 +78,7 @@ def replayed(scenario: Scenario, owned: Particles, ticks: list[dict[str, Gossip]
     for gossips in ticks:
         said = [gossips[name] for name in sorted(gossips, key=order)]
         step = Step(config, said[0].tick)
-        born = background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
+        born = background_births(step)
         sensors = [
             announced_sensor(gossip.sender, sensor_of(config, scenario.members[gossip.sender]), config.detection.clutter) for gossip in said
         ]
