@@ -16,7 +16,8 @@ from agents.backend import Backend
 from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, power_radius, sensor_facts, unused_capacity
 from agents.coverage.cells import NO_CELL, Cell
-from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings, control_law
+from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings
+from agents.coverage.laws import control_law
 from agents.coverage.search_and_track import SearchAndTrack
 from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_sensor, gossip_table
 from agents.interest.position_table import UnsubscribedGenerators
@@ -59,11 +60,8 @@ class AgentContext(NamedTuple):
 def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
     """The context of the agent `name` with a sensor of that class. Raises BadSetting for an unknown class."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
-    law = control_law(config)
     tracker: AnyTracker = MixturePhd(backend) if config.filter.kind == "gaussian-mixture" else ParticlePhd(backend)
-    if isinstance(law, SearchAndTrack):
-        law = SearchAndTrack(config.search, backend)
-    return AgentContext(name, sensor, sensor_facts(sensor), law, backend, tracker, config, corners, sensor_class)
+    return AgentContext(name, sensor, sensor_facts(sensor), control_law(config, backend), backend, tracker, config, corners, sensor_class)
 
 
 class Frame(NamedTuple):

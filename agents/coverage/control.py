@@ -2,7 +2,7 @@
 
 Data types: a `Situation` is the input of a control law; a `ControlInput` is its output ((vx, vy), turn rate).
 
-Rules. A control law has a method `command(situation)`. A scenario names one of the user as `module:Class`, a class without arguments.
+Rules. A control law has a method `command(situation)`. `laws.control_law` makes the one that a scenario names.
 Only `search_and_track.SearchAndTrack` announces a goal and reads `Situation.known`.
 """
 
@@ -11,13 +11,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from agents.config import AgentConfig
 from agents.gossip.table import GossipTable
 from agents.tracking.particles import Particles
-from protocol.foreign import fault_of, shown
 from protocol.geometry import EMPTY, polygon_centroid, wrap_angle
 from protocol.sensing import Pose, SensorModel
-from protocol.settings import BadSetting, LimitSettings, load_named
+from protocol.settings import LimitSettings
 from protocol.streams import key
 
 ControlInput = tuple[tuple[float, float], float]
@@ -104,54 +102,6 @@ class RandomWalk:
         bits = key(situation.seed, "waypoint", situation.name, leg)
         goal = ((bits >> 32) * 2.0**-32 * situation.arena[0], (bits & 0xFFFFFFFF) * 2.0**-32 * situation.arena[1])
         return approach(situation, goal)
-
-
-LAWS: dict[str, type[ControlLaw]] = {"lloyd": Lloyd, "uniform-density": UniformDensity, "static": Static, "random": RandomWalk}
-OWN_FILES = {  # laws in files that import this one
-    "pursuit": f"{__package__}.pursuit:Pursuit",
-    "search-and-track": f"{__package__}.search_and_track:SearchAndTrack",
-}
-
-
-def control_law(config: AgentConfig) -> ControlLaw:
-    """The control law that the scenario names; raises BadSetting for an unknown or faulty law."""
-    mode = OWN_FILES.get(config.control.mode, config.control.mode)
-    if mode in LAWS:
-        return LAWS[mode]()
-    if ":" not in mode:
-        raise BadSetting(f"control.mode = {mode!r}: known are {', '.join([*LAWS, *OWN_FILES])}, or your own as module:Class")
-    try:
-        law = load_named(mode)()
-    except (ValueError, ImportError, TypeError) as error:
-        raise BadSetting(f"control.mode = {mode!r}: {error}") from None
-    except (Exception, SystemExit) as error:
-        raise BadSetting(f"control.mode = {mode!r}: raised {type(error).__name__}: {error}") from error
-    if not callable(getattr(law, "command", None)):
-        raise BadSetting(f"control.mode = {mode!r}: the class needs a method command(situation)")
-    return law if config.control.mode in OWN_FILES else CheckedLaw(law, mode)
-
-
-class CheckedLaw:
-    """A control law of the user; an answer that is no command raises BadSetting with the name of the class."""
-
-    def __init__(self, law: ControlLaw, name: str) -> None:
-        self._law, self._name = law, name
-        self.uses_fields = bool(getattr(law, "uses_fields", False))
-
-    def command(self, situation: Situation) -> ControlInput:
-        """The command of the law, checked; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""
-        with fault_of(f"{self._name}.command"):
-            answer = self._law.command(situation)
-        try:
-            (vx, vy), turn_rate = answer
-            numbers = tuple(map(float, (vx, vy, turn_rate)))
-        except (TypeError, ValueError):
-            numbers = (math.nan,)
-        if not all(map(math.isfinite, numbers)) or isinstance(answer, str):
-            raise BadSetting(
-                f"{self._name}.command returned {shown(answer)}: should be ((vx, vy), turn_rate), finite numbers in m/s and rad/s"
-            )
-        return (numbers[0], numbers[1]), numbers[2]
 
 
 def approach(situation: Situation, goal: tuple[float, float]) -> ControlInput:

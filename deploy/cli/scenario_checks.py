@@ -7,7 +7,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from agents.coverage.control import CheckedLaw, Situation, control_law
+from agents.coverage.control import Situation
+from agents.coverage.laws import CheckedLaw, control_law
 from agents.tracking.births import prior_size
 from agents.tracking.particles import unlabelled
 from deploy.cli.sensor_checks import check_sensor

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from agents.config import AgentConfig, ControlSettings
 from agents.coverage.control import (
-    LAWS,
     STAND,
     ControlInput,
     ControlLaw,
@@ -19,8 +18,8 @@ from agents.coverage.control import (
     Static,
     UniformDensity,
     approach,
-    control_law,
 )
+from agents.coverage.laws import LAWS, control_law
 from agents.tracking.particles import NONE
 from protocol.geometry import EMPTY, rectangle, wrap_angle
 from protocol.sensing import SENSOR_CLASSES, Pose

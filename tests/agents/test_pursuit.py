@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig, ControlSettings
-from agents.coverage.control import STAND, Situation, control_law
+from agents.coverage.control import STAND, Situation
+from agents.coverage.laws import control_law
 from agents.coverage.pursuit import STALE, Pursuit
 from agents.tracking.particles import NONE, Particles, unlabelled
 from protocol.geometry import EMPTY, rectangle

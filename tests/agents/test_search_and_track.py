@@ -8,7 +8,7 @@ import pytest
 
 from agents.backend import PLAIN
 from agents.config import AgentConfig, ControlSettings, SearchSettings
-from agents.coverage.control import control_law
+from agents.coverage.laws import control_law
 from agents.coverage.search_and_track import SearchAndTrack
 from agents.coverage.search_plan import (
     SECTORS,

@@ -5,7 +5,7 @@ import shlex
 import msgspec
 import pytest
 
-from agents.coverage.control import control_law
+from agents.coverage.laws import control_law
 from deploy.scenario import parse_set, resolve
 from deploy.simulation import Simulation, simulate
 from deploy.studies.trials import FLAGS, METHODS, Trial, check_method, cost, fingerprint, run_trial

@@ -1,0 +1,64 @@
+"""The control laws by the name that a scenario gives in `control.mode`; a law of the user's own is named as `module:Class`.
+
+A law of the user's own is a class without arguments, and every command of it is checked.
+"""
+
+import math
+
+from agents.backend import PLAIN, Backend
+from agents.config import AgentConfig
+from agents.coverage.control import ControlInput, ControlLaw, Lloyd, RandomWalk, Situation, Static, UniformDensity
+from agents.coverage.pursuit import Pursuit
+from agents.coverage.search_and_track import SearchAndTrack
+from protocol.foreign import fault_of, shown
+from protocol.settings import BadSetting, load_named
+
+LAWS: dict[str, type[ControlLaw]] = {
+    "lloyd": Lloyd,
+    "uniform-density": UniformDensity,
+    "static": Static,
+    "random": RandomWalk,
+    "pursuit": Pursuit,
+    "search-and-track": SearchAndTrack,
+}
+
+
+def control_law(config: AgentConfig, backend: Backend = PLAIN) -> ControlLaw:
+    """The control law that the scenario names; raises BadSetting for an unknown or faulty law."""
+    mode = config.control.mode
+    if mode in LAWS:
+        return SearchAndTrack(config.search, backend) if LAWS[mode] is SearchAndTrack else LAWS[mode]()
+    if ":" not in mode:
+        raise BadSetting(f"control.mode = {mode!r}: known are {', '.join(LAWS)}, or your own as module:Class")
+    try:
+        law = load_named(mode)()
+    except (ValueError, ImportError, TypeError) as error:
+        raise BadSetting(f"control.mode = {mode!r}: {error}") from None
+    except (Exception, SystemExit) as error:
+        raise BadSetting(f"control.mode = {mode!r}: raised {type(error).__name__}: {error}") from error
+    if not callable(getattr(law, "command", None)):
+        raise BadSetting(f"control.mode = {mode!r}: the class needs a method command(situation)")
+    return CheckedLaw(law, mode)
+
+
+class CheckedLaw:
+    """A control law of the user; an answer that is no command raises BadSetting with the name of the class."""
+
+    def __init__(self, law: ControlLaw, name: str) -> None:
+        self._law, self._name = law, name
+        self.uses_fields = bool(getattr(law, "uses_fields", False))
+
+    def command(self, situation: Situation) -> ControlInput:
+        """The command of the law, checked; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""
+        with fault_of(f"{self._name}.command"):
+            answer = self._law.command(situation)
+        try:
+            (vx, vy), turn_rate = answer
+            numbers = tuple(map(float, (vx, vy, turn_rate)))
+        except (TypeError, ValueError):
+            numbers = (math.nan,)
+        if not all(map(math.isfinite, numbers)) or isinstance(answer, str):
+            raise BadSetting(
+                f"{self._name}.command returned {shown(answer)}: should be ((vx, vy), turn_rate), finite numbers in m/s and rad/s"
+            )
+        return (numbers[0], numbers[1]), numbers[2]
