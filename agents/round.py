@@ -49,7 +49,7 @@ class AgentContext(NamedTuple):
     tracker: AnyTracker
     config: AgentConfig
     arena: np.ndarray  # corners (4, 2), m
-    sensor_class: str = ""
+    sensor_class: str
 
     @property
     def announced(self) -> AnnouncedSensor:

@@ -27,7 +27,7 @@ from tests.agents.test_belief import merged, owned_state, particles
 CONFIG = AgentConfig()
 ARENA = rectangle(100.0, 100.0)
 SENSOR = SENSOR_CLASSES["A"]  # sees 8 m far
-ME = AgentContext("s1", SENSOR, sensor_facts(SENSOR), Lloyd(), PLAIN, ParticlePhd(PLAIN), CONFIG, ARENA)
+ME = AgentContext("s1", SENSOR, sensor_facts(SENSOR), Lloyd(), PLAIN, ParticlePhd(PLAIN), CONFIG, ARENA, "A")
 
 
 def said(name: str, x: float, y: float) -> Gossip:
