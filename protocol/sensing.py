@@ -39,7 +39,7 @@ class SensorModel(Protocol):
         """Outline of the field of view (V, 2), counter-clockwise; it need not be convex."""
 
     def __hash__(self) -> int:
-        """That of every object unless a class says otherwise: what follows from a sensor is kept by it."""
+        """Of identity, as every object has it, or of value: what follows from a sensor is kept by it. One of a user is wrapped."""
 
 
 LEAST_ANGLE, LEAST_RADIUS = 1.0e-6, 1.0e-3  # of a wedge, rad and m: quotients by its area stay finite
