@@ -23,7 +23,7 @@ from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, join, select
 from agents.tracking.regions import RegionUpdate, predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import Diagram, OwnedState, RegionInput, Said
+from agents.tracking.tracker import Diagram, OwnedState, RegionInput, Said, claims_tile_arena, unknown_senders
 from protocol.compact import packed, quantised
 from protocol.fields import pack, pack_labels
 from protocol.messages import Gossip
@@ -35,9 +35,8 @@ MOST_TIMES = 4.0  # or this many times the number in a fresh draw of the same ma
 @lru_cache(maxsize=256)
 def owned_by_sender(gossip: Gossip) -> OwnedState:
     """The state that the sender of a gossip owns; a pure memo, because all listeners of a process read the same gossip."""
-    claim = make_claim(gossip.claim_names, gossip.claim)
     particles = Particles(gossip.states.astype(float), np.full(len(gossip.ids), gossip.weight), gossip.ids, gossip.labels)
-    return OwnedState(gossip.sender, claim, particles, gossip.diagram_hash)
+    return OwnedState(gossip.sender, make_claim(gossip.claim_names, gossip.claim), particles, gossip.diagram_hash)
 
 
 class Round(NamedTuple):
@@ -190,12 +189,9 @@ class ParticlePhd(NamedTuple):
         distance wins. Agents with the same diagram have claims that tile the arena. An unknown agent has cut another diagram, even
         if it states the same hash.
         """
-        # All newcomers share the hash of an empty diagram. It claims nothing, so that their copies count.
-        unknown = set() if belief.known_names is None else table.everyone - belief.known_names - {belief.mine.owner}
-        last, config = step.tick - 1, step.config
-        agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash) and not unknown
-        if agreed and belief.everyone and belief.everyone <= table.everyone:
+        if claims_tile_arena(belief, table):
             return table
+        last, config, unknown = step.tick - 1, step.config, unknown_senders(belief, table)
         if belief.claim_tick < last:
             belief = _released(belief)
         owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]

@@ -20,7 +20,7 @@ from agents.tracking.gaussian_reduction import estimates, limited, merged
 from agents.tracking.gaussians import EMPTY, Mixture, chain, clamped, in_order, mean_of, nodes, packed, pick, points, unpacked
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
-from agents.tracking.tracker import Diagram, RegionInput, Said
+from agents.tracking.tracker import Diagram, RegionInput, Said, claims_tile_arena, unknown_senders
 from protocol import geometry
 from protocol.messages import Gossip
 
@@ -78,8 +78,7 @@ class MixtureUpdate(NamedTuple):
 
 def owned_by_sender(gossip: Gossip) -> OwnedMixture:
     """The state that the sender of a gossip owns."""
-    claim = make_claim(gossip.claim_names, gossip.claim)
-    return OwnedMixture(gossip.sender, claim, unpacked(gossip.components), gossip.diagram_hash)
+    return OwnedMixture(gossip.sender, make_claim(gossip.claim_names, gossip.claim), unpacked(gossip.components), gossip.diagram_hash)
 
 
 def received_mixture(received: GossipTable | Mixture) -> Mixture:
@@ -163,11 +162,9 @@ class MixturePhd(NamedTuple):
 
     def merge(self, belief: MixtureBelief, table: GossipTable, step: Step) -> GossipTable | Mixture:
         """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""
-        unknown = set() if belief.known_names is None else table.everyone - belief.known_names - {belief.mine.owner}
-        last, config = step.tick - 1, step.config
-        agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash) and not unknown
-        if agreed and belief.everyone and belief.everyone <= table.everyone:
+        if claims_tile_arena(belief, table):
             return table
+        last, config, unknown = step.tick - 1, step.config, unknown_senders(belief, table)
         if belief.claim_tick < last:
             belief = _released(belief)
         owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]

@@ -104,10 +104,25 @@ class TrackerState(Protocol):
     stamp: int  # the tick of its last round, or of the last prediction
     mine: Any  # the owned state, stated in the next gossip: owner, claim and hash of the diagram, and what the tracker says of its targets
     everyone: frozenset[str]  # see `Diagram`
+    known_names: frozenset[str] | None  # see `Diagram`
 
     @property
     def claim_tick(self) -> int:
         """The tick of the round in which the claim was cut."""
+
+
+def unknown_senders(belief: TrackerState, table: GossipTable) -> frozenset[str]:
+    """The senders in a table that the agent did not know in its last round: they have cut other diagrams, whatever hash they state."""
+    return frozenset() if belief.known_names is None else table.everyone - belief.known_names - {belief.mine.owner}
+
+
+def claims_tile_arena(belief: TrackerState, table: GossipTable) -> bool:
+    """Whether all agents of the diagram of the belief state claims of it: then what they own is the whole density.
+
+    All newcomers share the hash of an empty diagram, 0. It claims nothing, so that their copies count.
+    """
+    agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash)
+    return agreed and bool(belief.everyone) and belief.everyone <= table.everyone and not unknown_senders(belief, table)
 
 
 B = TypeVar("B", bound=TrackerState)
