@@ -46,7 +46,7 @@ def test_a_copy_has_the_compiled_loops_of_the_tree(tmp_path: Path) -> None:
     run.copy_tree(copy)
     program = "from agents.compiled.cache import folder, loops_on_disk; from agents.compiled.cell_kernels import cut_cells\n"
     program += "import numpy as np; a = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])\n"
-    program += "cut_cells(np.array([0]), a, np.ones(4), a, 1e-6); print(loops_on_disk(), sum(cut_cells.stats.cache_hits.values()))"
+    program += "cut_cells(np.array([0]), a, np.ones(4), a); print(loops_on_disk(), sum(cut_cells.stats.cache_hits.values()))"
     variables = {**os.environ, "PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / ".loops")}
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=copy, env=variables, capture_output=True, text=True, timeout=110, check=False
