@@ -9,6 +9,7 @@ import numpy as np
 from protocol.fields import FARTHEST, LARGEST_LABEL, Malformed
 
 MAX_COMPONENTS = 4096
+MOST_MASS = 1000.0  # expected targets of one owner. Every one is an estimate, and to name so many takes 0.4 s, three times as many 10 s
 COMPONENT = np.dtype(
     [("weight", "<f4"), ("place", "<f4", 2), ("velocity", "<f2", 2), ("factor", "<f2", 10), ("id", "<u8"), ("label", "<u8")]
 )
@@ -24,8 +25,16 @@ def read_components(data: bytes) -> np.ndarray:
     return np.frombuffer(data, COMPONENT)
 
 
+def check_mass(what: str, mass: float) -> None:
+    """Refuse a mass in expected targets that is too large: receivers take as many estimates from it, one after the other."""
+    if mass > MOST_MASS:
+        raise Malformed("range", f"{what} hold {mass:g} expected targets, at most {MOST_MASS:g} are allowed")
+
+
 def check_components(data: bytes) -> None:
-    """Refuse numbers that are not finite or beyond `FARTHEST`, negative weights, ids that do not ascend, and labels that are too large."""
+    """Refuse numbers that are not finite or beyond `FARTHEST`, negative weights, too much mass, ids that do not ascend, and labels that are
+    too large.
+    """
     rows = read_components(data)
     if not bool(
         np.all(np.abs(rows["place"]) <= FARTHEST) and np.all(np.isfinite(rows["velocity"])) and np.all(np.isfinite(rows["factor"]))
@@ -33,6 +42,7 @@ def check_components(data: bytes) -> None:
         raise Malformed("range", f"components: every number should be finite, and a place within +-{FARTHEST:g}")
     if not bool(np.all((rows["weight"] >= 0.0) & (rows["weight"] <= FARTHEST))):
         raise Malformed("range", f"components: every weight should be from 0 to {FARTHEST:g}")
+    check_mass("components: they", float(rows["weight"].sum(dtype=float)))
     if bool(np.any(rows["id"][1:] <= rows["id"][:-1])):
         raise Malformed("range", "components: ids should be strictly ascending")
     if bool(np.any(rows["label"] > LARGEST_LABEL)):

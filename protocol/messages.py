@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from protocol.agreement import whole
-from protocol.components import check_components, read_components
+from protocol.components import check_components, check_mass, read_components
 from protocol.fields import (
     CLAIM,
     DETECTIONS,
@@ -127,6 +127,7 @@ GOSSIP_NUMBERS = 14  # x, y, cosine and sine of the heading, COD x, y, power rad
 _pack_numbers = struct.Struct(f"<{GOSSIP_NUMBERS}d").pack
 _pack_plan = struct.Struct("<3d").pack
 _pack_position = struct.Struct("<6d").pack
+_unpack_radius = struct.Struct("<d").unpack_from  # of a row of a claim, from its byte 16 on
 _NO_BOX = struct.pack("<4d", math.inf, math.inf, -math.inf, -math.inf)
 
 
@@ -217,8 +218,12 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
     @once
     def extent(self) -> tuple[float, float]:
-        """The larger one of U and of the area of a disc with the power radius, m^2; the distance of the COD from the sensor, m."""
-        return max(self.unused, math.pi * self.power_radius**2), math.dist(self.cod, self.pose[:2])
+        """The largest of U and of the areas of discs with the power radius and with that of the claim's owner, m^2; the distance of the COD
+        from the sensor, m.
+        """
+        claimed = _unpack_radius(self.claim_bytes, 16)[0] if self.claim_bytes else 0.0
+        radius = max(self.power_radius, abs(claimed))
+        return max(self.unused, math.pi * radius**2), math.dist(self.cod, self.pose[:2])
 
     @once
     def plan(self) -> bytes:
@@ -245,6 +250,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         states, count = STATES.count(self.states_bytes), IDS.count(self.ids_bytes)
         if count != states:
             raise Malformed("shape", f"ids: {count} ids for {states} states")
+        check_mass("weight: the particles", self.weight * count)
         check_label_numbers(*self.label_part)
 
     def check_contents(self) -> None:

@@ -54,7 +54,10 @@ def steady(peers: Iterable[Peer], local: bool) -> bool:
 
 
 def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) -> bool:
-    """Whether a gossip stays within what its sender's sensor can do: U <= D, the COD within reach, and the goal in the arena."""
+    """Whether a gossip stays within what its sender's sensor can do.
+
+    U and the discs of its power radius and of its claim are at most D, the COD is within reach, and the goal in the arena.
+    """
     if gossip.goal is not None and not (0.0 <= gossip.goal[0] <= arena.width and 0.0 <= gossip.goal[1] <= arena.height):
         return False
     area, distance = gossip.extent

@@ -17,6 +17,7 @@ from agents.membership.peer import plausible
 from agents.round import AgentContext, _claim, _fields, _own_cell
 from agents.tracking.belief import Belief, Copies, ParticlePhd
 from agents.tracking.particles import NONE
+from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
@@ -77,6 +78,11 @@ def test_each_bound_of_what_a_sensor_can_do_is_kept_by_itself() -> None:
     def is_plausible(**fields: Any) -> bool:
         return plausible(Gossip(sender="s2", incarnation=1, tick=5, pose=(0.0, 0.0, 0.0), **{**usual, **fields}), announced, arena)
 
+    def claim(radius: float) -> dict[str, Any]:
+        return {"claim_names": ("s2", "s3"), "claim_bytes": pack(np.array([[8.0, 0.0, radius], [9.0, 0.0, 1e6]]), "<f8")}
+
+    assert is_plausible(**claim(radius)) and is_plausible(**claim(-radius))
+    assert not is_plausible(**claim(1.001 * radius)) and not is_plausible(**claim(-1.001 * radius))
     assert is_plausible()
     assert is_plausible(goal=None)
     assert {field: is_plausible(**{field: value}) for field, value in odd.items()} == dict.fromkeys(odd, False)

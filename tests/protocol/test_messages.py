@@ -109,6 +109,13 @@ BROKEN = [
     (GOSSIP, {"ids_bytes": pack(np.array([6, 5]), "<u8")}, "range", "ids"),
     (GOSSIP, {"ids_bytes": pack(np.array([2**63, 2**63 - 1], dtype=np.uint64), "<u8")}, "range", "ids"),
     (GOSSIP, {"weight": -0.1}, "range", "weight"),
+    (GOSSIP, {"weight": 500.1}, "range", "weight: the particles hold 1000.2 expected targets, at most 1000"),
+    (
+        GOSSIP,
+        {"components_bytes": b"".join(pack(np.array([weight]), "<f4") + bytes(48) for weight in (500.0, 500.1))},
+        "range",
+        "components",
+    ),
     (GOSSIP, {"power_radius": -1.0}, "range", "power_radius"),
     (GOSSIP, {"unused": -1.0}, "range", "unused"),
     (GOSSIP, {"unused": 1.1e12}, "range", "unused"),
