@@ -52,9 +52,10 @@ class Lag:
     def hear(self, tick: int, now: float) -> None:
         """Note that a gossip of a tick has come for the first time.
 
-        One that came before the own observation is in time. One that is later than the longest lag counts as lost, and is not noted.
+        One that came before the own observation is in time. One that is later than the longest lag counts as lost, and is not noted; nor is
+        one of a tick so far ahead that it is wrong.
         """
-        opened = self._opened.get(tick, now if tick > self._newest else None)
+        opened = self._opened.get(tick, now if self._newest < tick <= self._newest + MOST else None)
         if opened is None:
             return
         late = max(0, math.ceil((now - opened - self._timeout) / self._period - 1e-9))

@@ -6,7 +6,7 @@ signs make an alarm, upon which the session is opened anew. At least half of the
 peer goes on sending Hellos after its token has vanished: half a session may carry messages, but no tokens.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from protocol.messages import Hello
 
@@ -73,6 +73,15 @@ class SessionWatchdog:
         self._calm_until = NEVER
         if incarnation >= self._up.get(name, 0):  # not the late end of an older incarnation
             self._lost[name] = None
+
+    def keep(self, names: Collection[str]) -> None:
+        """Forget all names but these and the expected ones: anybody can make up names."""
+        known = {*names, *self._expected}
+        for name in {*self._words, *self._up, *self._lost, *self._announced, *self._voters} - known:
+            for table in (self._words, self._up, self._lost):
+                table.pop(name, None)
+            self._announced.discard(name)
+            self._voters.discard(name)
 
     def heard(self, now: float | None = None) -> tuple[str, ...]:
         """The names for the own Hello: peers that sent a Hello, have not left, and sent a message lately; `now` None: at any time."""

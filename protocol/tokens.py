@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from protocol.keys import Token, matches, parse_token, token_key
 from protocol.node import Alive, Gone
 
+MOST_TOKENS = 4096  # kept: a session holds no more links, and anybody may declare tokens
 ALONE_SECONDS = 10.0  # after which a process that sees no token logs a warning
 
 log = logging.getLogger(__name__)
@@ -27,7 +28,7 @@ class Tokens:
         if token is None or token == self._own or not any(matches(expression, key) for expression in self._followed):
             return None
         self._doubtful.discard(token)
-        if (token in self._up) == up:
+        if (token in self._up) == up or (up and len(self._up) >= MOST_TOKENS):
             return None
         if up:
             self._up.add(token)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Set
 
 from protocol.messages import Gossip
 
-MOST_TICKS = 16  # most ticks of which the gossips of a peer are kept; older ones are dropped
+MOST_TICKS = 16  # after the last closed round, of which all gossips are kept; and of so many other ticks of each peer
 
 
 class RoundInbox:
@@ -13,21 +13,30 @@ class RoundInbox:
     def __init__(self) -> None:
         self.rounds: dict[int, dict[str, Gossip]] = {}  # of rounds that are not closed yet
         self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
+        self._closed = -1  # tick of the last closed round
+
+    def is_far_ahead(self, tick: int) -> bool:
+        """Whether a tick comes long after the last closed round: it is wrong, or this agent was stalled."""
+        return tick > self._closed + MOST_TICKS
+
+    def _is_near(self, tick: int) -> bool:
+        """Whether a tick is one of the next ones to be closed."""
+        return tick > self._closed and not self.is_far_ahead(tick)
 
     def put(self, gossips: Iterable[Gossip]) -> None:
-        """Keep accepted gossips, of each peer `MOST_TICKS` ticks at most: ticks far ahead of one peer push out nobody else's."""
+        """Keep accepted gossips: wrong ticks push out no right ones, neither of their sender nor of anybody else."""
         rounds = self.rounds
         for gossip in gossips:
             kept = rounds.get(gossip.tick)
             if kept is None:
                 kept = rounds[gossip.tick] = {}
             kept[gossip.sender] = gossip
-            if len(rounds) > MOST_TICKS:
+            if not self._is_near(gossip.tick) and len(rounds) > MOST_TICKS:
                 self._drop_oldest(gossip.sender)
 
     def _drop_oldest(self, name: str) -> None:
-        """Keep the newest `MOST_TICKS` ticks of a peer."""
-        for tick in sorted(tick for tick, gossips in self.rounds.items() if name in gossips)[:-MOST_TICKS]:
+        """Of the ticks of a peer that are not near keep `MOST_TICKS`, those that came up last: an agent that was stalled needs these."""
+        for tick in [tick for tick, gossips in self.rounds.items() if name in gossips and not self._is_near(tick)][:-MOST_TICKS]:
             del self.rounds[tick][name]
             if not self.rounds[tick]:
                 del self.rounds[tick]
@@ -57,6 +66,7 @@ class RoundInbox:
 
     def close(self, tick: int, peers: Set[str]) -> list[dict[str, Gossip]]:
         """Close the rounds up to `tick`, and return the gossips of each by name. `peers`: the names of the peers."""
+        self._closed = tick
         closed = [self.rounds.pop(stamp) for stamp in sorted([stamp for stamp in self.rounds if stamp <= tick])]
         for gossips in closed:
             self.last = gossips if gossips.keys() == peers else {**self.last, **gossips}

@@ -16,6 +16,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.coverage.capacity import place
+from agents.gossip.inbox import MOST_TICKS
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
 from agents.interest.selection import BEACON_PERIOD, JUMP, MARGIN, SELECTION_PERIOD, Choice, Ground
 from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling, bounds_of
@@ -126,7 +127,8 @@ class InterestManager:
 
     def _table(self, own: Beacon, tick: int) -> np.ndarray:
         """The positions of peers (`PositionTable.table`), after those without a recent beacon are forgotten."""
-        self._forgotten |= self._peer_table.forget(tick - math.ceil(FORGOTTEN * max(self._period, self._peer_table.pace)))
+        since = tick - math.ceil(FORGOTTEN * max(self._period, self._peer_table.pace))
+        self._forgotten |= self._peer_table.forget(since, tick + MOST_TICKS)
         return self._peer_table.positions.table(beacon_row(own, self._context.config.partition.kind))
 
     # ------------------------------------------------------------------ beacons

@@ -114,15 +114,15 @@ class PositionTable:
             end = SIZE * len(self.names)
             self._numbers[SIZE * row : SIZE * (row + 1)] = self._numbers[end : end + SIZE]
 
-    def forget(self, since: int) -> list[str]:
-        """Remove the rows older than the tick `since`; return their names."""
+    def forget(self, since: int, until: int) -> list[str]:
+        """Remove the rows older than the tick `since`, and those later than `until`, whose ticks are wrong; return their names."""
         if since <= self._oldest:
             return []
         self._oldest = min(self._ticks, default=since)
-        if self._oldest >= since:
+        if self._oldest >= since and max(self._ticks, default=until) <= until:
             return []
-        self._oldest = min([tick for tick in self._ticks if tick >= since], default=since)
-        old = [name for name, tick in zip(self.names, self._ticks) if tick < since]
+        self._oldest = min([tick for tick in self._ticks if since <= tick <= until], default=since)
+        old = [name for name, tick in zip(self.names, self._ticks) if not since <= tick <= until]
         for name in old:
             self.remove(name)
         return old

@@ -8,6 +8,8 @@ from protocol.message import Agreed
 from protocol.messages import Beacon, Hello
 from protocol.node import Effect, Warn
 
+MOST_WARNINGS = 64  # of one agent. More help nobody: all are counted, and anybody can make up names
+
 
 class SettingsAgreement:
     """The settings of one agent, compared with those that others announce."""
@@ -35,7 +37,7 @@ class SettingsAgreement:
     def _warn(self, message: Hello | Beacon) -> list[Effect]:
         """A warning, the first time that an incarnation differs. A Hello names the settings that differ; a beacon holds only their hash."""
         announcer = (message.sender, message.incarnation)
-        if announcer in self._warned:
+        if announcer in self._warned or len(self._warned) >= MOST_WARNINGS:
             return []
         self._warned.add(announcer)
         fields = disagreement(self.settings, message.settings) if isinstance(message, Hello) else ()

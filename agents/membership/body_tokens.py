@@ -8,7 +8,7 @@ class BodyTokens:
 
     def __init__(self, peers: PeerTable) -> None:
         self._peers = peers
-        self._newest: dict[str, int] = {}  # name -> youngest incarnation of its body
+        self._newest: dict[str, int] = {}  # name -> youngest incarnation of its body that is there
         self._bodiless: dict[str, int] = {}  # name -> incarnation of the agent that counts as gone
 
     def appear(self, name: str, incarnation: int) -> None:
@@ -20,8 +20,11 @@ class BodyTokens:
 
     def leave(self, name: str, incarnation: int, tick: int, *, doubted: bool) -> bool:
         """A body has gone: its agent counts as gone from the round `tick` on; whether it does now. `doubted`: as in `PeerTable.gone`."""
+        if incarnation < self._newest.get(name, 0):
+            return False
+        self._newest.pop(name, None)
         peer = self._peers.peers.get(name)
-        if incarnation < self._newest.get(name, 0) or peer is None or not peer.token:
+        if peer is None or not peer.token:
             return False
         self._bodiless[name] = peer.incarnation
         return self._peers.gone(name, peer.incarnation, tick, doubted=doubted)

@@ -111,4 +111,5 @@ class Membership:
 
     def _hello(self, now: float | None) -> Hello:
         """The Hello of this agent at `now`; None, before the first observation: it lists all peers that ever sent a Hello and are alive."""
+        self.session_watchdog.keep(self._peer_table.peers)
         return outbox.hello(self._context, self._incarnation, self.session_watchdog.heard(now), self._peer_table.settings)

@@ -28,12 +28,14 @@ from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RAD
 from agents.interest.selection import Choice
 from agents.membership.peer import Peer, announced_by, in_order, plausible, restated, steady
 from protocol.agreement import disagreement, whole
+from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
 
 LOCAL_DIAGRAM = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
 ACCEPTED = ""
 OWN, UNASKED = "own", "unasked"  # reasons without a fault of the sender
+MOST_STRANGERS = 256  # kept where the tokens of all peers are seen: more than may greet before their tokens are seen
 
 
 class PeerTable:
@@ -52,7 +54,7 @@ class PeerTable:
         self._config, self._silence_limit = config, config.ticks_of_silence  # rounds
         self._measures_pace = config.run.clock == "realtime"
         self._responsive_rounds: deque[int] = deque(maxlen=self._silence_limit)  # ticks of the last ones
-        self._name, self.settings, self._others = name, config.agreed(), config.others(name)
+        self._name, self.settings, self._others = name, config.agreed(), dict.fromkeys(config.others(name))
         self.digest = whole(self.settings)
         self.inbox = RoundInbox()
         self.pace = 1  # this agent shares the ticks that this number divides
@@ -60,12 +62,15 @@ class PeerTable:
         self.given_up = 0  # how often a peer with its token up has been silent for too long
         self._last_known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
         self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
+        self._strangers: dict[str, None] = {}  # the peers that are not in the roster and have no token, the earliest first
+        self._most_strangers = MAX_NAMES if self.local else MOST_STRANGERS  # local: tokens are seen of the interest set alone
 
     def alive(self, name: str, incarnation: int) -> None:
         """A token appeared."""
         peer = self._peer(name, incarnation, token=True)
         if peer:
             self.changed |= peer.left_at is not None
+            self._strangers.pop(name, None)
             peer.token, peer.left_at, peer.doubted = True, None, False
             if peer.beacon is not None:
                 self.positions.note(peer, peer.beacon)
@@ -81,6 +86,7 @@ class PeerTable:
         peer.token, peer.doubted, self._steady = False, doubted, False
         if not doubted:
             self._bury(peer, tick)
+        self._bound_strangers(name)
         return not doubted
 
     def _bury(self, peer: Peer, tick: int) -> None:
@@ -171,6 +177,8 @@ class PeerTable:
                 return OWN
             if self.local and name not in self.interest_set:
                 return UNASKED
+            if name not in self.peers:
+                return "unknown_sensor"
             peer = self._peer(name, gossip.incarnation)
             if peer is None:
                 return "incarnation"
@@ -183,7 +191,7 @@ class PeerTable:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
-        peer.missed, peer.doubted = 0, False
+        peer.missed, peer.doubted = peer.missed if self.inbox.is_far_ahead(tick) else 0, False
         if peer.left_at is not None:
             peer.left_at, self.changed = None, True
         return ACCEPTED
@@ -333,8 +341,11 @@ class PeerTable:
             peer = self._peer(beacon.sender, beacon.incarnation)
             if known is None:
                 self.changed = before or self.positions.matters(beacon)
-        if peer is None or (peer.beacon is not None and beacon.tick < peer.beacon.tick):
+        is_older = peer is not None and peer.beacon is not None and beacon.tick < peer.beacon.tick
+        if peer is None or (is_older and peer.beacon is not None and not self.inbox.is_far_ahead(peer.beacon.tick)):
             return False
+        if is_older:  # than one of a wrong tick, far ahead
+            self.positions.remove(peer.name)
         if peer.announced is None:
             peer.announced = announced_by(beacon, self._config)
         back = peer.left_at is not None and beacon.tick > peer.left_at + 1  # a beacon states the position of the next tick
@@ -347,18 +358,38 @@ class PeerTable:
         self.positions.note(peer, beacon)
         return back or silent or is_first
 
-    def forget(self, since: int) -> bool:
-        """Forget the peers without a beacon or gossip since the tick `since`; whether there was one."""
+    def forget(self, since: int, until: int) -> bool:
+        """Forget the peers without a beacon or gossip of the ticks from `since` to `until`; whether there was one."""
         self.positions.catch_up(self.peers, steady=self._steady)
-        before = len(self.peers)
-        for name in self.positions.forget(since):
-            del self.peers[name]
-        if len(self.peers) > len(self.positions):
-            self.peers = {name: peer for name, peer in self.peers.items() if name in self.positions or (peer.left_at or -1) >= since}
-        forgot = len(self.peers) < before
-        if forgot and not self.interest_set.keys() <= self.peers.keys():
-            self._set_interest([peer for name, peer in self.interest_set.items() if name in self.peers], [])
-        return forgot
+        old = self.positions.forget(since, until)
+        if len(self.peers) - len(old) > len(self.positions):
+            old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.left_at or -1) < since]
+        if old:
+            self._remove({*old})
+        return bool(old)
+
+    def _remove(self, names: set[str]) -> None:
+        """Remove the records of some peers, and all that they have said."""
+        self.peers = {name: peer for name, peer in self.peers.items() if name not in names}
+        for name in names:
+            self.positions.remove(name)
+            self.inbox.forget(name)
+            for table in (self._paces, self._last_known, self._strangers):
+                table.pop(name, None)
+        if not names.isdisjoint(self.interest_set):
+            self._set_interest([peer for name, peer in self.interest_set.items() if name not in names], [])
+            self.changed = True
+
+    def _bound_strangers(self, name: str) -> None:
+        """Note a peer without a token as a stranger, unless it is in the roster; forget the earliest of too many.
+
+        Anybody can make up names and greet under them; a token is up as long as a session keeps it.
+        """
+        if name in self._others:
+            return
+        self._strangers[name] = None
+        if len(self._strangers) > self._most_strangers:
+            self._remove({next(iter(self._strangers))})
 
     def choose(self, table: np.ndarray, choice: Choice) -> None:
         """Make the chosen ones of N peers the interest set; a table (N or more, 6) holds their positions."""
@@ -397,7 +428,7 @@ class PeerTable:
             peer is not None and token and incarnation != peer.incarnation and not (peer.token or peer.doubted) and peer.left_at is None
         )
         if peer is None or younger or guessed:
-            peer = Peer(name, incarnation)
+            is_new, peer = peer is None, Peer(name, incarnation)
             self.positions.remove(name)
             if self.local:
                 self.peers[name] = peer
@@ -407,4 +438,6 @@ class PeerTable:
             if not self.local or name in self.interest_set:
                 self.interest_set, self._steady = in_order(self.interest_set, peer), False
                 self.inbox.forget(name)
+            if is_new and not token:
+                self._bound_strangers(name)
         return peer if incarnation == peer.incarnation else None

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from agents.membership.peer_table import MOST_STRANGERS
 from agents.tracking.gaussians import points, unpacked
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
@@ -122,6 +123,7 @@ class Picture:
         self.roster_version = 0  # grows when an agent or its sensor becomes known
         self.version = 0  # grows with everything that is heard
         self.paused: frozenset[str] = frozenset()  # as the supervisor says
+        self._strangers: dict[str, None] = {}  # the agents that are not in the roster and have no token, the earliest first
         self._numbered = 0
         self._keeps_no_diary = False
         self._silent_after = silent_after(scenario)
@@ -291,6 +293,7 @@ class Picture:
         if known.seen and incarnation > known.incarnation:
             known.forget()
         known.incarnation, known.alive = incarnation, True
+        self._strangers.pop(name, None)
         self._settle()
 
     def _vanish(self, name: str, incarnation: int) -> None:
@@ -298,6 +301,7 @@ class Picture:
         if known.alive and known.incarnation in (incarnation, UNKNOWN):
             known.alive = False
             self._settle()
+            self._bound_strangers(name)
 
     def _reject(self, event: Rejected) -> None:
         known = self.agents.get(event.sender)
@@ -306,7 +310,24 @@ class Picture:
             known.rejected += 1
 
     def _known(self, name: str) -> KnownAgent:
-        return self.agents.get(name) or self._meet(name, "", None)
+        known = self.agents.get(name)
+        if known is None:
+            known = self._meet(name, "", None)
+            self._bound_strangers(name)
+        return known
+
+    def _bound_strangers(self, name: str) -> None:
+        """Note an agent without a token as a stranger, unless it is in the roster; forget the earliest of too many (`PeerTable`)."""
+        if name in self.scenario.members:
+            return
+        self._strangers[name] = None
+        if len(self._strangers) <= MOST_STRANGERS:
+            return
+        earliest = next(iter(self._strangers))
+        del self._strangers[earliest], self.agents[earliest]
+        for who, reason in [key for key in self.rejected if key[0] == earliest]:
+            self.rejected[OTHER, reason] += self.rejected.pop((who, reason))
+        self.roster_version += 1
 
     def _meet(self, name: str, sensor_class: str, sensor: SensorModel | None) -> KnownAgent:
         self.agents[name] = KnownAgent(name, sensor_class, sensor)

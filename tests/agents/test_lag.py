@@ -72,3 +72,11 @@ def test_what_was_measured_before_a_stall_is_forgotten() -> None:
     lag.forget()
     lag.close([], 4.0)
     assert lag.need == 0 and lag.current == 0
+
+
+def test_a_gossip_of_a_tick_far_ahead_is_not_noted() -> None:
+    lag = fresh()
+    play(lag, range(5), 0.0)
+    for tick in range(1000, 1100):
+        lag.hear(tick, 2.0)
+    assert max(lag._late) <= 4

@@ -41,7 +41,7 @@ def peers() -> PeerTable:
 
 def choose(found: PeerTable) -> None:
     """Listen to everybody who is known."""
-    found.forget(-1)
+    found.forget(-1, 100)
     table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
     everybody = [True] * len(found.positions)
     found.choose(table, Choice(np.array(everybody), Rectangle(-50.0, -50.0, 50.0, 50.0)))
@@ -49,7 +49,7 @@ def choose(found: PeerTable) -> None:
 
 def eyes(found: PeerTable) -> dict[str, float]:
     """Where everybody's sensor is, m east."""
-    found.forget(-1)
+    found.forget(-1, 100)
     table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
     return dict(zip(found.positions.names, table[:, SENSOR_X].tolist()))
 
@@ -146,3 +146,13 @@ def test_a_peer_that_starts_anew_keeps_its_place_among_those_that_are_heard() ->
     choose(found)
     found.take_beacon(beacon("s3", 1, 20.0, incarnation=2))
     assert list(found.interest_set) == ["s2", "s3"] and found.interest_set["s3"].incarnation == 2
+
+
+def test_after_a_beacon_of_a_tick_far_ahead_the_next_right_one_counts() -> None:
+    found = peers()
+    found.take_beacon(beacon("s2", 10_000, 33.0))
+    assert eyes(found)["s2"] == 33.0
+    found.take_beacon(beacon("s2", 1, 11.0))
+    assert eyes(found) == {"s2": 11.0, "s3": 20.0}
+    found.take_beacon(beacon("s2", 0, 10.0))
+    assert eyes(found)["s2"] == 11.0

@@ -1,10 +1,11 @@
 """Who is there: tokens, greetings and gossips decide who bounds the diagram of a tick and whose word a round waits for."""
 
 import msgspec
+import pytest
 
 from agents.config import AgentConfig
 from agents.gossip.inbox import MOST_TICKS
-from agents.membership.peer_table import PeerTable
+from agents.membership.peer_table import MOST_STRANGERS, PeerTable
 from protocol.messages import Gossip, Hello
 from protocol.node import Batch
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
@@ -64,11 +65,66 @@ def test_a_peer_that_says_ticks_far_ahead_pushes_out_nobody_elses_gossips() -> N
     assert len(peers.inbox.rounds) == MOST_TICKS
 
 
-def test_of_a_peer_whose_rounds_nobody_closes_the_newest_ticks_are_kept() -> None:
+def test_of_a_peer_whose_rounds_nobody_closes_the_next_and_the_newest_ticks_are_kept() -> None:
     peers = neighbours("s2", "s3")
-    for tick in range(3 * MOST_TICKS):
+    for tick in range(4 * MOST_TICKS):
         assert hear(peers, gossip("s2", tick)) is None and hear(peers, gossip("s3", tick)) is None
-    assert sorted(peers.inbox.rounds) == list(range(2 * MOST_TICKS, 3 * MOST_TICKS))
+    assert sorted(peers.inbox.rounds) == [*range(MOST_TICKS), *range(3 * MOST_TICKS, 4 * MOST_TICKS)]
+
+
+@pytest.mark.parametrize("wrong", [+10_000, +1, -10_000])
+@pytest.mark.parametrize("first", [True, False])
+def test_sixteen_wrong_ticks_of_a_peer_in_every_round_push_out_none_of_its_right_ones(wrong: int, first: bool) -> None:
+    peers = neighbours("s2", "s3")
+    peers.close(19_999)
+    for tick in range(20_000, 20_000 + 3 * MOST_TICKS):
+        right, fakes = gossip("s3", tick), [gossip("s3", tick + wrong + number) for number in range(MOST_TICKS)]
+        hear(peers, gossip("s2", tick))
+        for said in [*fakes, right] if first else [right, *fakes]:
+            hear(peers, said)
+        assert peers.fresh(tick).keys() == {"s2", "s3"}
+        peers.close(tick)
+
+
+def test_an_agent_that_wakes_hears_the_last_ticks_of_all() -> None:
+    peers = neighbours("s2", "s3")
+    for tick in range(600):
+        assert hear(peers, gossip("s2", tick)) is None and hear(peers, gossip("s3", tick)) is None
+    assert peers.fresh(599).keys() == {"s2", "s3"}
+
+
+def test_no_round_waits_for_a_peer_that_says_ticks_far_ahead_alone() -> None:
+    peers = neighbours("s2", "s3")
+    waited = []
+    for tick in range(8):
+        assert hear(peers, gossip("s2", tick)) is None and hear(peers, gossip("s3", 10_000 + tick)) is None
+        waited.append(peers.missing(tick) == {"s3"})
+        peers.close(tick)
+    assert waited == [True] * 4 + [False] * 4
+
+
+def test_of_made_up_names_that_say_hello_a_fixed_number_is_kept() -> None:
+    peers = neighbours("s2")
+    for number in range(3 * MOST_STRANGERS):
+        name = f"x{number}"
+        assert hear(peers, gossip(name, 0)) == "unknown_sensor" and name not in peers.peers
+        assert peers.take_hello(hello(name)) is None and hear(peers, gossip(name, 0)) is None
+    assert len(peers.peers) == len(peers.interest_set) == 1 + MOST_STRANGERS
+    assert "s2" in peers.peers and f"x{3 * MOST_STRANGERS - 1}" in peers.peers and "x0" not in peers.peers
+    assert sum(map(len, peers.inbox.rounds.values())) == MOST_STRANGERS
+    peers.close(0)
+    assert len(peers.inbox.last) == MOST_STRANGERS
+
+
+def test_guests_with_a_token_are_kept_however_many_strangers_say_hello_and_those_that_have_gone_are_strangers() -> None:
+    peers = neighbours("s2", "g1", "g2")
+    peers.gone("g2", 1, 0)
+    for number in range(MOST_STRANGERS):
+        peers.take_hello(hello(f"x{number}"))
+    peers.alive("x0", 1)
+    peers.take_hello(hello("y"))
+    assert {"s2", "g1", "x0", "x1", "y"} <= peers.peers.keys() and "g2" not in peers.peers
+    assert len(peers.peers) == 3 + MOST_STRANGERS
 
 
 def test_a_round_waits_for_everybody_alive_until_all_have_spoken() -> None:

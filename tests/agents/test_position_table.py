@@ -52,7 +52,7 @@ def test_after_any_comings_and_goings_the_rows_are_those_of_a_dictionary() -> No
                 expected[name] = tick, number
             if tick % 20 == 0:
                 version, old = places.version, {name for name, (said, _) in expected.items() if said < tick - 10}
-                assert set(places.forget(tick - 10)) == old and (places.version != version) == bool(old)
+                assert set(places.forget(tick - 10, tick)) == old and (places.version != version) == bool(old)
                 expected = {name: word for name, word in expected.items() if name not in old}
             assert firsts(places) == {name: number for name, (_, number) in expected.items()} and len(places) == len(expected)
             assert all((f"s{number}" in places) == (f"s{number}" in expected) for number in range(12))

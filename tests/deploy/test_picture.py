@@ -7,8 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from agents.membership.peer_table import MOST_STRANGERS
 from deploy.page.frames import belief, beside, curves, density_grid, frame, greeting, moment
-from deploy.page.picture import Picture, silent_after
+from deploy.page.picture import OTHER, Picture, silent_after
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.scoring.scores import Score
 from deploy.simulation import Simulation
@@ -143,6 +144,20 @@ def test_rejected_messages_are_counted_by_known_sender_and_reason() -> None:
     picture = shown(Rejected("s1", "format"), Rejected("s1", "format"), *[Rejected(f"n{number}", "key") for number in range(9)])
     assert picture.rejected == {("s1", "format"): 2, ("(other)", "key"): 9}
     assert picture.agents["s1"].rejected == 2
+
+
+def test_of_made_up_names_a_fixed_number_is_drawn_and_nobody_of_the_roster_or_with_a_token_is_forgotten() -> None:
+    picture = shown(Alive("agent", "guest", 1), msgspec.structs.replace(gossip(1), sender="guest"))
+    roster = {*picture.agents}
+    for number in range(2 * MOST_STRANGERS):
+        name = f"x{number}"
+        picture.see(received(msgspec.structs.replace(gossip(1), sender=name)), 0.0)
+        picture.see(Rejected(name, "range"), 0.0)
+    picture.see(Alive("agent", "late", 1), 0.0)
+    picture.see(Gone("agent", "late", 1), 0.0)
+    assert len(picture.agents) == len(roster) + MOST_STRANGERS
+    assert roster | {"late", f"x{2 * MOST_STRANGERS - 1}"} <= picture.agents.keys() and "x0" not in picture.agents
+    assert picture.rejected[OTHER, "range"] == MOST_STRANGERS + 1 and picture.rejected.total() == 2 * MOST_STRANGERS
 
 
 def test_the_density_of_a_cluster_keeps_its_mass() -> None:

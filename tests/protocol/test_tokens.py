@@ -4,7 +4,7 @@ import pytest
 
 from protocol.keys import Token, token_key
 from protocol.node import Alive, Gone
-from protocol.tokens import Tokens
+from protocol.tokens import MOST_TOKENS, Tokens
 
 OWN = Token("t", "agent", "s1", 1)
 ALL = ["covey/t/alive/**"]
@@ -62,3 +62,12 @@ def test_who_meets_nobody_is_told_where_to_look(caplog: pytest.LogCaptureFixture
     tokens.see(key("s2"), True)
     tokens.warn_if_alone(("tls/10.0.0.1:7447",))
     assert caplog.text == ""
+
+
+def test_of_any_number_of_tokens_a_fixed_number_is_kept_and_the_place_of_one_that_goes_is_free() -> None:
+    tokens = Tokens(OWN, ALL)
+    told = [tokens.see(key(f"x{number}"), True) for number in range(MOST_TOKENS + 10)]
+    assert None not in told[:MOST_TOKENS] and told[MOST_TOKENS:] == [None] * 10
+    assert tokens.see(key(f"x{MOST_TOKENS}"), False) is None
+    assert tokens.see(key("x0"), False) == Gone("agent", "x0", 1)
+    assert tokens.see(key("s2"), True) == Alive("agent", "s2", 1)

@@ -106,9 +106,9 @@ def test_a_queue_of_more_ticks_than_an_inbox_keeps_is_noticed() -> None:
     gossip = inbox.last["s2"]
     inbox.put([msgspec.structs.replace(gossip, tick=tick) for tick in range(100, 200)])
     check_round(agent, is_first=False)
-    inbox.rounds[300] = {"s2": gossip}
-    assert len(inbox.rounds) == MOST_TICKS + 1
-    with pytest.raises(InvariantBroken, match="a queue of 17 ticks of a peer"):
+    inbox.rounds |= {tick: {"s2": gossip} for tick in range(300, 301 + MOST_TICKS)}
+    assert len(inbox.rounds) == 2 * MOST_TICKS + 1
+    with pytest.raises(InvariantBroken, match="a queue of 33 ticks of a peer"):
         check_round(agent, is_first=False)
 
 

@@ -1,0 +1,99 @@
+"""Valid messages and tokens of made-up names: an agent keeps a fixed number of such names, in whatever it keeps."""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import pytest
+
+from agents.agent import Agent
+from agents.config import TimingSettings
+from agents.gossip.inbox import MOST_TICKS
+from agents.membership.agreement import MOST_WARNINGS
+from agents.membership.peer_table import MOST_STRANGERS
+from protocol.messages import Beacon, Hello
+from protocol.node import Alive, Effect, Gone, Timer, Warn, received
+from tests.agents.test_agent import LOCKSTEP, hello, met, only, see, word
+
+MANY = 3 * MOST_STRANGERS
+
+
+def names_in(root: object) -> set[str]:
+    """The made-up names that can be reached from an object of ours, but for what numpy, msgspec and memos keep."""
+    found, seen, waiting = set[str](), set[int](), deque([root])
+    while waiting:
+        item = waiting.popleft()
+        if isinstance(item, str):
+            found |= {item} if item.startswith("x") and item[1:].isdecimal() else set()
+        elif id(item) not in seen:
+            seen.add(id(item))
+            waiting.extend(parts_of(item))
+    return found
+
+
+def parts_of(item: Any) -> list[object]:
+    if isinstance(item, Mapping):
+        return [*item.keys(), *item.values()]
+    if isinstance(item, list | tuple | set | frozenset | deque):
+        return [*item]
+    if type(item).__module__.partition(".")[0] not in ("agents", "protocol"):
+        return []
+    slots = [name for each in type(item).__mro__ for name in getattr(each, "__slots__", ())]
+    return [*getattr(item, "__dict__", {}).values(), *(getattr(item, name, None) for name in slots)]
+
+
+def flood(agent: Agent, first: int, now: float) -> list[Effect]:
+    """Names from the number `first` on: an agent without a token, one whose token comes and goes, a body, one with other settings."""
+    effects: list[Effect] = []
+    for number in range(first, first + MANY, 4):
+        speaker, passing, body, other = (f"x{number + place}" for place in range(4))
+        events = [hello(speaker), word(agent.tick + 1, speaker), Alive("agent", passing, 1), hello(passing), Gone("agent", passing, 1)]
+        events += [Alive("body", body, 1), Gone("body", body, 1), hello(other, settings={"arena": {"width": float(number)}})]
+        for event in events:
+            effects += agent.handle(event, now)
+    return effects
+
+
+def test_an_agent_that_hears_everybody_keeps_a_fixed_number_of_made_up_names() -> None:
+    agent, warned = met(), 0
+    for tick in range(6):
+        now = 0.5 * tick
+        agent.handle(see(tick), now)
+        agent.handle(word(tick), now)
+        warned += sum(isinstance(effect, Warn) for effect in flood(agent, MANY * tick, now))
+        due = agent.deadline()
+        agent.handle(Timer(), now if due is None else max(now, due))
+    agent.handle(Timer(), 60.0)
+    assert {"s2"} < agent.peer_table.peers.keys() and len(agent.peer_table.peers) == 1 + MOST_STRANGERS
+    assert warned == MOST_WARNINGS
+    most = 2 * MOST_STRANGERS + MOST_WARNINGS  # those of the last round, those of now, and those that a warning has named
+    assert MOST_STRANGERS <= len(names_in(agent)) <= most < 2 * MANY
+
+
+def test_its_own_hello_lists_the_names_that_it_keeps_and_no_others() -> None:
+    agent = met()
+    agent.handle(see(0), 0.0)
+    flood(agent, 0, 0.1)
+    due = agent.deadline()
+    assert due is not None
+    greeting = only(agent.handle(Timer(), max(due, 2.0)), Hello)
+    assert isinstance(greeting, Hello) and "s2" in greeting.heard and 100 < len(greeting.heard) <= 1 + MOST_STRANGERS
+
+
+@pytest.mark.parametrize("tick", [1, 2**40])
+def test_an_agent_that_hears_its_neighbours_forgets_made_up_names_whatever_tick_they_say(tick: int) -> None:
+    agent = Agent(msgspec.structs.replace(LOCKSTEP, timing=TimingSettings(interest="neighbours")), "s1")
+    usual = {"position": (1.0, 1.0), "cod": (2.0, 1.0), "power_radius": 1.0, "reach": 8.0, "column": 0, "row": 0, "sensor_class": "B"}
+    said = [Beacon(sender=f"x{number}", incarnation=1, tick=tick, **usual) for number in range(40)]  # type: ignore[arg-type]
+    for own in range(3 * MOST_TICKS):
+        agent.handle(see(own), 0.5 * own)
+        if own < 3:
+            agent.handle(received(*said), 0.5 * own)
+            assert len(agent.peer_table.peers) == 40
+        for _ in range(8):
+            due = agent.deadline()
+            if due is None or due > 0.5 * own + 0.5:
+                break
+            agent.handle(Timer(), due)
+    assert agent.tick == 3 * MOST_TICKS - 1 and not agent.peer_table.peers and not names_in(agent.peer_table)
