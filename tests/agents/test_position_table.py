@@ -64,3 +64,10 @@ def test_a_row_says_the_generator_of_the_diagram_in_use() -> None:
             sender="s1", incarnation=1, tick=0, position=(1.0, 2.0), cod=(3.0, 4.0), power_radius=5.0, reach=6.0, column=0, row=0
         )
         assert POSITION_ROW.unpack(beacon_row(beacon, kind)) == (1.0, 2.0, 6.0, *generator)
+
+
+def test_a_row_of_a_tick_that_is_still_to_come_is_forgotten_as_well() -> None:
+    places = PositionTable()
+    for name, tick in (("s1", 5), ("s2", 21), ("s3", 20)):
+        places.put(name, tick, row(1.0))
+    assert places.forget(3, 20) == ["s2"] and places.forget(4, 20) == [] and places.forget(6, 20) == ["s1"]
