@@ -114,7 +114,7 @@ BROKEN = [
         GOSSIP,
         {"components_bytes": b"".join(pack(np.array([weight]), "<f4") + bytes(48) for weight in (500.0, 500.1))},
         "range",
-        "components",
+        "components: they hold",
     ),
     (GOSSIP, {"power_radius": -1.0}, "range", "power_radius"),
     (GOSSIP, {"unused": -1.0}, "range", "unused"),
