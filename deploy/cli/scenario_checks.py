@@ -25,6 +25,7 @@ from deploy.scenario import (
     world_config,
     world_names,
 )
+from protocol.components import MOST_MASS
 from protocol.endpoints import check_endpoints
 from protocol.geometry import rectangle
 from protocol.mistakes import mistakes
@@ -36,6 +37,7 @@ from world.sources import READERS, body_source
 from world.targets import CheckedMotion, build_motion
 
 MOST_PRIOR = 1_000_000  # particles that an agent starts with
+MOST_EXPECTED = 0.5 * MOST_MASS  # targets for each agent in the mean; of unequal cells the largest says twice as many
 MOST_BINS = 20_000_000  # of the grid on which an agent looks for targets
 WAITED_FOR = {"delay", "slow"}  # faults whose effect is lateness
 TEAM = {"team", "members", "sensors"}  # sections that are right or wrong together
@@ -119,7 +121,12 @@ def check_costs(scenario: Scenario) -> None:
         most = MOST_PRIOR / (filters.particles_per_target * area)
         line = f"filter.prior_density = {filters.prior_density!r}: a prior of {particles} particles in {area:.3g} m^2"
         raise BadSetting(f"{line}; should be at most {most:.2g}")
-    least = math.sqrt(area / (max(1, len(scenario.members)) * MOST_BINS))
+    team = max(1, len(scenario.members))
+    expected = filters.prior_density * area / team
+    if expected > MOST_EXPECTED:
+        line = f"filter.prior_density = {filters.prior_density!r}: a prior of {expected:.0f} expected targets for each of {team} agents"
+        raise BadSetting(f"{line}; should be at most {MOST_EXPECTED * team / area:.2g}")
+    least = math.sqrt(area / (team * MOST_BINS))
     if scenario.extraction.bin < least:
         line = f"extraction.bin = {scenario.extraction.bin!r}: too fine for {area:.3g} m^2"
         raise BadSetting(f"{line}; should be at least {1.05 * least:.2g} m")

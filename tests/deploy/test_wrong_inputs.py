@@ -55,6 +55,11 @@ TYPED = [
         2,
         "filter.prior_density = 50.0: a prior of 2343750 particles in 625 m^2; should be at most 21",
     ),
+    (
+        "simulate quick --set filter.prior_density=5",  # each says more than the others take for possible
+        2,
+        "filter.prior_density = 5.0: a prior of 521 expected targets for each of 6 agents; should be at most 4.8",
+    ),
     ("simulate quick --set arena.width=1e9", 2, "arena.width = 1000000000.0, arena.height = 25.0: a prior of"),
     ("simulate quick --set arena.width=1e4 --set arena.height=1e4", 2, "should be at most 3.3e+06 m^2"),
     ("simulate quick --loss nan", 2, "--loss nan: should be a share"),
