@@ -98,9 +98,9 @@ class LiveSource:
         return (self._other.picture, self._of_one_tick(self._other)[1]) if self._other else None
 
     def _of_one_tick(self, other: SimulatedSwarm) -> tuple[Score | None, Score | None]:
-        """The scores of the newest tick of which everything has been heard in both swarms."""
+        """The scores of the newest tick of which everything has been heard in both swarms; where one lags behind, that of the live one."""
         mine, theirs = ({score.tick: score for score in scores[-RECENT_SCORES:-1]} for scores in (self._scorer.scores, other.scores))
-        tick = max(mine.keys() & theirs.keys(), default=-1)
+        tick = max(mine.keys() & theirs.keys(), default=max(mine, default=-1))
         return mine.get(tick), theirs.get(tick)
 
     def about(self, may_act: bool) -> dict[str, Any]:

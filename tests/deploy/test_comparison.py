@@ -162,6 +162,16 @@ def test_the_swarm_beside_a_live_one_is_played_to_its_tick_and_no_further(tmp_pa
     assert hello["beside"]["names"] == ["the paper's method, live", "search and track, simulated"]
 
 
+def test_a_live_swarm_keeps_its_figures_while_the_one_beside_it_lags_far_behind(tmp_path: Path) -> None:
+    source, running, other = live_beside_simulated(tmp_path)
+    other.play(3)
+    while running.scorer.truth is None or running.scorer.truth.tick < 40:
+        running.bus.step()
+    score, beside = source.score(), source.beside()
+    assert score is not None and score.tick == 38
+    assert beside is not None and beside[1] is None
+
+
 def test_who_is_killed_in_the_live_swarm_dies_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source, _, other = live_beside_simulated(tmp_path)
     asked: list[tuple[str, str]] = []

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 
 from deploy.page.frames import moment
+from deploy.page.picture import MOST_TICKS
 from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recording import Recording
 from deploy.recording.replay import ReplayNode, ReplaySource
@@ -72,6 +73,15 @@ def test_a_jump_shows_what_playing_up_to_there_would_have_shown(run: tuple[Simul
                 for name in set(agent) - {"name", "state", "pose"}:
                     del agent[name]
     assert one == other
+
+
+def test_after_a_jump_the_trails_reach_back_some_ticks_where_ticks_are_long(tmp_path: Path) -> None:
+    simulation = Simulation(resolve("quick", {"run.seconds": 120.0, "run.dt": 2.0}))
+    Observers(simulation.scorer, open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True))
+    simulation.run()
+    replay = ReplaySource(Recording(tmp_path / "a.mcap"))
+    replay.seek(100.0)
+    assert len(replay.picture.trail) == MOST_TICKS
 
 
 def test_the_look_through_the_whole_file_finds_the_scores_of_the_run_and_who_was_lost(run: tuple[Simulation, Recording]) -> None:
