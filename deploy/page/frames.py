@@ -96,13 +96,15 @@ def score_of(score: Score | None) -> list[float] | None:
 
 
 def thinned(scores: Sequence[Score]) -> Sequence[Score]:
-    """At most `MOST_POINTS` of them, evenly spread."""
-    return scores[:: max(1, math.ceil(len(scores) / MOST_POINTS))]
+    """At most `MOST_POINTS` of them: one of each few, that with the largest hole and overlap, for these come and go within a tick."""
+    step = max(1, math.ceil(len(scores) / MOST_POINTS))
+    return [max(scores[at : at + step], key=lambda score: score.hole + score.overlap) for at in range(0, len(scores), step)]
 
 
 def curves(scores: Sequence[Score]) -> dict[str, list[float]]:
     """The scores by name, thinned out."""
-    return {name: [_rounded(getattr(score, name)) for score in thinned(scores)] for name in CURVES}
+    kept = thinned(scores)
+    return {name: [_rounded(getattr(score, name)) for score in kept] for name in CURVES}
 
 
 def beside(scores: Sequence[Score], others: Sequence[Score]) -> list[float | None]:

@@ -30,10 +30,10 @@ def frame(time: float, **agent: object) -> dict[str, object]:
 
 SEEN = """(() => {
   const scene = new Scene();
-  scene.begin({ agents: [{}] }, { bodies: {}, targets: {} });
+  scene.begin({ agents: [{}], dt: DT }, { bodies: {}, targets: {} });
   data.forEach((one) => scene.take(one));
   return %s;
-})()"""
+})()""".replace("DT", "0.25")
 
 
 def test_estimates_with_labels_leave_trails_by_label_and_others_leave_none() -> None:
@@ -42,13 +42,47 @@ def test_estimates_with_labels_leave_trails_by_label_and_others_leave_none() -> 
     assert node(SEEN % "scene.trails.labels.size", [frame(1, targets=[5, 5])], "scene") == 0
 
 
-def test_the_cell_of_one_that_has_died_fades_for_four_seconds_and_a_jump_back_forgets_it() -> None:
+def test_the_cell_of_one_that_has_died_fades_for_four_seconds_and_a_jump_forgets_it() -> None:
     square, gone = [0, 0, 1, 0, 1, 1], {"state": "dead", "cell": []}
     died = [frame(1, cell=square), frame(2, **gone)]
     assert node(SEEN % "scene.fading", died, "scene") == [{"index": 0, "cell": square, "time": 2}]
     assert node(SEEN % "scene.fading", [*died, frame(5.9, **gone)], "scene") != []
     assert node(SEEN % "scene.fading", [*died, frame(6, **gone)], "scene") == []
     assert node(SEEN % "scene.fading", [*died, frame(1.5, cell=square)], "scene") == []
+    assert node(SEEN % "scene.fading", [died[0], frame(5.1, **gone)], "scene") == [], "it may have died long before this moment"
+
+
+def test_fading_and_trails_last_for_some_ticks_at_least() -> None:
+    square, gone = [0, 0, 1, 0, 1, 1], {"state": "dead", "cell": []}
+    slow = SEEN.replace("0.25", "5")
+    frames = [frame(5, cell=square), frame(10, **gone), frame(45, **gone)]
+    assert node(slow % "[scene.fading.length, scene.fade, scene.trail]", frames, "scene") == [1, 40, 120]
+    assert node(SEEN % "[scene.fade, scene.trail]", [], "scene") == [4, 12]
+
+
+def test_large_numbers_have_fewer_digits() -> None:
+    numbers = [0.0, 6.472, 131.74, 2371.71, -2371.71, 17671457.8]
+    assert node("data.map((number) => short(number, 2))", numbers, "texts") == ["0.00", "6.47", "131.7", "2372", "-2372", "1.77e7"]
+
+
+def test_marks_are_half_as_large_at_least_where_most_would_cover_their_nearest() -> None:
+    three = [0.0, 0.0, 10.0, 0.0, 30.0, 0.0]  # m; the nearest are 10, 10 and 20 m away
+    assert node("[2, 1.2, 0.9, 0.1].map((scale) => room(data, 6, scale))", three, "shapes") == [1, 1, 0.75, 0.5]
+    assert node("[room([], 6, 1), room([1, 1], 6, 1)]", 0, "shapes") == [1, 1]
+
+
+def test_of_two_marks_at_one_place_of_the_time_line_the_death_stands() -> None:
+    happened = [[1, 9.9, "asked", "s2", ""], [2, 10.0, "lost", "s2", ""], [3, 12.3, "told", "s2", ""], [4, 10.2, "lost", "s3", ""]]
+    assert node("apart(data, 1)", happened, "curves") == [[10.0, "lost"], [12.3, "told"]]
+    assert sorted(node("apart(data, 0)", happened, "curves")) == [[9.9, "asked"], [10.0, "lost"], [10.2, "lost"], [12.3, "told"]]
+
+
+def test_a_curve_that_is_thinned_out_keeps_holes_of_one_tick() -> None:
+    scores = [[0.25 * tick, 1, 1, 8, 8, 8, 0.1 if tick in (1001, 1702) else 0, 0] for tick in range(2401)]
+    made = "(() => { const history = fresh(); data.forEach((score) => append(history, score, 5)); return [history.time, history.hole]; })()"
+    times, holes = node(made, scores, "curves")
+    assert len(times) == 1201
+    assert [time for time, hole in zip(times, holes) if hole] == [1001 * 0.25, 1702 * 0.25]
 
 
 def test_gossip_is_fresh_in_the_frame_that_brings_a_new_one_alone() -> None:

@@ -239,8 +239,14 @@ def test_the_curve_of_a_second_swarm_stands_at_the_ticks_of_the_first() -> None:
     assert beside(other, [each for each in one if each.tick % 4]) == [None if tick % 4 == 0 else 1.0 for tick in range(0, 2400, 2)]
 
 
-def score(tick: int, ospa: float) -> Score:
-    return Score(tick, 0.25 * tick, ospa, 0.0, 1, 1, 1, 1.0, 0.0, 0.0)
+def test_a_thinned_curve_keeps_the_hole_of_one_tick() -> None:
+    found = curves([score(tick, 1.0, hole=0.1 if tick in (1001, 1702) else 0.0) for tick in range(2401)])
+    assert len(found["time"]) == 801
+    assert [time for time, hole in zip(found["time"], found["hole"]) if hole] == [1001 * 0.25, 1702 * 0.25]
+
+
+def score(tick: int, ospa: float, hole: float = 0.0) -> Score:
+    return Score(tick, 0.25 * tick, ospa, 0.0, 1, 1, 1, 1.0, hole, 0.0)
 
 
 def test_what_an_agent_believes_can_be_asked_for_and_nobody_else_is_known() -> None:

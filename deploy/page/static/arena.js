@@ -1,9 +1,9 @@
 // The arena from above: density, cells, footprints, bodies, detections, targets, estimates, trails, and one agent's belief.
 import { alpha, css, isLight, marks, owner } from "./palette.js";
-import { FADE } from "./scene.js";
-import { arrow, bars, cross, diamond, disc } from "./shapes.js";
+import { arrow, bars, cross, diamond, disc, room } from "./shapes.js";
+import { short } from "./texts.js";
 
-const TRAIL = 12; // s
+const RING = 6, LONGEST_NAME = 24; // radius of a true target, px; letters
 
 export class Arena {
   constructor(canvas, state, scene, view) {
@@ -46,6 +46,7 @@ export class Arena {
     c.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.ground();
     if (!frame) return;
+    this.small = this.unit * room(frame.targets, RING * this.unit, this.scale);
     c.save();
     c.beginPath();
     c.rect(this.x(0), this.y(hello.arena[1]), hello.arena[0] * this.scale, hello.arena[1] * this.scale);
@@ -66,8 +67,8 @@ export class Arena {
     if (on.truth) this.targets();
     if (on.estimates) frame.agents.forEach((agent) => this.estimates(agent.targets));
     frame.agents.forEach((agent, index) => this.body(agent, index));
-    if (on.names) this.names();
-    if (this.title) this.headline();
+    const headline = this.title ? [this.headline()] : [];
+    if (on.names) this.names(headline);
     c.restore();
   }
 
@@ -75,7 +76,7 @@ export class Arena {
     const c = this.pen, [east, north] = this.state.hello.arena;
     c.fillStyle = css("field");
     c.fillRect(this.x(0), this.y(north), east * this.scale, north * this.scale);
-    const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find((size) => Math.max(east, north) / size <= 11) || 5000;
+    const least = Math.max(east, north) / 11, power = 10 ** Math.floor(Math.log10(least)), step = power * [1, 2, 5, 10].find((size) => size * power >= least);
     c.strokeStyle = css("grid");
     c.lineWidth = this.ratio;
     c.beginPath();
@@ -90,7 +91,7 @@ export class Arena {
     c.textBaseline = "alphabetic";
     const bar = step * this.scale;
     c.fillRect(this.x(0), this.y(0) + 5 * this.ratio, bar, 2 * this.ratio);
-    c.fillText(`${step} m`, this.x(0) + bar + 5 * this.ratio, this.y(0) + 10 * this.ratio);
+    c.fillText(step < 1000 ? `${step} m` : `${step / 1000} km`, this.x(0) + bar + 5 * this.ratio, this.y(0) + 10 * this.ratio);
   }
 
   path(flat) {
@@ -161,17 +162,17 @@ export class Arena {
     if (this.state.on.estimates) for (const way of trails.labels.values()) this.way(way, this.mark.estimate, 1.4, 0.7, 0.5 * this.state.hello.cutoff);
   }
 
-  // A line through points in time; it is broken where they are more than `most` m apart.
+  // A line through points in time; it is broken where they are more than `most` m apart, or some seconds: nothing was seen between.
   way(points, colour, width, share, most = Infinity) {
-    const c = this.pen, now = this.frame.time;
+    const c = this.pen, now = this.frame.time, { fade, trail } = this.scene;
     c.strokeStyle = alpha(colour, share);
     c.lineWidth = width * this.ratio;
     c.beginPath();
     let drawn = false;
     for (let i = 0; i < points.length; i += 3) {
-      if (points[i] < now - TRAIL || points[i] > now) continue;
+      if (points[i] < now - trail || points[i] > now) continue;
       const px = this.x(points[i + 1]), py = this.y(points[i + 2]);
-      const near = drawn && Math.hypot(points[i + 1] - points[i - 2], points[i + 2] - points[i - 1]) <= most;
+      const near = drawn && points[i] - points[i - 3] <= fade && Math.hypot(points[i + 1] - points[i - 2], points[i + 2] - points[i - 1]) <= most;
       near ? c.lineTo(px, py) : c.moveTo(px, py);
       drawn = true;
     }
@@ -198,8 +199,8 @@ export class Arena {
   }
 
   targets() {
-    const c = this.pen, { targets } = this.frame, size = 6 * this.unit;
-    for (const [colour, width] of [[css("field"), 4], [this.mark.truth, 1.8]]) {
+    const c = this.pen, { targets } = this.frame, size = RING * this.small;
+    for (const [colour, width] of [[css("field"), 1.8 + (2.2 * this.small) / this.unit], [this.mark.truth, 1.8]]) {
       c.strokeStyle = colour;
       c.lineWidth = width * this.ratio;
       for (let i = 0; i < targets.length; i += 2) {
@@ -213,7 +214,7 @@ export class Arena {
   // A dot: in the ring of a true target when that was found.
   estimates(flat, colour = this.mark.estimate) {
     if (!flat) return;
-    for (let i = 0; i < flat.length; i += 2) disc(this.pen, this.x(flat[i]), this.y(flat[i + 1]), 3.4 * this.unit, colour, css("field"), 1.2 * this.ratio);
+    for (let i = 0; i < flat.length; i += 2) disc(this.pen, this.x(flat[i]), this.y(flat[i + 1]), 3.4 * this.small, colour, css("field"), (1.2 * this.ratio * this.small) / this.unit);
   }
 
   body(agent, index) {
@@ -237,29 +238,32 @@ export class Arena {
     c.stroke();
   }
 
-  // Which diagram this is, and how large its error is.
+  // Which diagram this is, and how large its error is, as the figures say it. Returns the box that the words take.
   headline() {
-    const c = this.pen, { score } = this.frame;
+    const c = this.pen, { told, scene } = this.state, score = (this.scene === scene ? told : told?.beside)?.score;
     c.font = `600 ${13 * this.unit}px system-ui, sans-serif`;
     c.textAlign = "left";
     c.textBaseline = "bottom";
     c.fillStyle = this.ink;
-    c.fillText(`${this.title}${score ? `, OSPA ${score[1].toFixed(2)} m` : ""}`, this.x(0), Math.max(18 * this.unit, this.y(this.state.hello.arena[1]) - 4 * this.ratio));
+    const words = `${this.title}${score ? `, OSPA ${short(score[1], 2)} m` : ""}`, foot = Math.max(18 * this.unit, this.y(this.state.hello.arena[1]) - 4 * this.ratio);
+    c.fillText(words, this.x(0), foot, this.canvas.width - this.x(0)); // narrower where there is no room
+    return [this.x(0), foot - 16 * this.unit, c.measureText(words).width, 16 * this.unit];
   }
 
-  // Names above their bodies, or where no other name stands: below, right or left of them.
-  names() {
-    const c = this.pen, size = 6.5 * this.unit, high = 10.5 * this.unit, taken = [];
+  // Names above their bodies, or where nothing else is written: below, right or left of them. `taken`: boxes of other words.
+  names(taken) {
+    const c = this.pen, size = 6.5 * this.unit, high = 10.5 * this.unit;
     c.font = `600 ${high}px system-ui, sans-serif`;
     c.textAlign = "center";
     c.textBaseline = "middle";
     for (const { name, pose, state } of this.frame.agents) {
       if (!pose || state === "waiting") continue;
-      const px = this.x(pose[0]), py = this.y(pose[1]), wide = c.measureText(name).width + 4 * this.ratio, away = size + 0.65 * high, beside = 1.4 * size + wide / 2;
+      const words = name.length > LONGEST_NAME ? `${name.slice(0, LONGEST_NAME - 1)}…` : name;
+      const px = this.x(pose[0]), py = this.y(pose[1]), wide = c.measureText(words).width + 4 * this.ratio, away = size + 0.65 * high, beside = 1.4 * size + wide / 2;
       const boxes = [[0, -away], [0, away], [beside, 0], [-beside, 0]].map(([right, down]) => [px + right - wide / 2, py + down - high / 2, wide, high]);
-      const box = boxes.find((one) => this.isFree(one, taken)) || boxes[0];
+      const box = boxes.find((one) => this.isFree(one, taken)) || [Math.max(0, Math.min(this.canvas.width - wide, boxes[0][0])), ...boxes[0].slice(1)];
       taken.push(box);
-      this.name(name, box[0] + wide / 2, box[1] + high / 2, state === "dead");
+      this.name(words, box[0] + wide / 2, box[1] + high / 2, state === "dead");
     }
   }
 
@@ -281,7 +285,7 @@ export class Arena {
 
   // The cell of one that has died, fading into those of its heirs.
   fade({ index, cell, time }) {
-    const c = this.pen, share = Math.max(0, 1 - (this.frame.time - time) / FADE);
+    const c = this.pen, share = Math.max(0, 1 - (this.frame.time - time) / this.scene.fade);
     this.path(cell);
     c.fillStyle = alpha(this.owner(index), 0.45 * share);
     c.fill();
@@ -353,7 +357,7 @@ export class Arena {
     c.setLineDash([]);
     for (const one of belief.claim || []) this.ring(this.x(one.at[0]), this.y(one.at[1]), Math.max(2, one.radius * this.scale), alpha(this.owner(this.state.order.get(one.name) ?? 0), 0.9));
     const found = belief.targets || [];
-    for (let i = 0; i < found.length; i += 2) this.ring(this.x(found[i]), this.y(found[i + 1]), 8.5 * this.unit, this.mark.estimate);
+    for (let i = 0; i < found.length; i += 2) this.ring(this.x(found[i]), this.y(found[i + 1]), 8.5 * this.small, this.mark.estimate);
   }
 
   // The place under a pointer, m.

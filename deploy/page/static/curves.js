@@ -1,7 +1,8 @@
 // Curves over the world's time, and the strip of what happened. Each chart is one canvas: lines, a scale, and the newest values.
 import { alpha, css, GLYPHS, isLight } from "./palette.js";
+import { short } from "./texts.js";
 
-const MOST = 2400; // points kept of a curve; beyond that every other one goes
+const MOST = 2400; // points kept of a curve; beyond that one of each two goes
 export const NAMES = ["time", "ospa", "gospa", "targets", "estimated", "mass", "hole", "overlap", "rate", "beside"];
 
 // Line colours of the charts (Okabe and Ito), by theme, and a dash for each so that they differ without colour as well.
@@ -29,7 +30,15 @@ export function append(history, score, rate, beside = null) {
   score.forEach((value, index) => history[NAMES[index]].push(value));
   history.rate.push(rate);
   history.beside.push(beside);
-  if (history.time.length > MOST) for (const name of NAMES) history[name] = history[name].filter((_, index) => index % 2 === 0);
+  if (history.time.length > MOST) thin(history);
+}
+
+// Keep one of each two points: that with the larger hole and overlap, for these come and go within a tick.
+function thin(history) {
+  const torn = (index) => history.hole[index] + history.overlap[index];
+  const kept = [];
+  for (let i = 0; i < history.time.length; i += 2) kept.push(torn(i + 1) > torn(i) ? i + 1 : i);
+  for (const name of NAMES) history[name] = kept.map((index) => history[name][index]);
 }
 
 function prepare(canvas) {
@@ -76,7 +85,7 @@ export function drawChart(canvas, chart, state) {
   pen.beginPath();
   for (const share of [0, 0.5, 1]) { const at = Math.round(y(share * most / times)) + 0.5; pen.moveTo(left, at); pen.lineTo(width, at); }
   pen.stroke();
-  marks(pen, state, x, head, height);
+  faultLines(pen, state, x, head, height);
   const colours = isLight() ? LINES.light : LINES.dark;
   chart.lines.forEach(([name], index) => line(pen, history.time, history[name], x, y, colours[index], DASHES[index].map((part) => part * ratio), ratio));
   if (frame && frame.play) { pen.fillStyle = css("accent"); pen.fillRect(x(frame.time), head, 1.5 * ratio, height); }
@@ -85,7 +94,7 @@ export function drawChart(canvas, chart, state) {
   label(pen, chart, state, colours, width, em);
 }
 
-function marks(pen, state, x, head, height) {
+function faultLines(pen, state, x, head, height) {
   pen.fillStyle = alpha(css("warn"), 0.55);
   for (const [, time, kind] of state.happenings.values()) if (kind === "lost" || kind === "partition") pen.fillRect(x(time), head, 1, height - head);
 }
@@ -125,7 +134,7 @@ function label(pen, chart, state, colours, width, em) {
   pen.textAlign = "right";
   chart.lines.map(([name, words], index) => [name, words, index]).reverse().forEach(([name, words, index]) => {
     const now = !reads && frame && frame.score && NAMES.indexOf(name) < frame.score.length ? frame.score[NAMES.indexOf(name)] : history[name][last];
-    const text = `${words ? `${words} ` : ""}${now === undefined || now === null ? "–" : (times * now).toFixed(chart.digits)}`;
+    const text = `${words ? `${words} ` : ""}${now === undefined || now === null ? "–" : short(times * now, chart.digits)}`;
     pen.fillStyle = colours[index];
     pen.fillText(text, at, 0.92 * em);
     at -= pen.measureText(text).width + 0.3 * em;
@@ -158,20 +167,26 @@ export function drawStrip(canvas, state) {
   pen.font = `${0.82 * em}px system-ui, "DejaVu Sans", sans-serif`;
   pen.fillStyle = css("soft");
   pen.textBaseline = "alphabetic";
+  pen.textAlign = "left";
   const step = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((size) => seconds / size <= Math.min(12, width / (4 * em))) || seconds / 10;
   for (let time = 0; time <= seconds + 1e-9; time += step) {
-    pen.textAlign = time === 0 ? "left" : time + step > seconds ? "right" : "center";
-    pen.fillText(`${Math.round(time)} s`, x(time), height - 2 * ratio);
+    const words = `${Math.round(time)} s`, half = pen.measureText(words).width / 2;
+    pen.fillText(words, Math.max(x(0), Math.min(x(seconds) - 2 * half, x(time) - half)), height - 2 * ratio);
   }
   pen.font = `700 ${0.86 * em}px system-ui, "DejaVu Sans", sans-serif`;
   pen.textAlign = "center";
   pen.textBaseline = "middle";
-  const room = new Map();
-  for (const [, time, kind] of happenings.values()) {
-    const at = Math.round(x(time) / (0.6 * em)), key = `${at} ${kind}`;
-    if (room.has(key)) continue;
-    room.set(key, true);
+  for (const [time, kind] of apart([...happenings.values()], (0.8 * em * seconds) / (width - em))) {
     pen.fillStyle = { lost: css("warn"), twin: css("warn"), silent: css("warn"), paused: css("warn"), partition: css("warn"), links: css("warn"), world: css("soft"), asked: css("accent") }[kind] || css("good");
     pen.fillText(GLYPHS[kind] || "•", x(time), middle);
   }
+}
+
+const FIRST = ["lost", "partition", "heal", "links", "back", "joined", "twin", "world", "paused", "silent", "heard", "asked", "told"]; // which mark stands where two would
+
+// The marks of some happenings as [time, kind], at least so many s apart: what weighs most keeps its place.
+export function apart(happenings, least) {
+  const kept = [];
+  for (const kind of FIRST) for (const [, time, its] of happenings) if (its === kind && kept.every(([other]) => Math.abs(other - time) >= least)) kept.push([time, kind]);
+  return kept;
 }

@@ -23,7 +23,7 @@ const ITEMS = [
 
 export function fillLegend(list, state) {
   if (!state.frame) return;
-  const has = (test) => state.frame.agents.some(test), now = { on: state.on, frame: state.frame, chosen: state.chosen, has };
+  const has = (test) => state.frame.agents.some(test), now = { on: state.on, frame: state.frame, chosen: has((agent) => agent.name === state.chosen && agent.state !== "dead"), has };
   const shown = ITEMS.filter(([, , when]) => when(now)), stamp = `${document.documentElement.dataset.theme} ${state.on.cells} ${shown.map(([name]) => name)}`;
   if (list.dataset.stamp === stamp) return;
   list.dataset.stamp = stamp;

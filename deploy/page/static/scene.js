@@ -3,7 +3,8 @@ import { colouring } from "./colouring.js";
 import { OWNERS } from "./palette.js";
 
 const MOST = 1200; // numbers kept of a trail, three a point
-export const FADE = 4; // s of the world in which a dead agent's cell fades
+const FADE = 4, TRAIL = 12; // s of the world in which a dead agent's cell fades, and that trails last; or so many ticks, where these are longer:
+const FADE_TICKS = 8, TRAIL_TICKS = 24;
 
 export class Scene {
   constructor() { this.clear(); }
@@ -19,6 +20,8 @@ export class Scene {
 
   // What a newcomer is told.
   begin(hello, trails) {
+    this.fade = Math.max(FADE, FADE_TICKS * hello.dt);
+    this.trail = Math.max(TRAIL, TRAIL_TICKS * hello.dt);
     this.trails.bodies = new Map(Object.entries(trails.bodies));
     this.trails.targets = new Map(Object.entries(trails.targets));
     if (this.colours.length !== hello.agents.length) this.colours = hello.agents.map((_, index) => index % OWNERS);
@@ -26,7 +29,8 @@ export class Scene {
 
   take(frame) {
     const last = this.frame;
-    if (last && frame.time < last.time) { this.fading = []; this.cells.clear(); this.trails.labels.clear(); }
+    if (last && (frame.time < last.time || frame.time > last.time + this.fade)) { this.fading = []; this.cells.clear(); }
+    if (last && frame.time < last.time) this.trails.labels.clear();
     if (!last || frame.time !== last.time) { this.remember(frame); this.bury(frame); }
     for (const agent of frame.agents) this.hear(agent);
     this.frame = frame;
@@ -46,13 +50,13 @@ export class Scene {
     frame.ids.forEach((id, index) => add(this.trails.targets, String(id), frame.time, frame.targets[2 * index], frame.targets[2 * index + 1]));
     for (const ways of [this.trails.targets, this.trails.labels]) {
       if (ways.size <= 3 * frame.ids.length + 50) continue;
-      for (const [id, way] of ways) if (way[way.length - 3] < frame.time - 20) ways.delete(id);
+      for (const [id, way] of ways) if (way[way.length - 3] < frame.time - this.trail) ways.delete(id);
     }
   }
 
   // The cell of an agent that is dead since the frame before.
   bury(frame) {
-    this.fading = this.fading.filter((one) => frame.time < one.time + FADE);
+    this.fading = this.fading.filter((one) => frame.time < one.time + this.fade);
     frame.agents.forEach((agent, index) => {
       if (agent.cell && agent.cell.length) this.cells.set(agent.name, agent.cell);
       else if (agent.state === "dead" && this.cells.has(agent.name)) {

@@ -1,5 +1,17 @@
 // The shapes of marks, for the arena and for the legend: each kind has its own.
 
+// A share, from a half to 1: so much smaller are round marks (x, y, x, y, ... in m) of a radius, px, that every other one leaves its nearest free.
+export function room(flat, radius, scale) {
+  const nearest = [];
+  for (let i = 0; i < flat.length; i += 2) {
+    let least = Infinity;
+    for (let j = 0; j < flat.length; j += 2) if (j !== i) least = Math.min(least, Math.hypot(flat[i] - flat[j], flat[i + 1] - flat[j + 1]));
+    nearest.push(least);
+  }
+  nearest.sort((one, other) => one - other);
+  return nearest.length < 2 ? 1 : Math.max(0.5, Math.min(1, (nearest[nearest.length >> 1] * scale) / (2 * radius)));
+}
+
 export function disc(c, x, y, size, colour, rim, width) {
   c.beginPath();
   c.arc(x, y, size, 0, 7);

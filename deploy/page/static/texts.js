@@ -31,7 +31,7 @@ export const TEXTS = {
   detections: ["Detections", "Points that the sensors measured in this tick.", "Some are false: clutter."],
   truth: ["True targets", "Where the targets are in the world.", "The agents do not know it. The page shows it to you."],
   estimates: ["Estimates", "Where the agents say that targets are.", "A dot in a ring is a target that was found.", "An empty ring was missed. A dot alone is false."],
-  trails: ["Trails", "The ways of the last 12 s: of agents in their colours, of targets thin, of tracks with their labels.", "A label that jumps leaves a gap."],
+  trails: ["Trails", "The ways of the last 12 s, or of 24 ticks where these are longer.", "Agents have their colours, targets are thin, tracks have labels.", "A label that jumps leaves a gap."],
   hold: ["Hold", "The picture stands still until you press it again. The swarm goes on."],
   names: ["Names", "The names of the agents."],
   belief: ["Belief of the chosen agent", "Drawn from its own messages alone.", "Dots: its particles. Dashed outline: its cell.", "Wide rings in the colour of estimates: its estimates."],
@@ -64,11 +64,17 @@ export function tellCutoff(cutoff) {
   TEXTS.GOSPA[3] = `Each missed or invented target adds ${cutoff / 2} m.`;
 }
 
+// A number with so many digits after the point, fewer where it is large.
+export function short(value, digits) {
+  const size = Math.abs(value);
+  return size >= 1e5 ? value.toExponential(2).replace("e+", "e") : value.toFixed(size >= 1000 ? 0 : size >= 100 ? Math.min(1, digits) : digits);
+}
+
 // What an agent's numbers say, in sentences.
 export function agentLines(agent, outfit) {
   if (agent.state === "dead") return ["Its process has ended.", "Its neighbours answer for its former cell."];
   if (agent.mass === undefined) return ["It has not spoken yet."];
-  const lines = [`It expects ${agent.mass.toFixed(2)} targets in its cell.`, `It reports ${agent.targets.length / 2}.`, `Unused capacity U: ${agent.unused.toFixed(1)} m².`];
+  const lines = [`It expects ${short(agent.mass, 2)} targets in its cell.`, `It reports ${agent.targets.length / 2}.`, `Unused capacity U: ${short(agent.unused, 1)} m².`];
   if (agent.neighbours && agent.neighbours.length) lines.push(`Its neighbours: ${agent.neighbours.join(", ")}.`);
   if (agent.age > 0) lines.push(`Its last message is ${agent.age.toFixed(2)} s old.`);
   return outfit && outfit.class ? [`Sensor of class ${outfit.class}, ${agent.state}.`, ...lines] : lines;
