@@ -21,6 +21,13 @@ ALIVE_SECONDS = 5.0  # from the address of the demo until the page is alive
 BUSY = 5.0  # times the limits that the page promises: other tests run beside this one; docs/how-to/watch.md has what a quiet machine takes
 
 
+TITLES = """window.titles = [];
+const fill = CanvasRenderingContext2D.prototype.fillText;
+CanvasRenderingContext2D.prototype.fillText = function (text, ...place) {
+  if (this.canvas.closest('#charts')) window.titles.push(text);
+  return fill.call(this, text, ...place);
+};
+null"""  # what is written on the curves; the title of one after the names of its lines
 SLOW = """
 import sys, time
 if "deploy.live.zygote" in sys.orig_argv:
@@ -43,6 +50,8 @@ def test_bodies_move_and_a_click_kills(covey: Covey, page: Any) -> None:
     until(page, f"document.querySelector('#row-s2.dead') && {happened('lost', 's2')}")
     until(page, "covey.frame.agents.find((agent) => agent.name === 's2').cell.length === 0 && covey.frame.score[6] < 1e-6")
     until(page, "document.querySelector('#log').textContent.includes('s2 is gone')")
+    until(page, "document.querySelector('#belief-cell').textContent.startsWith('Held')")
+    until(page, "!document.querySelector('#legend').textContent.includes('its claim')")  # nothing of a dead one's belief is drawn
     taken = time.monotonic() - clicked
     print(f"from the click to the cell taken over: {taken:.2f} s")  # shown by pytest -s
     assert taken < KILL_SECONDS * BUSY
@@ -78,14 +87,18 @@ def test_the_page_of_the_demo_is_the_first_thing_said_and_is_alive_soon(covey: C
     print(f"from the address to the page that is alive: {taken:.2f} s")
     assert taken < ALIVE_SECONDS * BUSY
     until(page, "covey.frame && covey.frame.tick > 4 && covey.frame.agents.every((agent) => agent.state === 'alive')")
-    until(page, "covey.frame.beside && covey.frame.score && covey.frame.tick === covey.frame.beside.tick")
-    assert page.evaluate("covey.frame.targets.join() === covey.frame.beside.targets.join()")
+    of_one_tick = "covey.frame.tick === covey.frame.beside.tick && covey.frame.targets.join() === covey.frame.beside.targets.join()"
+    until(page, f"covey.frame.beside && covey.frame.beside.score && {of_one_tick}")
     assert page.evaluate("covey.hello.beside.names") == ["the paper's method, live", "search and track, simulated"]
+    page.set_viewport_size({"width": 1280, "height": 720})
+    page.evaluate(TITLES)
+    until(page, "titles.some((text, at) => /^search and track.*[0-9]$/.test(text) && titles[at + 2] === 'OSPA')")
     page.set_viewport_size({"width": 1440, "height": 900})
     until(page, f"{bottom('#row-s16')} <= {bottom('#team')}")  # the last row is seen whole
     page.set_viewport_size({"width": 420, "height": 900})
     until(page, "document.querySelector('#title').scrollWidth <= document.querySelector('#title').clientWidth")
     until(page, "document.documentElement.scrollWidth <= 420")
+    until(page, "document.querySelector('#arena').offsetHeight === document.querySelector('#beside').offsetHeight")
 
 
 def test_everything_can_be_reached_by_keyboard(covey: Covey, page: Any) -> None:

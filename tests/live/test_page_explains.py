@@ -1,5 +1,6 @@
 """The page explains itself in a real Chromium: hints, tour, zoom, keys, read-outs, links, a comparison, no barriers."""
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,8 @@ def test_hints_say_what_a_figure_and_an_agent_are_by_pointer_and_by_keyboard(url
     at = round(x) + 4, round(y) + 4
     page.mouse.move(*at)
     until(page, f"({HINT}).includes('How far the estimates are from the true targets')")
+    page.mouse.click(*at)
+    until(page, f"({HINT}).includes('How far the estimates are from the true targets')")  # a finger has nothing but the click
     page.focus("#figure-GOSPA")
     page.keyboard.press("Tab")
     until(page, f"({HINT}).startsWith('Targets') && document.activeElement.getAttribute('aria-describedby') === 'hint'")
@@ -108,8 +111,19 @@ def test_space_arrows_and_escape_do_what_people_expect_of_a_player(url: str, pag
     until(page, "covey.frame.play.playing && covey.frame.time > 4")
     page.keyboard.press("Space")
     until(page, "!covey.frame.play.playing")
+    box = page.locator("#scrub").bounding_box()
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    until(page, "Math.abs(covey.frame.time - 15) < 1")
+    page.keyboard.press("Space")  # the slider that was clicked has not kept the focus
+    until(page, "covey.frame.play.playing")
+    page.keyboard.press("Space")
+    until(page, "!covey.frame.play.playing")
     page.keyboard.press("ArrowDown")
     until(page, "covey.chosen === 's1' && covey.belief")
+    page.wait_for_timeout(900)
+    asked = page.evaluate(ASKED)
+    page.wait_for_timeout(900)
+    assert page.evaluate(ASKED) == asked, "while nothing moves nothing is asked"
     page.keyboard.press("?")
     page.keyboard.press("Escape")
     assert page.evaluate("covey.chosen") == "s1" and page.is_hidden("#help")
@@ -156,9 +170,11 @@ def test_a_dead_agents_cell_fades_and_the_legend_knows_what_is_drawn(url: str, p
 
 def test_the_tour_has_five_steps_is_skipped_with_escape_and_remembered(covey: Covey, page: Any) -> None:
     url = address(covey.start("demo", "quick", "--page", "0", "--seconds", "600"))
+    page.set_viewport_size({"width": 390, "height": 844})
     alive(page, url)
     for step in range(1, 6):
         assert page.inner_text("#tour small") == f"{step} of 5"
+        assert step in (1, 4) or page.evaluate(APART), f"step {step} hides what it explains"
         page.keyboard.press("Enter")  # the button for the next step has the focus
     assert page.is_hidden("#tour")
     page.reload()
@@ -173,10 +189,39 @@ def test_the_tour_has_five_steps_is_skipped_with_escape_and_remembered(covey: Co
     tick = page.evaluate("covey.frame.tick")
     page.wait_for_timeout(700)
     assert page.evaluate("covey.frame.tick") == tick
-    page.keyboard.press("Space")
-    until(page, f"covey.frame.tick > {tick}")
+    assert page.evaluate("(document.querySelector('#hold').click(), covey.frame.tick)") > tick, "the newest frame has waited"
+    until(page, f"covey.frame.tick > {tick + 1}")
+    tick = page.evaluate(SEEN % "true" + ", covey.frame.tick")
+    page.wait_for_timeout(700)
+    assert page.evaluate("covey.frame.tick") == tick, "nothing is drawn for a page that nobody sees"
+    assert page.evaluate(SEEN % "false" + ", covey.frame.tick") > tick
     page.goto("about:blank")  # a page that is open would complain that its server has gone
     assert covey.run("down")[0] == 0
+
+
+@pytest.mark.parametrize("page", ["ERR_CONNECTION_REFUSED"], indirect=True)
+def test_a_page_whose_server_ends_says_so_and_shows_the_next_one_at_the_same_place(covey: Covey, file: Path, page: Any) -> None:
+    """The next one replays a run in which nobody is called s6, and whose agents have long names."""
+    names = ("reconnaissance-quadcopter-of-the-second-flight-01", "robot")
+    other = covey.folder / "other.mcap"
+    members = {f"members.{name}": "A" for name in names}
+    simulation = Simulation(resolve("quick", {"run.seconds": 5.0, "run.name": "other", **members}))
+    Observers(simulation.scorer, open_recorder(other, simulation.scenario, virtual=True))
+    simulation.run()
+    process = covey.start("replay", str(file), "--page", "0")
+    url = address(process)
+    page.goto(f"{url}?t=12&agent=s6")
+    until(page, "covey.frame && covey.belief && !covey.frame.play.playing")
+    process.send_signal(signal.SIGINT)
+    until(page, "document.querySelector('#link').textContent === 'the server has ended'")
+    page.keyboard.press("Space")
+    until(page, "document.querySelector('#answer').textContent.includes('no connection')")
+    process.wait(timeout=60)
+    address(covey.start("replay", str(other), "--page", url.rstrip("/").rpartition(":")[2]))
+    until(page, "covey.hello.run === 'other' && covey.frame.agents.length === 2 && covey.told === covey.frame")
+    assert page.evaluate("covey.chosen") is None and page.is_hidden("#belief")
+    assert page.inner_text("#link") == "replay"
+    assert page.evaluate("document.querySelector('#roster').offsetWidth <= document.querySelector('#team').clientWidth")
 
 
 def test_two_diagrams_go_in_step_and_a_target_follows_the_pointer_on_both_sides(covey: Covey, page: Any) -> None:
@@ -184,10 +229,20 @@ def test_two_diagrams_go_in_step_and_a_target_follows_the_pointer_on_both_sides(
     until(page, "covey.frame && covey.frame.beside && covey.frame.tick > 20")
     assert page.evaluate("covey.frame.tick === covey.frame.beside.tick && covey.frame.targets.join() === covey.frame.beside.targets.join()")
     assert page.evaluate("covey.frame.agents.map((one) => one.cell).join() !== covey.frame.beside.agents.map((one) => one.cell).join()")
+    page.evaluate(WRITTEN)
+    until(page, "errors.length > 20")
+    assert [one for one, other in page.evaluate("errors") if one != other] == [], "the arena says what the figures say"
     page.click("#switch-names")
     page.evaluate("['cells', 'density'].forEach((name) => document.querySelector(`#switch-${name}`).click())")
     page.keyboard.press("Space")
     until(page, "!covey.frame.play.playing")
+    page.evaluate(
+        "written.length = 0, covey.frame.agents.forEach((one, index) => { one.pose = [4, covey.hello.arena[1] - 4 * index, 0]; })"
+    )
+    page.keyboard.press("n")
+    until(page, "written.some(({ text }) => text === 's1')")
+    assert page.evaluate(OVERWRITTEN) == []
+    page.keyboard.press("n")
     number, east, north = page.evaluate(FREE_TARGET)
     x, y = screen(page, east, north)
     page.mouse.move(x, y)
@@ -203,6 +258,26 @@ def test_two_diagrams_go_in_step_and_a_target_follows_the_pointer_on_both_sides(
     until(page, "document.querySelector('#log').textContent.includes('s1 is killed on both sides')")
 
 
+ASKED = "performance.getEntriesByType('resource').filter(({ name }) => name.includes('/api/agent/')).length"
+SEEN = "Object.defineProperty(document, 'hidden', { value: %s, configurable: true }), document.dispatchEvent(new Event('visibilitychange'))"
+APART = """(() => {
+  const [card, thing, player] = ['#tour', '.toured', 'footer'].map((name) => document.querySelector(name).getBoundingClientRect());
+  return thing.top >= 0 && thing.bottom <= player.top + 1 && (card.bottom <= thing.top || thing.bottom <= card.top);
+})()"""  # neither the card nor the player covers the thing
+WRITTEN = """window.written = [], window.errors = [];
+const fill = CanvasRenderingContext2D.prototype.fillText;
+CanvasRenderingContext2D.prototype.fillText = function (text, x, y, ...most) {
+  const wide = this.measureText(text).width, left = this.textAlign === 'center' ? x - wide / 2 : x;
+  if (this.canvas.id === 'arena') window.written.push({ text, left, right: left + wide, y: this.textBaseline === 'middle' ? y + 6 : y });
+  if (text.startsWith('power, OSPA')) window.errors.push([text.split(' ')[2], document.querySelector('#figure-OSPA b').firstChild.textContent]);
+  return fill.call(this, text, x, y, ...most);
+};
+null"""  # words on the left arena, each with the place of its foot; the error there and among the figures
+OVERWRITTEN = """(() => {
+  const title = written.find(({ text }) => text.startsWith('power'));
+  const over = ({ text, left, right, y }) => /^s\\d+$/.test(text) && Math.abs(y - title.y) < 10 && left < title.right && right > title.left;
+  return written.filter(over).map(({ text }) => text);
+})()"""
 MOVED = "(({ids, targets}, id, at = 2 * ids.indexOf(id)) => Math.hypot(targets[at] - 12, targets[at + 1] - 12) < 3)"
 UNEXPLAINED = """import('/texts.js').then(({ TEXTS }) =>
   [...document.querySelectorAll('[data-hint]')].map((thing) => thing.dataset.hint).filter((name) => !TEXTS[name]))"""

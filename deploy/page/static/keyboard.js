@@ -3,8 +3,10 @@
 const PAN = 0.12, ZOOM = 1.4, LONG = 10; // shares of what is seen; times; s that Shift jumps
 
 export function keys(page) {
-  // A button that was clicked does not keep the focus: Space is the player's then. One that was reached by Tab has it.
-  addEventListener("click", (event) => { const button = event.detail && event.target.closest("button"); if (button) button.blur(); });
+  // A button that was clicked does not keep the focus: Space is the player's then. One that was reached by Tab has it. The slider and the speed likewise.
+  // At first, before the click is answered: a hint that goes with the focus comes back with the click.
+  addEventListener("click", (event) => { const button = event.detail && event.target.closest("button"); if (button) button.blur(); }, true);
+  addEventListener("change", ({ target }) => { if (!target.matches(":focus-visible")) target.blur(); });
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || ["INPUT", "SELECT"].includes(event.target.tagName)) return;
     if (event.key === "Escape" || pressed(page, event)) { if (event.key === "Escape") page.escape(); event.preventDefault(); }

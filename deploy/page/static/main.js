@@ -24,7 +24,7 @@ const RATE_WINDOW = 1500, BELIEF_PERIOD = 400, TABLE_PERIOD = 300; // ms
 const state = {
   hello: null, frame: null, scene: new Scene(), history: fresh(), happenings: new Map(), outlines: {}, order: new Map(),
   on: Object.fromEntries(SWITCHES.map(([, name]) => [name, name !== "gossip"])), chosen: null, pointed: null, belief: null, rate: null, counted: [], frames: 0,
-  told: null, readout: null, held: false, film: new Film(), send,
+  told: null, readout: null, held: false, linked: false, film: new Film(), send,
 };
 window.covey = state; // for the curious, for tests and benchmarks
 let waiting = false, tableAt = 0, tableTimer = 0; // of the next drawing, and of the tables
@@ -40,7 +40,7 @@ const charts = CHARTS.map((chart) => {
   canvas.addEventListener("blur", () => readAt(null));
   return [canvas, chart];
 });
-let socket = null, over = false;
+let socket = null, over = false, left = false, missed = null, seen = null; // missed: the newest frame, until it is shown; seen: the frame of the belief
 
 // ---------------------------------------------------------------- what arrives
 function connect() {
@@ -48,22 +48,25 @@ function connect() {
   socket.binaryType = "arraybuffer";
   socket.onmessage = ({ data }) => (typeof data === "string" ? text(JSON.parse(data)) : arrived(data));
   socket.onclose = () => {
-    link(over ? "the run is over" : "no connection; trying again", true);
-    setTimeout(connect, over ? 3000 : 700);
+    state.linked = false;
+    link();
+    schedule(true);
+    setTimeout(connect, over || left ? 3000 : 700);
   };
 }
 
 function text(message) {
   if (message.type === "hello") hello(message);
   else if (message.type === "answer") answer(message.text, message.ok);
-  else if (message.type === "bye") { over = true; link("the run is over", true); }
+  else if (message.type === "bye") { if (state.hello?.source === "live") over = true; else left = true; link(); }
 }
 
 function hello(message) {
   const another = !state.hello || state.hello.run !== message.run || state.hello.agents.length !== message.agents.length;
   state.hello = message;
+  state.linked = true;
   tellCutoff(message.cutoff);
-  over = false;
+  over = left = false;
   state.history = fresh({ ...message.curves, beside: message.beside && message.beside.ospa });
   state.happenings = new Map(message.happenings.map((one) => [one[0], one]));
   state.outlines = Object.fromEntries(message.agents.map((agent) => [agent.name, agent.outline]));
@@ -78,14 +81,25 @@ function hello(message) {
   $("beside").hidden = !message.beside;
   arenas.forEach((arena, index) => { arena.title = names[index]; });
   document.body.classList.toggle("compares", Boolean(message.beside));
-  if (message.beside) CHARTS[0].lines = [["ospa", names[0]], ["beside", names[1]]];
+  const [mine, other] = names.map((name) => name.split(", ")[0]); // the arenas say the whole of it
+  CHARTS[0].lines = message.beside ? [["ospa", mine], ["beside", other]] : [["ospa", ""]];
   player.begin(message);
   $("hold").hidden = player.plays;
   charts[charts.length - 1][0].parentElement.hidden = message.source !== "live"; // how fast messages came is a matter of the live run
-  if (another) { buildRoster($("roster").tBodies[0], state, choose); fillHelp($("help"), SWITCHES, player.plays); }
-  link(message.source, false);
+  if (another) begin();
+  link();
   if (another && message.tour) tour.offer();
   if (another && state.order.has(asked().agent) && !state.chosen) choose(asked().agent);
+}
+
+// Another run, or one with other agents: nobody of the former is chosen, and nothing of it is held.
+function begin() {
+  if (state.chosen && !state.order.has(state.chosen)) choose(state.chosen);
+  missed = null;
+  if (state.held) hold();
+  view.reset();
+  buildRoster($("roster").tBodies[0], state, choose);
+  fillHelp($("help"), SWITCHES, player.plays);
 }
 
 function arrived(data) {
@@ -96,14 +110,24 @@ function arrived(data) {
   count(frame.messages);
   for (const one of frame.happenings) state.happenings.set(one[0], one);
   append(state.history, frame.score, state.rate, frame.beside && frame.beside.score ? frame.beside.score[1] : null);
-  if (state.held) return;
+  if (frame.beside) frame.beside.bytes = new Uint8Array(data, 4 + length + squares);
+  missed = frame;
+  catchUp();
+}
+
+// Show the newest frame. It waits while the picture is held or out of sight: no other may come after it.
+function catchUp() {
+  const frame = missed;
+  if (!frame || state.held || document.hidden) return;
+  missed = null;
   state.scene.take(frame);
-  if (frame.beside) { frame.beside.bytes = new Uint8Array(data, 4 + length + squares); besides.take(frame.beside); }
+  if (frame.beside) besides.take(frame.beside);
   state.frame = frame;
-  if (frame.over && !over) { over = true; link("the run is over", true); }
-  else if (!frame.over && !frame.play) link(frame.advice ? `live; ${frame.advice}` : "live", Boolean(frame.advice));
+  over = Boolean(frame.over);
+  link();
   schedule();
 }
+document.addEventListener("visibilitychange", catchUp);
 
 // Messages per second of wall time, over the last one and a half.
 function count(messages) {
@@ -131,9 +155,12 @@ function schedule(all = false) {
 
 function draw() {
   if (!state.hello) return;
+  if (state.frame) tell();
   for (const arena of shown()) arena.draw();
   for (const look of looks) look();
-  if (!state.frame) return;
+}
+
+function tell() {
   const { frame, hello } = state, now = performance.now();
   $("waiting").textContent = frame.waiting ?? "";
   $("waiting").hidden = !frame.waiting;
@@ -152,6 +179,7 @@ function fill() {
   if (state.chosen) fillBelief($("belief"), state);
   for (const [canvas, chart] of charts) if (!canvas.parentElement.hidden) drawChart(canvas, chart, state);
   drawStrip($("strip"), state);
+  tour.place();
   state.told = state.frame; // the legend takes its room by what a frame holds: from here on nothing moves
 }
 
@@ -163,7 +191,14 @@ function readAt(time) {
   schedule(true);
 }
 
-function link(words, off) { $("link").textContent = words; $("link").classList.toggle("off", off); }
+// What the run and the connection are like.
+function link() {
+  const { frame, hello, linked, held } = state, usual = hello ? hello.source : "", advice = frame && frame.advice ? `${usual}; ${frame.advice}` : usual;
+  const words = over ? "the run is over" : left ? "the server has ended" : !linked ? "no connection; trying again" : held ? "held; Space goes on" : advice;
+  if ($("link").textContent === words) return;
+  $("link").textContent = words;
+  $("link").classList.toggle("off", words !== usual);
+}
 
 let answerTimer = 0;
 function answer(words, ok) {
@@ -176,8 +211,9 @@ function answer(words, ok) {
 
 // ---------------------------------------------------------------- choosing an agent
 async function look() {
-  if (!state.chosen || state.held) return;
+  if (!state.chosen || !state.linked || state.held || (state.belief && state.frame === seen)) return;
   const name = state.chosen;
+  seen = state.frame;
   try {
     const found = await (await fetch(`/api/agent/${encodeURIComponent(name)}`)).json();
     if (state.chosen === name) { state.belief = found; schedule(true); }
@@ -207,7 +243,7 @@ function step(by) {
   if (next !== state.chosen) choose(next);
 }
 
-function send(request) { if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(request)); }
+function send(request) { if (state.linked) socket.send(JSON.stringify(request)); else answer("There is no connection, so nothing was sent.", false); }
 function act(verb, who) { send({ verb, who }); }
 
 // Where the page may move targets (a comparison), one under the pointer follows it.
@@ -259,7 +295,8 @@ function hold() {
   state.held = !state.held;
   $("hold").setAttribute("aria-pressed", String(state.held));
   $("hold").textContent = state.held ? "go on" : "hold";
-  link(state.held ? "held; Space goes on" : state.hello.source, state.held);
+  link();
+  catchUp();
 }
 
 async function share() {

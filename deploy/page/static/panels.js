@@ -1,9 +1,10 @@
 // Tables and texts beside the arena. Cells are written only when their text has changed.
 import { element } from "./element.js";
 import { owner, schemeName } from "./palette.js";
+import { short } from "./texts.js";
 
 const set = (node, text) => { if (node.textContent !== text) node.textContent = text; };
-const figure = (value, digits) => (value === undefined || value === null ? "" : value.toFixed(digits));
+const figure = (value, digits) => (value === undefined || value === null ? "" : short(value, digits));
 
 // ---------------------------------------------------------------- figures
 const FIGURES = ["OSPA", "GOSPA", "targets", "in cells", "alive", "hole", "overlap", "messages", "ticks", "skipped"];
@@ -15,9 +16,9 @@ export function buildFigures(box) {
 export function fillFigures(box, state) {
   const { frame, rate } = state, score = frame.score, alive = frame.agents.filter((agent) => !["dead", "waiting"].includes(agent.state)).length;
   const values = score
-    ? [[score[1].toFixed(2), "m"], [score[2].toFixed(1), "m"], [`${score[4]} of ${score[3]}`, ""], [score[5].toFixed(1), "mass"]]
+    ? [[short(score[1], 2), "m"], [short(score[2], 1), "m"], [`${score[4]} of ${score[3]}`, ""], [short(score[5], 1), "mass"]]
     : [["–", ""], ["–", ""], ["–", ""], ["–", ""]];
-  values.push([`${alive} of ${frame.agents.length}`, ""], [score ? (100 * score[6]).toFixed(2) : "–", "%"], [score ? (100 * score[7]).toFixed(2) : "–", "%"]);
+  values.push([`${alive} of ${frame.agents.length}`, ""], [score ? short(100 * score[6], 2) : "–", "%"], [score ? short(100 * score[7], 2) : "–", "%"]);
   values.push([rate === null ? "–" : rate.toFixed(0), "/s"]);
   const [done, asked, skipped, late] = frame.tick_rate || [null, null, 0, 0];
   values.push([done === null ? "–" : done.toFixed(1), asked === null ? "/s" : `of ${asked} /s`], [String(skipped), late ? `rounds, ${late} late` : "rounds"]);
@@ -37,7 +38,7 @@ export function fillFigures(box, state) {
 // ---------------------------------------------------------------- roster
 export function buildRoster(body, state, choose) {
   body.replaceChildren(...state.hello.agents.map((agent, index) => {
-    const colour = element("i"), button = element("button", { type: "button" }, colour, agent.name, element("small", {}, agent.class));
+    const colour = element("i"), button = element("button", { type: "button", title: `${agent.name}, class ${agent.class}` }, colour, agent.name, element("small", {}, agent.class));
     colour.style.background = owner(state.scene.colours[index] ?? index);
     const row = element("tr", { id: `row-${agent.name}` }, element("th", { scope: "row" }, button), ...Array.from({ length: 9 }, () => element("td")));
     row.addEventListener("click", () => choose(agent.name));
@@ -82,19 +83,21 @@ export function buildBelief(box, state, act, close) {
 
 export function fillBelief(box, state) {
   const { belief } = state, agent = state.frame && state.frame.agents.find((one) => one.name === state.chosen);
-  if (!belief || !agent) return;
+  if (!agent) return;
+  for (const button of box.querySelectorAll("[data-verb]")) {
+    const verb = button.dataset.verb, dead = agent.state === "dead" || agent.state === "waiting", paused = agent.state === "paused";
+    button.disabled = state.frame.over || !state.linked || { kill: dead, pause: dead || paused, resume: !paused, restart: !dead, partition: dead }[verb] || false;
+  }
+  if (!belief) return;
   box.querySelector("h2 i").style.background = owner(state.scene.colours[state.order.get(state.chosen)] ?? 0);
   set(box.querySelector("#belief-state"), `class ${belief.class || "?"}, ${agent.state}${belief.listening ? ", listening" : ""}`);
   const particles = belief.particles ? belief.particles.length / 2 : 0, targets = belief.targets ? belief.targets.length / 2 : 0;
+  const gone = agent.state === "dead", [is, holds, reports, sees] = gone ? ["was", "Held", "reported", "saw"] : ["is", "Holds", "reports", "sees"];
   set(box.querySelector("#belief-cell"), belief.mass === undefined ? "It has not spoken yet." :
-    `Holds ${belief.mass.toFixed(2)} expected targets in ${particles} particles, reports ${targets}; sees ${(belief.detections || []).length / 2} detections; U = ${belief.unused.toFixed(1)} m².`);
-  const agree = belief.agree ? ` Its diagram is that of ${belief.agree[0]} of ${belief.agree[1]} who spoke of tick ${belief.tick}.` : "";
-  set(box.querySelector("#belief-neighbours"), belief.neighbours ? `${belief.neighbours.length ? `Its cell is bounded by ${belief.neighbours.join(", ")}.` : agent.cell && agent.cell.length ? "Its cell is the whole arena." : "It has no cell now: the cells of others cover its place."}${agree}` : "");
+    `${holds} ${short(belief.mass, 2)} expected targets in ${particles} particles, ${reports} ${targets}; ${sees} ${(belief.detections || []).length / 2} detections; U = ${short(belief.unused, 1)} m².`);
+  const agree = belief.agree ? ` Its diagram ${is} that of ${belief.agree[0]} of ${belief.agree[1]} who spoke of tick ${belief.tick}.` : "";
+  set(box.querySelector("#belief-neighbours"), belief.neighbours ? `${belief.neighbours.length ? `Its cell ${is} bounded by ${belief.neighbours.join(", ")}.` : agent.cell && agent.cell.length ? "Its cell is the whole arena." : gone ? "It has no cell." : "It has no cell now: the cells of others cover its place."}${agree}` : "");
   set(box.querySelector("#belief-counters"), Object.entries(belief.counters || {}).map(([name, count]) => `${name} ${count}`).join("  ·  "));
-  for (const button of box.querySelectorAll("[data-verb]")) {
-    const verb = button.dataset.verb, dead = agent.state === "dead" || agent.state === "waiting", paused = agent.state === "paused";
-    button.disabled = state.frame.over || { kill: dead, pause: dead || paused, resume: !paused, restart: !dead, partition: dead }[verb] || false;
-  }
 }
 
 // ---------------------------------------------------------------- help

@@ -47,12 +47,13 @@ export class Tour {
     this.next.focus({ preventScroll: true });
   }
 
-  // Beside the thing where there is room: left of it, else at its lower edge.
+  // Beside the thing where there is room: left of it, else above it, else below it, else at its lower edge.
   place() {
     if (!this.running) return;
     const thing = document.querySelector(TOUR[this.at].at).getBoundingClientRect(), { width, height } = this.card.getBoundingClientRect();
-    const left = thing.left > width + 24 ? thing.left - width - 12 : thing.left + 12;
-    const top = thing.left > width + 24 ? thing.top : thing.top > height + 24 ? thing.top - height - 12 : thing.top + 12;
+    const aside = thing.left > width + 24, below = innerHeight - thing.bottom > height + 24;
+    const left = aside ? thing.left - width - 12 : thing.left + 12;
+    const top = aside ? thing.top : thing.top > height + 24 ? thing.top - height - 12 : below ? thing.bottom + 12 : thing.bottom - height - 12;
     this.card.style.left = `${Math.max(8, Math.min(left, innerWidth - width - 8))}px`;
     this.card.style.top = `${Math.max(8, Math.min(top, innerHeight - height - 8))}px`;
   }
