@@ -29,7 +29,7 @@ MARKS = [
 
 @pytest.fixture
 def page(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """A window; at the end nothing may stand on its console but the one complaint that a test expects, and no page may have raised an error."""
+    """A window; at the end no page may have raised an error, and its console may hold nothing but the complaint that a test expects."""
     complaints: list[str] = []
     expected = getattr(request, "param", None)
     with playwright.sync_playwright() as driver:

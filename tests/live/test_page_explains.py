@@ -261,7 +261,8 @@ def test_two_diagrams_go_in_step_and_a_target_follows_the_pointer_on_both_sides(
 ASKED = "performance.getEntriesByType('resource').filter(({ name }) => name.includes('/api/agent/')).length"
 SEEN = "Object.defineProperty(document, 'hidden', { value: %s, configurable: true }), document.dispatchEvent(new Event('visibilitychange'))"
 APART = """(() => {
-  const [card, thing, player] = ['#tour', '.toured', 'footer'].map((name) => document.querySelector(name).getBoundingClientRect());
+  const box = (name) => document.querySelector(name).getBoundingClientRect();
+  const card = box('#tour'), thing = box('.toured'), player = box('footer');
   return thing.top >= 0 && thing.bottom <= player.top + 1 && (card.bottom <= thing.top || thing.bottom <= card.top);
 })()"""  # neither the card nor the player covers the thing
 WRITTEN = """window.written = [], window.errors = [];
@@ -269,14 +270,15 @@ const fill = CanvasRenderingContext2D.prototype.fillText;
 CanvasRenderingContext2D.prototype.fillText = function (text, x, y, ...most) {
   const wide = this.measureText(text).width, left = this.textAlign === 'center' ? x - wide / 2 : x;
   if (this.canvas.id === 'arena') window.written.push({ text, left, right: left + wide, y: this.textBaseline === 'middle' ? y + 6 : y });
-  if (text.startsWith('power, OSPA')) window.errors.push([text.split(' ')[2], document.querySelector('#figure-OSPA b').firstChild.textContent]);
+  const figure = document.querySelector('#figure-OSPA b').firstChild;
+  if (text.startsWith('power, OSPA')) window.errors.push([text.split(' ')[2], figure.textContent]);
   return fill.call(this, text, x, y, ...most);
 };
 null"""  # words on the left arena, each with the place of its foot; the error there and among the figures
 OVERWRITTEN = """(() => {
   const title = written.find(({ text }) => text.startsWith('power'));
-  const over = ({ text, left, right, y }) => /^s\\d+$/.test(text) && Math.abs(y - title.y) < 10 && left < title.right && right > title.left;
-  return written.filter(over).map(({ text }) => text);
+  const near = ({ left, right, y }) => Math.abs(y - title.y) < 10 && left < title.right && right > title.left;
+  return written.filter((one) => /^s[0-9]+$/.test(one.text) && near(one)).map(({ text }) => text);
 })()"""
 MOVED = "(({ids, targets}, id, at = 2 * ids.indexOf(id)) => Math.hypot(targets[at] - 12, targets[at + 1] - 12) < 3)"
 UNEXPLAINED = """import('/texts.js').then(({ TEXTS }) =>
