@@ -52,7 +52,7 @@ def test_comments_limits_and_choices_stand_beside_the_setting() -> None:
     text = template()
     assert re.search(r'^# kind = "power" +# one of power, voronoi, voronoi-cod$', text, re.MULTILINE)
     assert re.search(r"^# dt = 0.25 +# world time between ticks, s; >= 0.01, <= 10$", text, re.MULTILINE)
-    assert re.search(r"^# angle = <number> +# viewing angle, degrees; > 0, <= 360$", text, re.MULTILINE)
+    assert re.search(r"^# angle = <number> +# viewing angle, degrees; >= 0.0001, <= 360$", text, re.MULTILINE)
 
 
 def test_a_file_that_exists_is_left_as_it_is(tmp_path: Path) -> None:
