@@ -205,7 +205,7 @@ def test_a_page_whose_server_ends_says_so_and_shows_the_next_one_at_the_same_pla
     names = ("reconnaissance-quadcopter-of-the-second-flight-01", "robot")
     other = covey.folder / "other.mcap"
     members = {f"members.{name}": "A" for name in names}
-    simulation = Simulation(resolve("quick", {"run.seconds": 5.0, "run.name": "other", **members}))
+    simulation = Simulation(resolve("quick", {"run.seconds": 5.0, "run.name": "other", "team.composition": "", **members}))
     Observers(simulation.scorer, open_recorder(other, simulation.scenario, virtual=True))
     simulation.run()
     process = covey.start("replay", str(file), "--page", "0")
