@@ -151,8 +151,6 @@ def read(name: str, overrides: dict[str, Any] | None = None) -> tuple[dict[str, 
     data = read_toml(path)
     if not data:
         raise BadSetting(f"{path}: says nothing; `covey init NAME.toml` writes a scenario to begin with")
-    if data.keys() == set(AgentConfig.__struct_fields__):
-        raise BadSetting(f"{path}: is what agents know of a run, no scenario; should be a scenario, such as the run.toml beside it")
     for dotted, value in (overrides or {}).items():
         _lay_over(data, dotted, value)
     return data, str(path) if not overrides else f"{path} with options"

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.config import AgentConfig
-from deploy.scenario import FOLDER, TeamSettings, agent_config, find, parse_set, resolve, team_counts, toml_text
+from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, team_counts, toml_text
 from protocol.settings import BadSetting, Common, convert
 from world.config import WorldConfig
 
@@ -156,17 +156,6 @@ def test_the_run_toml_of_a_scenario_is_a_scenario_with_the_same_members(tmp_path
     scenario = resolve(str(path))
     again.write_text(toml_text(scenario), encoding="utf-8")
     assert resolve(str(again)) == scenario
-
-
-def test_what_agents_know_of_a_run_is_no_scenario(tmp_path: Path) -> None:
-    path = tmp_path / "agents.toml"
-    for overrides in ({}, {"timing.interest": "neighbours"}):
-        path.write_text(toml_text(agent_config(resolve("quick", overrides))), encoding="utf-8")
-        with pytest.raises(BadSetting) as caught:
-            resolve(str(path))
-        assert (
-            str(caught.value) == f"{path}: is what agents know of a run, no scenario; should be a scenario, such as the run.toml beside it"
-        )
 
 
 @pytest.mark.parametrize(
