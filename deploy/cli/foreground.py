@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import os
+import signal
 from typing import TYPE_CHECKING, NoReturn
 
 from deploy.cli.display import Display, show_result
@@ -71,7 +72,9 @@ def run_in_foreground(
                 if stays and code in (0, EXIT_CRASHED):
                     display.event(f"the page stays at {address} until Enter or Ctrl-C")
                     await until_key()
-                return code or shown
+            # Closing, a loop closes the pipe that signals wake it by, and lets go of them only then: one in between would be a complaint.
+            signal.set_wakeup_fd(-1)
+            return code or shown
 
         code = asyncio.run(work())
     leave(code)

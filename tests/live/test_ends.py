@@ -4,6 +4,8 @@ import json
 import os
 import random
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import pytest
 
 from deploy.scenario import resolve
 from deploy.simulation import simulate
-from tests.live.harness import BOUND, PATIENT, Covey
+from tests.live.harness import BOUND, PATIENT, ROOT, Covey
 
 pytestmark = pytest.mark.live
 FEW = ("up", "quick", "--team", "A2", "--seconds", "100000", "--rate", "4")
@@ -71,6 +73,29 @@ def end_by(covey: Covey, numbers: list[signal.Signals], code: int) -> float:
     assert (supervisor.returncode, complaints) == (code, "")
     covey.wait_until_gone()
     return time.monotonic() - begin
+
+
+LATE_SIGNAL = """
+import signal, sys
+from asyncio.selector_events import BaseSelectorEventLoop
+from deploy.__main__ import main
+
+close = BaseSelectorEventLoop.close
+
+def closing(loop):
+    close(loop)
+    signal.raise_signal(signal.SIGINT)
+
+BaseSelectorEventLoop.close = closing
+main()
+"""
+
+
+def test_a_signal_while_the_loop_closes_is_no_complaint(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", LATE_SIGNAL, "up", "quick", "--team", "A2", "--seconds", "1", "--lockstep"]
+    environment = {**os.environ, "COVEY_RUNS": str(tmp_path)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=BOUND, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal.SIGINT], 130)]
