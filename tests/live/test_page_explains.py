@@ -242,7 +242,9 @@ def test_two_diagrams_go_in_step_and_a_target_follows_the_pointer_on_both_sides(
     page.keyboard.press("n")
     until(page, "written.some(({ text }) => text === 's1')")
     assert page.evaluate(OVERWRITTEN) == []
+    page.evaluate("window.behind = '', covey.frame.beside.time -= 3")
     page.keyboard.press("n")
+    until(page, "/^voronoi, OSPA .* m, 3.0 s behind$/.test(behind)")
     number, east, north = page.evaluate(FREE_TARGET)
     x, y = screen(page, east, north)
     page.mouse.move(x, y)
@@ -270,11 +272,12 @@ const fill = CanvasRenderingContext2D.prototype.fillText;
 CanvasRenderingContext2D.prototype.fillText = function (text, x, y, ...most) {
   const wide = this.measureText(text).width, left = this.textAlign === 'center' ? x - wide / 2 : x;
   if (this.canvas.id === 'arena') window.written.push({ text, left, right: left + wide, y: this.textBaseline === 'middle' ? y + 6 : y });
+  if (text.endsWith('behind')) window.behind = text;
   const figure = document.querySelector('#figure-OSPA b').firstChild;
   if (text.startsWith('power, OSPA')) window.errors.push([text.split(' ')[2], figure.textContent]);
   return fill.call(this, text, x, y, ...most);
 };
-null"""  # words on the left arena, each with the place of its foot; the error there and among the figures
+null"""  # words on the left arena, each with the place of its foot; the error there and among the figures; which side lags
 OVERWRITTEN = """(() => {
   const title = written.find(({ text }) => text.startsWith('power'));
   const near = ({ left, right, y }) => Math.abs(y - title.y) < 10 && left < title.right && right > title.left;

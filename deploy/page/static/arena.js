@@ -238,14 +238,15 @@ export class Arena {
     c.stroke();
   }
 
-  // Which diagram this is, and how large its error is, as the figures say it. Returns the box that the words take.
+  // Which diagram this is, how large its error is, as the figures say it, and how far it lags where it cannot keep up. Returns the box that the words take.
   headline() {
-    const c = this.pen, { told, scene } = this.state, score = (this.scene === scene ? told : told?.beside)?.score;
+    const c = this.pen, { told, scene } = this.state, moment = this.scene === scene ? told : told?.beside;
+    const error = moment?.score ? `, OSPA ${short(moment.score[1], 2)} m` : "", behind = moment?.time < told?.time ? `, ${(told.time - moment.time).toFixed(1)} s behind` : "";
     c.font = `600 ${13 * this.unit}px system-ui, sans-serif`;
     c.textAlign = "left";
     c.textBaseline = "bottom";
     c.fillStyle = this.ink;
-    const words = `${this.title}${score ? `, OSPA ${short(score[1], 2)} m` : ""}`, foot = Math.max(18 * this.unit, this.y(this.state.hello.arena[1]) - 4 * this.ratio);
+    const words = `${this.title}${error}${behind}`, foot = Math.max(18 * this.unit, this.y(this.state.hello.arena[1]) - 4 * this.ratio);
     c.fillText(words, this.x(0), foot, this.canvas.width - this.x(0)); // narrower where there is no room
     return [this.x(0), foot - 16 * this.unit, c.measureText(words).width, 16 * this.unit];
   }

@@ -58,7 +58,7 @@ function connect() {
 function text(message) {
   if (message.type === "hello") hello(message);
   else if (message.type === "answer") answer(message.text, message.ok);
-  else if (message.type === "bye") { if (state.hello?.source === "live") over = true; else left = true; link(); }
+  else if (message.type === "bye") { state.linked = false; if (state.hello?.source === "live") over = true; else left = true; link(); }
 }
 
 function hello(message) {
