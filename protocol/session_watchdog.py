@@ -8,7 +8,8 @@ peer goes on sending Hellos after its token has vanished: half a session may car
 
 from collections.abc import Collection, Iterable
 
-from protocol.messages import Hello
+from protocol.messages import Gossip, Hello
+from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Received, Reopen
 
 WITHIN_HEARING = 3.0  # s since the last message; agents send a Hello every 2 s, in crowds every 4 s
 PATIENCE = 5.0  # s for which a sign must last before it is an alarm
@@ -58,7 +59,7 @@ class SessionWatchdog:
         return now <= self._calm_until and not self._lost
 
     def greet_all(self, names: Iterable[str]) -> None:
-        """Note Hellos of several peers at a calm time; `speak_all` has noted their messages."""
+        """Note Hellos of several peers; `speak_all` has noted their messages."""
         self._announced.update(names)
         self._voters.update(names)
 
@@ -153,3 +154,36 @@ class SessionWatchdog:
 
     def _hears(self, name: str, now: float) -> bool:
         return name in self._words and now - self._words[name] <= WITHIN_HEARING
+
+
+class ObserverWatchdog:
+    """The watchdog of a participant that sends nothing: a scorer, a page, a recorder. Else whom it counts as dead could be alive."""
+
+    def __init__(self, members: Iterable[str]) -> None:
+        """`members`: the agents that are expected. Others count once their token has been seen, for anybody can make up names."""
+        self._agents = set(members)
+        self._watchdog = SessionWatchdog("this observer", self._agents)
+
+    def take(self, event: Event, now: float) -> list[Effect]:
+        """Take an event; a `Reopen` if the Hellos in it say that the own session is half open."""
+        match event:
+            case Alive(role="agent"):
+                self._agents.add(event.name)
+                self._watchdog.appear(event.name, event.incarnation)
+            case Gone(role="agent"):
+                self._watchdog.leave(event.name, event.incarnation)
+            case Received(batch=batch) if batch.kind in (Gossip, Hello):
+                known = self._agents.intersection(batch.senders)
+                self._watchdog.speak_all(known, now)
+                if batch.kind is Hello:
+                    return self._judge(batch.messages, known, now)
+        return NO_EFFECTS
+
+    def _judge(self, hellos: Iterable[Hello], known: Collection[str], now: float) -> list[Effect]:
+        """A `Reopen` if one of the Hellos of known agents is a reason."""
+        self._watchdog.greet_all(known)
+        if not self._watchdog.is_calm(now):
+            for hello in hellos:
+                if hello.sender in known and (reason := self._watchdog.reason_to_reopen(hello, now)):
+                    return [Reopen(reason)]
+        return NO_EFFECTS

@@ -27,6 +27,7 @@ from protocol.keys import all_of, order
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
+from protocol.session_watchdog import ObserverWatchdog
 from world.newest_tick import NewestTick
 from world.score import errors
 from world.witness import Witness
@@ -86,6 +87,7 @@ class Scorer(Node):
         self._scenario = scenario
         self._bodies = bodies_of(scenario)
         self._witness = None if recorded else witness_of(scenario, name, incarnation)
+        self._watchdog = ObserverWatchdog(scenario.members)
         self._area = scenario.arena.width * scenario.arena.height
         self._coverage = Coverage(scenario)
         self.tracks = TrackLog(scenario)
@@ -121,7 +123,7 @@ class Scorer(Node):
         if isinstance(event, Started):
             kinds = "truth", "estimate", "gossip", "observation", "command", "hello", "halt"
             return [Subscribe(all_of(self.run, kind)) for kind in kinds]
-        return []
+        return self._watchdog.take(event, now)
 
     def _take(self, event: Event, now: float) -> None:
         self.on_event(event, now)

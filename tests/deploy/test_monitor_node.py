@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from deploy.cli.display import process_cells
+from deploy.recording.recorder import Recorder, RecorderNode
 from deploy.scenario import Scenario, agent_config, resolve
 from deploy.scoring.scorer import Scorer, hole_and_overlap
 from protocol.fields import pack
 from protocol.geometry import polygon_area
 from protocol.message import Agreed, Vector
 from protocol.messages import Gossip, Hello
-from protocol.node import Alive, Gone, Received, Started, Subscribe, received
+from protocol.node import Alive, Gone, Node, Received, Reopen, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
 
 LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])
@@ -251,3 +252,14 @@ def test_an_agent_of_other_settings_is_told_of_once_and_named_in_the_table_of_pr
     assert [agent.differs for agent in scorer.status(2.0).agents] == [[], []]
     row = {"name": "b", "class": "B", "state": "running", "pid": 7, "incarnation": 1, "differs": ["arena.width", "filter.gate"]}
     assert process_cells(row)[2] == "running, refused: other arena.width, filter.gate"
+
+
+@pytest.mark.parametrize("kind", ["scorer", "recorder"])
+def test_an_observer_with_half_a_session_opens_it_anew(kind: str, scenario: Scenario, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "some.mcap", scenario)
+    node: Node = Scorer(scenario) if kind == "scorer" else RecorderNode(recorder, scenario, "recorder-1")
+    node.handle(Alive("agent", "b", 1), 0.0)
+    node.handle(Gone("agent", "b", 1), 0.0)
+    effects = [node.handle(received(Hello(sender="b", incarnation=1)), now) for now in (1.0, 3.0, 5.0, 7.0)]
+    assert effects == [[], [], [], [Reopen("b speaks, but its token has gone")]]
+    recorder.close()

@@ -13,6 +13,8 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig
+from deploy.scenario import resolve
+from deploy.scoring.scorer import Scorer
 from protocol import live
 from protocol.endpoints import free_port
 from protocol.settings import NetworkSettings, RunSettings
@@ -68,38 +70,53 @@ class Proxy:
             pass
 
 
+@pytest.mark.parametrize("first", ["s1", "monitor"])
 @pytest.mark.parametrize("redials", [False, True], ids=["nothing comes", "words come, no token does"])
-def test_two_whose_session_has_stayed_split_find_each_other_again(redials: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """If s2 dials again as well words pass in both directions, but its token stays lost; else nothing passes, and s3 tells."""
+def test_two_whose_session_has_stayed_split_find_each_other_again(first: str, redials: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If s2 dials again as well words pass in both directions, but its token stays lost; else nothing passes, and s3 tells.
+
+    `first`: an agent, or an observer, who only listens.
+    """
 
     async def scene() -> None:
-        config = AgentConfig(run=RunSettings(name=f"t{free_port()}"), members=dict.fromkeys(("s1", "s2", "s3"), "A"))
-        agents, ports = [Agent(config, name) for name in config.members], [free_port() for _ in config.members]
+        members = dict.fromkeys(("s1", "s2", "s3"), "A")
+        config = AgentConfig(run=RunSettings(name=f"t{free_port()}"), members=members)
+        scorer = Scorer(resolve("quick", {"run.name": config.run.name, "team.composition": "", "members.s2": "A", "members.s3": "A"}))
+        agents = [Agent(config, name) for name in config.members]
+        nodes, ports = [scorer if first == "monitor" else agents[0], *agents[1:]], [free_port() for _ in range(3)]
         towards = [Proxy(ports[0]), Proxy(ports[1])]
         witness, dialled = f"tcp/127.0.0.1:{ports[2]}", [f"tcp/127.0.0.1:{proxy.port}" for proxy in towards[::-1]]
         seeds = [(dialled[0], witness), (dialled[1], witness), ()]
         networks = [NetworkSettings(listen=(f"tcp/127.0.0.1:{port}",), seeds=dial, lease=LEASE) for port, dial in zip(ports, seeds)]
         values = live.session_values
         monkeypatch.setattr(live, "session_values", lambda settings: {**values(settings), "scouting/gossip/enabled": False})
-        drivers = [live.Driver(agent, network) for agent, network in zip(agents, networks)]
+        drivers = [live.Driver(node, network) for node, network in zip(nodes, networks)]
         tasks = [asyncio.create_task(driver.serve()) for driver in drivers]
 
         def sees(one: int, other: int) -> bool:
-            peer = agents[one].peer_table.peers.get(f"s{other + 1}")
-            return peer is not None and peer.token
+            node = nodes[one]
+            if isinstance(node, Scorer):
+                return f"s{other + 1}" in node.alive()
+            peer = node.peer_table.peers.get(f"s{other + 1}")
+            return isinstance(nodes[other], Scorer) or (peer is not None and peer.token)
 
         def hears(one: int, other: int) -> bool:
-            return f"s{other + 1}" in agents[one].membership.session_watchdog.heard(asyncio.get_running_loop().time())
+            node = nodes[one]
+            if isinstance(node, Scorer):
+                return f"s{other + 1}" in node.greeted
+            return isinstance(nodes[other], Scorer) or f"s{other + 1}" in node.membership.session_watchdog.heard(
+                asyncio.get_running_loop().time()
+            )
 
         await until(lambda: all(sees(one, other) and hears(one, other) for one in range(3) for other in range(3) if one != other))
         await asyncio.sleep(2.0)  # both have dialled
         towards[0].refuses = towards[1].refuses = True
-        towards[1].swallow("up", "down")  # the link that s1 has dialled
+        towards[1].swallow("up", "down")  # the link that the first has dialled
         towards[0].swallow("up")  # of the other link what s2 says
         await asyncio.sleep(0.75 * LEASE)
         towards[0].swallow("down")
         await until(lambda: not sees(0, 1), 4.0 * LEASE)
-        towards[1].refuses = False  # s1 may dial again, while s2 has not noticed
+        towards[1].refuses = False  # the first may dial again, while s2 has not noticed
         split, began = sees(1, 0), time.monotonic()
         await asyncio.sleep(LEASE if redials else 0.0)
         towards[0].refuses = not redials
