@@ -1,10 +1,14 @@
 """README and docs/: every line as printed. What a block says is done in a temporary folder, in the order of the page."""
 
 import re
+import shlex
 from pathlib import Path
 
+import cyclopts
 import pytest
 
+from deploy.cli.app import app
+from deploy.cli.commands import control, keep, look, run, setup, study  # noqa: F401 -- they add their commands
 from tests import reference
 from tests.docs import PAGES, ROOT, Block, Reader, blocks_of, problems
 
@@ -103,10 +107,40 @@ def test_every_scenario_of_a_page_passes_the_check_and_its_classes_are_found(pag
             reader.type(block, f"./covey check {block.file}")
 
 
+def understood(page: str, line: str) -> None:
+    """Parse a line of a page if it calls `covey`; raises AssertionError naming the page for words that the command line does not know."""
+    command = re.split(r"\s+#|\s*(?:[|<>;]|&&)", line)[0]
+    if re.match(r"(\./)?covey (?!test\b)", command):  # `test` is the launcher's own
+        try:
+            app.parse_args(shlex.split(command)[1:], exit_on_error=False, print_error=False)
+        except cyclopts.CycloptsError as error:
+            raise AssertionError(f"{page}: {command}: {error}") from None
+
+
+@pytest.mark.parametrize("page", WITH_BLOCKS)
+def test_every_command_of_a_page_is_one_with_its_options(page: str) -> None:
+    """Those too that no test runs."""
+    for block in blocks_of(page):
+        for line in block.text.splitlines() if block.language == "sh" else ():
+            understood(page, line)
+
+
+@pytest.mark.parametrize("line", ["./covey simulat quick", "covey up quick --sed 1   # a swarm", "covey dwon | cat"])
+def test_a_line_with_a_word_that_no_command_knows_is_told(line: str) -> None:
+    with pytest.raises(AssertionError, match=r"x\.md: "):
+        understood("x.md", line)
+
+
+LONG = {  # each takes more than 8 s of CPU: whole swarms, studies, demos
+    *("docs/tutorial/2-own-scenario.md", "docs/tutorial/3-own-sensor.md", "docs/explanation/method.md", "docs/evidence/real-data.md"),
+    *(f"docs/how-to/{name}.md" for name in ("bodies", "own-scenario", "own-sensor", "record", "reproduce-the-paper", "robustness-study")),
+}
+
+
 @pytest.mark.slow
 @pytest.mark.live
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("page", WITH_BLOCKS)
+@pytest.mark.parametrize("page", [pytest.param(page, marks=[pytest.mark.nightly] * (page in LONG)) for page in WITH_BLOCKS])
 def test_every_command_of_a_page_runs_as_printed(page: str, tmp_path: Path) -> None:
     reader = Reader(tmp_path)
     try:

@@ -62,6 +62,7 @@ def test_points_meet_and_bodies_with_a_radius_do_not() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_study_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(QUICK, "seconds", 12.0)
     fields = {"trials": 2, "first_seed": 3, "methods": ("points", "mujoco"), "teams": ("A2+B1",)}

@@ -105,7 +105,7 @@ def test_the_data_are_shipped_beside_the_module() -> None:
 
 @pytest.mark.slow
 def test_a_swarm_of_such_sensors_tracks_targets_without_a_hole() -> None:
-    result = simulate(resolve("anisotropic", {"run.dt": 0.5, "run.seconds": 40.0}))
-    assert result.agents == 12 and result.ticks == 80
+    result = simulate(resolve("anisotropic", {"run.dt": 0.5, "run.seconds": 24.0}))
+    assert result.agents == 12 and result.ticks == 48
     assert result.hole_area < 1e-9 and result.mass_residual < 1e-9
     assert result.share_in_view > 0.5 and result.steady_ospa < 8.0

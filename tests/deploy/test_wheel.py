@@ -133,19 +133,20 @@ def test_the_installed_program_simulates_what_the_checkout_simulates_and_demonst
     monkeypatch.delenv(PLAIN, raising=False)
     both = run(home, tmp_path, "python", "-c", BOTH)
     assert Path(both.stdout.strip()).is_relative_to(home), both.stderr
-    words = ("simulate", "anisotropic", "--seconds", "2", "--json")
+    words = ("simulate", "anisotropic", "--seconds", "1", "--json")
     ours = subprocess.run([sys.executable, ROOT / "covey", *words], cwd=tmp_path, capture_output=True, text=True, timeout=200, check=True)
     monkeypatch.setenv(PLAIN, plain)
-    assert run(home, tmp_path, "python", "-c", WARM).returncode == 0  # compile first, for a demo is shorter than that
+    if not plain:
+        assert run(home, tmp_path, "python", "-c", WARM).returncode == 0  # compile first, for a demo is shorter than that
     theirs = run(home, tmp_path, "covey", *words)
     assert theirs.returncode == 0, theirs.stderr
-    one_line = run(home, tmp_path, "python", "-c", "import covey; print(covey.simulate('quick', seconds=3).ospa.mean())")
+    one_line = run(home, tmp_path, "python", "-c", "import covey; print(covey.simulate('quick', seconds=1).ospa.mean())")
     assert float(one_line.stdout) > 0.0, one_line.stderr
     results = [json.loads(done.stdout.splitlines()[-1]) for done in (theirs, ours)]
     assert results[0]["transcript"] == results[1]["transcript"]
-    demo = run(home, tmp_path, "covey", "demo", "--no-page", "--seconds", "2", "--lockstep", "--json")
+    demo = run(home, tmp_path, "covey", "demo", "--no-page", "--seconds", "1", "--lockstep", "--json")
     assert demo.returncode == 0, demo.stderr
-    assert json.loads(demo.stdout.splitlines()[-1])["rounds"] >= 16 * 6
+    assert json.loads(demo.stdout.splitlines()[-1])["rounds"] >= 16 * 3
     detached = run(home, tmp_path, "covey", "up", "quick", "--detach", "--spawn", "exec", "--run", "away")
     assert detached.returncode == 0, detached.stderr
     assert run(home, tmp_path, "covey", "down", "--run", "away").returncode == 0

@@ -83,6 +83,7 @@ def jump(covey: Covey, seconds: int) -> None:
         shared[:] = struct.pack("l", seconds)
 
 
+@pytest.mark.nightly
 def test_wall_clocks_that_jump_by_288_s_back_and_forth_in_the_middle_of_a_run_change_nothing(covey: Covey) -> None:
     supervisor = start_with_clocks(covey, "up", "quick", "--lockstep", "--seconds", "80", "--json", *PATIENT)
     before = covey.wait(lambda data: data["swarm"]["tick"] >= 40)["swarm"]["tick"]

@@ -36,6 +36,7 @@ def test_a_partition_covers_the_arena_twice_and_heals_to_one_claim_per_place(cov
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_who_hears_neighbours_only_covers_the_arena_on_each_side_of_a_cut_and_meets_again(covey: Covey) -> None:
     ground = ("--set", "arena.width=70", "--set", "arena.height=70", "--set", "timing.interest=neighbours", "--dt", "0.5")
     covey.start("up", "efficacy", "--team", "A8,C8", "--seconds", "100000", "--rate", "1", "--record", *ground, *ALLOWED)

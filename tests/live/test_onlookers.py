@@ -42,7 +42,7 @@ def silent_browser(url: str) -> socket.socket:
 
 
 def test_a_recorder_that_is_killed_a_page_that_is_stopped_and_a_browser_that_reads_nothing_change_nothing(covey: Covey) -> None:
-    words = ("--lockstep", "--seconds", "150", "--json", "--page", "127.0.0.1:0", *PATIENT)
+    words = ("--lockstep", "--seconds", "110", "--json", "--page", "127.0.0.1:0", *PATIENT)
     supervisor = covey.start("up", "quick", *words)
     assert supervisor.stderr is not None
     url = supervisor.stderr.readline().split()[1]
@@ -58,7 +58,7 @@ def test_a_recorder_that_is_killed_a_page_that_is_stopped_and_a_browser_that_rea
     recorder.kill()
     at = covey.wait(lambda data: data["swarm"]["tick"] > begin + 150)["swarm"]["tick"]
     result = ended(supervisor)
-    assert at < result["ticks"] == 600 and result["transcript"] == transcript(150.0)
+    assert at < result["ticks"] == 440 and result["transcript"] == transcript(110.0)
     assert Recording(covey.folder / "beside.mcap").run == (covey.runs / "latest").readlink().name
     browser.close()
     page.kill()

@@ -169,7 +169,7 @@ def test_a_dead_agents_cell_fades_and_the_legend_knows_what_is_drawn(url: str, p
 
 
 def test_the_tour_has_five_steps_is_skipped_with_escape_and_remembered(covey: Covey, page: Any) -> None:
-    url = address(covey.start("demo", "quick", "--page", "0", "--seconds", "600"))
+    url = address(covey.start("demo", "quick", "--page", "0", "--seconds", "200"))
     page.set_viewport_size({"width": 390, "height": 844})
     alive(page, url)
     for step in range(1, 6):

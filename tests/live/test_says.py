@@ -252,6 +252,7 @@ def test_a_paused_agent_is_paused_everywhere_and_the_dead_own_no_cell(covey: Cov
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_machine_that_is_too_small_is_said_in_the_terminal_in_ps_and_in_the_result(covey: Covey) -> None:
     """Two agents that are asked for 4000 rounds a second each: no machine is large enough."""
     supervisor = covey.start("up", "quick", "--team", "A2", "--rate", "1000", "--seconds", "100000")

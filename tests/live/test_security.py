@@ -300,7 +300,7 @@ def test_what_was_recorded_is_worth_nothing_to_who_replays_it(tmp_path: Path) ->
 def test_an_endpoint_beyond_this_machine_needs_tls_or_the_word_insecure(covey: Covey) -> None:
     everywhere = f"tcp/0.0.0.0:{free_port()}"
     listen = ("--set", f"network.listen=['{everywhere}']")
-    words = ("up", "quick", "--lockstep", "--seconds", "5", "--spawn", "exec")
+    words = ("up", "quick", "--team", "A1,B1", "--lockstep", "--seconds", "5", "--spawn", "exec")
     code, _, complaints = covey.run(*words, *listen)
     assert (code, complaints.count("\n")) == (2, 1)
     assert complaints.startswith(f"covey: network.listen = '{everywhere}': leaves this machine without TLS")

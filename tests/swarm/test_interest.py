@@ -80,7 +80,9 @@ def cell_of(said: Estimate) -> tuple[float, ...]:
     return tuple(round(float(number), 6) for number in (polygon_area(said.cell), *polygon_centroid(said.cell)))
 
 
-@pytest.mark.parametrize("team, seed", [("4", 1), ("20E+10G", 2), ("A24,B24", 3)])
+@pytest.mark.parametrize(
+    "team, seed", [pytest.param("4", 1, marks=pytest.mark.nightly), ("20E+10G", 2), pytest.param("A24,B24", 3, marks=pytest.mark.nightly)]
+)
 @pytest.mark.slow
 def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, seed: int) -> None:
     print(f"seed {seed}")
@@ -113,7 +115,7 @@ def test_it_does_so_for_many_seeds(seed: int) -> None:
 @pytest.mark.slow
 def test_who_owns_nothing_agrees_with_all_the_others() -> None:
     """Whom it does not know could only take from it; so nobody has to look for an overlap of its claim with his own."""
-    simulation = Simulation(crowd(200, "neighbours", 24), scores=False)
+    simulation = Simulation(crowd(120, "neighbours", 20), scores=False)
     listener = Listener(simulation.scenario.run.name)
     simulation.bus.add(listener)
     simulation.run()

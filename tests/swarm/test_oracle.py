@@ -31,6 +31,7 @@ def test_without_loss_the_swarm_is_the_central_filter_to_the_last_bit(name: str)
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_without_loss_the_plain_arithmetic_is_the_central_filter_too() -> None:
     apart = compare(swarm("A2,B3,C2", 30.0, 5, seconds=25.0, seed=7), backend=PLAIN)
     assert len(apart) == 100 and all(found.exact for found in apart)
