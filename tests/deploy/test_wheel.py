@@ -70,8 +70,11 @@ def home(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A virtual environment with the wheel and a stranger's `agents`, and this environment's packages behind them."""
     home = tmp_path_factory.mktemp("home")
     uv, python = shutil.which("uv"), str(home / "bin" / "python")
-    install = [uv, "pip", "install", "--python", python] if uv else [python, "-m", "pip", "install"]
-    subprocess.run([uv, "venv", "--clear", "--python", sys.executable, home] if uv else [sys.executable, "-m", "venv", home], check=True)
+    install = [uv, "pip", "install", "--python", python] if uv else [sys.executable, "-m", "pip", "--python", python, "install"]
+    subprocess.run(
+        [uv, "venv", "--clear", "--python", sys.executable, home] if uv else [sys.executable, "-m", "venv", "--without-pip", home],
+        check=True,
+    )
     subprocess.run([*install, "-q", "--no-deps", "--no-index", str(wheel)], check=True)
     packages = next((home / "lib").glob("python3*")) / "site-packages"
     (packages / "agents").mkdir()
@@ -144,9 +147,9 @@ def test_the_installed_program_simulates_what_the_checkout_simulates_and_demonst
     assert float(one_line.stdout) > 0.0, one_line.stderr
     results = [json.loads(done.stdout.splitlines()[-1]) for done in (theirs, ours)]
     assert results[0]["transcript"] == results[1]["transcript"]
-    demo = run(home, tmp_path, "covey", "demo", "--no-page", "--seconds", "1", "--lockstep", "--json")
+    demo = run(home, tmp_path, "covey", "demo", "--no-page", "--team", "A4", "--seconds", "2", "--lockstep", "--json")
     assert demo.returncode == 0, demo.stderr
-    assert json.loads(demo.stdout.splitlines()[-1])["rounds"] >= 16 * 3
+    assert json.loads(demo.stdout.splitlines()[-1])["rounds"] >= 4 * 5
     detached = run(home, tmp_path, "covey", "up", "quick", "--detach", "--spawn", "exec", "--run", "away")
     assert detached.returncode == 0, detached.stderr
     assert run(home, tmp_path, "covey", "down", "--run", "away").returncode == 0
