@@ -156,13 +156,13 @@ class SessionWatchdog:
         return name in self._words and now - self._words[name] <= WITHIN_HEARING
 
 
-class ObserverWatchdog:
-    """The watchdog of a participant that sends nothing: a scorer, a page, a recorder. Else whom it counts as dead could be alive."""
+class ListenerWatchdog:
+    """The watchdog of a participant that says no Hello: a body, a scorer, a recorder. Else whom it takes for dead could be alive."""
 
     def __init__(self, members: Iterable[str]) -> None:
         """`members`: the agents that are expected. Others count once their token has been seen, for anybody can make up names."""
         self._agents = set(members)
-        self._watchdog = SessionWatchdog("this observer", self._agents)
+        self._watchdog = SessionWatchdog("this session", self._agents)
 
     def take(self, event: Event, now: float) -> list[Effect]:
         """Take an event; a `Reopen` if the Hellos in it say that the own session is half open."""

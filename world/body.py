@@ -18,6 +18,7 @@ from protocol.messages import BodyPose, Command, Gossip, Halt, Hello, Observatio
 from protocol.node import Alive, Batch, Effect, Event, Gone, Node, Received, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.observer_messages import Truth
 from protocol.sensing import Pose, measurement_of
+from protocol.session_watchdog import ListenerWatchdog
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given
 from world.clock import TickClock, TickCount, neighbours
@@ -63,6 +64,7 @@ class Body(Node):
         epoch = config.bodies.epoch if not self._lockstep else 0.0
         self._clock = TickClock(self._period, epoch - unix if epoch else None)
         self._count = TickCount()
+        self._watchdog = ListenerWatchdog(config.members)
         self._bodies = Roster()  # of their tokens
         self._alive: dict[str, set[str]] = {"agent": set(), "body": {name}}  # by role: names with a token
         self._others: dict[str, Pose] = {}  # where the other bodies said last that they are
@@ -78,10 +80,11 @@ class Body(Node):
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event and return what to do; an error stops the platform before it ends the process."""
         try:
-            return self._handle(event, now)
+            effects = self._handle(event, now)
         except Exception:
             self.end()
             raise
+        return [*effects, *self._watchdog.take(event, now)]
 
     def end(self) -> None:
         """Stop the platform for good; what it answers does not count."""

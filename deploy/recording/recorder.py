@@ -32,7 +32,7 @@ from protocol.keys import all_of, message_key, token_key
 from protocol.messages import KINDS
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from protocol.observer_messages import Truth
-from protocol.session_watchdog import ObserverWatchdog
+from protocol.session_watchdog import ListenerWatchdog
 
 FLUSH_SECONDS = 0.9
 CHUNK_SECONDS = 5.0  # of the world; larger chunks save nothing more
@@ -208,7 +208,7 @@ class RecorderNode(Node):
         self.run, self.name = scenario.run.name, name
         self._recorder = recorder
         self._witness = witness_of(scenario, "monitor", self.incarnation)
-        self._watchdog = ObserverWatchdog(scenario.members)
+        self._watchdog = ListenerWatchdog(scenario.members)
         self._due: float | None = None
 
     def deadline(self) -> float | None:

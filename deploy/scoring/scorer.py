@@ -27,7 +27,7 @@ from protocol.keys import all_of, order
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
-from protocol.session_watchdog import ObserverWatchdog
+from protocol.session_watchdog import ListenerWatchdog
 from world.newest_tick import NewestTick
 from world.score import errors
 from world.witness import Witness
@@ -87,7 +87,7 @@ class Scorer(Node):
         self._scenario = scenario
         self._bodies = bodies_of(scenario)
         self._witness = None if recorded else witness_of(scenario, name, incarnation)
-        self._watchdog = ObserverWatchdog(scenario.members)
+        self._watchdog = ListenerWatchdog(scenario.members)
         self._area = scenario.arena.width * scenario.arena.height
         self._coverage = Coverage(scenario)
         self.tracks = TrackLog(scenario)

@@ -6,7 +6,7 @@ import pytest
 
 from protocol.messages import Hello
 from protocol.node import Alive, Effect, Gone, Reopen, received
-from protocol.session_watchdog import FIRST_REST, LONGEST_REST, PATIENCE, WITHIN_HEARING, ObserverWatchdog, SessionWatchdog
+from protocol.session_watchdog import FIRST_REST, LONGEST_REST, PATIENCE, WITHIN_HEARING, ListenerWatchdog, SessionWatchdog
 
 TEAM = ("s1", "s2", "s3", "s4", "world")
 
@@ -114,13 +114,13 @@ def test_the_hellos_of_a_calm_time_count_as_hellos() -> None:
     assert watchdog.heard(1.0) == ("s2", "s4")
 
 
-def orders(watchdog: ObserverWatchdog, hellos: list[Hello], seconds: float) -> list[Effect]:
+def orders(watchdog: ListenerWatchdog, hellos: list[Hello], seconds: float) -> list[Effect]:
     """What an observer orders while these Hellos come every 2 s."""
     return [effect for step in range(int(seconds / 2.0)) for one in hellos for effect in watchdog.take(received(one), 2.0 * step)]
 
 
 def test_an_observer_that_hears_an_agent_without_a_token_asks_for_a_new_session() -> None:
-    watchdog = ObserverWatchdog(("s1", "s2"))
+    watchdog = ListenerWatchdog(("s1", "s2"))
     for name in ("s1", "s2"):
         watchdog.take(Alive("agent", name, 1), 0.0)
     both = [hello("s1", "s2"), hello("s2", "s1")]
@@ -133,14 +133,14 @@ def test_an_observer_that_hears_an_agent_without_a_token_asks_for_a_new_session(
 
 def test_an_observer_that_does_not_hear_whom_the_agents_hear_asks_for_a_new_session() -> None:
     others = [hello("s1", "s2", "s3"), hello("s3", "s1", "s2")]
-    found = orders(ObserverWatchdog(("s1", "s2", "s3")), others, 10.0)
-    assert found == [Reopen("the others hear s2, this observer does not")]
-    assert orders(ObserverWatchdog(("s1", "s2", "s3")), [hello("s1", "s3"), hello("s3", "s1")], 30.0) == [], "s2 is dead"
+    found = orders(ListenerWatchdog(("s1", "s2", "s3")), others, 10.0)
+    assert found == [Reopen("the others hear s2, this session does not")]
+    assert orders(ListenerWatchdog(("s1", "s2", "s3")), [hello("s1", "s3"), hello("s3", "s1")], 30.0) == [], "s2 is dead"
 
 
 def test_an_observer_takes_no_word_of_made_up_names() -> None:
     strangers = [hello(f"x{number}", "s2") for number in range(3)]
-    watchdog = ObserverWatchdog(("s1", "s2"))
+    watchdog = ListenerWatchdog(("s1", "s2"))
     assert orders(watchdog, [hello("s1"), *strangers], 30.0) == []
     watchdog.take(Alive("agent", "x0", 1), 0.0)
     watchdog.take(Gone("agent", "x0", 1), 0.0)

@@ -13,12 +13,13 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig
-from deploy.scenario import resolve
+from deploy.scenario import resolve, world_config
 from deploy.scoring.scorer import Scorer
 from protocol import live
 from protocol.endpoints import free_port
 from protocol.settings import NetworkSettings, RunSettings
 from tests.protocol.test_live import until
+from world.body import Body
 
 pytestmark = [pytest.mark.live, pytest.mark.slow]
 LEASE = 4.0  # s
@@ -70,20 +71,22 @@ class Proxy:
             pass
 
 
-@pytest.mark.parametrize("first", ["s1", "monitor"])
+@pytest.mark.parametrize("first", ["s1", "monitor", "body"])
 @pytest.mark.parametrize("redials", [False, True], ids=["nothing comes", "words come, no token does"])
 def test_two_whose_session_has_stayed_split_find_each_other_again(first: str, redials: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """If s2 dials again as well words pass in both directions, but its token stays lost; else nothing passes, and s3 tells.
 
-    `first`: an agent, or an observer, who only listens.
+    `first`: an agent, an observer, or the body of s2, who says no Hello.
     """
 
     async def scene() -> None:
         members = dict.fromkeys(("s1", "s2", "s3"), "A")
         config = AgentConfig(run=RunSettings(name=f"t{free_port()}"), members=members)
-        scorer = Scorer(resolve("quick", {"run.name": config.run.name, "team.composition": "", "members.s2": "A", "members.s3": "A"}))
+        options = {"team.composition": "", "members.s2": "A", "members.s3": "A", "bodies.host": "own", "run.clock": "realtime"}
+        scenario = resolve("quick", {"run.name": config.run.name, **options})
         agents = [Agent(config, name) for name in config.members]
-        nodes, ports = [scorer if first == "monitor" else agents[0], *agents[1:]], [free_port() for _ in range(3)]
+        listener = {"s1": agents[0], "monitor": Scorer(scenario), "body": Body(world_config(scenario), "s2", 1)}[first]
+        nodes, ports = [listener, *agents[1:]], [free_port() for _ in range(3)]
         towards = [Proxy(ports[0]), Proxy(ports[1])]
         witness, dialled = f"tcp/127.0.0.1:{ports[2]}", [f"tcp/127.0.0.1:{proxy.port}" for proxy in towards[::-1]]
         seeds = [(dialled[0], witness), (dialled[1], witness), ()]
@@ -94,19 +97,17 @@ def test_two_whose_session_has_stayed_split_find_each_other_again(first: str, re
         tasks = [asyncio.create_task(driver.serve()) for driver in drivers]
 
         def sees(one: int, other: int) -> bool:
-            node = nodes[one]
-            if isinstance(node, Scorer):
-                return f"s{other + 1}" in node.alive()
-            peer = node.peer_table.peers.get(f"s{other + 1}")
-            return isinstance(nodes[other], Scorer) or (peer is not None and peer.token)
+            node, name = nodes[one], f"s{other + 1}"
+            if isinstance(node, Agent):
+                return not isinstance(nodes[other], Agent) or ((peer := node.peer_table.peers.get(name)) is not None and peer.token)
+            return name in node.alive() if isinstance(node, Scorer) else node._roster.live(name) is not None
 
         def hears(one: int, other: int) -> bool:
-            node = nodes[one]
-            if isinstance(node, Scorer):
-                return f"s{other + 1}" in node.greeted
-            return isinstance(nodes[other], Scorer) or f"s{other + 1}" in node.membership.session_watchdog.heard(
-                asyncio.get_running_loop().time()
-            )
+            node, name = nodes[one], f"s{other + 1}"
+            if isinstance(node, Agent):
+                heard = node.membership.session_watchdog.heard(asyncio.get_running_loop().time())
+                return not isinstance(nodes[other], Agent) or name in heard
+            return name in (node.greeted if isinstance(node, Scorer) else node._roster.hellos)
 
         await until(lambda: all(sees(one, other) and hears(one, other) for one in range(3) for other in range(3) if one != other))
         await asyncio.sleep(2.0)  # both have dialled

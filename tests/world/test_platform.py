@@ -11,7 +11,7 @@ from covey.examples.robots import INNER, DifferentialDrive
 from deploy.live.platform_check import check_platform
 from deploy.scenario import Scenario, resolve, world_config
 from protocol.messages import Command, Hello, Observation
-from protocol.node import Alive, Gone, Started, Stop, Timer, received
+from protocol.node import Alive, Gone, Reopen, Started, Stop, Timer, received
 from protocol.settings import BadSetting, LimitSettings
 from world.body import Body, check_epoch
 from world.config import WorldConfig
@@ -66,6 +66,14 @@ def started(monkeypatch: pytest.MonkeyPatch, answer: Any = ((5.0, 5.0, 0.0), Non
     body.handle(Started(), 0.0)
     body.handle(Alive("agent", "s1", 1), 0.0)
     return body
+
+
+def test_a_body_with_half_a_session_opens_it_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It hears its agent and sees no token, so it would stand for ever."""
+    body = started(monkeypatch)
+    body.handle(Gone("agent", "s1", 1), 0.0)
+    effects = [effect for now in (1.0, 3.0, 5.0, 7.0) for effect in body.handle(received(Hello(sender="s1", incarnation=1)), now)]
+    assert [effect for effect in effects if isinstance(effect, Reopen)] == [Reopen("s1 speaks, but its token has gone")]
 
 
 def command(tick: int, velocity: tuple[float, float] = (1.0, 0.0), incarnation: int = 1) -> Any:
