@@ -37,7 +37,7 @@ PAPER_TEAMS: dict[str, tuple[int, ...]] = {"2": (3, 12, 9), "3": (4, 16, 12), "4
 
 
 class TeamSettings(Section, frozen=True, kw_only=True):
-    """[team] either a team of the paper by number, or a composition such as "20E+4H" or "A4,B12"; [members] takes its place."""
+    """[team] either a team of the paper by number, or a composition such as "20E+4H" or "A4,B12"; in its place, [members]."""
 
     composition: str = "1"  # empty: the members are spelled out
     triple: str = "ACD"  # the three classes of teams 2 to 5, a column that Table II has lost
@@ -271,8 +271,9 @@ def _team_and_members(scenario: Scenario, said: dict[str, Any]) -> tuple[TeamSet
     team = msgspec.structs.replace(scenario.team, composition="") if own and not said else scenario.team
     members = own if own and not team.composition else _name_members(team_counts(team))
     if own and members != own:
-        field, value = next(iter(said.items()))
-        raise BadSetting(f"team.{field} = {value!r}: should be left out, for [members] names other agents")
+        field = "composition" if "composition" in said else next(iter(said))
+        empty = ", or empty" if field == "composition" else ""
+        raise BadSetting(f"team.{field} = {said[field]!r}: should be left out{empty}, for [members] names other agents")
     return team, members
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Set
 
 from protocol.messages import Gossip
 
-MOST_TICKS = 16  # after the last closed round, of which all gossips are kept; and of so many other ticks of each peer
+MOST_TICKS = 16  # after the last closed round, of which all gossips are kept; of other ticks so many gossips of each peer
 
 
 class RoundInbox:
@@ -13,6 +13,7 @@ class RoundInbox:
     def __init__(self) -> None:
         self.rounds: dict[int, dict[str, Gossip]] = {}  # of rounds that are not closed yet
         self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
+        self._far: dict[str, dict[int, None]] = {}  # by peer: ticks that were not near when its gossip came, in that order
         self._closed = -1  # tick of the last closed round
 
     def is_far_ahead(self, tick: int) -> bool:
@@ -31,15 +32,21 @@ class RoundInbox:
             if kept is None:
                 kept = rounds[gossip.tick] = {}
             kept[gossip.sender] = gossip
-            if not self._is_near(gossip.tick) and len(rounds) > MOST_TICKS:
-                self._drop_oldest(gossip.sender)
+            if not self._is_near(gossip.tick):
+                self._note_far(gossip.sender, gossip.tick)
 
-    def _drop_oldest(self, name: str) -> None:
-        """Of the ticks of a peer that are not near keep `MOST_TICKS`, those that came up last: an agent that was stalled needs these."""
-        for tick in [tick for tick, gossips in self.rounds.items() if name in gossips and not self._is_near(tick)][:-MOST_TICKS]:
-            del self.rounds[tick][name]
-            if not self.rounds[tick]:
-                del self.rounds[tick]
+    def _note_far(self, name: str, tick: int) -> None:
+        """Of the gossips of a peer that are not near keep `MOST_TICKS`, those that came last: an agent that was stalled needs these."""
+        far = self._far.setdefault(name, {})
+        far.pop(tick, None)
+        far[tick] = None
+        if len(far) > MOST_TICKS:
+            old = next(iter(far))
+            del far[old]
+            if name in self.of(old) and not self._is_near(old):
+                del self.rounds[old][name]
+                if not self.rounds[old]:
+                    del self.rounds[old]
 
     def of(self, tick: int) -> dict[str, Gossip]:
         """The gossips of a tick, by name; not to be changed."""
@@ -58,6 +65,7 @@ class RoundInbox:
         """Drop all gossips of a peer."""
         for gossips in (self.last, *self.rounds.values()):
             gossips.pop(name, None)
+        self._far.pop(name, None)
 
     def drop_closed(self, names: Iterable[str]) -> None:
         """Drop the gossips of some peers in closed rounds."""

@@ -191,9 +191,10 @@ class PeerTable:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
-        peer.missed, peer.doubted = peer.missed if self.inbox.is_far_ahead(tick) else 0, False
-        if peer.left_at is not None:
-            peer.left_at, self.changed = None, True
+        if not self.inbox.is_far_ahead(tick):  # a wrong tick shows no life
+            peer.missed, peer.doubted = 0, False
+            if peer.left_at is not None:
+                peer.left_at, self.changed = None, True
         return ACCEPTED
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
@@ -370,8 +371,8 @@ class PeerTable:
 
     def _remove(self, names: set[str]) -> None:
         """Remove the records of some peers, and all that they have said."""
-        self.peers = {name: peer for name, peer in self.peers.items() if name not in names}
         for name in names:
+            self.peers.pop(name, None)
             self.positions.remove(name)
             self.inbox.forget(name)
             for table in (self._paces, self._last_known, self._strangers):

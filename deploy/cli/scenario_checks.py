@@ -37,7 +37,7 @@ from world.sources import READERS, body_source
 from world.targets import CheckedMotion, build_motion
 
 MOST_PRIOR = 1_000_000  # particles that an agent starts with
-MOST_EXPECTED = 0.5 * MOST_MASS  # targets for each agent in the mean; of unequal cells the largest says twice as many
+MOST_EXPECTED = 0.15 * MOST_MASS  # targets for each agent in the mean; of unequal cells the largest holds up to five times as many
 MOST_BINS = 20_000_000  # of the grid on which an agent looks for targets
 WAITED_FOR = {"delay", "slow"}  # faults whose effect is lateness
 TEAM = {"team", "members", "sensors"}  # sections that are right or wrong together
@@ -126,6 +126,9 @@ def check_costs(scenario: Scenario) -> None:
     if expected > MOST_EXPECTED:
         line = f"filter.prior_density = {filters.prior_density!r}: a prior of {expected:.0f} expected targets for each of {team} agents"
         raise BadSetting(f"{line}; should be at most {MOST_EXPECTED * team / area:.2g}")
+    if scenario.targets.count > MOST_EXPECTED * team:
+        line = f"targets.count = {scenario.targets.count}: {scenario.targets.count / team:.0f} for each of {team} agents"
+        raise BadSetting(f"{line}; should be at most {MOST_EXPECTED * team:.0f}")
     least = math.sqrt(area / (team * MOST_BINS))
     if scenario.extraction.bin < least:
         line = f"extraction.bin = {scenario.extraction.bin!r}: too fine for {area:.3g} m^2"

@@ -96,7 +96,8 @@ def choose(who: str, candidates: Sequence[str], known: Sequence[str], rng: np.ra
     elif text.isdecimal():
         number = int(text)
         if number > len(candidates):
-            raise BadSetting(f"{where}who = {who!r}: only {len(candidates)} agent{'s' * (len(candidates) != 1)} qualify")
+            found = "1 agent qualifies" if len(candidates) == 1 else f"{len(candidates)} agents qualify"
+            raise BadSetting(f"{where}who = {who!r}: only {found}")
     else:
         return _named(text, known, where)
     chosen = rng.choice(len(candidates), size=number, replace=False)

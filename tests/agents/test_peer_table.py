@@ -93,6 +93,31 @@ def test_an_agent_that_wakes_hears_the_last_ticks_of_all() -> None:
     assert peers.fresh(599).keys() == {"s2", "s3"}
 
 
+def test_an_agent_that_wakes_hears_the_last_ticks_of_one_whatever_order_another_has_said_them_in() -> None:
+    peers = neighbours("s2", "s3")
+    peers.close(99)
+    for tick in range(131, 115, -1):
+        assert hear(peers, gossip("s2", tick)) is None
+    for tick in range(100, 134):
+        assert hear(peers, gossip("s3", tick)) is None
+    kept = [tick for tick in range(100, 134) if "s3" in peers.fresh(tick)]
+    assert kept == [*range(100, 116), *range(118, 134)]
+
+
+def test_a_gossip_of_a_tick_far_ahead_brings_nobody_back_who_has_gone() -> None:
+    peers = neighbours("s2", "s3")
+    for tick in range(8):
+        assert hear(peers, gossip("s2", tick)) is None
+        if tick < 3:
+            assert hear(peers, gossip("s3", tick)) is None
+        peers.close(tick)
+        if tick == 3:
+            peers.gone("s3", 1, tick)
+        if tick >= 3:
+            assert hear(peers, gossip("s3", 10_000 + tick)) is None
+            assert "s3" not in generators(peers, tick + 1)
+
+
 def test_no_round_waits_for_a_peer_that_says_ticks_far_ahead_alone() -> None:
     peers = neighbours("s2", "s3")
     waited = []

@@ -60,7 +60,7 @@ def test_what_changes_nothing_is_told(faults: list[FaultSettings], found: list[s
 def test_what_too_few_agents_qualify_for_is_refused() -> None:
     faults = fault(3.0, "kill", "3"), fault(4.0, "kill", "2"), fault(5.0, "restart", "3"), fault(6.0, "restart", "1")
     assert rehearse(scenario(*faults)) == [
-        FaultFinding("faults[1].who = '2': only 1 agent qualify at 4 s", True),
+        FaultFinding("faults[1].who = '2': only 1 agent qualifies at 4 s", True),
         FaultFinding("faults[3].who = '1': only 0 agents qualify at 6 s", True),
     ]
 

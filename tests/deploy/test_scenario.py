@@ -141,7 +141,7 @@ def test_a_team_beside_members_is_refused_in_the_file_and_as_an_option(tmp_path:
     path.write_text(f'[team]\ncomposition = "5"\n{MEMBERS}', encoding="utf-8")
     with pytest.raises(BadSetting) as caught:
         resolve(str(path))
-    assert str(caught.value) == f"{path}: team.composition = '5': should be left out, for [members] names other agents"
+    assert str(caught.value) == f"{path}: team.composition = '5': should be left out, or empty, for [members] names other agents"
     path.write_text(MEMBERS, encoding="utf-8")
     with pytest.raises(BadSetting, match=r"mine.toml with options: team.composition = '3': should be left out"):
         resolve(str(path), {"team.composition": "3"})

@@ -174,7 +174,7 @@ def test_a_fault_that_too_few_are_left_for_is_told_once_and_the_run_goes_on(
 
     asyncio.run(run())
     told = capsys.readouterr().out
-    assert told.count("a fault of the scenario could not be carried out: faults[0].who = '2': only 1 agent qualify") == 1
+    assert told.count("a fault of the scenario could not be carried out: faults[0].who = '2': only 1 agent qualifies") == 1
 
 
 def test_a_run_whose_first_process_cannot_be_started_ends_with_the_reason(supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,7 +58,12 @@ TYPED = [
     (
         "simulate quick --set filter.prior_density=5",  # each says more than the others take for possible
         2,
-        "filter.prior_density = 5.0: a prior of 521 expected targets for each of 6 agents; should be at most 4.8",
+        "filter.prior_density = 5.0: a prior of 521 expected targets for each of 6 agents; should be at most 1.4",
+    ),
+    (
+        "check quick --set targets.count=3000 --set team.composition=A2",
+        2,
+        "targets.count = 3000: 1500 for each of 2 agents; should be at most 300",
     ),
     ("simulate quick --set arena.width=1e9", 2, "arena.width = 1000000000.0, arena.height = 25.0: a prior of"),
     ("simulate quick --set arena.width=1e4 --set arena.height=1e4", 2, "should be at most 3.3e+06 m^2"),
@@ -110,11 +115,11 @@ TYPED = [
     ("check open.toml", 2, "leaves this machine without TLS"),
     ("simulate quick --seconds 5 --kill world@2", 2, "faults[0].who = 'world': a simulation has no such process"),
     ("check world.toml", 2, "members.world: this name belongs to the world"),
-    ("check few.toml", 2, "few.toml: faults[1].who = '2': only 1 agent qualify at 2 s"),
-    ("simulate few.toml", 2, "few.toml: faults[1].who = '2': only 1 agent qualify at 2 s"),
+    ("check few.toml", 2, "few.toml: faults[1].who = '2': only 1 agent qualifies at 2 s"),
+    ("simulate few.toml", 2, "few.toml: faults[1].who = '2': only 1 agent qualifies at 2 s"),
     ("check robot.toml", 2, "robot.toml: bodies.platform = 'no_such_lab:Robot': No module named 'no_such_lab'"),
     ("check port.toml", 2, "port.toml: bodies.platform = 'covey.examples.robots:DifferentialDrive': "),
-    ("check team.toml", 2, "team.toml: team.composition = '2A': should be left out, for [members] names other agents"),
+    ("check team.toml", 2, "team.toml: team.composition = '2A': should be left out, or empty, for [members] names other agents"),
     ("config quick --seed 1.5", 2, "--seed: 1.5 is no whole number"),
     ("ps", 2, "no run is running in"),
     ("ps -a --run hunt", 2, "--run hunt: -a shows all runs"),

@@ -52,7 +52,7 @@ def wrong_ticks_beside_the_right_one(said: Gossip) -> list[Message]:
 
 def made_up_names(said: Gossip) -> list[Message]:
     names = [f"x{10 * said.tick + number}" for number in range(10)]
-    hellos = [Hello(sender=name, incarnation=1, sensor_class="A") for name in names]
+    hellos = [Hello(sender=name, incarnation=1, sensor_class="D") for name in names]  # as the sender, or nobody could see so much
     return [said, *hellos, *(changed(said, sender=name, claim_names=(), claim_tick=0, listening=True, **NO_STATE) for name in names)]
 
 

@@ -28,4 +28,5 @@ def test_what_is_said_beside_right_gossips_changes_no_bit(lie: Lie) -> None:
     for part in ("mean_ospa", "final_ospa", "hole_area", "overlap_area", "mass_residual"):
         assert getattr(found.result, part) == getattr(honest.result, part)
     assert found.agent.counters["missing"] == 0
-    assert len(found.agent.peer_table.peers) <= 6 + MOST_STRANGERS
+    assert not [name for name in found.agent.counters if name.startswith("rejected.")], "all of it is heard"
+    assert len(found.agent.peer_table.peers) == 6 + MOST_STRANGERS * (lie is made_up_names)
