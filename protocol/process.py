@@ -133,6 +133,8 @@ def main(
     the node is driven no more, for whatever reason but an error in it.
     """
     options = arguments(role)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # until the driver takes signals: loops may have to be compiled first
+        signal.signal(signal.SIGINT, lambda number, frame: leave(130))
     if options.supervised:
         die_with_parent()
     sys.path.append(os.environ.get("COVEY_MODULES", "."))  # the folder of a user's own sensor models and control laws

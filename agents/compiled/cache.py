@@ -12,11 +12,14 @@ import os
 import re
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+from protocol.settings import BadSetting
 
 HERE = Path(__file__).resolve().parent
 # Compiled loops depend on each other, on the columns of tables, and on constants of their plain twins.
@@ -118,9 +121,20 @@ def is_switched_off() -> bool:
     return os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 
 
+def check_place() -> None:
+    """Raise BadSetting when loops that are compiled now could not be kept."""
+    try:
+        folder().mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder()).close()
+    except OSError as error:
+        line = f"{folder().parent}: compiled loops cannot be kept there: {error.strerror}"
+        raise BadSetting(f"{line}; NUMBA_CACHE_DIR names another folder, and NUMBA_DISABLE_JIT=1 does without") from None
+
+
 def note_complete() -> None:
     """Say on disk that all loops of these sources have been compiled."""
-    (folder() / COMPLETE).touch()
+    if not compiled_before():
+        (folder() / COMPLETE).touch()
 
 
 def tidy() -> None:

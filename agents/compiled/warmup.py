@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -14,7 +15,7 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
-from agents.compiled.cache import compiled_before, is_switched_off, loops_on_disk, note_complete, tidy
+from agents.compiled.cache import check_place, compiled_before, is_switched_off, loops_on_disk, note_complete, tidy
 from agents.config import AgentConfig, ControlSettings, TimingSettings
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Alive, Effect, Started, Timer, received
@@ -33,8 +34,11 @@ def warm() -> None:
     """Let two agents play a few rounds, good ones and bad ones, so that every compiled loop is in memory; the first time compiles them.
 
     What only a fault calls for must be among them, or the first fault on a machine makes all agents compile, and be silent for it.
-    Of several processes that begin at once one compiles, and the others wait and load what it has left on disk.
+    Of several processes that begin at once one compiles, and the others wait and load what it has left on disk. Raises BadSetting when
+    what is compiled cannot be kept.
     """
+    if not compiled_before():
+        check_place()
     from agents.compiled.backend import FAST
 
     if not is_switched_off():
@@ -73,6 +77,7 @@ def main() -> None:
     from protocol.process import die_with_parent
 
     die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the first process, and thereby this one
     estimate_tracks(np.zeros((1, 4)), np.ones(1), np.zeros(1, np.uint64), 1.0, 0.5, 0.5, np.uint64(0))
     _play_all(FAST._replace(**{name: getattr(PLAIN, name) for name in HALF}))
 
