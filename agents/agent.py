@@ -152,7 +152,7 @@ class Agent(Node):
             self.counters["rejected.old_observation"] += 1
             return []
         self.membership.world_incarnation = observation.incarnation
-        self.membership.session_watchdog.speak(observation.sender, now)
+        self.membership.session_watchdog.note_message(observation.sender, now)
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
         if not self._pace.shares(observation.tick):
@@ -278,7 +278,7 @@ class Agent(Node):
                 if message.sender == self.name and message.incarnation > self.incarnation:
                     return self.membership.fence(message.incarnation)
         if not self.local:
-            self.membership.session_watchdog.speak_all(batch.senders, now)
+            self.membership.session_watchdog.note_messages(batch.senders, now)
         if self.tick < 0:
             self.membership.announcements.run_started()
         effects: list[Effect] = NO_EFFECTS

@@ -319,7 +319,7 @@ class Driver:
                 await asyncio.sleep(RETRY_SECONDS)
         self.counts["reopened"] += 1
         await asyncio.sleep(SETTLE_SECONDS)
-        self._handle_all(self._tokens.lost())
+        self._handle_all(self._tokens.take_lost())
 
     def _take_declared(self) -> list[Any]:
         """What the session has declared; the next one begins without any."""

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable
 from protocol.messages import Gossip, Hello
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Received, Reopen
 
-WITHIN_HEARING = 3.0  # s since the last message; agents send a Hello every 2 s, in crowds every 4 s
+HEARD_LATELY = 3.0  # s since the last message; agents send a Hello every 2 s, in crowds every 4 s
 PATIENCE = 5.0  # s for which a sign must last before it is an alarm
 FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, doubled each time: false Hellos must not keep a node busy
 
@@ -37,15 +37,15 @@ class SessionWatchdog:
         self._rest, self._not_before = FIRST_REST, NEVER
         self._calm_until = NEVER  # until then no expected name can be silent
 
-    def speak(self, name: str, now: float) -> None:
+    def note_message(self, name: str, now: float) -> None:
         """Note a message of a peer."""
         self._words[name] = now
 
-    def speak_all(self, names: Iterable[str], now: float) -> None:
+    def note_messages(self, names: Iterable[str], now: float) -> None:
         """Note messages of several peers."""
         self._words.update(dict.fromkeys(names, now))
 
-    def greet(self, name: str, now: float) -> bool:
+    def note_hello(self, name: str, now: float) -> bool:
         """Note a Hello of a peer; True for its first one."""
         self._words[name] = now
         first = name not in self._announced
@@ -58,17 +58,17 @@ class SessionWatchdog:
             self._find_silent(now)
         return now <= self._calm_until and not self._lost
 
-    def greet_all(self, names: Iterable[str]) -> None:
-        """Note Hellos of several peers; `speak_all` has noted their messages."""
+    def note_hellos(self, names: Iterable[str]) -> None:
+        """Note Hellos of several peers; `note_messages` has noted their messages."""
         self._announced.update(names)
         self._voters.update(names)
 
-    def appear(self, name: str, incarnation: int) -> None:
+    def token_appeared(self, name: str, incarnation: int) -> None:
         """Note that the token of a peer has appeared."""
         self._up[name] = max(incarnation, self._up.get(name, 0))
         self._lost.pop(name, None)
 
-    def leave(self, name: str, incarnation: int) -> None:
+    def token_vanished(self, name: str, incarnation: int) -> None:
         """Note that the token of a peer has vanished: the peer counts as silent until its next message."""
         self._words.pop(name, None)
         self._calm_until = NEVER
@@ -89,7 +89,7 @@ class SessionWatchdog:
         words, announced = self._words, self._announced
         if now is None:
             return tuple(sorted([name for name in announced if name in words]))
-        return tuple(sorted([name for name in announced if now - words.get(name, NEVER) <= WITHIN_HEARING]))
+        return tuple(sorted([name for name in announced if now - words.get(name, NEVER) <= HEARD_LATELY]))
 
     def reason_to_reopen(self, hello: Hello, now: float) -> str:
         """Take a Hello of a peer; the reason to open the session anew, empty if there is none."""
@@ -129,9 +129,9 @@ class SessionWatchdog:
     def _find_silent(self, now: float) -> list[str]:
         """The expected names that are silent. If there is none, and no peer lists one, none can be silent for a while."""
         words, own = self._words, self._name
-        silent = [name for name in self._expected if not now - words.get(name, NEVER) <= WITHIN_HEARING and name != own]
+        silent = [name for name in self._expected if not now - words.get(name, NEVER) <= HEARD_LATELY and name != own]
         if not silent and not self._since:
-            self._calm_until = min([words[name] for name in self._expected if name != own], default=now) + WITHIN_HEARING
+            self._calm_until = min([words[name] for name in self._expected if name != own], default=now) + HEARD_LATELY
         return silent
 
     def _is_split(self, name: str, hello: Hello, now: float) -> bool:
@@ -153,7 +153,7 @@ class SessionWatchdog:
         return 2 * len(lists) >= voters
 
     def _hears(self, name: str, now: float) -> bool:
-        return name in self._words and now - self._words[name] <= WITHIN_HEARING
+        return name in self._words and now - self._words[name] <= HEARD_LATELY
 
 
 class ListenerWatchdog:
@@ -169,19 +169,19 @@ class ListenerWatchdog:
         match event:
             case Alive(role="agent"):
                 self._agents.add(event.name)
-                self._watchdog.appear(event.name, event.incarnation)
+                self._watchdog.token_appeared(event.name, event.incarnation)
             case Gone(role="agent"):
-                self._watchdog.leave(event.name, event.incarnation)
+                self._watchdog.token_vanished(event.name, event.incarnation)
             case Received(batch=batch) if batch.kind in (Gossip, Hello):
                 known = self._agents.intersection(batch.senders)
-                self._watchdog.speak_all(known, now)
+                self._watchdog.note_messages(known, now)
                 if batch.kind is Hello:
                     return self._judge(batch.messages, known, now)
         return NO_EFFECTS
 
     def _judge(self, hellos: Iterable[Hello], known: Collection[str], now: float) -> list[Effect]:
         """A `Reopen` if one of the Hellos of known agents is a reason."""
-        self._watchdog.greet_all(known)
+        self._watchdog.note_hellos(known)
         if not self._watchdog.is_calm(now):
             for hello in hellos:
                 if hello.sender in known and (reason := self._watchdog.reason_to_reopen(hello, now)):

@@ -50,7 +50,7 @@ class Tokens:
         """Note that the session was closed: its tokens must be seen again by the next session."""
         self._doubtful = set(self._up)
 
-    def lost(self) -> list[Gone]:
+    def take_lost(self) -> list[Gone]:
         """The events for the tokens that the new session has not seen again."""
         lost, self._doubtful = sorted(self._doubtful), set()
         self._up -= set(lost)

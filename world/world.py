@@ -144,7 +144,7 @@ class World(Node):
         if known is None or len(hello.heard) > len(known.heard):
             self._changed = now
         if not hello.local:
-            self._watchdog.greet(hello.sender, now)
+            self._watchdog.note_hello(hello.sender, now)
         reason = "" if hello.local else self._watchdog.reason_to_reopen(hello, now)  # it hears nobody else's Hello
         if reason:
             return [Reopen(reason)]
@@ -156,7 +156,7 @@ class World(Node):
     def _greet(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has appeared; what an older incarnation of it was asked or told is void."""
         is_new = self._roster.appear(name, incarnation)
-        self._watchdog.appear(name, incarnation)
+        self._watchdog.token_appeared(name, incarnation)
         self._embody_guest(name)
         if not self.started:
             self._changed = now if is_new else self._changed
@@ -168,7 +168,7 @@ class World(Node):
 
     def _bury(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has gone; its body stands still at once and nobody waits for it."""
-        self._watchdog.leave(name, incarnation)
+        self._watchdog.token_vanished(name, incarnation)
         if not self._roster.vanish(name, incarnation):
             return []
         self._commands.drop(name)
@@ -176,7 +176,7 @@ class World(Node):
 
     def _obey(self, command: Command, now: float) -> list[Effect]:
         """Keep a command until the tick ends."""
-        self._watchdog.speak(command.sender, now)
+        self._watchdog.note_message(command.sender, now)
         moves = self.started and command.sender in self.scene.sensors
         if not moves or not self._commands.keep(command, self.tick, self._roster.live(command.sender)):
             self.ignored_commands += 1

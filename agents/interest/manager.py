@@ -128,7 +128,7 @@ class InterestManager:
     def _table(self, own: Beacon, tick: int) -> np.ndarray:
         """The positions of peers (`PositionTable.table`), after those without a recent beacon are forgotten."""
         since = tick - math.ceil(FORGOTTEN * max(self._period, self._peer_table.pace))
-        self._forgotten |= self._peer_table.forget(since, tick + MOST_TICKS)
+        self._forgotten |= self._peer_table.forget_outside(since, tick + MOST_TICKS)
         return self._peer_table.positions.table(beacon_row(own, self._context.config.partition.kind))
 
     # ------------------------------------------------------------------ beacons

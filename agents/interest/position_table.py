@@ -114,7 +114,7 @@ class PositionTable:
             end = SIZE * len(self.names)
             self._numbers[SIZE * row : SIZE * (row + 1)] = self._numbers[end : end + SIZE]
 
-    def forget(self, since: int, until: int) -> list[str]:
+    def forget_outside(self, since: int, until: int) -> list[str]:
         """Remove the rows older than the tick `since`, and those later than `until`, whose ticks are wrong; return their names."""
         if since <= self._oldest:
             return []

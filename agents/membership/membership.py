@@ -41,7 +41,7 @@ class Membership:
             return []
         if event.role == "agent":
             self._bodies.agent_left(event.name)
-            self.session_watchdog.appear(event.name, event.incarnation)
+            self.session_watchdog.token_appeared(event.name, event.incarnation)
             self._peer_table.alive(event.name, event.incarnation)
         if event.role != "agent" or not self._peer_table.local:
             self.announcements.peer_appeared(len(self._peer_table.peers), now)
@@ -54,16 +54,16 @@ class Membership:
         if event.role != "agent":
             return False
         self._bodies.agent_left(event.name)
-        self.session_watchdog.leave(event.name, event.incarnation)
+        self.session_watchdog.token_vanished(event.name, event.incarnation)
         return self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
 
     def take_hellos(self, batch: Batch, now: float) -> list[Effect]:
         """Take Hellos that arrived together: all senders are heard before one Hello is judged. Those without news are noted only."""
         watchdog, news = self.session_watchdog, [*batch.messages]
-        watchdog.speak_all(batch.senders, now)
+        watchdog.note_messages(batch.senders, now)
         if watchdog.is_calm(now):
             news = self._peer_table.news(batch.messages)
-            watchdog.greet_all({*batch.senders}.difference([hello.sender for hello in news]))
+            watchdog.note_hellos({*batch.senders}.difference([hello.sender for hello in news]))
         effects: list[Effect] = NO_EFFECTS
         for hello in news:
             more = self.take_hello(hello, now)
@@ -80,7 +80,7 @@ class Membership:
         if reason and reason != "settings":
             self._counters[f"rejected.{reason}"] += 1
             return warnings
-        is_new = self.session_watchdog.greet(hello.sender, now)
+        is_new = self.session_watchdog.note_hello(hello.sender, now)
         # a Hello sent when the token of a world appeared can be lost, because the world may not have subscribed yet
         is_restarted_world = hello.role == "world" and 0 < self.world_incarnation < hello.incarnation
         if is_new or is_restarted_world:

@@ -359,10 +359,10 @@ class PeerTable:
         self.positions.note(peer, beacon)
         return back or silent or is_first
 
-    def forget(self, since: int, until: int) -> bool:
+    def forget_outside(self, since: int, until: int) -> bool:
         """Forget the peers without a beacon or gossip of the ticks from `since` to `until`; whether there was one."""
         self.positions.catch_up(self.peers, steady=self._steady)
-        old = self.positions.forget(since, until)
+        old = self.positions.forget_outside(since, until)
         if len(self.peers) - len(old) > len(self.positions):
             old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.left_at or -1) < since]
         if old:

@@ -41,7 +41,7 @@ def peers() -> PeerTable:
 
 def choose(found: PeerTable) -> None:
     """Listen to everybody who is known."""
-    found.forget(-1, 100)
+    found.forget_outside(-1, 100)
     table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
     everybody = [True] * len(found.positions)
     found.choose(table, Choice(np.array(everybody), Rectangle(-50.0, -50.0, 50.0, 50.0)))
@@ -49,7 +49,7 @@ def choose(found: PeerTable) -> None:
 
 def eyes(found: PeerTable) -> dict[str, float]:
     """Where everybody's sensor is, m east."""
-    found.forget(-1, 100)
+    found.forget_outside(-1, 100)
     table = found.positions.table(beacon_row(beacon("s1", 0, 0.0), "power"))
     return dict(zip(found.positions.names, table[:, SENSOR_X].tolist()))
 

@@ -52,7 +52,7 @@ def test_after_any_comings_and_goings_the_rows_are_those_of_a_dictionary() -> No
                 expected[name] = tick, number
             if tick % 20 == 0:
                 version, old = places.version, {name for name, (said, _) in expected.items() if said < tick - 10}
-                assert set(places.forget(tick - 10, tick)) == old and (places.version != version) == bool(old)
+                assert set(places.forget_outside(tick - 10, tick)) == old and (places.version != version) == bool(old)
                 expected = {name: word for name, word in expected.items() if name not in old}
             assert firsts(places) == {name: number for name, (_, number) in expected.items()} and len(places) == len(expected)
             assert all((f"s{number}" in places) == (f"s{number}" in expected) for number in range(12))
@@ -70,4 +70,4 @@ def test_a_row_of_a_tick_that_is_still_to_come_is_forgotten_as_well() -> None:
     places = PositionTable()
     for name, tick in (("s1", 5), ("s2", 21), ("s3", 20)):
         places.put(name, tick, row(1.0))
-    assert places.forget(3, 20) == ["s2"] and places.forget(4, 20) == [] and places.forget(6, 20) == ["s1"]
+    assert places.forget_outside(3, 20) == ["s2"] and places.forget_outside(4, 20) == [] and places.forget_outside(6, 20) == ["s1"]

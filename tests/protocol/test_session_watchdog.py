@@ -6,7 +6,7 @@ import pytest
 
 from protocol.messages import Hello
 from protocol.node import Alive, Effect, Gone, Reopen, received
-from protocol.session_watchdog import FIRST_REST, LONGEST_REST, PATIENCE, WITHIN_HEARING, ListenerWatchdog, SessionWatchdog
+from protocol.session_watchdog import FIRST_REST, HEARD_LATELY, LONGEST_REST, PATIENCE, ListenerWatchdog, SessionWatchdog
 
 TEAM = ("s1", "s2", "s3", "s4", "world")
 
@@ -21,7 +21,7 @@ def alarms(watchdog: SessionWatchdog, claimants: dict[str, tuple[str, ...]], sec
     for step in range(int(seconds / 2.0)):
         now = start + 2.0 * step
         for sender, heard in claimants.items():
-            watchdog.greet(sender, now)
+            watchdog.note_hello(sender, now)
             name = watchdog.reason_to_reopen(hello(sender, *heard), now)
             if name:
                 found.append((now, name))
@@ -30,15 +30,15 @@ def alarms(watchdog: SessionWatchdog, claimants: dict[str, tuple[str, ...]], sec
 
 def test_heard_are_those_who_greeted_and_spoke_lately_and_have_not_left() -> None:
     watchdog = SessionWatchdog("s1", TEAM)
-    assert watchdog.greet("s3", 0.0) and watchdog.greet("s2", 0.0) and not watchdog.greet("s2", 0.5)
-    watchdog.speak("s4", 0.5)
+    assert watchdog.note_hello("s3", 0.0) and watchdog.note_hello("s2", 0.0) and not watchdog.note_hello("s2", 0.5)
+    watchdog.note_message("s4", 0.5)
     assert watchdog.heard(1.0) == ("s2", "s3"), "s4 has not greeted"
-    watchdog.speak("s3", 2.0)
-    assert watchdog.heard(0.6 + WITHIN_HEARING) == ("s3",)
+    watchdog.note_message("s3", 2.0)
+    assert watchdog.heard(0.6 + HEARD_LATELY) == ("s3",)
     assert watchdog.heard() == ("s2", "s3"), "before the start nobody is struck off for being slow"
-    watchdog.leave("s3", 1)
+    watchdog.token_vanished("s3", 1)
     assert watchdog.heard(2.0) == ("s2",)
-    watchdog.speak("s3", 2.5)
+    watchdog.note_message("s3", 2.5)
     assert watchdog.heard(2.5) == ("s2", "s3"), "the next word brings it back"
 
 
@@ -68,10 +68,10 @@ def test_a_death_raises_no_alarm_for_the_others_strike_the_dead_off_in_time() ->
         for step in range(200):
             now = step / 5.0
             for watchdog in (mine, other):
-                watchdog.greet("s3", now)
+                watchdog.note_hello("s3", now)
                 if now <= last:
-                    watchdog.greet("s4", now)
-            mine.greet("s2", now)
+                    watchdog.note_hello("s4", now)
+            mine.note_hello("s2", now)
             if step % 10 == 0:
                 assert mine.reason_to_reopen(hello("s2", *other.heard(now)), now) == ""
 
@@ -93,24 +93,24 @@ def test_a_clock_that_jumps_raises_no_alarm() -> None:
 
 def test_a_time_is_calm_while_all_expected_speak_and_keep_their_tokens() -> None:
     watchdog = SessionWatchdog("s1", TEAM)
-    watchdog.speak_all(("s2", "s3", "s4"), 0.0)
+    watchdog.note_messages(("s2", "s3", "s4"), 0.0)
     assert not watchdog.is_calm(0.0), "the world is silent"
-    watchdog.speak("world", 0.5)
-    assert watchdog.is_calm(0.5) and watchdog.is_calm(WITHIN_HEARING) and not watchdog.is_calm(WITHIN_HEARING + 0.1)
-    watchdog.speak_all(TEAM, 4.0)
+    watchdog.note_message("world", 0.5)
+    assert watchdog.is_calm(0.5) and watchdog.is_calm(HEARD_LATELY) and not watchdog.is_calm(HEARD_LATELY + 0.1)
+    watchdog.note_messages(TEAM, 4.0)
     assert watchdog.is_calm(4.0)
-    watchdog.leave("s3", 1)
+    watchdog.token_vanished("s3", 1)
     assert not watchdog.is_calm(4.0)
-    watchdog.speak("s3", 4.5)
+    watchdog.note_message("s3", 4.5)
     assert not watchdog.is_calm(4.5), "it speaks without a token"
-    watchdog.appear("s3", 1)
+    watchdog.token_appeared("s3", 1)
     assert watchdog.is_calm(4.5)
 
 
 def test_the_hellos_of_a_calm_time_count_as_hellos() -> None:
     watchdog = SessionWatchdog("s1", TEAM)
-    watchdog.speak_all(TEAM, 0.0)
-    watchdog.greet_all(("s2", "s4"))
+    watchdog.note_messages(TEAM, 0.0)
+    watchdog.note_hellos(("s2", "s4"))
     assert watchdog.heard(1.0) == ("s2", "s4")
 
 

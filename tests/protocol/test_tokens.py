@@ -31,13 +31,13 @@ def test_what_a_new_session_does_not_see_again_is_lost_and_what_it_sees_again_is
     tokens = Tokens(OWN, ALL)
     for name in ("s2", "s3", "s4"):
         tokens.see(key(name), True)
-    assert tokens.lost() == []
+    assert tokens.take_lost() == []
     tokens.doubt()
     assert tokens.see(key("s3"), True) is None
     assert tokens.see(key("s4"), False) == Gone("agent", "s4", 1)
-    assert tokens.lost() == [Gone("agent", "s2", 1)]
+    assert tokens.take_lost() == [Gone("agent", "s2", 1)]
     assert tokens.see(key("s2"), True) == Alive("agent", "s2", 1)
-    assert tokens.lost() == []
+    assert tokens.take_lost() == []
 
 
 def test_forgotten_tokens_are_told_again_once_they_are_followed_again() -> None:
