@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from agents.compiled.cache import cached
-from agents.compiled.label_kernels import NO_LABEL, add, name_peaks
+from agents.compiled.label_kernels import name_peaks, number_labels
 
 TRACK = 8  # columns of an estimate: x, y in m, then those of `extraction.Tracks.details`
 
@@ -126,26 +126,42 @@ def _describe(particles: tuple, bins: np.ndarray, size: float, cores: np.ndarray
     `particles` are states, weights and labels (N,), and `bins` (2, N) their columns and rows of bins with the side `size` m.
     """
     states, weights, labels = particles
-    known, sums, starts, number = np.empty(64, np.uint64), np.empty(64), np.zeros(len(cores) + 1, np.int64), 0
+    numbers, known = number_labels(labels)
+    sums, votes, masses, pairs = np.zeros(len(known)), np.empty(len(known), np.int64), np.empty(len(known)), 0
+    starts, core_of, number = np.zeros(len(cores) + 1, np.int64), np.empty(len(cores), np.int64), 0
+    firsts = np.empty(len(cores), np.int64)  # the first peak of each core
     for peak in range(len(cores)):
         row, column, x, y, mass = cores[peak, 0], cores[peak, 1], found[peak, 0], found[peak, 1], 0.0
         vx = vy = xx = xy = yy = 0.0
-        first, count = number, 0
+        core = 0
+        while core < number and (cores[firsts[core], 0] != row or cores[firsts[core], 1] != column):
+            core += 1
+        is_new, core_of[peak] = core == number, core
+        if is_new and pairs + len(known) > len(votes):
+            votes, masses = (
+                np.concatenate((votes, np.empty(pairs + len(known), np.int64))),
+                np.concatenate((masses, np.empty(pairs + len(known)))),
+            )
         for n in range(len(weights)):
             if abs(bins[1, n] - row) > 1 or abs(bins[0, n] - column) > 1 or not weights[n] > 0.0:
                 continue
-            weight, dx, dy = weights[n], states[n, 0] - x, states[n, 1] - y
+            weight, dx, dy, k = weights[n], states[n, 0] - x, states[n, 1] - y, numbers[n]
             mass += weight
             vx += weight * states[n, 2]
             vy += weight * states[n, 3]
             xx += weight * (dx * dx)
             xy += weight * (dx * dy)
             yy += weight * (dy * dy)
-            if labels[n] != NO_LABEL:
-                if first + count == len(known):
-                    known, sums = np.concatenate((known, np.empty_like(known))), np.concatenate((sums, np.empty_like(sums)))
-                count = add(known[first:], sums[first:], count, labels[n], weight)
-        number = starts[peak + 1] = first + count
+            if is_new and k >= 0:
+                if sums[k] == 0.0:
+                    votes[pairs], pairs = k, pairs + 1
+                sums[k] += weight
+        if is_new:
+            for p in range(starts[number], pairs):
+                masses[p], sums[votes[p]] = sums[votes[p]], 0.0
+            firsts[number], number = peak, number + 1
+            starts[number] = pairs
         for place, moment in enumerate((vx, vy, xx, xy, yy)):
             found[peak, 2 + place] = moment / mass
-    return name_peaks(known, sums, starts, found, particles, stamp, size)
+    shares = votes[:pairs], masses[:pairs], starts[: number + 1], core_of
+    return name_peaks(shares, known, found, (states, weights, numbers), stamp, size)

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
-from agents.compiled.particle_kernels import scramble
+from agents.compiled.particle_kernels import merge_runs, scramble
 from agents.tracking.labels import ADOPTED, ALONE, AROUND, BESIDE, EXPLAINED, FAINT, HASH_BITS, HERE, STRANGER_MASS, TICK_BITS, YOUNG
 from agents.tracking.labels import NO_LABEL as NONE
 
@@ -27,15 +27,28 @@ def birth_label(bits: np.uint64, stamp: np.uint64) -> np.uint64:
     return stamp | (bits >> _CUT) | _ONE
 
 
-@njit
-def add(labels: np.ndarray, sums: np.ndarray, number: int, label: np.uint64, weight: float) -> int:
-    """The new number of labels after `weight` is added to the sum of a label other than 0."""
-    for k in range(number):
-        if labels[k] == label:
-            sums[k] += weight
-            return number
-    labels[number], sums[number] = label, weight
-    return number + 1
+@cached
+def number_labels(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The number (N,) of the label of each row, -1 for none, and the label of each number (K,); numbers ascend from 0 by first rows.
+
+    A hash table that is at most half full finds each label in a few steps.
+    """
+    size = 16
+    while size < 2 * len(labels):
+        size *= 2
+    numbers, known, table, count = np.empty(len(labels), np.int64), np.empty(len(labels), np.uint64), np.full(size, -1), 0
+    for n in range(len(labels)):
+        if labels[n] == NO_LABEL:
+            numbers[n] = -1
+            continue
+        slot = np.int64(scramble(labels[n], NO_LABEL) >> _ONE) & (size - 1)
+        while table[slot] >= 0 and known[table[slot]] != labels[n]:
+            slot = (slot + 1) & (size - 1)
+        if table[slot] < 0:
+            table[slot], known[count] = count, labels[n]
+            count += 1
+        numbers[n] = table[slot]
+    return numbers, known[:count]
 
 
 @cached
@@ -53,20 +66,21 @@ def label_scan(
     The pairs (rows, columns, terms) are sorted by columns, the detections. `given` holds the labels that they found.
     """
     pairs, start = len(rows), 0
-    seen, sums = np.empty(16, np.uint64), np.empty(16)
+    numbers, known = number_labels(labels[rows])
+    sums = np.zeros(len(known))
     while start < pairs:
-        m, end, number = columns[start], start, 0
+        m, end, best, most = columns[start], start, NO_LABEL, 0.0
         while end < pairs and columns[end] == m:
-            label = labels[rows[end]]
-            if label != NO_LABEL and terms[end] > 0.0:
-                if number == len(seen):
-                    seen, sums = np.concatenate((seen, np.empty_like(seen))), np.concatenate((sums, np.empty_like(sums)))
-                number = add(seen, sums, number, label, terms[end])
+            if numbers[end] >= 0 and terms[end] > 0.0:
+                sums[numbers[end]] += terms[end]
             end += 1
-        best, most = NO_LABEL, 0.0
-        for k in range(number):
-            if sums[k] > most or (sums[k] == most and seen[k] < best):
-                best, most = seen[k], sums[k]
+        for p in range(start, end):
+            k = numbers[p]
+            if k >= 0 and (sums[k] > most or (sums[k] == most and known[k] < best)):
+                best, most = known[k], sums[k]
+        for p in range(start, end):
+            if numbers[p] >= 0:
+                sums[numbers[p]] = 0.0
         if best != NO_LABEL and most >= EXPLAINED * norms[m]:
             given[m] = best
         start = end
@@ -77,104 +91,102 @@ def label_scan(
 
 
 @njit
-def _best(labels: np.ndarray, weights: np.ndarray, taken: np.ndarray) -> int:
-    """The place of the label with the largest weight that is not taken, the oldest of equals; -1: none."""
-    best = -1
+def derived_label(label: np.uint64, number: np.uint64) -> np.uint64:
+    """Twin of `labels.derived_label`."""
+    return (label >> _HASH_BITS << _HASH_BITS) | (scramble(label, number) >> _CUT) | _ONE
+
+
+@njit
+def _name_by_weight(shares: tuple, known: np.ndarray, given: np.ndarray) -> np.ndarray:
+    """Give labels to peaks, the pair of a peak and a label with the largest weight first; returns which of `known` are given (K,).
+
+    Peaks of one core have the same pairs. Of equal weights of a label its first peak comes first.
+    """
+    numbers, weights, starts, cores = shares
+    pairs, peaks, taken = len(numbers), len(cores), np.zeros(len(known), np.bool_)
+    labels, core_of = np.empty(pairs, np.uint64), np.empty(pairs, np.int64)
+    for core in range(len(starts) - 1):
+        for p in range(starts[core], starts[core + 1]):
+            labels[p], core_of[p] = known[numbers[p]], core
+    heads, following = np.full(len(starts), peaks), np.empty(peaks, np.int64)  # the first peak of a core without a label, and the next
+    for m in range(peaks - 1, -1, -1):
+        following[m], heads[cores[m]] = heads[cores[m]], m
+    order = merge_runs(-weights, merge_runs(labels, np.arange(pairs)))
+    first = 0
+    while first < pairs:
+        k, weight, peak, end = numbers[order[first]], weights[order[first]], peaks, first
+        while end < pairs and numbers[order[end]] == k and weights[order[end]] == weight:
+            peak = min(peak, heads[core_of[order[end]]])
+            end += 1
+        if peak < peaks and not taken[k]:
+            given[peak], taken[k], heads[cores[peak]] = known[k], True, following[peak]
+        first = end
+    return taken
+
+
+@njit
+def _middles(particles: tuple, taken: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `labels.middles` for the labels that are not taken (K,): their numbers (L,) and their mean positions (L, 2)."""
+    states, weights, numbers = particles
+    sums = np.zeros((len(taken), 3))
+    for n in range(len(numbers)):
+        k = numbers[n]
+        if k >= 0:
+            sums[k, 0] += weights[n]
+            sums[k, 1] += weights[n] * states[n, 0]
+            sums[k, 2] += weights[n] * states[n, 1]
+    heavy = np.flatnonzero((sums[:, 0] >= FAINT) & ~taken)
+    return heavy, sums[heavy, 1:] / sums[heavy, :1]
+
+
+@njit
+def _beside(x: float, y: float, labels: np.ndarray, middles: np.ndarray, free: np.ndarray, reach: float) -> int:
+    """Twin of `labels._beside` for the labels (L,) that are `free`: the place of the label in `labels`, or -1."""
+    found, least = -1, reach * reach
     for k in range(len(labels)):
-        better = best < 0 or weights[k] > weights[best] or (weights[k] == weights[best] and labels[k] < labels[best])
-        if better and not (taken == labels[k]).any():
-            best = k
-    return best
-
-
-@njit
-def _derived(label: np.uint64, taken: np.ndarray) -> np.uint64:
-    """Twin of `labels._derived`."""
-    number = _ONE
-    while True:
-        found = (label >> _HASH_BITS << _HASH_BITS) | (scramble(label, number) >> _CUT) | _ONE
-        if not (taken == found).any():
-            return found
-        number += _ONE
-
-
-@njit
-def _middles(states: np.ndarray, weights: np.ndarray, labels: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `labels.middles` for the labels that are not given: the labels (L,) and their mean positions (L, 2)."""
-    known, sums, number = np.empty(16, np.uint64), np.empty((16, 3)), 0
-    for n in range(len(labels)):
-        if labels[n] == NO_LABEL or (given == labels[n]).any():
-            continue
-        k = 0
-        while k < number and known[k] != labels[n]:
-            k += 1
-        if k == len(known):
-            known, sums = np.concatenate((known, np.empty_like(known))), np.concatenate((sums, np.empty_like(sums)))
-        if k == number:
-            known[k], sums[k], number = labels[n], 0.0, number + 1
-        sums[k, 0] += weights[n]
-        sums[k, 1] += weights[n] * states[n, 0]
-        sums[k, 2] += weights[n] * states[n, 1]
-    heavy = sums[:number, 0] >= FAINT
-    known, sums = known[:number][heavy], sums[:number][heavy]
-    return known, sums[:, 1:] / sums[:, :1]
-
-
-@njit
-def _beside(x: float, y: float, known: np.ndarray, middles: np.ndarray, given: np.ndarray, reach: float) -> np.uint64:
-    """Twin of `labels._beside` for the labels that are not given."""
-    found, least = NO_LABEL, reach * reach
-    for k in range(len(known)):
         dx, dy = middles[k, 0] - x, middles[k, 1] - y
         apart = dx * dx + dy * dy
-        nearer = apart < least or (apart == least and found != NO_LABEL and known[k] < found)
-        if nearer and not (given == known[k]).any():
-            found, least = known[k], apart
+        if free[k] and (apart < least or (apart == least and found >= 0 and labels[k] < labels[found])):
+            found, least = k, apart
     return found
 
 
 @cached
-def name_peaks(
-    labels: np.ndarray, weights: np.ndarray, starts: np.ndarray, places: np.ndarray, particles: tuple, stamp: np.uint64, size: float
-) -> np.ndarray:
+def name_peaks(shares: tuple, known: np.ndarray, places: np.ndarray, particles: tuple, stamp: np.uint64, size: float) -> np.ndarray:
     """Twin of `labels.name_peaks`: the label of each peak (M,).
 
-    Peak number m at `places[m]` has the labels and weights from `starts[m]` to `starts[m + 1]`. `particles` are the states, weights and
-    labels (N,) of all particles, `stamp` holds the bits of the tick (`stamp_of`), and bins have the side
-    `size` m.
+    `shares` are numbers of labels (P,), their weights (P,), the first pair of each core (C + 1,), and the core of each peak (M,).
+    The core of a peak holds the labels in it: of number c from `starts[c]` to `starts[c + 1]`. `known` (K,) are the labels by their
+    numbers. `particles` are the states, weights and numbers of labels (N,) of all particles, `stamp` holds the bits of the tick
+    (`stamp_of`), and bins have the side `size` m.
     """
-    peaks, waits = len(starts) - 1, False
-    given, nothing, open_to = np.zeros(peaks, np.uint64), np.empty(0, np.uint64), np.empty(peaks, np.bool_)
-    while True:
-        peak, place = -1, -1
-        for m in range(peaks):
-            if given[m] != NO_LABEL:
-                continue
-            part = slice(starts[m], starts[m + 1])
-            k = _best(labels[part], weights[part], given)
-            if k < 0:
-                continue
-            k += starts[m]
-            if peak < 0 or weights[k] > weights[place] or (weights[k] == weights[place] and labels[k] < labels[place]):
-                peak, place = m, k
-        if peak < 0:
-            break
-        given[peak] = labels[place]
-    for m in range(peaks):
+    numbers, weights, starts, cores = shares
+    given, open_to = np.zeros(len(cores), np.uint64), np.empty(len(cores), np.bool_)
+    taken = _name_by_weight(shares, known, given)
+    for m in range(len(cores)):
         age = ((stamp >> _HASH_BITS) + (_ONE << _TICK_BITS) - (given[m] >> _HASH_BITS)) % (_ONE << _TICK_BITS)
         open_to[m] = given[m] == NO_LABEL or age <= np.uint64(YOUNG)
-        waits |= open_to[m]
-    if waits:
-        known, middles = _middles(particles[0], particles[1], particles[2], given)
-        for m in range(peaks):
+    if open_to.any():
+        rows, middles = _middles(particles, taken)
+        labels, free = known[rows], np.ones(len(rows), np.bool_)
+        for m in range(len(cores)):
             if open_to[m]:
-                label = _beside(places[m, 0], places[m, 1], known, middles, given, BESIDE * size)
-                if label != NO_LABEL and (given[m] == NO_LABEL or label < given[m]):
-                    given[m] = label
-    for m in range(peaks):
-        if given[m] == NO_LABEL and starts[m + 1] > starts[m]:
-            part = slice(starts[m], starts[m + 1])
-            given[m] = _derived(labels[part][_best(labels[part], weights[part], nothing)], given)
+                k = _beside(places[m, 0], places[m, 1], labels, middles, free, BESIDE * size)
+                if k >= 0 and (given[m] == NO_LABEL or labels[k] < given[m]):
+                    given[m], free[k] = labels[k], False
+    derived = np.zeros(len(known), np.uint64)  # how many labels have been derived from each: all of them are taken
+    for m in range(len(cores)):
+        heaviest = -1
+        for p in range(starts[cores[m]], starts[cores[m] + 1] if given[m] == NO_LABEL else 0):
+            is_first = heaviest < 0 or weights[p] > weights[heaviest]
+            if is_first or (weights[p] == weights[heaviest] and known[numbers[p]] < known[numbers[heaviest]]):
+                heaviest = p
+        while heaviest >= 0 and given[m] == NO_LABEL:
+            k = numbers[heaviest]
+            derived[k] += _ONE
+            label = derived_label(known[k], derived[k])
+            if not (given == label).any():
+                given[m] = label
     return given
 
 
@@ -214,7 +226,7 @@ def rename(updated: tuple, owned: np.ndarray, predicted: tuple, places: np.ndarr
                 home = k
         if not strange.any():
             continue
-        label = known[home] if home >= 0 else _derived(known[heaviest], new[:0])
+        label = known[home] if home >= 0 else derived_label(known[heaviest], _ONE)
         for n in range(len(labels)):
             dx, dy = states[n, 0] - x, states[n, 1] - y
             if owned[n] and dx * dx + dy * dy <= inner * inner:

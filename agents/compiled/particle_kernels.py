@@ -109,7 +109,7 @@ def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
         fullest = max(fullest, starts[bucket])
         starts[bucket] += starts[bucket - 1]
     if fullest > _FULLEST:
-        return _merge_runs(ids, order)
+        return merge_runs(ids, order)
     found = np.empty_like(order)
     for n in range(count):
         bucket = np.int64(ids[order[n]] >> shift)
@@ -120,8 +120,8 @@ def sort_by_id(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 @njit
-def _merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """The result of `sort_by_id`, by a natural merge sort."""
+def merge_runs(ids: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """The indices `order` (N,), sorted by ascending id; a natural merge sort, stable. Ids may be any numbers. `order` is overwritten."""
     count = len(order)
     source, target, starts = order, np.empty_like(order), np.empty(count + 1, np.int64)
     while True:

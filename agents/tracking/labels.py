@@ -14,6 +14,8 @@ states the result. It reads the particles in its cell after all scans, and aroun
 bits in every filter. Weights and states never change.
 """
 
+from collections import Counter
+
 import numpy as np
 
 from agents.tracking.particles import Particles, squared_distances, total
@@ -103,22 +105,27 @@ def name_peaks(
     the other label is older: most peaks of young labels are clutter beside a target that was missed. A peak that is still left takes a
     label derived from its heaviest one, and a peak without any label has none.
     """
-    given = [NO_LABEL] * len(peaks)
+    given, taken = [NO_LABEL] * len(peaks), {NO_LABEL}
     for _, label, number in sorted((-weight, label, number) for number, peak in enumerate(peaks) for label, weight in peak.items()):
-        if given[number] == NO_LABEL and label not in given:
+        if given[number] == NO_LABEL and label not in taken:
             given[number] = label
-    free = {label: middle for label, middle in known.items() if label not in given}
+            taken.add(label)
+    free = {label: middle for label, middle in sorted(known.items()) if label not in taken}
     for number, place in enumerate(places):
         if given[number] == NO_LABEL or is_young(given[number], tick):
             label = _beside(place, free, BESIDE * size)
             if label != NO_LABEL and (given[number] == NO_LABEL or label < given[number]):
                 given[number] = label
                 del free[label]
-    taken = {*given, NO_LABEL}
+    taken, derived = {*given}, Counter[int]()
     for number, peak in enumerate(peaks):
-        if given[number] == NO_LABEL and peak:
-            given[number] = _derived(min((-weight, label) for label, weight in peak.items())[1], taken)
-            taken.add(given[number])
+        heaviest = min(((-weight, label) for label, weight in peak.items()), default=(0.0, NO_LABEL))[1]
+        while given[number] == NO_LABEL and peak:  # what was derived from a label before is taken
+            derived[heaviest] += 1
+            label = derived_label(heaviest, derived[heaviest])
+            if label not in taken:
+                given[number] = label
+                taken.add(label)
     return given
 
 
@@ -128,9 +135,9 @@ def is_young(label: int, tick: int) -> bool:
 
 
 def _beside(place: np.ndarray, free: dict[int, tuple[float, float]], reach: float) -> int:
-    """The label whose middle is nearest to a place, at most `reach` m away, the oldest of equals; 0: none."""
+    """The label whose middle is nearest to a place, less than `reach` m away, the first of equals; 0: none."""
     found, least = NO_LABEL, reach * reach
-    for label, (x, y) in sorted(free.items()):
+    for label, (x, y) in free.items():
         dx, dy = x - place[0], y - place[1]
         apart = dx * dx + dy * dy
         if apart < least:
@@ -166,11 +173,3 @@ def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places:
         label = min(at_home)[1] if at_home else derived_label(min((-inside, int(label)) for (inside, _), label in zip(masses, known))[1], 1)
         labels[here & owned & np.isin(before, known[strange])] = label
     return labels
-
-
-def _derived(label: int, taken: set[int]) -> int:
-    """The first label derived from `label` that is not taken."""
-    number = 1
-    while derived_label(label, number) in taken:
-        number += 1
-    return derived_label(label, number)

@@ -1,10 +1,14 @@
 """Labels: what founds them, who inherits them, and which estimate bears which."""
 
+import time
+
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from agents.compiled import label_kernels
+from agents.compiled import extraction_kernels, label_kernels
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_tracks
@@ -181,10 +185,16 @@ def test_the_compiled_rules_give_the_same_labels() -> None:
         every = Particles(states, rng.random(number) * 0.3, ids, choices[rng.integers(0, 7, number)])
         stamp = np.uint64(label_kernels.stamp_of(np.uint64(tick)))
         size = float(rng.choice([0.5, 1.0, 1.5]))
-        plain = name_peaks(peaks, places, middles(every), tick, size)
+        cores = np.sort(
+            np.append(np.arange(len(peaks)), rng.integers(0, len(peaks), 2) if peaks else []).astype(int)
+        )  # some hold more peaks
+        peaks, spots = [peaks[core] for core in cores], places[cores]
+        plain = name_peaks(peaks, spots, middles(every), tick, size)
         around = states, every.weights, every.labels
-        assert plain == label_kernels.name_peaks(labels, weights, starts, places, around, stamp, size).tolist()
-        beside += plain != name_peaks(peaks, places, {}, tick, size)
+        numbers, numbered = label_kernels.number_labels(np.concatenate((every.labels, labels)))
+        shares, particles = (numbers[number:], weights, starts, cores), (states, every.weights, numbers[:number])
+        assert plain == label_kernels.name_peaks(shares, numbered, spots, particles, stamp, size).tolist()
+        beside += plain != name_peaks(peaks, spots, {}, tick, size)
         owned, known = rng.random(number) < 0.7, int(rng.integers(0, number + 1))
         before = Particles(states[:known], rng.random(known) * 0.3, ids[:known], choices[rng.integers(0, 7, known)])
         new = renamed(every, owned, before, places, size)
@@ -194,6 +204,56 @@ def test_the_compiled_rules_give_the_same_labels() -> None:
     assert beside > 100 and moved > 50
     bits = np.array([2**63 + 12345678901], dtype=np.uint64)
     assert int(birth_labels(bits, 9)[0]) == int(label_kernels.birth_label(bits[0], label_kernels.stamp_of(np.uint64(9))))
+
+
+def by_the_rule(peaks: list[dict[int, float]]) -> list[int]:
+    """The names of peaks of old labels with nothing beside them: always the heaviest pair that is left, then what is derived."""
+    given: dict[int, int] = {}
+    while True:
+        left = [(-weight, label, number) for number, peak in enumerate(peaks) if number not in given for label, weight in peak.items()]
+        left = [pair for pair in left if pair[1] not in given.values()]
+        if not left:
+            break
+        given[min(left)[2]] = min(left)[1]
+    for number, peak in enumerate(peaks):
+        if number not in given and peak:
+            heaviest = min(peak, key=lambda label: (-peak[label], label))
+            derived = (derived_label(heaviest, count) for count in range(1, len(peaks) + 2))
+            given[number] = next(label for label in derived if label not in given.values())
+    return [given.get(number, 0) for number in range(len(peaks))]
+
+
+@given(st.lists(st.dictionaries(st.sampled_from([5, 6, 7, 900, derived_label(5, 1)]), st.sampled_from([0.25, 0.5, 1.0]))))
+def test_names_go_to_the_heaviest_pair_of_a_peak_and_a_label_that_is_left(peaks: list[dict[int, float]]) -> None:
+    assert named(*peaks) == by_the_rule(peaks)
+
+
+def test_labels_are_numbered_by_their_first_rows_also_when_many_are_alike() -> None:
+    numbers, known = label_kernels.number_labels(np.array([7, 0, 5, 7, 2**53 - 1, 5], np.uint64))
+    assert numbers.tolist() == [0, -1, 1, 0, 2, 1] and known.tolist() == [7, 5, 2**53 - 1]
+    many = (np.arange(5000, dtype=np.uint64) << np.uint64(29)) | np.uint64(1)
+    numbers, known = label_kernels.number_labels(np.concatenate((many, many[::-1])))
+    assert (known == many).all() and (numbers == np.concatenate((np.arange(5000), np.arange(5000)[::-1]))).all()
+    assert [len(part) for part in label_kernels.number_labels(many[:0])] == [0, 0]
+
+
+def corrected_and_named(count: int) -> tuple[list[int], list[int]]:
+    """The labels of births and estimates at so many detections of one place, each with a label and 12 particles of its own."""
+    stamp = label_kernels.stamp_of(np.uint64(TICK))
+    labels = np.repeat(np.arange(count, dtype=np.uint64) * 2 + 1, 12) | stamp
+    states, weights, births = np.full((12 * count, 4), 0.5), np.full(12 * count, 1.0 / 12.0), np.zeros(count, np.uint64)
+    rows, columns = np.tile(np.arange(12 * count), count), np.repeat(np.arange(count), 12 * count)
+    label_kernels.label_scan(labels, weights, rows, columns, np.ones(len(rows)), np.ones(count), births)
+    return births.tolist(), extraction_kernels.estimate_tracks(states, weights, labels, 1.0, 0.5, 0.0, stamp)[1].tolist()
+
+
+def test_a_thousand_detections_of_one_place_are_corrected_and_named_in_a_moment() -> None:
+    """In time that grows with their cube it would be minutes."""
+    corrected_and_named(2)  # compiles
+    began = time.process_time()
+    births, names = corrected_and_named(1000)
+    assert time.process_time() - began < 5.0
+    assert len(set(names)) == 1000 and set(births) == {min(names)}
 
 
 def test_a_label_counts_once_in_a_tick_for_the_estimate_nearest_to_where_it_was_last() -> None:
