@@ -41,17 +41,21 @@ def test_mutants_have_names_of_their_own_and_are_many() -> None:
 
 
 def test_a_copy_has_the_compiled_loops_of_the_tree(tmp_path: Path) -> None:
-    """Else each copy compiles them within the time of its first mutant."""
-    copy = tmp_path.resolve() / "copy"
+    """Else each copy compiles them within the time of its first mutant. Other tests may compile loops meanwhile."""
+    cut = "import numpy as np; a = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])\n"
+    cut += "from agents.compiled.cell_kernels import cut_cells; cut_cells(np.array([0]), a, np.ones(4), a)\n"
+    exec(cut)  # the loop that the copy shall find, in a tree that has compiled little so far
+    copy, before = tmp_path.resolve() / "copy", loops_on_disk()
     run.copy_tree(copy)
-    program = "from agents.compiled.cache import folder, loops_on_disk; from agents.compiled.cell_kernels import cut_cells\n"
-    program += "import numpy as np; a = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])\n"
-    program += "cut_cells(np.array([0]), a, np.ones(4), a); print(loops_on_disk(), sum(cut_cells.stats.cache_hits.values()))"
+    after = loops_on_disk()
+    program = cut + "from agents.compiled.cache import loops_on_disk; print(loops_on_disk(), sum(cut_cells.stats.cache_hits.values()))"
     variables = {**os.environ, "PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / ".loops")}
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=copy, env=variables, capture_output=True, text=True, timeout=110, check=False
     )
-    assert done.stdout.split() == [str(loops_on_disk()), "1"], done.stderr
+    assert done.stdout, done.stderr
+    loops, hits = map(int, done.stdout.split())
+    assert 1 <= before <= loops <= after and hits == 1
 
 
 def test_a_text_that_has_gone_is_an_error_that_says_so(tmp_path: Path) -> None:
