@@ -33,6 +33,7 @@ from protocol.sensing import WedgeSensor, measurement_of
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given, start_poses
 from world.config import TargetSettings
+from world.platform import SIMULATED, platform_class
 from world.sources import READERS, body_source
 from world.targets import CheckedMotion, build_motion
 
@@ -133,6 +134,20 @@ def check_costs(scenario: Scenario) -> None:
     if scenario.extraction.bin < least:
         line = f"extraction.bin = {scenario.extraction.bin!r}: too fine for {area:.3g} m^2"
         raise BadSetting(f"{line}; should be at least {1.05 * least:.2g} m")
+
+
+def check_platform_class(scenario: Scenario) -> str:
+    """A line about the platform of the user's own, where there is one; raises BadSetting where this machine cannot import it."""
+    bodies = scenario.bodies
+    if bodies.platform == SIMULATED:
+        return ""
+    if bodies.host == "world":
+        return f"bodies.platform = {bodies.platform!r} is read with bodies.host = 'own' alone; one world simulates all bodies here"
+    try:
+        platform_class(bodies)
+    except BadSetting as error:
+        raise BadSetting(f"{scenario.run.scenario}: {error}") from error.__cause__
+    return f"{bodies.platform} can be imported; `covey platform` tries it"
 
 
 def _network(scenario: Scenario) -> Iterator[tuple[str, str]]:

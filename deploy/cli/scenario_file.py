@@ -5,14 +5,19 @@ import shutil
 import sys
 from pathlib import Path
 
-from deploy.cli.scenario_checks import fault_remarks, faults_beyond_a_simulation, faults_on_links, faults_without_effect
+from deploy.cli.scenario_checks import (
+    check_platform_class,
+    fault_remarks,
+    faults_beyond_a_simulation,
+    faults_on_links,
+    faults_without_effect,
+)
 from deploy.cli.template import template
 from deploy.installation import versions
 from deploy.scenario import Scenario, agent_config, recording_remarks, targets_in_words, toml_text, world_config
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import ROOM, runs_folder
 from protocol.settings import BadSetting, NetworkSettings
-from world.platform import SIMULATED, platform_class
 
 
 def init(file: Path) -> int:
@@ -59,20 +64,6 @@ def check_network_and_print(scenario: Scenario, name: str) -> int:
         print(f"{'ok    ' if right else 'WRONG '} {text}", flush=True)
         wrong += not right
     return 1 if wrong else 0
-
-
-def check_platform_class(scenario: Scenario) -> str:
-    """A line about the platform of the user's own, where there is one; raises BadSetting where this machine cannot import it."""
-    bodies = scenario.bodies
-    if bodies.platform == SIMULATED:
-        return ""
-    if bodies.host == "world":
-        return f"bodies.platform = {bodies.platform!r} is read with bodies.host = 'own' alone; one world simulates all bodies here"
-    try:
-        platform_class(bodies)
-    except BadSetting as error:
-        raise BadSetting(f"{scenario.run.scenario}: {error}") from error.__cause__
-    return f"{bodies.platform} can be imported; `covey platform` tries it"
 
 
 def complain(lines: list[str]) -> int:

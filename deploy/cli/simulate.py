@@ -14,7 +14,7 @@ import msgspec
 
 from deploy.cli.display import Display, show_result
 from deploy.cli.errors import FAILED, complain
-from deploy.cli.scenario_checks import fault_remarks, faults_without_effect
+from deploy.cli.scenario_checks import check_platform_class, fault_remarks, faults_without_effect
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, named
@@ -40,6 +40,7 @@ def simulate_here(
     """
     if trace is not None:
         check_trace(trace)
+    check_platform_class(scenario)
     if requested_name is None and record is not True:
         result, _, path, series = _simulate(scenario, clock, recording_path(record, Path()))
         return _show(result, None, as_json, path, series, trace)
