@@ -139,21 +139,32 @@ def find(name: str) -> Path:
     return shipped
 
 
-def resolve(name: str, overrides: dict[str, Any] | None = None) -> Scenario:
-    """The scenario `name` with dotted overrides such as {"run.seed": 3} laid over it and the team spelled out."""
-    data, source = read(name, overrides)
+def resolve(name: str, overrides: dict[str, Any] | None = None, *, agents_too: bool = False) -> Scenario:
+    """The scenario `name` with dotted overrides such as {"run.seed": 3} laid over it and the team spelled out; see `read`."""
+    data, source = read(name, overrides, agents_too=agents_too)
     return spelled_out(convert(data, Scenario, source), data, name, source)
 
 
-def read(name: str, overrides: dict[str, Any] | None = None) -> tuple[dict[str, Any], str]:
-    """The data of the scenario `name` with dotted overrides laid over it, and where it comes from in words; raises BadSetting."""
+def read(name: str, overrides: dict[str, Any] | None = None, *, agents_too: bool = False) -> tuple[dict[str, Any], str]:
+    """The data of the scenario `name` with dotted overrides laid over it, and where it comes from in words; raises BadSetting.
+
+    An agents.toml is refused unless `agents_too`: it says nothing of the world, so that its defaults would stand for it.
+    """
     path = find(name)
     data = read_toml(path)
     if not data:
         raise BadSetting(f"{path}: says nothing; `covey init NAME.toml` writes a scenario to begin with")
+    if not agents_too and _is_of_agents(data):
+        right = "a scenario is the run.toml beside it"
+        raise BadSetting(f"{path}: settings of agents, as a run writes them; {right}. `covey check {path} --network` looks for their swarm")
     for dotted, value in (overrides or {}).items():
         _lay_over(data, dotted, value)
     return data, str(path) if not overrides else f"{path} with options"
+
+
+def _is_of_agents(data: dict[str, Any]) -> bool:
+    """Whether data are what `agent_config` leaves of a scenario: all that agents read, their own seed, and no word of the world."""
+    return set(data) == set(AgentConfig.__struct_fields__) and set(data["run"]) == set(RunSettings.__struct_fields__)
 
 
 def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str) -> Scenario:

@@ -124,16 +124,19 @@ class RunOptions:
         files = {"ca": "ca.pem", "certificate": "{name}.pem", "key": "{name}.key"}
         return {f"network.{field}": str(self.keys.absolute() / file) if self.keys else None for field, file in files.items()}
 
-    def scenario(self, name: str) -> "Scenario":
-        """The resolved scenario, and remarks on a recording for people; raises BadSetting naming what is wrong."""
+    def scenario(self, name: str, *, agents_too: bool = False) -> "Scenario":
+        """The resolved scenario, and remarks on a recording for people; raises BadSetting naming what is wrong.
+
+        With `agents_too` it may be an agents.toml.
+        """
         from deploy.cli.errors import tell_remarks
         from deploy.scenario import recording_remarks
 
-        scenario = self.variant(name)
+        scenario = self.variant(name, agents_too=agents_too)
         tell_remarks(recording_remarks(scenario))
         return scenario
 
-    def variant(self, name: str, *settings: str) -> "Scenario":
+    def variant(self, name: str, *settings: str, agents_too: bool = False) -> "Scenario":
         """The resolved scenario with further settings such as control.mode=random; raises BadSetting naming what is wrong."""
         import msgspec
 
@@ -142,7 +145,7 @@ class RunOptions:
         from protocol.settings import BadSetting
 
         overrides, faults = {**self.overrides(), **dict(map(parse_set, settings))}, self.faults()
-        scenario = resolve(name, overrides)
+        scenario = resolve(name, overrides, agents_too=agents_too)
         scenario = msgspec.structs.replace(scenario, faults=(*scenario.faults, *faults))
         try:
             check_scenario(scenario)
@@ -156,14 +159,14 @@ class RunOptions:
 
         return self.run or (scenario.run.name if scenario.run.name != RunSettings().name else None)
 
-    def mistakes(self, name: str) -> list[str]:
+    def mistakes(self, name: str, *, agents_too: bool) -> list[str]:
         """Everything that is wrong with the scenario and the options, a line each."""
         from deploy.cli.scenario_checks import all_mistakes
         from deploy.scenario import read
         from protocol.settings import BadSetting
 
         try:
-            data, source = read(name, self.overrides())
+            data, source = read(name, self.overrides(), agents_too=agents_too)
             return all_mistakes(data, name, source, self.faults())
         except BadSetting as error:
             return [str(error)]

@@ -7,6 +7,7 @@ import pytest
 
 from deploy.__main__ import app
 from deploy.cli.errors import guarded
+from deploy.scenario import agent_config, resolve, toml_text
 
 FILES = {
     "empty.toml": b"",
@@ -41,6 +42,8 @@ FILES = {
     "team.toml": b"[team]\ncomposition = '2A'\n[members]\na = 'A'\n",
     "few.toml": b"[team]\ncomposition = '4A'\n[[faults]]\nat = 1.0\nverb = 'kill'\nwho = '3'\n"
     b"[[faults]]\nat = 2.0\nverb = 'kill'\nwho = '2'\n",
+    "agents.toml": toml_text(agent_config(resolve("quick"))).encode(),
+    "strangers.toml": toml_text(agent_config(resolve("quick", {"timing.interest": "neighbours"}))).encode(),
     "file": b"",
     "file.mcap": b"no recording",
 }

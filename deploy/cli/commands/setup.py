@@ -32,14 +32,14 @@ def check(
 ) -> int:
     """Is the scenario right, and can this machine run it?
 
-    --network: dial network.seeds and say who is found, or why nobody is; with the certificate --as s3.
+    --network: dial network.seeds and say who is found, or why nobody is; with the certificate --as s3. Also of an agents.toml.
     """
     from deploy.cli import scenario_file
 
-    wrong = options.mistakes(scenario)
+    wrong = options.mistakes(scenario, agents_too=network)
     if wrong:
         return scenario_file.complain(wrong)
-    found = options.scenario(scenario)
+    found = options.scenario(scenario, agents_too=network)
     return scenario_file.check_network_and_print(found, own) if network else scenario_file.check(found)
 
 
