@@ -9,7 +9,7 @@ import numpy as np
 from protocol.fields import FARTHEST, LARGEST_LABEL, Malformed
 
 MAX_COMPONENTS = 4096
-MOST_MASS = 1000.0  # expected targets of one owner. Every one is an estimate, and to name so many takes 0.4 s, three times as many 10 s
+MOST_MASS = 1000.0  # expected targets of one owner. Every one is an estimate: 1000 are found and named in 0.06 s, 3000 in 0.5 s
 COMPONENT = np.dtype(
     [("weight", "<f4"), ("place", "<f4", 2), ("velocity", "<f2", 2), ("factor", "<f2", 10), ("id", "<u8"), ("label", "<u8")]
 )

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.compiled import extraction_kernels, label_kernels
+from agents.compiled.cache import is_switched_off
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_tracks
@@ -247,6 +248,7 @@ def corrected_and_named(count: int) -> tuple[list[int], list[int]]:
     return births.tolist(), extraction_kernels.estimate_tracks(states, weights, labels, 1.0, 0.5, 0.0, stamp)[1].tolist()
 
 
+@pytest.mark.skipif(is_switched_off(), reason="as plain Python the loops take minutes")
 def test_a_thousand_detections_of_one_place_are_corrected_and_named_in_a_moment() -> None:
     """In time that grows with their cube it would be minutes."""
     corrected_and_named(2)  # compiles

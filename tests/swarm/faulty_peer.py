@@ -81,6 +81,17 @@ def false_detections(said: Gossip) -> list[Message]:
     return [changed(said, detections_bytes=pack(places, "<f4"))]
 
 
+def many_false_detections(said: Gossip) -> list[Message]:
+    """1000 all over the arena."""
+    places = np.random.default_rng(said.tick).uniform(0.0, 40.0, (1000, 2))
+    return [changed(said, detections_bytes=pack(places, "<f4"))]
+
+
+def one_place_a_thousand_times(said: Gossip) -> list[Message]:
+    """1000 detections of the middle of the arena."""
+    return [changed(said, detections_bytes=pack(np.full((1000, 2), 20.0), "<f4"))]
+
+
 def particles_in_other_cells(said: Gossip) -> list[Message]:
     """2000 particles of 20 expected targets all over the arena."""
     numbers = np.random.default_rng(said.tick)
@@ -114,6 +125,7 @@ def play(lie: Lie | None) -> Played:
 def main() -> None:
     """Print the table."""
     lies = [None, silence, no_detections, no_capacity, another_place, false_mass, particles_in_other_cells, false_detections]
+    lies += [many_false_detections, one_place_a_thousand_times]
     lies += [claim_of_everything, mass_without_end, ticks_far_ahead, wrong_ticks_beside_the_right_one, made_up_names]
     for lie in lies:
         found = play(lie).result
