@@ -161,12 +161,14 @@ def build_platform(name: str, config: WorldConfig) -> Platform:
         raise BadSetting(f"{where}: {error}; {RIGHT}") from None
     except (Exception, SystemExit) as error:
         raise BadSetting(f"{where}: raised {type(error).__name__}: {error}") from error
-    _check_methods(platform, where)
+    missing = [method for method in METHODS if not callable(getattr(platform, method, None))]
+    if missing:
+        raise BadSetting(f"{where}: has no method {', '.join(missing)} (see world.platform.Platform)")
     return CheckedPlatform(platform, settings.platform)
 
 
 def platform_class(settings: BodySettings) -> Callable[..., Any]:
-    """The user's own class, not built yet: that may open the ports of a robot. Raises BadSetting naming the field."""
+    """The user's own class, not built yet: that may open the ports of a robot, or give it its methods. Raises BadSetting with the field."""
     where = f"bodies.platform = {settings.platform!r}"
     try:
         kind = load_named(settings.platform)
@@ -174,15 +176,7 @@ def platform_class(settings: BodySettings) -> Callable[..., Any]:
             inspect.signature(kind).bind("", **settings.parameters)
     except (ValueError, ImportError, TypeError) as error:
         raise BadSetting(f"{where}: {error}; {RIGHT}") from None
-    if inspect.isclass(kind):
-        _check_methods(kind, where)
     return kind
-
-
-def _check_methods(platform: Any, where: str) -> None:
-    missing = [method for method in METHODS if not callable(getattr(platform, method, None))]
-    if missing:
-        raise BadSetting(f"{where}: has no method {', '.join(missing)} (see world.platform.Platform)")
 
 
 def fenced(velocity: Vector, pose: Pose, box: tuple[float, float, float, float], seconds: float) -> Vector:
