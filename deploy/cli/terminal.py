@@ -40,7 +40,10 @@ def stop_event() -> asyncio.Event:
 
 @contextlib.contextmanager
 def keyboard(show_cursor: Callable[[bool], object]) -> Iterator[Pressed]:
-    """Keys without Enter and without an echo. Ctrl-Z gives the terminal back until the program is in front again."""
+    """Keys without Enter and without an echo. Ctrl-Z gives the terminal back until the program is in front again.
+
+    Signals wait until the first look for keys: an exception while the `with` statement enters would leave the terminal as it is.
+    """
     number = sys.stdin.fileno()
     before = termios.tcgetattr(number)
 
@@ -55,15 +58,22 @@ def keyboard(show_cursor: Callable[[bool], object]) -> Iterator[Pressed]:
             tty.setcbreak(number)
             show_cursor(False)
 
+    def pressed(seconds: float) -> list[str]:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, asking)
+        return _pressed(number, seconds)
+
     chosen = {signal.SIGTERM: leave, signal.SIGHUP: leave, signal.SIGTSTP: step_back}
     handlers = {one: signal.signal(one, handler) for one, handler in chosen.items()}
+    asking = {signal.SIGINT, *chosen}
+    signal.pthread_sigmask(signal.SIG_BLOCK, asking)
     try:
         tty.setcbreak(number)
-        yield lambda seconds: _pressed(number, seconds)
+        yield pressed
     finally:
         termios.tcsetattr(number, termios.TCSADRAIN, before)
         for one, handler in handlers.items():
             signal.signal(one, handler)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, asking)
 
 
 def _pressed(number: int, seconds: float) -> list[str]:
