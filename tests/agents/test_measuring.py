@@ -206,6 +206,7 @@ def test_a_filter_that_knows_of_its_errors_in_time_beats_one_that_does_not() -> 
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_poses_averaged_over_two_seconds_take_most_of_the_loss_away() -> None:
     """Sigma 0.3 m, 3 degrees and 0.1 s; the mean of four seeds."""
     wrong = PLACE_AND_HEADING | BELIEVED | {"bodies.time_error": 0.1, "pose.time_noise": 0.1}

@@ -49,6 +49,7 @@ def test_kinds_of_work_take_turns() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_growing_crowds_are_measured_in_the_same_ticks() -> None:
     rows = list(scale((24, 48), enough=50))
     said = [(row["agents"], row["interest"], row["swarms"]) for row in rows]

@@ -86,6 +86,7 @@ def test_the_summary_takes_medians_and_quartiles_over_the_seeds() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_study_that_was_stopped_goes_on_and_writes_tables_and_a_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -229,6 +229,7 @@ def test_bad_input_is_refused_in_one_line(covey: Covey) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_second_body_of_an_agent_ends_the_older_one_and_the_others_go_on(covey: Covey) -> None:
     covey.start("up", "ledger.toml", "--rate", "1", "--seconds", "1000", "--bodies", "own")
     covey.running()

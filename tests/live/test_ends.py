@@ -53,7 +53,7 @@ def test_nobody_survives_a_supervisor_that_is_killed_while_it_starts_or_runs_and
 @pytest.mark.slow
 @pytest.mark.alone
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("number", [5, pytest.param(100, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [pytest.param(5, marks=pytest.mark.nightly), pytest.param(100, marks=pytest.mark.nightly)])
 def test_many_killed_supervisors_leave_no_orphan(covey: Covey, number: int) -> None:
     dice = random.Random(1)
     took = sorted(kill_supervisor(covey, dice.uniform(0.0, 5.0)) for _ in range(number))
@@ -176,6 +176,7 @@ def test_two_runs_on_one_machine_do_not_hear_each_other(covey: Covey) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_two_runs_of_one_name_in_two_folders_do_not_hear_each_other(covey: Covey, tmp_path: Path) -> None:
     other = Covey(tmp_path / "other")
     runs = [(where, where.start("up", "quick", "--lockstep", "--seconds", "15", "--json", *PATIENT)) for where in (covey, other)]

@@ -41,6 +41,7 @@ def silent_browser(url: str) -> socket.socket:
     return browser
 
 
+@pytest.mark.nightly
 def test_a_recorder_that_is_killed_a_page_that_is_stopped_and_a_browser_that_reads_nothing_change_nothing(covey: Covey) -> None:
     words = ("--lockstep", "--seconds", "110", "--json", "--page", "127.0.0.1:0", *PATIENT)
     supervisor = covey.start("up", "quick", *words)

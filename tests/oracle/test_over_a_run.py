@@ -95,7 +95,7 @@ PLANTED = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planted", PLANTED)
+@pytest.mark.parametrize("planted", [pytest.param(name, marks=[pytest.mark.nightly] * (name != "kappa x 2")) for name in PLANTED])
 def test_a_planted_error_is_found_within_ten_seeds(planted: str) -> None:
     apart = standard_errors([swarm(seed) - oracle(seed, *PLANTED[planted]) for seed in range(10)])
     assert (apart > 3.0).any(), dict(zip(REGIONS, apart.round(1).tolist()))

@@ -75,6 +75,7 @@ def test_a_tick_of_the_scene_is_seen_by_everybody() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
+@pytest.mark.nightly
 def test_a_bad_eye_takes_nothing_from_a_good_one_whichever_has_the_later_name() -> None:
     alone = ospa("G1")
     assert ospa(GOOD_THEN_BAD) <= 1.1 * ospa(BAD_THEN_GOOD)

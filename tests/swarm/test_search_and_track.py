@@ -77,6 +77,7 @@ def test_plain_and_compiled_arithmetic_agree_when_messages_are_lost_and_agents_d
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_team_of_other_sensors_searches_too() -> None:
     """Sensors that are no wedges take the plain way under both backends."""
     options = {"run.seconds": 1.5, "run.dt": 0.25, "control.mode": "search-and-track"}
