@@ -191,7 +191,8 @@ def error(seeds: tuple[int, ...], options: dict[str, Any]) -> float:
     return float(np.mean([Simulation(resolve("efficacy", {**run, "run.seed": seed})).run().steady_ospa for seed in seeds]))
 
 
-@pytest.mark.parametrize("kind", ["particles", pytest.param("gaussian-mixture", marks=[pytest.mark.slow, pytest.mark.nightly])])
+@pytest.mark.parametrize("kind", ["particles", pytest.param("gaussian-mixture", marks=pytest.mark.nightly)])
+@pytest.mark.slow
 def test_a_filter_that_knows_of_its_pose_errors_beats_one_that_does_not(kind: str) -> None:
     """Sigma 0.3 m and 3 degrees; the mean of two seeds."""
     wrong = PLACE_AND_HEADING | {"filter.kind": kind}

@@ -163,6 +163,7 @@ def test_without_a_change_plain_and_compiled_arithmetic_agree_as_well() -> None:
     assert said() == said(plain=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", IN_SEARCH)
 def test_a_setting_of_the_search_changes_what_the_swarm_does_alike_in_plain_and_compiled_arithmetic(setting: str) -> None:
     changed = said(setting, IN_SEARCH[setting], law="search-and-track")

@@ -174,6 +174,7 @@ def test_a_recording_gives_back_the_run_that_it_holds(tmp_path: Path, monkeypatc
         covey.load("lost")
 
 
+@pytest.mark.slow
 def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None:
     options = {"trials": 1, "methods": ["power", "static"], "seconds": 2.0, "workers": 1, "into": tmp_path / "study"}
     study = covey.study("convergence", **options)

@@ -63,6 +63,7 @@ def test_differences_seed_by_seed_with_their_tests() -> None:
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["24 sensors", "32 sensors"]
 
 
+@pytest.mark.slow
 def test_heterogeneity_makes_figure_5_with_levels(tmp_path: Path) -> None:
     study = rows("heterogeneity", ("20E+20F", "20E+4H"), (30,))
     assert {file.name for file in draw(study, tmp_path)} >= {"figure5.pdf", "figure5.png"}

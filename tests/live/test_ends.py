@@ -91,6 +91,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_a_signal_while_the_loop_closes_is_no_complaint(tmp_path: Path) -> None:
     command = [sys.executable, "-c", LATE_SIGNAL, "up", "quick", "--team", "A2", "--seconds", "1", "--lockstep"]
     environment = {**os.environ, "COVEY_RUNS": str(tmp_path)}
@@ -101,7 +102,8 @@ def test_a_signal_while_the_loop_closes_is_no_complaint(tmp_path: Path) -> None:
 ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal.SIGINT], 130)]
 
 
-@pytest.mark.parametrize("bodies", ["world", pytest.param("own", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("bodies", ["world", "own"])
 def test_a_monitor_that_was_behind_scores_what_was_said_before_the_end(covey: Covey, bodies: str) -> None:
     words = ("convergence", "--lockstep", "--bodies", bodies, "--team", "E4", "--seconds", "15", "--seed", "3", "--set", "run.max_rate=5")
     supervisor = covey.start("up", *words, "--json", *PATIENT)

@@ -11,6 +11,7 @@ pytestmark = pytest.mark.live
 ALLOWED = ("--set", "network.link_faults=true")
 
 
+@pytest.mark.slow
 def test_a_partition_covers_the_arena_twice_and_heals_to_one_claim_per_place(covey: Covey) -> None:
     covey.start("up", "quick", "--seconds", "100000", "--rate", "2", *ALLOWED)
     covey.running()

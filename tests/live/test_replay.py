@@ -33,6 +33,7 @@ def recorded(path: Path, network: NetworkSettings) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_replay_without_a_page_is_heard_by_those_who_listen_and_leaves_no_run_behind(covey: Covey, file: Path) -> None:
     replay = covey.start("replay", str(file), "--no-page", "--publish")
     assert replay.stdout is not None
@@ -60,6 +61,7 @@ def test_a_replay_without_a_page_is_heard_by_those_who_listen_and_leaves_no_run_
     ],
     ids=["client", "certificates"],
 )
+@pytest.mark.slow
 def test_a_recording_of_another_network_is_said_again_on_loopback(covey: Covey, tmp_path: Path, network: NetworkSettings) -> None:
     replay = covey.start("replay", str(recorded(tmp_path / "other.mcap", network)), "--no-page", "--publish")
     assert replay.stdout is not None

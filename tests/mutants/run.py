@@ -109,8 +109,9 @@ def _numba_name(path: Path) -> str:
 
 
 def run_tests(copy: Path, tests: Sequence[str], *, plain: bool, limit: float) -> tuple[int | None, str]:
-    """Exit code and output of pytest in a copy; None: it took too long."""
-    command = [sys.executable, "-m", "pytest", "-x", "-n", "0", "-m", "not slow", "--timeout=0", "--tb=line", "-W", "ignore", *tests]
+    """Exit code and output of pytest in a copy; None: it took too long. The slow tests of whole files are left out."""
+    marks = [] if all("::" in test for test in tests) else ["-m", "not slow"]
+    command = [sys.executable, "-m", "pytest", "-x", "-n", "0", *marks, "--timeout=0", "--tb=line", "-W", "ignore", *tests]
     environment = {**os.environ, "PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / ".loops")}
     environment |= {"NUMBA_DISABLE_JIT": "1"} if plain else {}
     with subprocess.Popen(

@@ -89,6 +89,7 @@ def test_while_it_is_stopped_its_cell_is_adopted_by_the_others() -> None:
     assert ledger_is_kept(seen, 6.5)
 
 
+@pytest.mark.slow
 def test_a_slow_agent_is_waited_for_and_not_declared_dead() -> None:
     slow = watch(tracking(fault(5.0, "slow", "s2", 0.1)), clock="realtime")
     assert set(slow.views) == {1}

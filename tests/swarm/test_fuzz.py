@@ -39,6 +39,7 @@ def test_the_first_seeds_of_slow_and_bad_networks_hold(profile: str, seed: int) 
     assert play(draw(seed, profile)) is None
 
 
+@pytest.mark.slow
 def test_a_late_swarm_is_one_filter_again_five_seconds_after_the_last_late_message() -> None:
     """All agents are frozen for 3.2 s, and from then on messages are 1.4 s late until all is healed."""
     blows = FaultSettings(at=11.32, verb="freeze", value=3.16), FaultSettings(at=12.26, verb="delay", who="100%", value=1.406)

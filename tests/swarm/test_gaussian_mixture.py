@@ -148,6 +148,7 @@ def test_a_wrong_setting_of_a_mixture_is_named_in_one_line(setting: str, value: 
     assert says in str(error.value) and "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_ranges_and_bearings_track_as_positions_of_like_noise_do() -> None:
     wide = {"angle": 240.0, "radius": 14.0, "prob_detection": 0.9}
     polar = {**wide, "measures": "range-bearing", "range_noise": 0.25, "bearing_noise": 2.0}

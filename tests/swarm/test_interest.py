@@ -70,6 +70,7 @@ def farthest_copy(interest: str) -> float:
     return max(ways)
 
 
+@pytest.mark.slow
 def test_who_hears_its_neighbours_keeps_no_copies_beyond_the_horizon() -> None:
     assert farthest_copy("neighbours") <= HORIZON < 0.5 * farthest_copy("all")
 
@@ -134,7 +135,8 @@ def test_the_dead_are_taken_over_and_a_restarted_agent_gets_a_cell() -> None:
     assert len(simulation.agents) == 30
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_sensor_wider_than_all_of_the_team_joins_without_an_overlap(seed: int) -> None:
     """Nobody was told of class D: it sees three times as far as those who are there, and its cell is the largest."""
     scenario = large(seed, "A6,C8", "neighbours", FaultSettings(at=10.0, verb="join", who="s99", options={"class": "D"}), seconds=40.0)
@@ -145,6 +147,7 @@ def test_a_sensor_wider_than_all_of_the_team_joins_without_an_overlap(seed: int)
     assert len(simulation.agents["s99"].outcome.cell) and len(simulation.agents) == 15
 
 
+@pytest.mark.slow
 def test_all_are_told_of_the_widest_sensor_though_most_never_hear_it() -> None:
     faults = (FaultSettings(at=5.0, verb="join", who="s99", options={"class": "D"}),)
     scenario = large(3, "A10,C14", "neighbours", *faults, seconds=20.0)
@@ -173,6 +176,7 @@ def test_with_loss_the_mass_stays() -> None:
     assert seen.masses[-1] == pytest.approx(seen.masses[3], rel=0.03)
 
 
+@pytest.mark.slow
 def test_small_teams_hear_all_they_need() -> None:
     alike = [watch(tracking(timing__interest=interest)).result for interest in ("all", "neighbours")]
     assert alike[0] is not None and alike[1] is not None and alike[0].transcript == alike[1].transcript

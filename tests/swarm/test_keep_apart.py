@@ -40,7 +40,7 @@ def test_points_in_this_arena_meet() -> None:
 
 
 @pytest.mark.parametrize("host", ["world", "own"])
-@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+@pytest.mark.parametrize("clock", [pytest.param("lockstep", marks=pytest.mark.slow), "realtime"])
 def test_bodies_with_a_radius_never_touch_and_a_dead_one_is_an_obstacle(host: str, clock: str) -> None:
     gap = least_gap(crowd(clock, **{"bodies.host": host}), (6.0, "s2"), (9.0, "s5"))
     assert 2.0 * RADIUS <= gap < 2.0
@@ -59,6 +59,7 @@ def test_the_late_commands_of_starved_agents_bring_no_two_bodies_together(host: 
     assert least_gap(Simulation(starved, clock="realtime", backend=FAST)) >= 2.0 * RADIUS
 
 
+@pytest.mark.slow
 def test_robots_of_mass_do_not_touch_either_and_a_run_repeats_to_the_last_bit() -> None:
     transcripts = []
     for _ in range(2):

@@ -79,7 +79,7 @@ def test_messages_half_a_second_late_in_real_time_keep_the_ledger_within_two_per
 
 
 @pytest.mark.parametrize("tokens", [True, False], ids=["sessions lost", "sessions up"])
-@pytest.mark.parametrize("kind", ["both", "one-way", "bridge"])
+@pytest.mark.parametrize("kind", ["both", pytest.param("one-way", marks=pytest.mark.slow), "bridge"])
 @pytest.mark.parametrize("clock", [pytest.param("lockstep", marks=pytest.mark.slow), "realtime"])
 def test_a_partition_heals_to_one_claim_per_place(kind: str, tokens: bool, clock: str) -> None:
     seen = watch(ledger(fault(5.0, "partition", "50%", seconds=6.0, kind=kind, tokens=tokens), run__seconds=18.0), clock=clock)
@@ -130,14 +130,15 @@ def test_a_partition_by_name_leaves_the_world_within_reach() -> None:
     assert all(agent.tick == 79 and agent.counters["skipped"] == 0 for agent in seen.agents.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "seconds", "clock", "healed", "mass"),
     [
         ("both", 6.0, "lockstep", 3.0, 0.99),
-        pytest.param("both", 6.0, "realtime", 3.0, 0.99, marks=[pytest.mark.slow, pytest.mark.nightly]),
-        pytest.param("both", 15.0, "realtime", 3.0, 0.99, marks=pytest.mark.slow),  # longer than anybody's beacons are remembered
-        pytest.param("one-way", 6.0, "realtime", 5.0, 0.99, marks=pytest.mark.slow),
-        pytest.param("bridge", 6.0, "lockstep", 3.0, 0.97, marks=pytest.mark.slow),
+        pytest.param("both", 6.0, "realtime", 3.0, 0.99, marks=pytest.mark.nightly),
+        ("both", 15.0, "realtime", 3.0, 0.99),  # longer than anybody's beacons are remembered
+        ("one-way", 6.0, "realtime", 5.0, 0.99),
+        ("bridge", 6.0, "lockstep", 3.0, 0.97),
     ],
 )
 def test_who_hears_neighbours_only_covers_the_arena_on_each_side_and_meets_again(

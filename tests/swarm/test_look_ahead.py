@@ -30,7 +30,9 @@ def lags(simulation: Simulation) -> set[int]:
     return {agent._rounds.lag.current for agent in simulation.agents.values()}
 
 
-@pytest.mark.parametrize(("delay", "interest"), [(0.5, "all"), (0.5, "neighbours"), (1.0, "all")])
+@pytest.mark.parametrize(
+    ("delay", "interest"), [(0.5, "all"), *(pytest.param(*each, marks=pytest.mark.slow) for each in [(0.5, "neighbours"), (1.0, "all")])]
+)
 def test_from_the_tick_on_in_which_messages_become_late_no_place_is_left_out_or_claimed_twice(delay: float, interest: str) -> None:
     """A gossip may be missing in the tick in which an agent begins to hear a peer: it was sent before that."""
     settings = {"run__dt": DT, "run__seconds": 12.0, "timing__look_ahead": 2.5, "timing__interest": interest}

@@ -33,7 +33,7 @@ def starved(share: float) -> FaultSettings:
     return FaultSettings(at=START, verb="starve", who="100%", value=share, seconds=END - START)
 
 
-@pytest.mark.parametrize("seconds", [3.0, 8.0])
+@pytest.mark.parametrize("seconds", [3.0, pytest.param(8.0, marks=pytest.mark.slow)])
 def test_after_a_stop_of_all_processes_nobody_is_dead_and_every_place_has_one_claim(seconds: float) -> None:
     simulation = overloaded(FaultSettings(at=START, verb="freeze", value=seconds))
     assert given_up(simulation) == 0
@@ -42,12 +42,13 @@ def test_after_a_stop_of_all_processes_nobody_is_dead_and_every_place_has_one_cl
     assert max(score.hole for score in after) < 0.01 and max(score.overlap for score in after) < 0.01
 
 
+@pytest.mark.slow
 def test_a_stop_within_the_lease_changes_nothing_at_all() -> None:
     frozen = overloaded(FaultSettings(at=START, verb="freeze", value=3.0))
     assert [score.ospa for score in frozen.scorer.scores] == [score.ospa for score in overloaded().scorer.scores]
 
 
-@pytest.mark.parametrize("share", [0.6, 0.4])
+@pytest.mark.parametrize("share", [pytest.param(0.6, marks=pytest.mark.slow), 0.4])
 def test_starved_agents_skip_in_step_keep_their_claims_and_come_back(share: float) -> None:
     simulation = overloaded(starved(share))
     during, after = between(simulation, START, END), between(simulation, END + 2.0 * RATE, SECONDS)
@@ -60,9 +61,8 @@ def test_starved_agents_skip_in_step_keep_their_claims_and_come_back(share: floa
     assert {agent.peer_table.pace for agent in simulation.agents.values()} == {1}
 
 
-@pytest.mark.parametrize(
-    ("dt", "share"), [pytest.param(0.25, 0.4, marks=pytest.mark.slow), (0.25, 0.2), pytest.param(0.5, 0.4, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("dt", "share"), [(0.25, 0.4), (0.25, 0.2), (0.5, 0.4)])
 def test_agents_whose_rounds_last_longer_than_a_stall_slow_down_as_well(dt: float, share: float) -> None:
     options = {"team.composition": "A3,C6,D3", "run.seed": 3, "run.seconds": 160.0 * dt, "run.rate": 1.0, "run.dt": dt, "targets.count": 12}
     scenario = resolve("efficacy", {**options, "arena.width": 60.0, "arena.height": 60.0})
@@ -88,6 +88,7 @@ def test_starved_agents_lose_little_since_they_use_their_own_scans_between_round
     assert starving <= most * fed
 
 
+@pytest.mark.slow
 def test_a_death_among_starved_agents_leaves_no_hole_for_long() -> None:
     simulation = overloaded(starved(0.4), FaultSettings(at=START + 6.0, verb="kill", who="s5"))
     [kill] = simulation.scorer.result(0.0).kills
