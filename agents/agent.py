@@ -43,7 +43,7 @@ class Agent(Node):
     """The Node of one sensor. Its rounds follow the ticks of the observations; `counters` counts what happened, by name."""
 
     role = "agent"
-    patient = "/gossip/"  # a driver may hold gossips back until `awaiting` of them have come
+    coalesced_keys = "/gossip/"  # a driver may hold gossips back until `wake_up_count` of them have come
 
     def __init__(self, config: AgentConfig, name: str, incarnation: int = 1, backend: Backend = PLAIN, sensor_class: str = "") -> None:
         """`incarnation` grows with every restart under the same name; `sensor_class` empty: the one that the roster names."""
@@ -126,12 +126,12 @@ class Agent(Node):
         return [one_of(self.run, "hello", "world"), tokens_of(self.run, "agent", self.name), tokens_of(self.run, "world", "world")]
 
     @property
-    def awaiting(self) -> int:
+    def wake_up_count(self) -> int:
         """The number of gossips for which the open round waits (Node). Without an open round, gossips wait for the observation."""
         return len(self._awaited) if self._gossip else MANY
 
     @property
-    def newest_only(self) -> tuple[str, int]:
+    def keep_last(self) -> tuple[str, int]:
         """Of the observations that wait the newest are enough: among as many as the pace is one to play (Node)."""
         return "/observation/", self._pace.current
 

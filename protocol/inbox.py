@@ -78,14 +78,14 @@ class Inbox:
     On overflow only the newest message per key and session stays, and if those are too many, only the newer half of them. Of each token
     the newest state stays: tokens alone are not bounded.
 
-    `patient` marks keys with messages that wait until as many have come as `finish_pass` says: one wake-up for many messages costs less.
+    `coalesced_keys` is a part of keys. Messages with it wait until as many have come as `finish_pass` says: one wake-up costs less.
     """
 
-    def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, patient: str = "") -> None:
+    def __init__(self, most_entries: int = MOST_ENTRIES, most_bytes: int = MOST_BYTES, coalesced_keys: str = "") -> None:
         self.dropped = 0  # messages dropped in favour of newer ones
-        self._patient = patient
-        self._waiting = 0  # patient messages in the queue
-        self._wake_at = 1  # patient messages at which the loop is called
+        self._coalesced_keys = coalesced_keys
+        self._waiting = 0  # coalesced messages in the queue
+        self._wake_at = 1  # coalesced messages at which the loop is called
         self._lock = threading.Lock()
         self._queue: deque[Arrival] = deque()
         self._bytes = 0
@@ -101,19 +101,19 @@ class Inbox:
         with self._lock:
             self._queue.append(arrival)
             self._bytes += len(arrival.payload)
-            patient = self.waits(arrival)
-            self._waiting += patient
+            coalesced = self.is_coalesced(arrival)
+            self._waiting += coalesced
             if len(self._queue) > self._most_entries or self._bytes > self._most_bytes:
                 self._thin_out()
-            if self._called or (patient and self._waiting < self._wake_at):
+            if self._called or (coalesced and self._waiting < self._wake_at):
                 return False
             self._called = True
             return True
 
-    def take(self, most: int, newest_only: tuple[str, int] = ("", 0)) -> list[Arrival]:
+    def take(self, most: int, keep_last: tuple[str, int] = ("", 0)) -> list[Arrival]:
         """The oldest entries, at most `most`. If there were any, no `add` calls the loop until `finish_pass`.
 
-        `newest_only`: see `Node`. Messages of each session count by themselves.
+        `keep_last`: see `Node`. Messages of each session count by themselves.
         """
         with self._lock:
             if len(self._queue) <= most:
@@ -122,20 +122,20 @@ class Inbox:
             else:
                 batch = [self._queue.popleft() for _ in range(most)]
                 self._bytes -= sum([len(arrival.payload) for arrival in batch])
-                self._waiting -= sum(map(self.waits, batch))
+                self._waiting -= sum(map(self.is_coalesced, batch))
             self._called = bool(batch)
-            return self._without_old(batch, *newest_only) if newest_only[0] else batch
+            return self._without_old(batch, *keep_last) if keep_last[0] else batch
 
-    def finish_pass(self, enough: int) -> bool:
-        """End a pass of the loop; `enough` patient messages call it again. True when the queue already calls for it."""
+    def finish_pass(self, wake_up_count: int) -> bool:
+        """End a pass of the loop; `wake_up_count` coalesced messages call it again. True when the queue already calls for it."""
         with self._lock:
-            self._wake_at = enough
-            self._called = len(self._queue) > self._waiting or self._waiting >= max(enough, 1)
+            self._wake_at = wake_up_count
+            self._called = len(self._queue) > self._waiting or self._waiting >= max(wake_up_count, 1)
             return self._called
 
-    def waits(self, arrival: Arrival) -> bool:
+    def is_coalesced(self, arrival: Arrival) -> bool:
         """Whether an arrival can wait for others of its kind."""
-        return self._patient != "" and arrival.token is None and self._patient in arrival.key
+        return self._coalesced_keys != "" and arrival.token is None and self._coalesced_keys in arrival.key
 
     def _without_old(self, batch: list[Arrival], part: str, most: int) -> list[Arrival]:
         """The batch without messages of a key with `part` of which `most` newer ones of the session are in the batch or in the queue."""
@@ -165,7 +165,7 @@ class Inbox:
         self.dropped += len(self._queue) - len(kept)
         self._queue = deque(kept)
         self._bytes = sum(len(arrival.payload) for arrival in kept)
-        self._waiting = sum(map(self.waits, kept))
+        self._waiting = sum(map(self.is_coalesced, kept))
 
 
 class Quarantine:

@@ -95,7 +95,7 @@ class Driver:
         self._node = node
         self._settings = settings
         self._link = link
-        self._inbox = Inbox(patient=node.patient)
+        self._inbox = Inbox(coalesced_keys=node.coalesced_keys)
         self._rate_limiter = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own, [keys.all_tokens(node.run)] if node.sees_all_tokens else [])
@@ -221,7 +221,7 @@ class Driver:
     # ------------------------------------------------------------------ the event loop
 
     def _drain(self) -> None:
-        arrivals = self._inbox.take(SLICE, self._node.newest_only)
+        arrivals = self._inbox.take(SLICE, self._node.keep_last)
         if self._link is None:
             self._receive(arrivals)
         else:
@@ -247,12 +247,12 @@ class Driver:
         self._handle_all(self._reception.events(arrivals, self._loop.time()))
 
     def _handle_all(self, events: Iterable[Event]) -> None:
-        """Hand the node events, then tell the inbox how many patient messages it awaits now; they may be there already."""
+        """Hand the node events, then tell the inbox how many coalesced messages wake the node now; they may be there already."""
         for event in events:
             self._handle(event)
         if self._next_pass is not None:  # one is enough
             self._next_pass.cancel()
-        self._next_pass = self._loop.call_soon(self._drain) if self._inbox.finish_pass(self._node.awaiting) else None
+        self._next_pass = self._loop.call_soon(self._drain) if self._inbox.finish_pass(self._node.wake_up_count) else None
 
     def _handle(self, event: Event) -> None:
         """Hand the node an event. An exception in the node ends the process."""

@@ -151,17 +151,17 @@ class Node(Protocol):
     role: str  # agent, world, body, recorder, monitor or operator
     name: str  # unique in the run
     incarnation: int  # grows with every restart under the same name
-    patient: str = ""  # part of the keys of messages that may wait until `awaiting` of them have arrived; empty: none
+    coalesced_keys: str = ""  # part of the keys of messages of which `wake_up_count` wake the node together; empty: none
     sees_all_tokens: bool = True  # False: the driver shows only the liveliness tokens to which the node subscribes
 
     @property
-    def newest_only(self) -> tuple[str, int]:
-        """A part of keys, and how many messages of such a key are handed over if more wait: the newest. An empty part: all are."""
+    def keep_last(self) -> tuple[str, int]:
+        """A part of keys, and the number of messages of such a key that are kept while more wait: the newest. An empty part: all are."""
         return "", 0
 
     @property
-    def awaiting(self) -> int:
-        """The number of patient messages that wake the node."""
+    def wake_up_count(self) -> int:
+        """The number of coalesced messages that wake the node."""
         return 1
 
     def handle(self, event: Event, now: float) -> list[Effect]:

@@ -33,7 +33,8 @@ class KeptWorld(Node):
     """A world whose newest Truth is in a file before anybody hears of it; a full disk ends the keeping, not the world."""
 
     def __init__(self, world: World, path: Path) -> None:
-        self.run, self.role, self.name, self.incarnation, self.patient = world.run, world.role, world.name, world.incarnation, world.patient
+        self.run, self.role, self.name, self.incarnation = world.run, world.role, world.name, world.incarnation
+        self.coalesced_keys = world.coalesced_keys
         self._world = world
         self._path: Path | None = path
 
@@ -46,9 +47,9 @@ class KeptWorld(Node):
         return effects
 
     @property
-    def awaiting(self) -> int:
+    def wake_up_count(self) -> int:
         """As the world says."""
-        return self._world.awaiting
+        return self._world.wake_up_count
 
     def deadline(self) -> float | None:
         """As the world says."""

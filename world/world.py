@@ -43,7 +43,7 @@ class World(Node):
     """The true state of a run, and its clock. `restored` is the last Truth of an earlier incarnation."""
 
     role = "world"
-    patient = "/command/"  # one command is no reason to wake up
+    coalesced_keys = "/command/"  # one command is no reason to wake up
     name = "world"
 
     def __init__(self, config: WorldConfig, incarnation: int, restored: Truth | None = None) -> None:
@@ -108,7 +108,7 @@ class World(Node):
         return self._hear(message, now) if isinstance(message, Hello) and message.role == "agent" else []
 
     @property
-    def awaiting(self) -> int:
+    def wake_up_count(self) -> int:
         """How many commands the tick waits for; in real time it waits for the clock."""
         return len(self._waiting) if self._lockstep or not self.started else 1 << 30
 

@@ -73,7 +73,7 @@ def test_a_token_that_vanishes_ends_the_wait_for_its_peer_unless_the_agent_was_l
     agent, _ = swarm_of(4)
     agent.handle(see(2), now)
     agent.handle(Gone("agent", "s2", 1), now + 0.01)
-    assert agent.awaiting == awaited
+    assert agent.wake_up_count == awaited
 
 
 def test_silence_counts_only_in_rounds_in_which_the_agent_was_served() -> None:

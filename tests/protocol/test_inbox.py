@@ -143,7 +143,7 @@ def test_of_too_many_suspect_keys_the_one_that_was_quiet_for_longest_is_forgotte
 
 
 def test_patient_messages_call_the_loop_only_once_enough_of_them_have_come() -> None:
-    inbox = Inbox(patient="/gossip/")
+    inbox = Inbox(coalesced_keys="/gossip/")
     assert not inbox.finish_pass(3)
     assert not inbox.add(Arrival("c/r/gossip/s1", b"1"))
     assert not inbox.add(Arrival("c/r/gossip/s2", b"2"))
@@ -156,7 +156,7 @@ def test_patient_messages_call_the_loop_only_once_enough_of_them_have_come() -> 
 
 def test_any_other_message_and_any_token_calls_the_loop_at_once() -> None:
     for urgent in (Arrival("c/r/observation/s1", b"1"), Arrival("c/r/alive/agent/s2/1", token=False)):
-        inbox = Inbox(patient="/gossip/")
+        inbox = Inbox(coalesced_keys="/gossip/")
         assert not inbox.finish_pass(9)
         assert not inbox.add(Arrival("c/r/gossip/s1", b"1"))
         assert inbox.add(urgent)
@@ -165,7 +165,7 @@ def test_any_other_message_and_any_token_calls_the_loop_at_once() -> None:
 
 
 def test_what_overflows_is_no_longer_waited_for() -> None:
-    inbox = Inbox(most_entries=4, patient="/gossip/")
+    inbox = Inbox(most_entries=4, coalesced_keys="/gossip/")
     inbox.finish_pass(5)
     woken = [inbox.add(Arrival("c/r/gossip/s1", bytes([number]))) for number in range(6)]
     assert not any(woken)

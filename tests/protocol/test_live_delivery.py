@@ -13,11 +13,11 @@ pytestmark = pytest.mark.live
 BURSTS = (1, 2, 3, 40, 1, 150, 600)  # more than a slice of the inbox
 
 
-@pytest.mark.parametrize("patient", ["", "/command/"])
-def test_everything_that_is_said_is_heard_once_and_in_order(patient: str) -> None:
+@pytest.mark.parametrize("coalesced_keys", ["", "/command/"])
+def test_everything_that_is_said_is_heard_once_and_in_order(coalesced_keys: str) -> None:
     async def scene() -> list[int]:
         left = Scribe("a")
-        left.patient = patient
+        left.coalesced_keys = coalesced_keys
         left.first = [Subscribe(keys.all_of(left.run, "command"))]
         right = Scribe("b")
         async with Pair(left, right, most_per_second=5000) as pair:

@@ -18,10 +18,10 @@ HELLO = Hello(sender="c", incarnation=1, software="test", sensor_class="", max_s
 class Patient(Scribe):
     """Awaits nine commands, and a single one once it has heard anything else."""
 
-    patient = "/command/"
+    coalesced_keys = "/command/"
 
     @property
-    def awaiting(self) -> int:
+    def wake_up_count(self) -> int:
         return 1 if HELLO in self.texts() or any(isinstance(event, Gone) for event in self.events) else 9
 
 

@@ -33,7 +33,7 @@ class Scribe(Node):
         return answers
 
     @property
-    def newest_only(self) -> tuple[str, int]:
+    def keep_last(self) -> tuple[str, int]:
         return "/observation/", self.most
 
     def deadline(self) -> float | None:
