@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from protocol.agreement import agreed, common_sections
-from protocol.message import Agreed
+from protocol.agreement import common_sections, shared_settings
+from protocol.message import SharedSettings
 from protocol.settings import Common, Fraction, NotNegative, Positive, Section, Seed
 
 ParticleCount = Annotated[int, msgspec.Meta(ge=1, le=8000)]
@@ -160,12 +160,12 @@ class AgentConfig(Common, frozen=True, kw_only=True):
         """The seed that all agents share."""
         return self.filter.seed
 
-    def agreed(self) -> Agreed:
+    def shared_settings(self) -> SharedSettings:
         """The settings that all agents must share to compute parts of one PHD and one diagram."""
         timing = {name: getattr(self.timing, name) for name in ("silent_rounds", "silence", "overlap", "interest", "tile")}
         own = {"filter": self.filter, "birth": self.birth, "pose": self.pose, "partition": self.partition, "timing": timing}
         own |= {"mixture": self.mixture} if self.filter.kind == "gaussian-mixture" else {}
-        return agreed({**common_sections(self), **own})
+        return shared_settings({**common_sections(self), **own})
 
     def others(self, name: str) -> list[str]:
         """The other agents of the roster, in its order.

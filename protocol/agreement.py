@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from protocol.message import Agreed, Setting
+from protocol.message import Setting, SharedSettings
 from protocol.settings import Common
 
 
@@ -24,7 +24,7 @@ def common_sections(config: Common) -> dict[str, Any]:
     return {"run": {"dt": config.run.dt}, "arena": config.arena, "detection": config.detection, "limits": config.limits, **models}
 
 
-def agreed(sections: Mapping[str, Any]) -> Agreed:
+def shared_settings(sections: Mapping[str, Any]) -> SharedSettings:
     """The values of each section by name. A value other than a number, text or boolean becomes its JSON text."""
     fields = {section: msgspec.to_builtins(contents) for section, contents in sections.items()}
     return {section: {name: _plain(value) for name, value in values.items()} for section, values in fields.items()}
@@ -34,12 +34,12 @@ def _plain(value: Any) -> Setting:
     return value if isinstance(value, bool | int | float | str) else msgspec.json.encode(value, order="sorted").decode()
 
 
-def whole(settings: Agreed) -> int:
+def settings_digest(settings: SharedSettings) -> int:
     """The hash of all settings: a number below 2^63, never 0."""
     return int.from_bytes(hashlib.blake2b(msgspec.json.encode(settings, order="sorted"), digest_size=8).digest(), "little") >> 1 | 1
 
 
-def disagreement(mine: Agreed, theirs: Agreed) -> tuple[str, ...]:
+def differing_settings(mine: SharedSettings, theirs: SharedSettings) -> tuple[str, ...]:
     """The settings that both sides state with different values, as `section.name`, in alphabetical order."""
     if mine == theirs:
         return ()

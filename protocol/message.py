@@ -28,7 +28,7 @@ Names = Annotated[tuple[str, ...], msgspec.Meta(max_length=MAX_ROWS)]  # any tex
 Vector = tuple[Number, Number]
 StatedPose = tuple[Number, Number, Number]  # a `sensing.Pose`: x m, y m, heading rad
 Setting = bool | int | Annotated[float, msgspec.Meta(ge=-LARGEST_SETTING, le=LARGEST_SETTING)] | str
-Agreed = dict[str, dict[str, Setting]]  # section -> name -> value of the settings on which all agree (`agreement`)
+SharedSettings = dict[str, dict[str, Setting]]  # section -> name -> value of the settings on which all agree (`agreement`)
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, dict=True, omit_defaults=True, tag_field="type"):

@@ -11,7 +11,7 @@ import struct
 import msgspec
 import numpy as np
 
-from protocol.agreement import whole
+from protocol.agreement import settings_digest
 from protocol.components import check_components, check_mass, read_components
 from protocol.fields import (
     CLAIM,
@@ -36,7 +36,6 @@ from protocol.fields import (
     read_labels,
 )
 from protocol.message import (
-    Agreed,
     Area,
     LagNumber,
     Magnitude,
@@ -48,6 +47,7 @@ from protocol.message import (
     RowsOf8Bytes,
     RowsOf16Bytes,
     RowsOf24Bytes,
+    SharedSettings,
     StatedPose,
     Tick,
     TileNumber,
@@ -59,7 +59,7 @@ from protocol.once import once
 from protocol.sensing import WedgeSensor
 
 
-def check_settings(settings: Agreed) -> None:
+def check_settings(settings: SharedSettings) -> None:
     """Refuse settings that are too many; names and texts count their characters, other values `VALUE_SIZE`."""
     size = 0
     for section, values in settings.items():
@@ -81,12 +81,12 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     max_turn_rate: Magnitude = 0.0  # rad/s
     heard: Names = ()
     local: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
-    settings: Agreed = {}  # those on which all agree; a setting that is missing is not compared
+    settings: SharedSettings = {}  # those on which all agree; a setting that is missing is not compared
 
     @once
     def digest(self) -> int:
         """The hash of the settings, as in a Beacon."""
-        return whole(self.settings)
+        return settings_digest(self.settings)
 
     def check(self) -> None:
         if self.settings:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from protocol.agreement import agreed, common_sections
+from protocol.agreement import common_sections, shared_settings
 from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
 from protocol.message import Message
@@ -73,7 +73,7 @@ class World(Node):
             self._restore(restored)
         for name, sensor_class in config.members.items():
             self._embody(name, sensor_of(config, sensor_class))
-        self._settings = agreed(common_sections(config))
+        self._settings = shared_settings(common_sections(config))
         self._commands = CommandBook(lockstep=self._lockstep)
         self.hold = Hold()  # by an operator: no command moves a body
         self._waiting: set[str] = set()  # lockstep: whose command of this tick is still missing

@@ -7,7 +7,7 @@ from agents.coverage.capacity import place
 from agents.round import AgentContext, RoundResult
 from agents.tracking.tracker import Said
 from protocol.fields import pack
-from protocol.message import Agreed, Vector
+from protocol.message import SharedSettings, Vector
 from protocol.messages import UNKNOWN_AGE, Command, Gossip, Hello, Observation
 from protocol.observer_messages import Estimate
 from protocol.sensing import WedgeSensor
@@ -15,7 +15,7 @@ from protocol.sensing import WedgeSensor
 VERSION = "0.1.0"
 
 
-def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], settings: Agreed) -> Hello:
+def hello(context: AgentContext, incarnation: int, heard: tuple[str, ...], settings: SharedSettings) -> Hello:
     """The Hello of an agent: its sensor, its settings, and `heard`, the names of the peers that it hears."""
     return Hello(
         sender=context.name,

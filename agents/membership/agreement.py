@@ -3,8 +3,8 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from protocol.agreement import disagreement, whole
-from protocol.message import Agreed
+from protocol.agreement import differing_settings, settings_digest
+from protocol.message import SharedSettings
 from protocol.messages import Beacon, Hello
 from protocol.node import Effect, Warn
 
@@ -14,15 +14,15 @@ MOST_WARNINGS = 64  # of one agent. More help nobody: all are counted, and anybo
 class SettingsAgreement:
     """The settings of one agent, compared with those that others announce."""
 
-    def __init__(self, name: str, settings: Agreed, counters: Counter[str]) -> None:
+    def __init__(self, name: str, settings: SharedSettings, counters: Counter[str]) -> None:
         self.settings = settings
-        self._name, self._digest = name, whole(settings)
+        self._name, self._digest = name, settings_digest(settings)
         self._counters = counters
         self._warned: set[tuple[str, int]] = set()  # name and incarnation
 
     def differs(self, hello: Hello) -> bool:
         """Whether a Hello announces other settings."""
-        return hello.digest != self._digest and bool(disagreement(self.settings, hello.settings))
+        return hello.digest != self._digest and bool(differing_settings(self.settings, hello.settings))
 
     def differing(self, beacons: Sequence[Beacon]) -> list[Beacon]:
         """The beacons that announce other settings."""
@@ -40,7 +40,7 @@ class SettingsAgreement:
         if announcer in self._warned or len(self._warned) >= MOST_WARNINGS:
             return []
         self._warned.add(announcer)
-        fields = disagreement(self.settings, message.settings) if isinstance(message, Hello) else ()
+        fields = differing_settings(self.settings, message.settings) if isinstance(message, Hello) else ()
         where = ", ".join(fields) or "a setting that only its Hello names"
         consequence = "" if message.sender == "world" else ": it computes another PHD and is refused"
         return [Warn(f"the settings of {message.sender} differ from those of {self._name} in {where}{consequence}")]

@@ -27,7 +27,7 @@ from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
 from agents.membership.peer import Peer, announced_by, in_order, plausible, restated, steady
-from protocol.agreement import disagreement, whole
+from protocol.agreement import differing_settings, settings_digest
 from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
@@ -54,8 +54,8 @@ class PeerTable:
         self._config, self._silence_limit = config, config.ticks_of_silence  # rounds
         self._measures_pace = config.run.clock == "realtime"
         self._responsive_rounds: deque[int] = deque(maxlen=self._silence_limit)  # ticks of the last ones
-        self._name, self.settings, self._others = name, config.agreed(), dict.fromkeys(config.others(name))
-        self.digest = whole(self.settings)
+        self._name, self.settings, self._others = name, config.shared_settings(), dict.fromkeys(config.others(name))
+        self.digest = settings_digest(self.settings)
         self.inbox = RoundInbox()
         self.pace = 1  # this agent shares the ticks that this number divides
         self._paces: dict[str, int] = {}  # of the peers that need a slower pace than every tick
@@ -110,7 +110,7 @@ class PeerTable:
         peer = self._peer(hello.sender, hello.incarnation)
         if peer is None:
             return "incarnation"
-        differs = () if hello.digest == self.digest else disagreement(self.settings, hello.settings)
+        differs = () if hello.digest == self.digest else differing_settings(self.settings, hello.settings)
         if differs != peer.differs and peer.announced is None:  # a peer that agreed before stays: one wrong bit must not silence it
             self._exclude(peer, differs)
         if differs:

@@ -24,11 +24,11 @@ from cryptography.exceptions import InvalidSignature
 from deploy.scenario import Scenario, agent_config
 from protocol import codec, live
 from protocol.access import WATCHER, common_name
-from protocol.agreement import disagreement
+from protocol.agreement import differing_settings
 from protocol.endpoints import check_endpoints, check_files
 from protocol.fields import Malformed
 from protocol.keys import ROOT, Token, order, parse_token
-from protocol.message import WIRE_VERSION, Agreed
+from protocol.message import WIRE_VERSION, SharedSettings
 from protocol.messages import Hello
 from protocol.settings import BadSetting, NetworkSettings
 
@@ -188,13 +188,13 @@ def _who_is_there(scenario: Scenario, heard: Overheard, links: int, encrypted: b
         yield Finding(False, f"{links} linked, and nobody is in any run: is that a Zenoh router, or a process of another kind?")
     else:
         yield Finding(False, "no Zenoh session was linked: whoever listens there speaks no Zenoh, or another version of it")
-    mine = agent_config(scenario).agreed()
+    mine = agent_config(scenario).shared_settings()
     for (where, sender), fields in sorted(heard.hellos.items(), key=lambda item: (item[0][0], order(item[0][1]))):
         if where == run:
             yield from _compatible(sender, fields, mine)
 
 
-def _compatible(sender: str, fields: dict[str, Any], mine: Agreed) -> Iterator[Finding]:
+def _compatible(sender: str, fields: dict[str, Any], mine: SharedSettings) -> Iterator[Finding]:
     """Whether a Hello is of this wire version, and what its settings say otherwise."""
     if fields.get("wire") != WIRE_VERSION:
         software = f" ({fields['software']})" if fields.get("software") else ""
@@ -208,7 +208,7 @@ def _compatible(sender: str, fields: dict[str, Any], mine: Agreed) -> Iterator[F
         yield Finding(False, f"{sender}: its Hello is refused: {error}")
         return
     assert isinstance(hello, Hello)
-    for dotted in disagreement(mine, hello.settings):
+    for dotted in differing_settings(mine, hello.settings):
         section, _, field = dotted.rpartition(".")
         theirs, ours = hello.settings[section][field], mine[section][field]
         yield Finding(False, f"{sender}: {dotted} is {theirs!r} there and {ours!r} here; should be the same everywhere")

@@ -20,7 +20,7 @@ from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, m
 from deploy.scoring.status import AgentStatus, Status
 from deploy.scoring.tick_rate import TickRateMeter
 from deploy.scoring.tracks import TrackLog
-from protocol.agreement import disagreement
+from protocol.agreement import differing_settings
 from protocol.codec import encode
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
@@ -82,7 +82,7 @@ class Scorer(Node):
         self.greeted: set[str] = set()  # names of processes with at least one Hello, and of bodies with a token
         self.deaths = Deaths()
         self.tick_rate = TickRateMeter(scenario)
-        self._settings = agent_config(scenario).agreed()
+        self._settings = agent_config(scenario).shared_settings()
         self._differing: dict[str, tuple[str, ...]] = {}  # by name: the fields in which settings differ
         self._scenario = scenario
         self._bodies = bodies_of(scenario)
@@ -162,7 +162,7 @@ class Scorer(Node):
 
     def _compare_settings(self, hello: Hello) -> None:
         """Report the settings of an agent that differ from those of the run; its peers refuse it."""
-        differs = disagreement(self._settings, hello.settings)
+        differs = differing_settings(self._settings, hello.settings)
         if differs != self._differing.get(hello.sender, ()):
             self._differing[hello.sender] = differs
             if differs:

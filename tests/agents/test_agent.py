@@ -10,7 +10,7 @@ from agents.config import AgentConfig, ControlSettings, TimingSettings
 from agents.coverage.control import ControlInput, Situation
 from agents.membership.announcements import CROWD, EARLY, SOON
 from agents.membership.membership import EXIT_FENCED
-from protocol.agreement import whole
+from protocol.agreement import settings_digest
 from protocol.message import Message
 from protocol.messages import Beacon, Command, Gossip, Hello, Observation
 from protocol.node import NO_EFFECTS, Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
@@ -301,7 +301,7 @@ def test_an_impossible_word_does_not_raise_the_dead() -> None:
 
 def test_somebody_with_other_settings_is_named_once_counted_each_time_and_still_heard() -> None:
     agent = met()
-    other = {"settings": {**CONFIG.agreed(), "filter": {"gate": 1.5}, "arena": {"width": 2.5}}}
+    other = {"settings": {**CONFIG.shared_settings(), "filter": {"gate": 1.5}, "arena": {"width": 2.5}}}
     effects = agent.handle(hello("s7", **other), 0.1)
     text = "the settings of s7 differ from those of s1 in arena.width, filter.gate: it computes another PHD and is refused"
     assert effects == [Warn(text)] and agent.handle(hello("s7", **other), 0.2) == []
@@ -322,7 +322,7 @@ def test_a_world_of_another_arena_is_a_warning() -> None:
 
 def test_a_beacon_of_other_settings_is_refused() -> None:
     config = msgspec.structs.replace(CONFIG, timing=TimingSettings(interest="neighbours"))
-    agent, right = Agent(config, "s1"), whole(config.agreed())
+    agent, right = Agent(config, "s1"), settings_digest(config.shared_settings())
     seen = Beacon(
         sender="s2",
         incarnation=1,

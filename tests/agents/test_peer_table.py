@@ -19,7 +19,7 @@ def hello(name: str, incarnation: int = 1, sensor_class: str = "B") -> Hello:
 
 def differing(name: str) -> Hello:
     """Of somebody who works in another arena."""
-    return msgspec.structs.replace(hello(name), settings={**CONFIG.agreed(), "arena": {"width": 1}})
+    return msgspec.structs.replace(hello(name), settings={**CONFIG.shared_settings(), "arena": {"width": 1}})
 
 
 def gossip(name: str, tick: int, incarnation: int = 1, listening: bool = False, radius: float = 2.0, cod: float = 3.0) -> Gossip:

@@ -12,7 +12,7 @@ from deploy.scenario import Scenario, agent_config, resolve
 from deploy.scoring.scorer import Scorer, hole_and_overlap
 from protocol.fields import pack
 from protocol.geometry import polygon_area
-from protocol.message import Agreed, Vector
+from protocol.message import SharedSettings, Vector
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Gone, Node, Received, Reopen, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
@@ -241,8 +241,8 @@ def test_two_cells_whose_common_border_differs_in_the_last_digit_do_not_swallow_
 def test_an_agent_of_other_settings_is_told_of_once_and_named_in_the_table_of_processes(scenario: Scenario) -> None:
     scorer, told = Scorer(scenario), list[tuple[str, tuple[str, ...]]]()
     scorer.on_differing = lambda name, fields: told.append((name, fields))
-    right = agent_config(scenario).agreed()
-    wrong: Agreed = {**right, "filter": {"gate": 1.5}, "arena": {"width": 2, "height": 3.5}}
+    right = agent_config(scenario).shared_settings()
+    wrong: SharedSettings = {**right, "filter": {"gate": 1.5}, "arena": {"width": 2, "height": 3.5}}
     for settings in (wrong, wrong, {}):
         scorer.handle(received(Hello(sender="b", incarnation=1, settings=settings)), 0.0)
         scorer.handle(received(Hello(sender="a", incarnation=1, settings=right)), 0.0)

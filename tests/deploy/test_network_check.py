@@ -40,7 +40,7 @@ def greeting(scenario: Scenario, endpoint: str, seeds: tuple[str, ...] = (), **c
     network = msgspec.structs.replace(scenario.network, mode="peer", listen=(endpoint,), seeds=seeds, admit=admitted)
     session = live.open_session(network, keys.Token(scenario.run.name, "agent", "s1", 7))
     token = session.liveliness().declare_token(keys.token_key(scenario.run.name, "agent", "s1", 7))
-    hello = Hello(sender="s1", incarnation=7, settings=agent_config(scenario).agreed())
+    hello = Hello(sender="s1", incarnation=7, settings=agent_config(scenario).shared_settings())
     payload = msgspec.msgpack.encode({**msgspec.msgpack.decode(codec.encode(hello)), **changed})
     over = threading.Event()
 

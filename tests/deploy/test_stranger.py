@@ -45,7 +45,7 @@ def test_its_particles_move_as_ours_do(stranger: ModuleType, border: str) -> Non
     particles = unlabelled(states, np.full(200, 0.25), rng.integers(0, 2**64, 200, dtype=np.uint64))
     moved = phd.predict(particles, 17, config.filter.seed, config.run.dt, config.filter, config.arena)
     ours = [row for row in rows_of(moved) if row[4] > 0.0]
-    assert stranger.move(rows_of(particles), 17, config.agreed()) == ours
+    assert stranger.move(rows_of(particles), 17, config.shared_settings()) == ours
     assert len(ours) == 200 if border == "reflect" else len(ours) < 200
 
 

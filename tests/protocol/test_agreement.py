@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, FilterSettings, TimingSettings
-from protocol.agreement import disagreement, whole
+from protocol.agreement import differing_settings, settings_digest
 from protocol.codec import decode, encode
 from protocol.fields import MAX_SETTINGS, Malformed
 from protocol.message import Setting
@@ -35,14 +35,14 @@ def test_the_hash_of_all_settings_is_what_the_page_says() -> None:
     settings: dict[str, dict[str, Setting]] = {"birth": {"background": True}, "arena": {"width": 40.0, "height": 100.0}}
     written = json.dumps(settings, separators=(",", ":"), sort_keys=True).encode()
     expected = int.from_bytes(hashlib.blake2b(written, digest_size=8).digest(), "little")
-    assert whole(settings) == expected // 2 | 1
+    assert settings_digest(settings) == expected // 2 | 1
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_setting_that_differs_is_named_and_no_other(name: str) -> None:
-    mine, theirs = AgentConfig().agreed(), OTHERS[name].agreed()
-    assert disagreement(mine, theirs) == disagreement(theirs, mine) == (name,)
-    assert whole(mine) != whole(theirs)
+    mine, theirs = AgentConfig().shared_settings(), OTHERS[name].shared_settings()
+    assert differing_settings(mine, theirs) == differing_settings(theirs, mine) == (name,)
+    assert settings_digest(mine) != settings_digest(theirs)
 
 
 def test_what_is_nobody_elses_concern_need_not_agree() -> None:
@@ -53,27 +53,31 @@ def test_what_is_nobody_elses_concern_need_not_agree() -> None:
         sensors={"L": SensorSettings(angle=1.0, radius=2.0)},
         members={"s1": "A"},
     )
-    assert disagreement(AgentConfig().agreed(), own.agreed()) == () and whole(AgentConfig().agreed()) == whole(own.agreed())
+    assert differing_settings(AgentConfig().shared_settings(), own.shared_settings()) == () and settings_digest(
+        AgentConfig().shared_settings()
+    ) == settings_digest(own.shared_settings())
 
 
 def test_models_that_announce_themselves_by_a_name_must_be_the_same_to_both() -> None:
     other = {"R": msgspec.structs.replace(MODEL["R"], parameters={"radius": 9.0})}
-    assert disagreement(AgentConfig(sensors=MODEL).agreed(), AgentConfig(sensors=other).agreed()) == ("sensors.R.parameters",)
-    assert disagreement(AgentConfig(sensors=MODEL).agreed(), AgentConfig().agreed()) == ()
+    assert differing_settings(AgentConfig(sensors=MODEL).shared_settings(), AgentConfig(sensors=other).shared_settings()) == (
+        "sensors.R.parameters",
+    )
+    assert differing_settings(AgentConfig(sensors=MODEL).shared_settings(), AgentConfig().shared_settings()) == ()
 
 
 def test_who_says_nothing_of_its_settings_contradicts_nobody() -> None:
-    assert disagreement(AgentConfig().agreed(), {}) == disagreement({}, AgentConfig().agreed()) == ()
+    assert differing_settings(AgentConfig().shared_settings(), {}) == differing_settings({}, AgentConfig().shared_settings()) == ()
 
 
 def test_a_setting_that_only_one_says_is_not_compared() -> None:
-    mine = AgentConfig().agreed()
-    assert disagreement(mine, {"filter": {"gate": mine["filter"]["gate"]}, "kitchen": {"chairs": 4}}) == ()
-    assert disagreement(mine, {"filter": {"gate": 1.5, "colour": "red"}}) == ("filter.gate",)
+    mine = AgentConfig().shared_settings()
+    assert differing_settings(mine, {"filter": {"gate": mine["filter"]["gate"]}, "kitchen": {"chairs": 4}}) == ()
+    assert differing_settings(mine, {"filter": {"gate": 1.5, "colour": "red"}}) == ("filter.gate",)
 
 
 def test_the_settings_come_out_of_the_bytes_as_they_went_in() -> None:
-    hello = Hello(sender="s1", incarnation=1, settings=AgentConfig(sensors=MODEL, filter=FilterSettings(seed=2**63 - 1)).agreed())
+    hello = Hello(sender="s1", incarnation=1, settings=AgentConfig(sensors=MODEL, filter=FilterSettings(seed=2**63 - 1)).shared_settings())
     assert decode("covey/demo/hello/s1", encode(hello)) == hello
 
 
@@ -111,5 +115,5 @@ def test_the_page_lists_just_the_settings_that_a_hello_says() -> None:
         if row:
             section = row[1] or section
             listed.setdefault(section, set()).update(re.findall(r"`(\w+)`", row[2]))
-    said = AgentConfig(sensors=MODEL, filter=FilterSettings(kind="gaussian-mixture")).agreed()
+    said = AgentConfig(sensors=MODEL, filter=FilterSettings(kind="gaussian-mixture")).shared_settings()
     assert listed == {name.replace("sensors.R", "sensors.<class>"): set(values) for name, values in said.items()}

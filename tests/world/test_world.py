@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from protocol.agreement import agreed, common_sections
+from protocol.agreement import common_sections, shared_settings
 from protocol.messages import Hello, Observation
 from protocol.node import Alive, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, received
 from protocol.observer_messages import Truth
@@ -25,7 +25,7 @@ def test_the_world_listens_to_hellos_and_commands_and_says_hello() -> None:
         "covey/covey/command/*",
         "covey/covey/halt",
     ]
-    settings = agreed(common_sections(config()))
+    settings = shared_settings(common_sections(config()))
     assert of_kind(Hello, effects) == [Hello(sender="world", incarnation=3, role="world", settings=settings)]
     assert world.deadline() == HELLO_PERIOD
 
