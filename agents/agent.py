@@ -431,7 +431,7 @@ class Agent(Node):
         if self._pace.current != self.peer_table.pace:
             self.peer_table.keep_pace(self._pace.current)
         self._rounds.end_tick(self.tick, self._pace.current, now)
-        for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.peer_table.given_up)):
+        for name, count in (("stalled_ms", round(1000.0 * self._health.stalled)), ("given_up", self.peer_table.silence_timeouts)):
             if count:
                 self.counters[name] = count
 

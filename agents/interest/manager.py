@@ -106,7 +106,7 @@ class InterestManager:
             self._asking = False
             self.due = max(now + settle, self._join_at)
             return self._apply(choice, table, observation.tick)
-        late, self._questions = self._peer_table.changed and self._questions < MOST_QUESTIONS, self._questions + 1
+        late, self._questions = self._peer_table.selection_outdated and self._questions < MOST_QUESTIONS, self._questions + 1
         if late:  # a peer has appeared only now: both need time to subscribe
             return self.reselect(self._first_cell(own, observation.tick), own, observation.tick)
         self.settled, self.due = True, None
@@ -172,7 +172,7 @@ class InterestManager:
             wider = wider.wider(peer.announced.bounds)
         if wider is not known:
             self._ground = self._ground._replace(bounds=wider)
-            self._peer_table.changed = True
+            self._peer_table.selection_outdated = True
 
     def close_round(self, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
         """The effects at the end of a round: a beacon and a new selection, where they are due for the pose of the next tick."""
@@ -222,7 +222,7 @@ class InterestManager:
 
     def _reselect_if_due(self, next_one: Beacon, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
         """Select peers anew if that is due."""
-        if gossip.tick < self._chosen_at + self._between and not self._peer_table.changed and len(outcome.cell):
+        if gossip.tick < self._chosen_at + self._between and not self._peer_table.selection_outdated and len(outcome.cell):
             return []  # an empty cell may appear anywhere, so an agent without a cell selects in every round
         cell = self._first_cell(next_one, gossip.tick) if gossip.listening else outcome.cell  # a newcomer gets its first cell soon
         return self.reselect(cell, next_one, gossip.tick)

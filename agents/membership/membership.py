@@ -58,14 +58,14 @@ class Membership:
         return self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
 
     def take_hellos(self, batch: Batch, now: float) -> list[Effect]:
-        """Take Hellos that arrived together: all senders are heard before one Hello is judged. Those without news are noted only."""
-        watchdog, news = self.session_watchdog, [*batch.messages]
+        """Take Hellos that arrived together: all senders are heard before one Hello is judged. Those without anything new are noted."""
+        watchdog, announcements = self.session_watchdog, [*batch.messages]
         watchdog.note_messages(batch.senders, now)
         if watchdog.is_calm(now):
-            news = self._peer_table.news(batch.messages)
-            watchdog.note_hellos({*batch.senders}.difference([hello.sender for hello in news]))
+            announcements = self._peer_table.new_announcements(batch.messages)
+            watchdog.note_hellos({*batch.senders}.difference([hello.sender for hello in announcements]))
         effects: list[Effect] = NO_EFFECTS
-        for hello in news:
+        for hello in announcements:
             more = self.take_hello(hello, now)
             effects = more if effects is NO_EFFECTS else [*effects, *more]
         return effects

@@ -50,7 +50,7 @@ class PeerTable:
         self.certified = False  # local: no unknown peer can own a point that matters in this round
         self.known_names = frozenset[str]()  # local: the peers with a known position at the last selection
         self._version = -1  # local: of the positions at that selection
-        self.changed = False  # local: a peer has come or gone since the last selection
+        self.selection_outdated = False  # local: a peer has come or gone since the last selection
         self._config, self._silence_limit = config, config.ticks_of_silence  # rounds
         self._measures_pace = config.run.clock == "realtime"
         self._responsive_rounds: deque[int] = deque(maxlen=self._silence_limit)  # ticks of the last ones
@@ -59,7 +59,7 @@ class PeerTable:
         self.inbox = RoundInbox()
         self.pace = 1  # this agent shares the ticks that this number divides
         self._paces: dict[str, int] = {}  # of the peers that need a slower pace than every tick
-        self.given_up = 0  # how often a peer with its token up has been silent for too long
+        self.silence_timeouts = 0  # how often a peer with its token up has been silent for too long
         self._last_known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
         self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
         self._strangers: dict[str, None] = {}  # the peers that are not in the roster and have no token, the earliest first
@@ -69,7 +69,7 @@ class PeerTable:
         """A token appeared."""
         peer = self._peer(name, incarnation, token=True)
         if peer:
-            self.changed |= peer.left_at is not None
+            self.selection_outdated |= peer.left_at is not None
             self._strangers.pop(name, None)
             peer.token, peer.left_at, peer.doubted = True, None, False
             if peer.beacon is not None:
@@ -85,22 +85,22 @@ class PeerTable:
             return False
         peer.token, peer.doubted, self._steady = False, doubted, False
         if not doubted:
-            self._bury(peer, tick)
-        self._bound_strangers(name)
+            self._mark_left(peer, tick)
+        self._limit_strangers(name)
         return not doubted
 
-    def _bury(self, peer: Peer, tick: int) -> None:
+    def _mark_left(self, peer: Peer, tick: int) -> None:
         """A peer has left in the round `tick`. It may have been a tick ahead, and gossips of it may still be on their way."""
         peer.left_at, peer.doubted = tick + 1, False
         self.positions.remove(peer.name)
-        self.changed = True
+        self.selection_outdated = True
 
     def _settle_doubts(self, tick: int, heard: int) -> None:
         """Count the doubted tokens as lost, unless they are too many beside the number of peers `heard` in this round."""
         doubted = [peer for peer in self.peers.values() if peer.doubted]
         if 2 * len(doubted) <= heard:
             for peer in doubted:
-                self._bury(peer, tick)
+                self._mark_left(peer, tick)
 
     def take_hello(self, hello: Hello) -> str | None:
         """Take a Hello and remember the announced sensor. Returns the reason for refusing it; None: it is accepted.
@@ -124,12 +124,12 @@ class PeerTable:
 
     def _exclude(self, peer: Peer, differs: tuple[str, ...]) -> None:
         """Remove a peer from the interest set when some settings differ; add it again when none does."""
-        peer.differs, self.changed = differs, True
+        peer.differs, self.selection_outdated = differs, True
         others = {name: other for name, other in self.interest_set.items() if name != peer.name}
         self.interest_set = others if differs else in_order(others, peer)
         self._steady = False
 
-    def news(self, hellos: Iterable[Hello]) -> list[Hello]:
+    def new_announcements(self, hellos: Iterable[Hello]) -> list[Hello]:
         """The Hellos of agents that announce anything that the table does not hold, and all Hellos of other roles."""
         peers, found = self.peers, []
         for hello in hellos:
@@ -194,7 +194,7 @@ class PeerTable:
         if not self.inbox.is_far_ahead(tick):  # a wrong tick shows no life
             peer.missed, peer.doubted = 0, False
             if peer.left_at is not None:
-                peer.left_at, self.changed = None, True
+                peer.left_at, self.selection_outdated = None, True
         return ACCEPTED
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
@@ -233,7 +233,7 @@ class PeerTable:
         """
         limit, served = self._silence_limit, self._responsive_rounds
         oldest = served[-limit] if len(served) >= limit else -1  # the tick so many rounds ago in which this agent was served in time
-        found, claimed = {}, self._claimed(tick, fresh)
+        found, claimed = {}, self._newest_known(tick, fresh)
         for name in self.interest_set:
             gossip = fresh.get(name) or claimed.get(name)
             if gossip is None or gossip.listening:
@@ -242,7 +242,7 @@ class PeerTable:
                 found[name] = gossip
         return found
 
-    def _claimed(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
+    def _newest_known(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
         live = [name for name, peer in self.interest_set.items() if peer.left_at is None and name not in fresh]
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
@@ -267,7 +267,7 @@ class PeerTable:
             self._responsive_rounds.append(tick)
             self._count_silent(missing)
         if missing or not self._steady:
-            self._last_known = self._claimed(tick, self.fresh(tick))
+            self._last_known = self._newest_known(tick, self.fresh(tick))
             self._forget_silent(tick)
         complete = self.interest_set.keys() <= self.inbox.of(tick).keys()  # others were in the interest set when they spoke
         if not self._steady:
@@ -304,7 +304,7 @@ class PeerTable:
         for name in missing:
             self.peers[name].missed += 1
             if self.peers[name].missed >= self._silence_limit:
-                self.given_up += 1
+                self.silence_timeouts += 1
 
     def unheard(self) -> list[str]:
         """The peers in the interest set that this agent itself has not heard for too long, in the order of names."""
@@ -338,10 +338,10 @@ class PeerTable:
         """
         peer = known = self.peers.get(beacon.sender)
         if peer is None or peer.incarnation != beacon.incarnation:
-            before = self.changed
+            before = self.selection_outdated
             peer = self._peer(beacon.sender, beacon.incarnation)
             if known is None:
-                self.changed = before or self.positions.matters(beacon)
+                self.selection_outdated = before or self.positions.matters(beacon)
         is_older = peer is not None and peer.beacon is not None and beacon.tick < peer.beacon.tick
         if peer is None or (is_older and peer.beacon is not None and not self.inbox.is_far_ahead(peer.beacon.tick)):
             return False
@@ -352,10 +352,10 @@ class PeerTable:
         back = peer.left_at is not None and beacon.tick > peer.left_at + 1  # a beacon states the position of the next tick
         silent = peer.missed >= self._silence_limit
         if back or silent:
-            peer.left_at, peer.missed, self.changed = None if back else peer.left_at, 0, True
+            peer.left_at, peer.missed, self.selection_outdated = None if back else peer.left_at, 0, True
         is_first, peer.beacon = peer.beacon is None, beacon
         if is_first and peer is known:  # its token came before
-            self.changed |= self.positions.matters(beacon)
+            self.selection_outdated |= self.positions.matters(beacon)
         self.positions.note(peer, beacon)
         return back or silent or is_first
 
@@ -379,9 +379,9 @@ class PeerTable:
                 table.pop(name, None)
         if not names.isdisjoint(self.interest_set):
             self._set_interest([peer for name, peer in self.interest_set.items() if name not in names], [])
-            self.changed = True
+            self.selection_outdated = True
 
-    def _bound_strangers(self, name: str) -> None:
+    def _limit_strangers(self, name: str) -> None:
         """Note a peer without a token as a stranger, unless it is in the roster; forget the earliest of too many.
 
         Anybody can make up names and greet under them; a token is up as long as a session keeps it.
@@ -408,7 +408,7 @@ class PeerTable:
                 added = [self.peers[name] for name in selected - self.interest_set.keys()]
                 self._set_interest(sorted([*staying, *added], key=attrgetter("rank")) if added else staying, added)
         generators = table[:number].compress(~chosen, axis=0)[:, GENERATOR_X : POWER_RADIUS + 1]
-        self.changed, self.unsubscribed = False, UnsubscribedGenerators(generators, names, chosen)
+        self.selection_outdated, self.unsubscribed = False, UnsubscribedGenerators(generators, names, chosen)
 
     def _set_interest(self, interest_set: list[Peer], added: list[Peer]) -> None:
         """Make these peers the interest set, in the order of names; some of them are `added`."""
@@ -435,10 +435,10 @@ class PeerTable:
                 self.peers[name] = peer
             else:
                 self.peers = in_order(self.peers, peer)
-            self.changed = True
+            self.selection_outdated = True
             if not self.local or name in self.interest_set:
                 self.interest_set, self._steady = in_order(self.interest_set, peer), False
                 self.inbox.forget(name)
             if is_new and not token:
-                self._bound_strangers(name)
+                self._limit_strangers(name)
         return peer if incarnation == peer.incarnation else None

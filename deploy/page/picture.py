@@ -301,7 +301,7 @@ class Picture:
         if known.alive and known.incarnation in (incarnation, UNKNOWN):
             known.alive = False
             self._settle()
-            self._bound_strangers(name)
+            self._limit_strangers(name)
 
     def _reject(self, event: Rejected) -> None:
         known = self.agents.get(event.sender)
@@ -313,10 +313,10 @@ class Picture:
         known = self.agents.get(name)
         if known is None:
             known = self._meet(name, "", None)
-            self._bound_strangers(name)
+            self._limit_strangers(name)
         return known
 
-    def _bound_strangers(self, name: str) -> None:
+    def _limit_strangers(self, name: str) -> None:
         """Note an agent without a token as a stranger, unless it is in the roster; forget the earliest of too many (`PeerTable`)."""
         if name in self.scenario.members:
             return

@@ -119,7 +119,7 @@ class InvariantChecker:
                 f"tick {score.tick}: hole {score.hole:.4f}, overlap {score.overlap:.4f} though healed",
             )
         if set(self._kinds) <= set(LOADS):
-            given_up = sum(agent.peer_table.given_up for agent in self._simulation.agents.values())
+            given_up = sum(agent.peer_table.silence_timeouts for agent in self._simulation.agents.values())
             need(given_up == 0, f"{given_up} times a peer was given up though all were only late")
         if self._is_gentle:
             hole, overlap = float(np.mean([score.hole for score in scores])), float(np.mean([score.overlap for score in scores]))

@@ -81,12 +81,12 @@ def test_silence_counts_only_in_rounds_in_which_the_agent_was_served() -> None:
     for tick in range(2, 40):  # an agent that is late in every round: its timer comes when the next observation is there
         agent.handle(see(tick), 5.0 * tick)
         agent.handle(Timer(), 5.0 * tick + 4.0)
-    assert "s2" in agent.outcome.belief.everyone and agent.peer_table.given_up == 0
+    assert "s2" in agent.outcome.belief.everyone and agent.peer_table.silence_timeouts == 0
     for tick in range(40, 90):
         agent.handle(see(tick), 200.0 + 0.5 * tick)
         while (due := agent.deadline() or math.inf) < 200.5 + 0.5 * tick:
             agent.handle(Timer(), due)
-    assert "s2" not in agent.outcome.belief.everyone and agent.peer_table.given_up == 1
+    assert "s2" not in agent.outcome.belief.everyone and agent.peer_table.silence_timeouts == 1
 
 
 def test_a_gossip_ends_the_doubt() -> None:

@@ -86,12 +86,12 @@ def test_beacons_of_the_well_known_are_noted_and_the_others_are_given_back() -> 
 
 def test_a_newcomer_calls_for_a_choice_only_where_it_may_matter() -> None:
     found = peers()
-    assert found.take_beacon(beacon("s4", 1, 60.0)) and not found.changed
-    assert found.take_beacon(beacon("s5", 1, 40.0)) and found.changed
+    assert found.take_beacon(beacon("s4", 1, 60.0)) and not found.selection_outdated
+    assert found.take_beacon(beacon("s5", 1, 40.0)) and found.selection_outdated
     choose(found)
-    assert found.take_beacon(beacon("s4", 1, 60.0, incarnation=2)) and found.changed  # somebody known has been restarted
+    assert found.take_beacon(beacon("s4", 1, 60.0, incarnation=2)) and found.selection_outdated  # somebody known has been restarted
     choose(found)
-    assert not found.take_beacon(beacon("s4", 2, 60.0, incarnation=1)) and not found.changed  # an older incarnation is nobody
+    assert not found.take_beacon(beacon("s4", 2, 60.0, incarnation=1)) and not found.selection_outdated  # an older incarnation is nobody
 
 
 def test_the_silent_are_nowhere_but_for_those_of_whom_a_claim_has_told() -> None:
@@ -113,8 +113,8 @@ def test_a_peer_that_starts_anew_counts_with_its_first_beacon_though_its_token_c
     found = peers()
     found.alive("s2", 2)
     choose(found)
-    assert not found.changed
-    assert found.take_beacon(beacon("s2", 1, 10.0, incarnation=2)) and found.changed
+    assert not found.selection_outdated
+    assert found.take_beacon(beacon("s2", 1, 10.0, incarnation=2)) and found.selection_outdated
 
 
 def test_a_peer_whose_sensor_nobody_knows_is_nowhere() -> None:

@@ -343,7 +343,7 @@ def test_who_plays_every_second_tick_waits_for_as_many_rounds_of_silence_as_the_
     found = []
     for _ in range(6):
         peers._count_silent({"s2"})
-        found.append(peers.given_up)
+        found.append(peers.silence_timeouts)
     assert found == [0, 0, 0, 0, 0, 1]
 
 
@@ -359,8 +359,13 @@ def test_news_are_what_the_table_does_not_hold_and_all_that_other_roles_say() ->
     peers, wedge = neighbours("s2"), WedgeSensor(1.0, 9.0, 0.8)
     known, other_sensor = hello("s2"), msgspec.structs.replace(hello("s2"), sensor=wedge)
     world = msgspec.structs.replace(hello("world"), role="world")
-    assert peers.news([known, world, hello("s3"), other_sensor, hello("s2", 2)]) == [world, hello("s3"), other_sensor, hello("s2", 2)]
-    assert peers.take_hello(other_sensor) is None and peers.news([known, other_sensor]) == []
+    assert peers.new_announcements([known, world, hello("s3"), other_sensor, hello("s2", 2)]) == [
+        world,
+        hello("s3"),
+        other_sensor,
+        hello("s2", 2),
+    ]
+    assert peers.take_hello(other_sensor) is None and peers.new_announcements([known, other_sensor]) == []
 
 
 def test_the_token_of_an_older_incarnation_replaces_none_whose_own_token_is_doubted() -> None:

@@ -25,8 +25,8 @@ def between(simulation: Simulation, start: float, end: float) -> list[Score]:
     return [score for score in simulation.scorer.scores if start <= score.time < end]
 
 
-def given_up(simulation: Simulation) -> int:
-    return sum(agent.peer_table.given_up for agent in simulation.agents.values())
+def silence_timeouts(simulation: Simulation) -> int:
+    return sum(agent.peer_table.silence_timeouts for agent in simulation.agents.values())
 
 
 def starved(share: float) -> FaultSettings:
@@ -36,7 +36,7 @@ def starved(share: float) -> FaultSettings:
 @pytest.mark.parametrize("seconds", [3.0, pytest.param(8.0, marks=pytest.mark.slow)])
 def test_after_a_stop_of_all_processes_nobody_is_dead_and_every_place_has_one_claim(seconds: float) -> None:
     simulation = overloaded(FaultSettings(at=START, verb="freeze", value=seconds))
-    assert given_up(simulation) == 0
+    assert silence_timeouts(simulation) == 0
     assert all(agent.counters["stalled_ms"] > 2000 for agent in simulation.agents.values())
     after = between(simulation, START + RATE, SECONDS)
     assert max(score.hole for score in after) < 0.01 and max(score.overlap for score in after) < 0.01
@@ -52,7 +52,7 @@ def test_a_stop_within_the_lease_changes_nothing_at_all() -> None:
 def test_starved_agents_skip_in_step_keep_their_claims_and_come_back(share: float) -> None:
     simulation = overloaded(starved(share))
     during, after = between(simulation, START, END), between(simulation, END + 2.0 * RATE, SECONDS)
-    assert given_up(simulation) == 0
+    assert silence_timeouts(simulation) == 0
     assert max(score.overlap for score in during) < 0.30
     assert sum(score.hole for score in during) <= 0.03 * len(during)
     spared, skipped = (sum(agent.counters[name] for agent in simulation.agents.values()) for name in ("spared", "skipped"))
@@ -70,7 +70,7 @@ def test_agents_whose_rounds_last_longer_than_a_stall_slow_down_as_well(dt: floa
     simulation = Simulation(msgspec.structs.replace(scenario, faults=(fault,)), clock="realtime")
     simulation.run()
     during = between(simulation, 56.0 * dt, 160.0 * dt)
-    assert given_up(simulation) == 0
+    assert silence_timeouts(simulation) == 0
     assert sum(score.hole for score in during) <= 0.03 * len(during)
     assert max(score.overlap for score in during) < 0.30
     assert statistics.mean([score.ospa for score in during]) < 3.0  # without a slower pace: 4.8 to 9.9
@@ -93,4 +93,4 @@ def test_a_death_among_starved_agents_leaves_no_hole_for_long() -> None:
     simulation = overloaded(starved(0.4), FaultSettings(at=START + 6.0, verb="kill", who="s5"))
     [kill] = simulation.scorer.result(0.0).kills
     assert kill.closed_seconds is not None and kill.closed_seconds <= 2.0
-    assert given_up(simulation) == 0
+    assert silence_timeouts(simulation) == 0
