@@ -18,7 +18,7 @@ import math
 from collections.abc import Iterable, Sequence
 from itertools import chain
 
-MOST = 12  # ticks that a round is played late at most; gossips are kept for a little more (`inbox.MOST_TICKS`)
+MOST = 12  # ticks that a round is played late at most; gossips are kept for a little more (`inbox.WINDOW_TICKS`)
 REMEMBERED = 2.0  # s for which a late gossip is remembered
 IN_TIME = 0.95  # share of the gossips that a lag lets come in time
 HELD = 0.9  # share of the gossips that are still to come for which a round is held

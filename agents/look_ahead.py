@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from agents.config import AgentConfig
-from agents.gossip.inbox import MOST_TICKS
+from agents.gossip.inbox import WINDOW_TICKS
 from agents.gossip.table import AnnouncedSensor, GossipTable, gossip_table
 from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, Frame, RoundResult, result_of
@@ -62,7 +62,7 @@ class RecentTicks:
         """Keep the belief after a round. Drop the gossips that no round will need, and those of a tick so far ahead that it is wrong."""
         self._beliefs.append(belief)
         oldest = belief.stamp - self._most  # the next replay begins with the belief of this tick
-        newest = belief.stamp + self._most + MOST_TICKS
+        newest = belief.stamp + self._most + WINDOW_TICKS
         self._said = {tick: heard for tick, heard in self._said.items() if oldest <= tick <= newest}
 
     def has_later(self, name: str, tick: int) -> bool:

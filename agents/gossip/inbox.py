@@ -4,7 +4,7 @@ from collections.abc import Iterable, Set
 
 from protocol.messages import Gossip
 
-MOST_TICKS = 16  # after the last closed round, of which all gossips are kept; of other ticks so many gossips of each peer
+WINDOW_TICKS = 16  # after the last closed round, of which all gossips are kept; of other ticks so many gossips of each peer
 
 
 class RoundInbox:
@@ -12,13 +12,13 @@ class RoundInbox:
 
     def __init__(self) -> None:
         self.rounds: dict[int, dict[str, Gossip]] = {}  # of rounds that are not closed yet
-        self.last: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
+        self.newest_closed: dict[str, Gossip] = {}  # the newest of each peer in closed rounds
         self._far: dict[str, dict[int, None]] = {}  # by peer: ticks that were not near when its gossip came, in that order
         self._closed = -1  # tick of the last closed round
 
     def is_far_ahead(self, tick: int) -> bool:
         """Whether a tick comes long after the last closed round: it is wrong, or this agent was stalled."""
-        return tick > self._closed + MOST_TICKS
+        return tick > self._closed + WINDOW_TICKS
 
     def _is_near(self, tick: int) -> bool:
         """Whether a tick is one of the next ones to be closed."""
@@ -36,11 +36,11 @@ class RoundInbox:
                 self._note_far(gossip.sender, gossip.tick)
 
     def _note_far(self, name: str, tick: int) -> None:
-        """Of the gossips of a peer that are not near keep `MOST_TICKS`, those that came last: an agent that was stalled needs these."""
+        """Of the gossips of a peer that are not near keep `WINDOW_TICKS`, those that came last: an agent that was stalled needs these."""
         far = self._far.setdefault(name, {})
         far.pop(tick, None)
         far[tick] = None
-        if len(far) > MOST_TICKS:
+        if len(far) > WINDOW_TICKS:
             old = next(iter(far))
             del far[old]
             if name in self.of(old) and not self._is_near(old):
@@ -54,28 +54,28 @@ class RoundInbox:
 
     def knows(self, name: str) -> bool:
         """Whether the inbox holds any gossip of a peer."""
-        return name in self.last or any(name in gossips for gossips in self.rounds.values())
+        return name in self.newest_closed or any(name in gossips for gossips in self.rounds.values())
 
     def newest(self, name: str, tick: int) -> Gossip | None:
         """The newest gossip of a peer that is not later than `tick`; None: there is none."""
         stamps = [stamp for stamp, gossips in self.rounds.items() if stamp <= tick and name in gossips]
-        return self.rounds[max(stamps)][name] if stamps else self.last.get(name)
+        return self.rounds[max(stamps)][name] if stamps else self.newest_closed.get(name)
 
     def forget(self, name: str) -> None:
         """Drop all gossips of a peer."""
-        for gossips in (self.last, *self.rounds.values()):
+        for gossips in (self.newest_closed, *self.rounds.values()):
             gossips.pop(name, None)
         self._far.pop(name, None)
 
-    def drop_closed(self, names: Iterable[str]) -> None:
+    def drop_newest_closed(self, names: Iterable[str]) -> None:
         """Drop the gossips of some peers in closed rounds."""
         for name in names:
-            self.last.pop(name, None)
+            self.newest_closed.pop(name, None)
 
     def close(self, tick: int, peers: Set[str]) -> list[dict[str, Gossip]]:
         """Close the rounds up to `tick`, and return the gossips of each by name. `peers`: the names of the peers."""
         self._closed = tick
         closed = [self.rounds.pop(stamp) for stamp in sorted([stamp for stamp in self.rounds if stamp <= tick])]
         for gossips in closed:
-            self.last = gossips if gossips.keys() == peers else {**self.last, **gossips}
+            self.newest_closed = gossips if gossips.keys() == peers else {**self.newest_closed, **gossips}
         return closed

@@ -16,7 +16,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.coverage.capacity import place
-from agents.gossip.inbox import MOST_TICKS
+from agents.gossip.inbox import WINDOW_TICKS
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
 from agents.interest.selection import BEACON_PERIOD, JUMP, MARGIN, SELECTION_PERIOD, Choice, Ground
 from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling, bounds_of
@@ -128,7 +128,7 @@ class InterestManager:
     def _table(self, own: Beacon, tick: int) -> np.ndarray:
         """The positions of peers (`PositionTable.table`), after those without a recent beacon are forgotten."""
         since = tick - math.ceil(FORGOTTEN * max(self._period, self._peer_table.pace))
-        self._forgotten |= self._peer_table.forget_outside(since, tick + MOST_TICKS)
+        self._forgotten |= self._peer_table.forget_outside(since, tick + WINDOW_TICKS)
         return self._peer_table.positions.table(beacon_row(own, self._context.config.partition.kind))
 
     # ------------------------------------------------------------------ beacons
@@ -231,7 +231,7 @@ class InterestManager:
         """A new session, if neighbours have long been naming a peer that this agent should hear and does not; else no effects."""
         if tick % CHECK:
             return []
-        gossips = [gossip for gossip in self._peer_table.inbox.last.values() if gossip.tick == tick]
+        gossips = [gossip for gossip in self._peer_table.inbox.newest_closed.values() if gossip.tick == tick]
         known = self._peer_table.known_names.difference(self._peer_table.unheard())  # claims may tell of the unheard
         unheard = self._link_detector.find_unheard(gossips, known, self._covers_generator, tick, now)
         return [Reopen(f"the others hear {unheard}, {self._context.name} does not")] if unheard else []

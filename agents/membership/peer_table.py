@@ -184,7 +184,7 @@ class PeerTable:
                 return "incarnation"
         if peer.announced is None:
             return "settings" if peer.differs else "unknown_sensor"
-        last = self.inbox.last.get(name)
+        last = self.inbox.newest_closed.get(name)
         if last is not None and tick <= last.tick:
             return "closed"
         if peer.left_at is not None and tick <= peer.left_at:
@@ -414,7 +414,7 @@ class PeerTable:
         """Make these peers the interest set, in the order of names; some of them are `added`."""
         before, self.interest_set = self.interest_set, {peer.name: peer for peer in interest_set}
         if len(interest_set) < len(before) + len(added):
-            self.inbox.drop_closed(before.keys() - self.interest_set.keys())
+            self.inbox.drop_newest_closed(before.keys() - self.interest_set.keys())
         self._steady = steady(added if self._steady else interest_set, self.local)
 
     def _peer(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:

@@ -24,11 +24,11 @@ from protocol.observer_messages import Estimate, Truth
 from protocol.sensing import SensorModel, measurement_of
 from protocol.settings import BadSetting, sensor_of
 
-TRAIL = 12.0  # s of the world that trails reach back, and `MOST_TICKS` at least
+TRAIL = 12.0  # s of the world that trails reach back, and `KEPT_TICKS` at least
 MOST_HAPPENINGS = 2000
 UNKNOWN = 0  # incarnation of an agent that has not been heard
 OTHER = "(other)"  # under which rejected messages are counted whose sender is no known agent: anybody can make up names
-MOST_TICKS = 24  # kept of what an agent said
+KEPT_TICKS = 24  # kept of what an agent said
 
 
 PAUSES = ("pause", "resume", "kill", "restart")  # verbs of faults that begin or end a pause
@@ -100,7 +100,7 @@ def up_to(said: dict[int, KeptMessage], tick: int) -> KeptMessage | None:
 def _keep(said: dict[int, KeptMessage], message: KeptMessage) -> None:
     """Keep a message among those of the last ticks."""
     said[message.tick] = message
-    if len(said) > MOST_TICKS:
+    if len(said) > KEPT_TICKS:
         del said[min(said)]
 
 
@@ -258,7 +258,7 @@ class Picture:
             return
         self.truth = truth
         self.trail.append(truth)
-        while (self.trail[0].time < truth.time - TRAIL and len(self.trail) > MOST_TICKS) or self.trail[0].time > truth.time:
+        while (self.trail[0].time < truth.time - TRAIL and len(self.trail) > KEPT_TICKS) or self.trail[0].time > truth.time:
             self.trail.popleft()
         self._settle()
 

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from deploy.page.picture import MOST_TICKS, TRAIL, Picture, paused_after
+from deploy.page.picture import KEPT_TICKS, TRAIL, Picture, paused_after
 from deploy.page.source import number_of
 from deploy.recording.recording import RecordedEntry, Recording, event_of
 from deploy.recording.rescore import rescore_slowly
@@ -127,7 +127,7 @@ class ReplaySource:
         """Show the moment `to`, s of the world."""
         self.clock = min(max(to, 0.0), self._recording.seconds)
         spans, scenario = self._recording.spans, self._recording.scenario
-        first = max(0, bisect.bisect_right([span.start for span in spans], self.clock - max(TRAIL, MOST_TICKS * scenario.run.dt)) - 1)
+        first = max(0, bisect.bisect_right([span.start for span in spans], self.clock - max(TRAIL, KEPT_TICKS * scenario.run.dt)) - 1)
         self.picture.forget()
         self._entries, self._next = self._recording.entries(first), None
         self._feed(self.clock, jumped_from=self.clock - WARM_TICKS * scenario.run.dt)

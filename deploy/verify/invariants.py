@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.agent import Agent
-from agents.gossip.inbox import MOST_TICKS, RoundInbox
+from agents.gossip.inbox import WINDOW_TICKS, RoundInbox
 from agents.round import RoundResult
 from agents.tracking import gaussian_belief
 from agents.tracking.belief import MOST_COPIES, Belief, owned_by_sender
@@ -153,7 +153,7 @@ class InvariantChecker:
 
     def _check_order(self, agent: Agent) -> None:
         """The newest gossip of a peer in closed rounds is never replaced by an older one of the same incarnation."""
-        own, last = (agent.name, agent.incarnation), agent.peer_table.inbox.last
+        own, last = (agent.name, agent.incarnation), agent.peer_table.inbox.newest_closed
         for name, (incarnation, tick) in self._last.get(own, {}).items():
             gossip = last.get(name)
             goes_back = gossip is not None and gossip.incarnation == incarnation and gossip.tick < tick
@@ -278,7 +278,7 @@ def check_round(agent: Agent, is_first: bool) -> None:
     need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
     need(not (is_first and outcome.belief.stamp > 0 and belief.mine.claim.names), f"{name}: a newcomer with a cell before it has listened")
     ticks = Counter(itertools.chain.from_iterable(agent.peer_table.inbox.rounds.values()))
-    need(max(ticks.values(), default=0) <= 2 * MOST_TICKS, f"{name}: a queue of {max(ticks.values(), default=0)} ticks of a peer")
+    need(max(ticks.values(), default=0) <= 2 * WINDOW_TICKS, f"{name}: a queue of {max(ticks.values(), default=0)} ticks of a peer")
     need(len(near.ids) <= 4 * MOST_COPIES, f"{name}: {len(near.ids)} copies")
 
 
@@ -289,7 +289,7 @@ def check_words(agent: Agent) -> None:
     """
     carried = [peer.announced for peer in agent.peer_table.peers.values() if peer.announced is not None]
     most = SLACK * max([agent.context.facts.capability, *(announced.facts.capability for announced in carried)])
-    for name, gossip in agent.peer_table.inbox.last.items():
+    for name, gossip in agent.peer_table.inbox.newest_closed.items():
         if gossip.tick == agent.outcome.belief.stamp:
             numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)
             need(all(map(math.isfinite, numbers)) and gossip.weight >= 0.0, f"{agent.name}: believes {numbers} of {name}")
@@ -301,7 +301,7 @@ def check_diagram(agent: Agent, since: int) -> None:
     """Every live peer that was heard in the tick `since` or later has a generator (`PeerTable.generators`)."""
     belief, peer_table = agent.outcome.belief, agent.peer_table
     for name, peer in peer_table.interest_set.items():
-        last = peer_table.inbox.last.get(name)
+        last = peer_table.inbox.newest_closed.get(name)
         if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.left_at is not None:
             continue
         need(
@@ -349,6 +349,6 @@ def held(inbox: RoundInbox) -> dict[str, tuple[object, ...]]:
     for tick, gossips in inbox.rounds.items():
         for name, gossip in gossips.items():
             found.setdefault(name, []).append((tick, Identity(gossip)))
-    for name, gossip in inbox.last.items():
+    for name, gossip in inbox.newest_closed.items():
         found.setdefault(name, []).append((gossip.incarnation, gossip.tick))
     return {name: tuple(values) for name, values in found.items()}

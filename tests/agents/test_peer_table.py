@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from agents.config import AgentConfig
-from agents.gossip.inbox import MOST_TICKS
+from agents.gossip.inbox import WINDOW_TICKS
 from agents.membership.peer_table import MOST_STRANGERS, PeerTable
 from protocol.messages import Gossip, Hello
 from protocol.node import Batch
@@ -57,19 +57,19 @@ def generators(peers: PeerTable, tick: int) -> list[str]:
 
 def test_a_peer_that_says_ticks_far_ahead_pushes_out_nobody_elses_gossips() -> None:
     peers = neighbours("s2", "s3")
-    for tick in range(3 * MOST_TICKS):
+    for tick in range(3 * WINDOW_TICKS):
         assert hear(peers, gossip("s3", 10_000 + tick)) is None
         assert hear(peers, gossip("s2", tick)) is None
         assert peers.fresh(tick).keys() == {"s2"}
         peers.close(tick)
-    assert len(peers.inbox.rounds) == MOST_TICKS
+    assert len(peers.inbox.rounds) == WINDOW_TICKS
 
 
 def test_of_a_peer_whose_rounds_nobody_closes_the_next_and_the_newest_ticks_are_kept() -> None:
     peers = neighbours("s2", "s3")
-    for tick in range(4 * MOST_TICKS):
+    for tick in range(4 * WINDOW_TICKS):
         assert hear(peers, gossip("s2", tick)) is None and hear(peers, gossip("s3", tick)) is None
-    assert sorted(peers.inbox.rounds) == [*range(MOST_TICKS), *range(3 * MOST_TICKS, 4 * MOST_TICKS)]
+    assert sorted(peers.inbox.rounds) == [*range(WINDOW_TICKS), *range(3 * WINDOW_TICKS, 4 * WINDOW_TICKS)]
 
 
 @pytest.mark.parametrize("wrong", [+10_000, +1, -10_000])
@@ -77,8 +77,8 @@ def test_of_a_peer_whose_rounds_nobody_closes_the_next_and_the_newest_ticks_are_
 def test_sixteen_wrong_ticks_of_a_peer_in_every_round_push_out_none_of_its_right_ones(wrong: int, first: bool) -> None:
     peers = neighbours("s2", "s3")
     peers.close(19_999)
-    for tick in range(20_000, 20_000 + 3 * MOST_TICKS):
-        right, fakes = gossip("s3", tick), [gossip("s3", tick + wrong + number) for number in range(MOST_TICKS)]
+    for tick in range(20_000, 20_000 + 3 * WINDOW_TICKS):
+        right, fakes = gossip("s3", tick), [gossip("s3", tick + wrong + number) for number in range(WINDOW_TICKS)]
         hear(peers, gossip("s2", tick))
         for said in [*fakes, right] if first else [right, *fakes]:
             hear(peers, said)
@@ -138,7 +138,7 @@ def test_of_made_up_names_that_say_hello_a_fixed_number_is_kept() -> None:
     assert "s2" in peers.peers and f"x{3 * MOST_STRANGERS - 1}" in peers.peers and "x0" not in peers.peers
     assert sum(map(len, peers.inbox.rounds.values())) == MOST_STRANGERS
     peers.close(0)
-    assert len(peers.inbox.last) == MOST_STRANGERS
+    assert len(peers.inbox.newest_closed) == MOST_STRANGERS
 
 
 def test_guests_with_a_token_are_kept_however_many_strangers_say_hello_and_those_that_have_gone_are_strangers() -> None:

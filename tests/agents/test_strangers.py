@@ -9,7 +9,7 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import TimingSettings
-from agents.gossip.inbox import MOST_TICKS
+from agents.gossip.inbox import WINDOW_TICKS
 from agents.membership.agreement import MOST_WARNINGS
 from agents.membership.peer_table import MOST_STRANGERS
 from protocol.messages import Beacon, Hello
@@ -86,7 +86,7 @@ def test_an_agent_that_hears_its_neighbours_forgets_made_up_names_whatever_tick_
     agent = Agent(msgspec.structs.replace(LOCKSTEP, timing=TimingSettings(interest="neighbours")), "s1")
     usual = {"position": (1.0, 1.0), "cod": (2.0, 1.0), "power_radius": 1.0, "reach": 8.0, "column": 0, "row": 0, "sensor_class": "B"}
     said = [Beacon(sender=f"x{number}", incarnation=1, tick=tick, **usual) for number in range(40)]  # type: ignore[arg-type]
-    for own in range(3 * MOST_TICKS):
+    for own in range(3 * WINDOW_TICKS):
         agent.handle(see(own), 0.5 * own)
         if own < 3:
             agent.handle(received(*said), 0.5 * own)
@@ -96,4 +96,4 @@ def test_an_agent_that_hears_its_neighbours_forgets_made_up_names_whatever_tick_
             if due is None or due > 0.5 * own + 0.5:
                 break
             agent.handle(Timer(), due)
-    assert agent.tick == 3 * MOST_TICKS - 1 and not agent.peer_table.peers and not names_in(agent.peer_table)
+    assert agent.tick == 3 * WINDOW_TICKS - 1 and not agent.peer_table.peers and not names_in(agent.peer_table)

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from deploy.page.frames import moment
-from deploy.page.picture import MOST_TICKS
+from deploy.page.picture import KEPT_TICKS
 from deploy.recording.observers import Observers, open_recorder
 from deploy.recording.recording import Recording
 from deploy.recording.replay import ReplayNode, ReplaySource
@@ -81,7 +81,7 @@ def test_after_a_jump_the_trails_reach_back_some_ticks_where_ticks_are_long(tmp_
     simulation.run()
     replay = ReplaySource(Recording(tmp_path / "a.mcap"))
     replay.seek(100.0)
-    assert len(replay.picture.trail) == MOST_TICKS
+    assert len(replay.picture.trail) == KEPT_TICKS
 
 
 def test_the_look_through_the_whole_file_finds_the_scores_of_the_run_and_who_was_lost(run: tuple[Simulation, Recording]) -> None:

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from agents.agent import Agent
-from agents.gossip.inbox import MOST_TICKS
+from agents.gossip.inbox import WINDOW_TICKS
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
 from deploy.verify.invariants import (
@@ -88,7 +88,7 @@ def agent_of(simulation: Simulation, seconds: float = 2.0) -> Agent:
 def test_a_peer_that_was_heard_some_rounds_ago_has_a_generator_and_a_round_is_as_many_ticks_as_the_pace(pace: int) -> None:
     simulation, checker = watched(100.0)
     agent = agent_of(simulation)
-    heard = agent.peer_table.inbox.last["s2"].tick
+    heard = agent.peer_table.inbox.newest_closed["s2"].tick
     agent.outcome.belief.everyone = frozenset({"s1"})
     for rounds in range(SILENT_ROUNDS + 1):
         agent.outcome.belief.stamp, agent.counters["rounds"] = heard + rounds * pace, 100 + rounds
@@ -103,11 +103,11 @@ def test_a_queue_of_more_ticks_than_an_inbox_keeps_is_noticed() -> None:
     simulation, _ = watched(100.0)
     agent = agent_of(simulation)
     inbox = agent.peer_table.inbox
-    gossip = inbox.last["s2"]
+    gossip = inbox.newest_closed["s2"]
     inbox.put([msgspec.structs.replace(gossip, tick=tick) for tick in range(100, 200)])
     check_round(agent, is_first=False)
-    inbox.rounds |= {tick: {"s2": gossip} for tick in range(300, 301 + MOST_TICKS)}
-    assert len(inbox.rounds) == 2 * MOST_TICKS + 1
+    inbox.rounds |= {tick: {"s2": gossip} for tick in range(300, 301 + WINDOW_TICKS)}
+    assert len(inbox.rounds) == 2 * WINDOW_TICKS + 1
     with pytest.raises(InvariantBroken, match="a queue of 33 ticks of a peer"):
         check_round(agent, is_first=False)
 
