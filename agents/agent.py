@@ -19,7 +19,7 @@ from agents.coverage.keep_apart import keep_apart
 from agents.gossip import outbox
 from agents.interest.manager import InterestManager
 from agents.look_ahead import OpenRound, look_ahead
-from agents.membership.announcements import SOON
+from agents.membership.announcements import REPLY_DELAY
 from agents.membership.listening import Listening
 from agents.membership.local_health import LocalHealth
 from agents.membership.membership import Membership
@@ -35,7 +35,7 @@ from protocol.keys import all_of, one_of, tokens_of
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import NO_EFFECTS, Alive, Batch, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, Timer
 
-MANY = 1 << 30
+NO_WAKE_UP = 1 << 30
 MOST_OVERDUE = 0.5  # of the time for which a round waits: when it closes later, its agent was not served in time
 
 
@@ -128,7 +128,7 @@ class Agent(Node):
     @property
     def wake_up_count(self) -> int:
         """The number of gossips for which the open round waits (Node). Without an open round, gossips wait for the observation."""
-        return len(self._awaited) if self._gossip else MANY
+        return len(self._awaited) if self._gossip else NO_WAKE_UP
 
     @property
     def keep_last(self) -> tuple[str, int]:
@@ -327,7 +327,7 @@ class Agent(Node):
         warnings = self.membership.agreement.refuse(refused) if refused else NO_EFFECTS
         if not self._interest.take_beacons([beacon for beacon in beacons if beacon not in refused] if refused else beacons):
             return warnings
-        self._answer_at = now + SOON if self._answer_at is None else self._answer_at
+        self._answer_at = now + REPLY_DELAY if self._answer_at is None else self._answer_at
         return [*warnings]
 
     def _on_timer(self, now: float) -> list[Effect]:

@@ -6,7 +6,7 @@ of any finite numbers gives a covariance, so that rounding it to 16 bits breaks 
 
 import numpy as np
 
-from protocol.fields import FARTHEST, LARGEST_LABEL, Malformed
+from protocol.fields import LARGEST_LABEL, LARGEST_NUMBER, Malformed
 
 MAX_COMPONENTS = 4096
 MOST_MASS = 1000.0  # expected targets of one owner. Every one is an estimate: 1000 are found and named in 0.06 s, 3000 in 0.5 s
@@ -32,16 +32,16 @@ def check_mass(what: str, mass: float) -> None:
 
 
 def check_components(data: bytes) -> None:
-    """Refuse numbers that are not finite or beyond `FARTHEST`, negative weights, too much mass, ids that do not ascend, and labels that are
-    too large.
+    """Refuse numbers that are not finite or beyond `LARGEST_NUMBER`, negative weights, too much mass, ids that do not ascend, and labels
+    that are too large.
     """
     rows = read_components(data)
     if not bool(
-        np.all(np.abs(rows["place"]) <= FARTHEST) and np.all(np.isfinite(rows["velocity"])) and np.all(np.isfinite(rows["factor"]))
+        np.all(np.abs(rows["place"]) <= LARGEST_NUMBER) and np.all(np.isfinite(rows["velocity"])) and np.all(np.isfinite(rows["factor"]))
     ):
-        raise Malformed("range", f"components: every number should be finite, and a place within +-{FARTHEST:g}")
-    if not bool(np.all((rows["weight"] >= 0.0) & (rows["weight"] <= FARTHEST))):
-        raise Malformed("range", f"components: every weight should be from 0 to {FARTHEST:g}")
+        raise Malformed("range", f"components: every number should be finite, and a place within +-{LARGEST_NUMBER:g}")
+    if not bool(np.all((rows["weight"] >= 0.0) & (rows["weight"] <= LARGEST_NUMBER))):
+        raise Malformed("range", f"components: every weight should be from 0 to {LARGEST_NUMBER:g}")
     check_mass("components: they", float(rows["weight"].sum(dtype=float)))
     if bool(np.any(rows["id"][1:] <= rows["id"][:-1])):
         raise Malformed("range", "components: ids should be strictly ascending")

@@ -14,9 +14,9 @@ Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]  # of a 
 
 MAX_ROWS = 8192  # of every array and of every list of names that a round reads
 MAX_DETECTIONS = MAX_NAMES = MAX_ROWS
-FARTHEST = 1.0e6  # largest coordinate, m
-LARGEST_AREA = FARTHEST**2  # m^2
-LATEST = 1.0e12  # largest world time, s
+LARGEST_NUMBER = 1.0e6  # of a message, but for areas and times: no coordinate in m is larger
+LARGEST_AREA = LARGEST_NUMBER**2  # m^2
+LARGEST_TIME = 1.0e12  # largest world time, s
 MAX_SETTINGS, VALUE_SIZE = 65536, 8  # characters of all settings of a Hello; size of a number or boolean
 LARGEST_SETTING = 1.0e12
 
@@ -53,7 +53,7 @@ class Rows(NamedTuple):
 
 
 def check_rows(rows: Rows, data: bytes) -> int:
-    """Refuse NaN, infinity and anything beyond `FARTHEST`; return the number of rows.
+    """Refuse NaN, infinity and anything beyond `LARGEST_NUMBER`; return the number of rows.
 
     A sum of squares below half the bound squared proves it for the whole array in one pass: its rounding error is below 1 %, and NaN
     compares false. Only a larger sum needs the check of every number.
@@ -62,8 +62,8 @@ def check_rows(rows: Rows, data: bytes) -> int:
         return 0
     count = rows.count(data)
     flat = np.frombuffer(data, rows.number)
-    if not np.vdot(flat, flat) < 0.5 * FARTHEST**2 and not bool(np.all(np.abs(flat) <= FARTHEST)):
-        raise Malformed("range", f"{rows.field}: every number should be finite and within +-{FARTHEST:g}")
+    if not np.vdot(flat, flat) < 0.5 * LARGEST_NUMBER**2 and not bool(np.all(np.abs(flat) <= LARGEST_NUMBER)):
+        raise Malformed("range", f"{rows.field}: every number should be finite and within +-{LARGEST_NUMBER:g}")
     return count
 
 

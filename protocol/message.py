@@ -8,7 +8,7 @@ from typing import Annotated
 
 import msgspec
 
-from protocol.fields import FARTHEST, LARGEST_AREA, LARGEST_SETTING, LATEST, MAX_ROWS, Name
+from protocol.fields import LARGEST_AREA, LARGEST_NUMBER, LARGEST_SETTING, LARGEST_TIME, MAX_ROWS, Name
 
 WIRE_VERSION = 2
 Tick = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -16,11 +16,11 @@ Natural = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]  # an incarnation, a 
 LagNumber = Annotated[int, msgspec.Meta(ge=0, le=64)]
 PaceNumber = Annotated[int, msgspec.Meta(ge=1, le=64)]
 TileNumber = Annotated[int, msgspec.Meta(ge=0, le=9_999_999)]
-Number = Annotated[float, msgspec.Meta(ge=-FARTHEST, le=FARTHEST)]  # of either sign: a coordinate, an angle, a speed along an axis
-Magnitude = Annotated[float, msgspec.Meta(ge=0.0, le=FARTHEST)]  # a number that is never negative, whatever its unit: a distance, a mass
+Number = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]  # of either sign: a coordinate, an angle, a speed
+Magnitude = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]  # never negative, whatever its unit: a distance, a mass
 Area = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_AREA)]
-Time = Annotated[float, msgspec.Meta(ge=-LATEST, le=LATEST)]
-Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LATEST)]
+Time = Annotated[float, msgspec.Meta(ge=-LARGEST_TIME, le=LARGEST_TIME)]
+Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_TIME)]
 RowsOf8Bytes = Annotated[bytes, msgspec.Meta(max_length=8 * MAX_ROWS)]  # an array (`fields.Rows`) of at most `MAX_ROWS` rows of 8 bytes
 RowsOf16Bytes = Annotated[bytes, msgspec.Meta(max_length=16 * MAX_ROWS)]
 RowsOf24Bytes = Annotated[bytes, msgspec.Meta(max_length=24 * MAX_ROWS)]

@@ -18,9 +18,9 @@ from protocol.fields import (
     DETECTIONS,
     F4,
     F8,
-    FARTHEST,
     IDS,
     LARGEST_LABEL,
+    LARGEST_NUMBER,
     MAX_SETTINGS,
     OBSTACLES,
     STATES,
@@ -286,7 +286,7 @@ def are_contents_valid(gossips: list[Gossip]) -> bool:
     detections = np.frombuffer(b"".join([gossip.detections_bytes for gossip in gossips]), F4)
     return (
         not any(gossip.components_bytes for gossip in gossips)
-        and float(np.vdot(states, states) + np.vdot(claims, claims) + np.vdot(detections, detections)) < 0.5 * FARTHEST**2
+        and float(np.vdot(states, states) + np.vdot(claims, claims) + np.vdot(detections, detections)) < 0.5 * LARGEST_NUMBER**2
         and ascend([gossip.ids_bytes for gossip in gossips])
         and are_labels([gossip.labels_bytes for gossip in gossips])
     )

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from protocol.fields import FARTHEST
+from protocol.fields import LARGEST_NUMBER
 from protocol.geometry import wrap_angle
 from protocol.message import Vector
 from protocol.sensing import Pose
@@ -27,7 +27,11 @@ def integrate(pose: Pose, velocity: Vector, turn_rate: float, dt: float, limits:
     x, y = clip_velocity(velocity, limits.speed)
     turn = max(-limits.turn_rate, min(limits.turn_rate, turn_rate))
     east, north = pose[0] + x * dt, pose[1] + y * dt  # no farther than a coordinate may be on the wire
-    return max(-FARTHEST, min(FARTHEST, east)), max(-FARTHEST, min(FARTHEST, north)), wrap_angle(pose[2] + turn * dt)
+    return (
+        max(-LARGEST_NUMBER, min(LARGEST_NUMBER, east)),
+        max(-LARGEST_NUMBER, min(LARGEST_NUMBER, north)),
+        wrap_angle(pose[2] + turn * dt),
+    )
 
 
 def from_other_frame(points: np.ndarray, true: Pose, reported: Pose) -> np.ndarray:

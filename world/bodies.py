@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from protocol.fields import FARTHEST
+from protocol.fields import LARGEST_NUMBER
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
 from protocol.pose import integrate
@@ -87,7 +87,7 @@ def check_given(config: WorldConfig) -> None:
         pose = config.bodies.poses.get(name)
         if pose is None:
             raise BadSetting(f"bodies.poses.{name}: is missing; start = 'given' needs [x, y, heading] for every member")
-        if not all(-FARTHEST <= number <= FARTHEST for number in pose):
+        if not all(-LARGEST_NUMBER <= number <= LARGEST_NUMBER for number in pose):
             raise BadSetting(f"bodies.poses.{name} = {list(pose)}: should be three finite numbers [x m, y m, heading rad]")
     least = 2.0 * (config.limits.radius + ROOM)
     for one, other in combinations(config.members if config.limits.radius else (), 2):

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from protocol.fields import FARTHEST, MAX_DETECTIONS
+from protocol.fields import LARGEST_NUMBER, MAX_DETECTIONS
 from protocol.foreign import fault_of, real_array, shown
 from protocol.message import Vector
 from protocol.messages import Command
@@ -135,7 +135,7 @@ def _pose(what: str, value: Any) -> Pose:
     right = "a pose should be three finite numbers [x m, y m, heading rad]"
     if not isinstance(value, tuple | list | np.ndarray) or len(value) != 3:
         raise BadSetting(f"{what} returned the pose {shown(value)}: {right}")
-    if not all(isinstance(number, int | float | np.number) and abs(float(number)) <= FARTHEST for number in value):
+    if not all(isinstance(number, int | float | np.number) and abs(float(number)) <= LARGEST_NUMBER for number in value):
         raise BadSetting(f"{what} returned the pose {shown(value)}: {right}")
     return float(value[0]), float(value[1]), float(value[2])
 
@@ -143,8 +143,8 @@ def _pose(what: str, value: Any) -> Pose:
 def _detections(what: str, value: Any) -> np.ndarray:
     """The detections (M, 2) float32; raises BadSetting for anything else."""
     found = real_array(f"{what}, detections:", value, (-1, 2))
-    if len(found) > MAX_DETECTIONS or (len(found) and np.abs(found).max() > FARTHEST):
-        raise BadSetting(f"{what} returned {len(found)} detections: should be at most {MAX_DETECTIONS}, within {FARTHEST:g} m")
+    if len(found) > MAX_DETECTIONS or (len(found) and np.abs(found).max() > LARGEST_NUMBER):
+        raise BadSetting(f"{what} returned {len(found)} detections: should be at most {MAX_DETECTIONS}, within {LARGEST_NUMBER:g} m")
     return found.astype(np.float32)
 
 

@@ -7,12 +7,12 @@ alive.
 
 from collections.abc import Callable
 
-SOON = 0.05  # s between the appearance of a new peer and a Hello
-CROWD = 12  # above this number of peers Hellos become rarer
-THRONG = 24  # above this number of peers `SOON` grows with it, so that the Hellos of all get through
-EARLY, LATE = 0.25, 2.0  # s between Hellos: while a sensor is unknown or nothing has been observed, and later
-LATEST = 4.0  # s between Hellos in a large swarm; a second below `session_watchdog.PATIENCE`, for which the names in a Hello hold
-MANY = 48  # above this number of peers the later rhythm slows down as well
+REPLY_DELAY = 0.05  # s between the appearance of a new peer and a Hello
+EARLY_CROWD = 12  # above this number of peers early Hellos become rarer
+REPLY_CROWD = 24  # above this number of peers `REPLY_DELAY` grows with it, so that the Hellos of all get through
+EARLY_PERIOD, LATER_PERIOD = 0.25, 2.0  # s between Hellos: while a sensor is unknown or nothing has been observed, and later
+LONGEST_PERIOD = 4.0  # s between Hellos in a large swarm; a second below `session_watchdog.PATIENCE`, for which the names in a Hello hold
+LATER_CROWD = 48  # above this number of peers the later rhythm slows down as well
 
 
 class AnnouncementSchedule:
@@ -26,12 +26,12 @@ class AnnouncementSchedule:
 
     def start(self, now: float) -> None:
         """The agent has just sent its first Hello."""
-        self.due = now + self._early(0)
+        self.due = now + self._early_period(0)
 
     def peer_appeared(self, peers: int, now: float) -> None:
         """A new peer makes the number of peers `peers`: plan one Hello for all that appear within a moment."""
         if self._run_started or self._is_complete():
-            soon = now + SOON * max(1.0, peers / THRONG)
+            soon = now + REPLY_DELAY * max(1.0, peers / REPLY_CROWD)
             self.due = soon if self.due is None else min(self.due, soon)
 
     def run_started(self) -> None:
@@ -42,21 +42,21 @@ class AnnouncementSchedule:
         """An observation has arrived."""
         self.run_started()
         if self.due is not None:
-            self.due = min(self.due, now + LATEST)  # `due` lies later only if the clock has jumped back
+            self.due = min(self.due, now + LONGEST_PERIOD)  # `due` lies later only if the clock has jumped back
 
     def is_due(self, peers: int, early: bool, now: float) -> bool:
         """Whether a Hello is due now; if so the next one is planned. `early`: a sensor is unknown, or nothing has been observed."""
         if self.due is None or now < self.due:
             return False
-        late = min(LATE * max(1.0, peers / MANY), LATEST)
-        self.due = now + (self._early(peers) if early else late)
+        late = min(LATER_PERIOD * max(1.0, peers / LATER_CROWD), LONGEST_PERIOD)
+        self.due = now + (self._early_period(peers) if early else late)
         return True
 
-    def _early(self, peers: int) -> float:
+    def _early_period(self, peers: int) -> float:
         """Time between Hellos before the run has started or while a sensor is unknown, s."""
-        return min(EARLY * crowd(max(peers, self._team)), LATE)
+        return min(EARLY_PERIOD * early_slowdown(max(peers, self._team)), LATER_PERIOD)
 
 
-def crowd(peers: int) -> float:
+def early_slowdown(peers: int) -> float:
     """The factor by which Hellos become rarer among so many peers, at least 1."""
-    return max(1.0, peers / CROWD)
+    return max(1.0, peers / EARLY_CROWD)

@@ -1,13 +1,13 @@
 """Local health: how late one agent is served, measured by the agent itself (the idea of Lifeguard).
 
 An agent that is starved of CPU time, or that was stopped, hears nothing for a while although its peers speak. Its own time-outs then say
-nothing about them. The agent plans a beat every `BEAT` s. A beat that comes late shows for how long the agent was not served, by `now`
-alone: the core needs no clock for it. In lockstep the world waits, no time-out decides anything, and no beat is planned.
+nothing about them. The agent plans a beat every `BEAT_PERIOD` s. A beat that comes late shows for how long the agent was not served, by
+`now` alone: the core needs no clock for it. In lockstep the world waits, no time-out decides anything, and no beat is planned.
 """
 
-BEAT = 0.25  # s between two beats
-LATE = 0.25  # s: a beat that is later than this is a stall
-CAREFUL = 3.0  # s after a stall in which a lost token is only a suspicion: sessions that ended meanwhile are noticed by then
+BEAT_PERIOD = 0.25  # s between two beats
+STALL_THRESHOLD = 0.25  # s: a beat that is later than this is a stall
+DOUBT_SECONDS = 3.0  # s after a stall in which a lost token is only a suspicion: sessions that ended meanwhile are noticed by then
 
 
 class LocalHealth:
@@ -22,7 +22,7 @@ class LocalHealth:
 
     def start(self, now: float) -> None:
         """Plan the first beat."""
-        self.due = now + BEAT if self._measured else None
+        self.due = now + BEAT_PERIOD if self._measured else None
 
     @property
     def is_measuring(self) -> bool:
@@ -34,10 +34,10 @@ class LocalHealth:
         if self.due is None:
             return False
         if now < self.due:
-            self.due = min(self.due, now + BEAT)  # later only after a clock has jumped back
+            self.due = min(self.due, now + BEAT_PERIOD)  # later only after a clock has jumped back
             return False
-        late, self.due = now - self.due, now + BEAT
-        if late <= LATE:
+        late, self.due = now - self.due, now + BEAT_PERIOD
+        if late <= STALL_THRESHOLD:
             return False
         self.stalled += late
         self._stall_ended = now
@@ -45,7 +45,7 @@ class LocalHealth:
 
     def is_doubtful(self, now: float) -> bool:
         """Whether the agent was stalled a short time ago."""
-        return self._stall_ended is not None and abs(now - self._stall_ended) <= CAREFUL
+        return self._stall_ended is not None and abs(now - self._stall_ended) <= DOUBT_SECONDS
 
     def has_stalled_since(self, since: float) -> bool:
         """Whether a stall has ended since a time."""

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.storage.run_directory import LATEST, RunDirectory, is_running_already, runs_folder
+from deploy.storage.run_directory import LATEST_LINK, RunDirectory, is_running_already, runs_folder
 from protocol.settings import BadSetting
 
 LONGEST = 64  # characters of a name, which is a part of every key
@@ -76,7 +76,7 @@ def _dated(scenario: str) -> Iterator[str]:
 
 def check_name(name: str) -> None:
     """Raise BadSetting for a name that cannot be a directory and a part of a key."""
-    if name == LATEST:
+    if name == LATEST_LINK:
         raise BadSetting(f"--run {name}: this name is the link to the newest run; take another")
     if not NAME.match(name):
         raise BadSetting(f"--run {name}: should be 1 to {LONGEST} letters, digits, or any of _ . - (and not only dots)")
@@ -88,14 +88,14 @@ def link_latest(directory: RunDirectory) -> None:
     with contextlib.suppress(OSError):
         fresh.unlink(missing_ok=True)
         fresh.symlink_to(directory.name)
-        fresh.replace(runs_folder() / LATEST)
+        fresh.replace(runs_folder() / LATEST_LINK)
 
 
 def find_run(name: str) -> RunDirectory | None:
     """The kept run of that name, which `latest` may stand for; None: there is none."""
-    if name == LATEST:
+    if name == LATEST_LINK:
         with contextlib.suppress(OSError):
-            name = os.readlink(runs_folder() / LATEST)
+            name = os.readlink(runs_folder() / LATEST_LINK)
     if not NAME.match(name):
         return None
     directory = RunDirectory(name)
@@ -168,7 +168,7 @@ def remove(directory: RunDirectory) -> None:
         shutil.rmtree(directory.path)
     except OSError as error:
         raise BadSetting(f"{directory.path}: {error.strerror}; the run is not removed") from None
-    link = runs_folder() / LATEST
+    link = runs_folder() / LATEST_LINK
     if link.is_symlink() and not link.exists():
         link.unlink()
         for kept in kept_runs()[:1]:

@@ -29,7 +29,7 @@ from deploy.installation import versions
 from deploy.scenario import Scenario, agent_config, toml_text
 from protocol.settings import BadSetting
 
-LATEST = "latest"  # the link to the run that began last
+LATEST_LINK = "latest"  # the link to the run that began last
 ROOM = 16384  # bytes that a run needs at least, for its run.toml
 
 
@@ -187,7 +187,7 @@ def find_running(name: str | None, *, supervised: bool = False) -> RunDirectory:
     """The running swarm of that name, or the newest; with `supervised` one that has processes. Raises BadSetting when there is none."""
     if name is not None:
         with contextlib.suppress(OSError):
-            name = os.readlink(runs_folder() / LATEST) if name == LATEST else name
+            name = os.readlink(runs_folder() / LATEST_LINK) if name == LATEST_LINK else name
         directory = RunDirectory(name)
         if not directory.is_running():
             raise BadSetting(f"--run {name}: no run of this name is running in {runs_folder()}{_others()}")

@@ -35,7 +35,7 @@ SETTLED = 30.0  # s after the fault from which on the swarm should be as good as
 FIRST = 10.0  # s after the fault that are averaged as its first effect
 RECOVERED = 1.1  # times the reference
 SMOOTH = 5.0  # s of the running mean that recovery is judged by
-LATE = 0.5  # s after the fault from which on the uncovered area is read
+SETTLING_SECONDS = 0.5  # s after the fault from which on the uncovered area is read
 
 
 class Bout(msgspec.Struct, frozen=True, kw_only=True):
@@ -123,7 +123,7 @@ def play(bout: Bout, progress: Callable[[float], None] = lambda share: None) -> 
         "seed": bout.seed,
         "at": bout.at,
         "agents": len(simulation.injector.alive()),  # at the end
-        "hole": max(score.hole for score in scores if score.time >= bout.at + LATE),  # share of the arena
+        "hole": max(score.hole for score in scores if score.time >= bout.at + SETTLING_SECONDS),  # share of the arena
         "times": [score.time for score in scores],
         "ospa": [score.ospa for score in scores],
         "wall_s": round(time.perf_counter() - started, 3),

@@ -8,7 +8,7 @@ import pytest
 from agents.agent import Agent
 from agents.config import AgentConfig, ControlSettings, TimingSettings
 from agents.coverage.control import ControlInput, Situation
-from agents.membership.announcements import CROWD, EARLY, SOON
+from agents.membership.announcements import EARLY_CROWD, EARLY_PERIOD, REPLY_DELAY
 from agents.membership.membership import EXIT_FENCED
 from protocol.agreement import settings_digest
 from protocol.message import Message
@@ -119,7 +119,7 @@ def test_alone_it_closes_at_once_and_owns_the_arena() -> None:
 def test_in_real_time_the_deadline_is_a_share_of_the_period() -> None:
     agent = met()
     agent.handle(see(0), 1.0)
-    assert agent.deadline() == pytest.approx(SOON) or agent.deadline() == pytest.approx(1.125)
+    assert agent.deadline() == pytest.approx(REPLY_DELAY) or agent.deadline() == pytest.approx(1.125)
     agent.handle(Timer(), 1.0)  # the greeting
     assert agent.deadline() == pytest.approx(1.0 + 0.5 * 0.5 / 2.0)
     effects = agent.handle(Timer(), 1.125)
@@ -227,10 +227,10 @@ def test_it_greets_once_for_all_who_appear_within_a_moment_and_the_rarer_the_mor
     agent.handle(Started(), 0.0)
     for number in range(2, 30):
         assert agent.handle(Alive("agent", f"s{number}", 1), 0.01) == []
-    assert agent.deadline() == pytest.approx(0.01 + SOON)
-    greeting = only(agent.handle(Timer(), 0.01 + SOON), Hello)
+    assert agent.deadline() == pytest.approx(0.01 + REPLY_DELAY)
+    greeting = only(agent.handle(Timer(), 0.01 + REPLY_DELAY), Hello)
     assert isinstance(greeting, Hello)
-    assert agent.deadline() == pytest.approx(0.01 + SOON + EARLY * 28 / CROWD)
+    assert agent.deadline() == pytest.approx(0.01 + REPLY_DELAY + EARLY_PERIOD * 28 / EARLY_CROWD)
 
 
 def test_while_the_team_gathers_only_the_rhythm_and_the_last_to_come_make_it_greet() -> None:
@@ -239,14 +239,14 @@ def test_while_the_team_gathers_only_the_rhythm_and_the_last_to_come_make_it_gre
     agent.handle(Started(), 0.0)
     for number in range(2, 24):
         agent.handle(Alive("agent", f"s{number}", 1), 0.01)
-    assert agent.deadline() == pytest.approx(EARLY * 23 / CROWD)
+    assert agent.deadline() == pytest.approx(EARLY_PERIOD * 23 / EARLY_CROWD)
     agent.handle(Alive("agent", "s24", 1), 0.02)
-    assert agent.deadline() == pytest.approx(0.02 + SOON)
+    assert agent.deadline() == pytest.approx(0.02 + REPLY_DELAY)
     late = Agent(team, "s1")
     late.handle(Started(), 0.0)
     late.handle(word(7), 0.01)
     late.handle(Alive("agent", "s2", 1), 0.02)
-    assert late.deadline() == pytest.approx(0.02 + SOON), "the run goes on: others wait for nobody"
+    assert late.deadline() == pytest.approx(0.02 + REPLY_DELAY), "the run goes on: others wait for nobody"
 
 
 def test_who_hears_its_neighbours_only_answers_the_world_at_once_however_large_the_team() -> None:
@@ -254,9 +254,9 @@ def test_who_hears_its_neighbours_only_answers_the_world_at_once_however_large_t
     agent = Agent(team, "s1")
     agent.handle(Started(), 0.0)
     agent.handle(received(Hello(sender="world", incarnation=1, role="world")), 0.01)
-    assert agent.deadline() == pytest.approx(0.01 + SOON)
-    agent.handle(Timer(), 0.01 + SOON)
-    assert agent.deadline() == pytest.approx(0.01 + SOON + EARLY)
+    assert agent.deadline() == pytest.approx(0.01 + REPLY_DELAY)
+    agent.handle(Timer(), 0.01 + REPLY_DELAY)
+    assert agent.deadline() == pytest.approx(0.01 + REPLY_DELAY + EARLY_PERIOD)
 
 
 def test_the_hello_of_a_restarted_world_is_answered_at_once() -> None:
@@ -268,11 +268,11 @@ def test_the_hello_of_a_restarted_world_is_answered_at_once() -> None:
     for moment in (0.3, 0.6):
         agent.handle(Timer(), moment)  # the Hellos that were due anyway
     agent.handle(received(Hello(incarnation=1, **world)), 1.0)  # type: ignore[arg-type]
-    assert (agent.deadline() or 9.0) > 1.0 + SOON  # the world at hand needs no answer
+    assert (agent.deadline() or 9.0) > 1.0 + REPLY_DELAY  # the world at hand needs no answer
     effects = agent.handle(received(Hello(incarnation=2, **world)), 1.0)  # type: ignore[arg-type]
     assert effects is not NO_EFFECTS  # which would say that the deadline is what it was
-    assert agent.deadline() == pytest.approx(1.0 + SOON)
-    assert Hello in kinds(agent.handle(Timer(), 1.0 + SOON))
+    assert agent.deadline() == pytest.approx(1.0 + REPLY_DELAY)
+    assert Hello in kinds(agent.handle(Timer(), 1.0 + REPLY_DELAY))
 
 
 def test_rejected_bytes_are_counted_by_reason_and_foreign_kinds_are_ignored() -> None:

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from agents.membership.announcements import SOON, THRONG, AnnouncementSchedule
+from agents.membership.announcements import REPLY_CROWD, REPLY_DELAY, AnnouncementSchedule
 from protocol.session_watchdog import PATIENCE
 
 
@@ -37,14 +37,14 @@ def test_all_who_come_within_a_moment_get_one_greeting() -> None:
     greetings.is_due(3, False, 0.25)
     for now in (1.0, 1.01, 1.02):
         greetings.peer_appeared(3, now)
-    assert greetings.due == pytest.approx(1.0 + SOON)
+    assert greetings.due == pytest.approx(1.0 + REPLY_DELAY)
 
 
 def test_the_moment_is_longer_among_many() -> None:
-    greetings = AnnouncementSchedule(2 * THRONG, lambda: True)
+    greetings = AnnouncementSchedule(2 * REPLY_CROWD, lambda: True)
     greetings.start(0.0)
-    greetings.peer_appeared(2 * THRONG, 0.1)
-    assert greetings.due == pytest.approx(0.1 + 2 * SOON)
+    greetings.peer_appeared(2 * REPLY_CROWD, 0.1)
+    assert greetings.due == pytest.approx(0.1 + 2 * REPLY_DELAY)
 
 
 def test_a_clock_that_jumps_back_does_not_silence_greetings() -> None:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from agents.agent import Agent
-from agents.membership.local_health import BEAT, CAREFUL, LATE, LocalHealth
+from agents.membership.local_health import BEAT_PERIOD, DOUBT_SECONDS, STALL_THRESHOLD, LocalHealth
 from protocol.node import Alive, Gone, Timer
 from tests.agents.test_agent import hello, met, see, word
 
@@ -13,18 +13,22 @@ from tests.agents.test_agent import hello, met, see, word
 def test_a_beat_that_comes_late_is_a_stall_and_one_in_time_is_none() -> None:
     health = LocalHealth(measured=True)
     health.start(10.0)
-    health.stall_ended(10.0 + BEAT + LATE)
+    health.stall_ended(10.0 + BEAT_PERIOD + STALL_THRESHOLD)
     assert health.stalled == 0.0 and not health.is_doubtful(11.0)
     health.stall_ended(20.0)
-    assert health.stalled == pytest.approx(10.0 - 2 * BEAT - LATE) and health.is_doubtful(20.0) and health.has_stalled_since(12.0)
-    assert health.is_doubtful(20.0 + CAREFUL) and not health.is_doubtful(20.1 + CAREFUL)
+    assert (
+        health.stalled == pytest.approx(10.0 - 2 * BEAT_PERIOD - STALL_THRESHOLD)
+        and health.is_doubtful(20.0)
+        and health.has_stalled_since(12.0)
+    )
+    assert health.is_doubtful(20.0 + DOUBT_SECONDS) and not health.is_doubtful(20.1 + DOUBT_SECONDS)
 
 
 def test_a_clock_that_jumps_back_goes_on_measuring() -> None:
     health = LocalHealth(measured=True)
     health.start(1000.0)
     health.stall_ended(500.0)
-    assert health.due == 500.0 + BEAT
+    assert health.due == 500.0 + BEAT_PERIOD
     health.stall_ended(503.0)
     assert health.stalled > 2.0
 

@@ -15,7 +15,7 @@ from deploy.cli.simulate import simulate_here
 from deploy.recording.recording import find_recording
 from deploy.scenario import resolve
 from deploy.storage.kept_runs import age_of, find_run, kept_runs, link_latest, new_run_directory
-from deploy.storage.run_directory import LATEST, RunDirectory, find_running, running_runs, runs_folder
+from deploy.storage.run_directory import LATEST_LINK, RunDirectory, find_running, running_runs, runs_folder
 from protocol.keys import NAME
 from protocol.settings import BadSetting
 
@@ -100,7 +100,7 @@ def test_a_name_whose_run_is_running_is_refused_and_two_unnamed_starts_at_once_g
     os.close(lock)
     held = [new_run_directory(None, "quick") for _ in range(2)]
     link_latest(held[1][0])
-    assert find_running(LATEST).name == held[1][0].name
+    assert find_running(LATEST_LINK).name == held[1][0].name
     assert [undated(directory.name) for directory, _ in held] == ["quick-1", "quick-2"]
     for _, lock in held:
         os.close(lock)
@@ -113,15 +113,15 @@ def test_a_name_that_is_no_folder_or_no_part_of_a_key_is_refused(name: str) -> N
 
 
 def test_latest_is_the_run_that_began_last_wherever_a_run_is_named() -> None:
-    assert find_run(LATEST) is None
+    assert find_run(LATEST_LINK) is None
     play("one", recorded=True)
     play("two", recorded=True)
-    assert (runs_folder() / LATEST).readlink() == Path("two")
-    assert find_recording(LATEST) == RunDirectory("two").path / "recording.mcap"
-    rm([LATEST], False, None, False)
-    assert find_recording(LATEST) == RunDirectory("one").path / "recording.mcap"
+    assert (runs_folder() / LATEST_LINK).readlink() == Path("two")
+    assert find_recording(LATEST_LINK) == RunDirectory("two").path / "recording.mcap"
+    rm([LATEST_LINK], False, None, False)
+    assert find_recording(LATEST_LINK) == RunDirectory("one").path / "recording.mcap"
     rm(["one"], False, None, False)
-    assert not (runs_folder() / LATEST).is_symlink()
+    assert not (runs_folder() / LATEST_LINK).is_symlink()
 
 
 def test_the_name_of_a_run_wins_over_a_file_of_that_name() -> None:
@@ -257,7 +257,7 @@ def test_a_simulation_is_kept_when_it_is_named_or_recorded_and_not_otherwise(cap
     simulate_here(scenario, None, False, True)
     unnamed, named = kept_runs()
     assert [(undated(unnamed.name), unnamed.state, unnamed.simulated), named.name] == [("quick-1", "ended", True), "virtual"]
-    assert find_recording(LATEST).parent.name == unnamed.name
+    assert find_recording(LATEST_LINK).parent.name == unnamed.name
     assert not list(RunDirectory("virtual").path.glob("*.mcap"))
 
 

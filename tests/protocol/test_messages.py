@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from protocol.codec import decode, encode
-from protocol.fields import FARTHEST, Malformed, pack
+from protocol.fields import LARGEST_NUMBER, Malformed, pack
 from protocol.keys import message_key
 from protocol.message import Message
 from protocol.messages import KINDS, Beacon, Command, Gossip, Hello, Observation
@@ -147,7 +147,7 @@ def test_each_rule_is_refused_with_its_reason_and_names_the_field(message: Messa
     assert caught.value.reason == reason
 
 
-BAD_NUMBERS = [math.nan, math.inf, -math.inf, 1.1 * FARTHEST, -1.1 * FARTHEST]
+BAD_NUMBERS = [math.nan, math.inf, -math.inf, 1.1 * LARGEST_NUMBER, -1.1 * LARGEST_NUMBER]
 NUMBERS = [
     (message, field)
     for message in (GOSSIP, BEACON, HELLO, OBSERVATION, COMMAND, ESTIMATE, TRUTH)
@@ -195,7 +195,12 @@ def test_one_bad_number_anywhere_in_an_array_is_found(message: Message, field: s
 
 
 @pytest.mark.parametrize(
-    ("edge", "accepted"), [(FARTHEST, True), (-FARTHEST, True), (float(np.nextafter(np.float32(FARTHEST), np.float32(2e6))), False)]
+    ("edge", "accepted"),
+    [
+        (LARGEST_NUMBER, True),
+        (-LARGEST_NUMBER, True),
+        (float(np.nextafter(np.float32(LARGEST_NUMBER), np.float32(2e6))), False),
+    ],
 )
 def test_the_bound_is_exact_also_where_the_sum_of_squares_is_too_large_to_tell(edge: float, accepted: bool) -> None:
     message = changed(OBSERVATION, detections_bytes=pack(np.array([[edge, 0.0], [edge, edge]]), "<f4"))
@@ -207,7 +212,7 @@ def test_the_bound_is_exact_also_where_the_sum_of_squares_is_too_large_to_tell(e
 
 
 def test_a_full_sized_array_of_the_largest_allowed_numbers_passes() -> None:
-    check(changed(OBSERVATION, detections_bytes=pack(np.full((4096, 2), FARTHEST), "<f4")))
+    check(changed(OBSERVATION, detections_bytes=pack(np.full((4096, 2), LARGEST_NUMBER), "<f4")))
 
 
 def test_an_error_never_repeats_a_long_name() -> None:

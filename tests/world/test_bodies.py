@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from protocol.fields import FARTHEST
+from protocol.fields import LARGEST_NUMBER
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
 from protocol.sensing import Pose
@@ -36,7 +36,7 @@ def test_a_body_may_leave_the_arena_but_not_the_range_of_the_wire() -> None:
     assert bodies.poses["s1"] == (-4.0, 0.0, 0.0)
     bodies.move({"s1": command("s1", (-1.0e6, 1.0e6))})
     bodies.move({"s1": command("s1", (0.0, 1.0e6))})
-    assert bodies.poses["s1"] == (-FARTHEST, FARTHEST, 0.0)
+    assert bodies.poses["s1"] == (-LARGEST_NUMBER, LARGEST_NUMBER, 0.0)
 
 
 def errors(settings: BodySettings, name: str, before: Pose = (0.0, 0.0, 0.0), pose: Pose = (0.0, 0.0, 0.0)) -> np.ndarray:
