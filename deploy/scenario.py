@@ -28,7 +28,7 @@ from world.sources import recording_of
 
 LOCKSTEP_HASTE = 5  # times the messages a second that are no flood: nothing holds the world up there, and one agent alone does 700 ticks/s
 SEARCH_EXTRACTION = {"bin": 0.7, "threshold": 0.3, "beside": 0.7}  # what goes with search-and-track where the scenario says nothing
-LAWS = {"lloyd": "the paper's method", "search-and-track": "search and track"}
+LAW_TITLES = {"lloyd": "the paper's method", "search-and-track": "search and track"}
 MOST_SEARCH_BINS = 1_000_000  # every agent keeps in mind when each bin of the arena was last seen
 FOLDER = Path(__file__).parent / "scenarios"
 RESERVED = ("world", "monitor", "supervisor", "operator")  # names of processes that are no agents
@@ -202,7 +202,7 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
     return msgspec.structs.replace(scenario, members=members, team=team, run=run, network=network, recorded=recorded, extraction=extraction)
 
 
-def named(scenario: Scenario, run: str) -> Scenario:
+def with_run_name(scenario: Scenario, run: str) -> Scenario:
     """The scenario as a run of that name."""
     return msgspec.structs.replace(scenario, run=msgspec.structs.replace(scenario.run, name=run))
 
@@ -218,7 +218,7 @@ def targets_in_words(scenario: Scenario) -> str:
 
 def law_in_words(mode: str) -> str:
     """A control law for people."""
-    return LAWS.get(mode, mode)
+    return LAW_TITLES.get(mode, mode)
 
 
 def with_deaths(scenario: Scenario) -> Scenario:

@@ -22,11 +22,11 @@ from protocol.node import Alive, Effect, Started, Timer, received
 from protocol.settings import ArenaSettings, convert
 
 NAMES = ("s1", "s2")
-HALF = ("update_regions",)  # functions of the backend that take as long to compile as all others together
+SLOWEST_TO_COMPILE = ("update_regions",)  # functions of the backend that take as long to compile as all others together
 ROUNDS = 24
 LOST = (4, 5)  # ticks in which the agents do not hear each other
 SKIPPED = (8, 9)  # ticks that s2 does not see
-LATE = 1e3  # s after which every open round closes
+TICK_SECONDS = 1e3  # between two ticks: every open round closes before the next
 LONGEST = 90.0  # s to wait for the next loop while another process compiles
 
 
@@ -63,7 +63,7 @@ def _compile_on_two_cores(fast: Backend) -> None:
     top = Path(__file__).resolve().parents[__name__.count(".")]  # the folder that the rooms are imported from, or the package around them
     other = subprocess.Popen([sys.executable, "-m", __name__], cwd=top, stdin=subprocess.PIPE)
     try:
-        _play_all(PLAIN._replace(**{name: getattr(fast, name) for name in HALF}))
+        _play_all(PLAIN._replace(**{name: getattr(fast, name) for name in SLOWEST_TO_COMPILE}))
         other.wait()
     finally:
         other.kill()
@@ -79,7 +79,7 @@ def main() -> None:
     die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the first process, and thereby this one
     estimate_tracks(np.zeros((1, 4)), np.ones(1), np.zeros(1, np.uint64), 1.0, 0.5, 0.5, np.uint64(0))
-    _play_all(FAST._replace(**{name: getattr(PLAIN, name) for name in HALF}))
+    _play_all(FAST._replace(**{name: getattr(PLAIN, name) for name in SLOWEST_TO_COMPILE}))
 
 
 @contextlib.contextmanager
@@ -118,12 +118,12 @@ def _play(config: AgentConfig, backend: Backend) -> None:
         agent.handle(Alive("agent", other.name, 1), 0.0)
         _tell(other, agent.handle(Started(), 0.0))
     for tick in range(ROUNDS):
-        said = [(agent, agent.handle(received(_seen(agent.name, tick)), LATE * tick)) for agent in pair if _sees(agent, tick)]
+        said = [(agent, agent.handle(received(_seen(agent.name, tick)), TICK_SECONDS * tick)) for agent in pair if _sees(agent, tick)]
         for agent, effects in said:
             if tick not in LOST:
                 _tell(pair[agent is pair[0]], effects)
         for agent in pair:
-            agent.handle(Timer(), LATE * (tick + 0.5))
+            agent.handle(Timer(), TICK_SECONDS * (tick + 0.5))
 
 
 def _sees(agent: Agent, tick: int) -> bool:

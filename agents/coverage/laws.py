@@ -13,7 +13,7 @@ from agents.coverage.search_and_track import SearchAndTrack
 from protocol.foreign import fault_of, shown
 from protocol.settings import BadSetting, load_named
 
-LAWS: dict[str, type[ControlLaw]] = {
+CONTROL_LAWS: dict[str, type[ControlLaw]] = {
     "lloyd": Lloyd,
     "uniform-density": UniformDensity,
     "static": Static,
@@ -26,10 +26,10 @@ LAWS: dict[str, type[ControlLaw]] = {
 def control_law(config: AgentConfig, backend: Backend = PLAIN) -> ControlLaw:
     """The control law that the scenario names; raises BadSetting for an unknown or faulty law."""
     mode = config.control.mode
-    if mode in LAWS:
-        return SearchAndTrack(config.search, backend) if LAWS[mode] is SearchAndTrack else LAWS[mode]()
+    if mode in CONTROL_LAWS:
+        return SearchAndTrack(config.search, backend) if CONTROL_LAWS[mode] is SearchAndTrack else CONTROL_LAWS[mode]()
     if ":" not in mode:
-        raise BadSetting(f"control.mode = {mode!r}: known are {', '.join(LAWS)}, or your own as module:Class")
+        raise BadSetting(f"control.mode = {mode!r}: known are {', '.join(CONTROL_LAWS)}, or your own as module:Class")
     try:
         law = load_named(mode)()
     except (ValueError, ImportError, TypeError) as error:

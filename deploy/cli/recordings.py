@@ -139,7 +139,7 @@ def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
 
 async def _play(source: ReplaySource, server: "PageServer | None", recording: Recording, publish: bool) -> None:
     over = stop_event()
-    playing = None if server else asyncio.create_task(source.chores())
+    playing = None if server else asyncio.create_task(source.run_while_shown())
     if server:
         await server.open()
     try:

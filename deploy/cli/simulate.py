@@ -17,7 +17,7 @@ from deploy.cli.errors import FAILED, complain
 from deploy.cli.scenario_checks import check_platform_class, fault_remarks, faults_without_effect
 from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
-from deploy.scenario import Scenario, named
+from deploy.scenario import Scenario, with_run_name
 from deploy.scoring.result import Result
 from deploy.scoring.scores import Score, write_scores
 from deploy.simulation import Simulation, compile_once
@@ -45,7 +45,7 @@ def simulate_here(
         result, _, path, series = _simulate(scenario, clock, recording_path(record, Path()))
         return _show(result, None, as_json, path, series, trace)
     directory, lock = new_run_directory(requested_name, scenario.run.scenario)
-    scenario = named(scenario, directory.name)
+    scenario = with_run_name(scenario, directory.name)
     directory.write_config(scenario, simulated=True)
     link_latest(directory)
     result, scores, path, series = _simulate(scenario, clock, recording_path(record, directory.path))

@@ -12,7 +12,7 @@ from deploy.cli.options import DisplayOptions
 from deploy.installation import command, environment
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
-from deploy.scenario import Scenario, named, refuse_oracle, targets_in_words, unsimulated, with_deaths
+from deploy.scenario import Scenario, refuse_oracle, targets_in_words, unsimulated, with_deaths, with_run_name
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.kept_runs import new_run_directory
 from deploy.storage.run_directory import runs_folder
@@ -33,7 +33,7 @@ def run_live(scenario: Scenario, requested_name: str | None, title: str, showing
     check_loopback()
     detached = os.environ.pop(DETACHED, None)  # the name that the waiting command has chosen
     directory, lock = new_run_directory(detached or requested_name, scenario.run.scenario)
-    scenario = named(scenario, directory.name)
+    scenario = with_run_name(scenario, directory.name)
     zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
     from deploy.cli.foreground import run_in_foreground
 

@@ -11,14 +11,14 @@ from deploy.faults.faults import LINK_VERBS, MOST_NAMED, REFUSED, Action, Schedu
 from deploy.faults.links import other_side
 from deploy.scenario import Scenario, world_names
 
-UNLESS = {
+NO_EFFECT_ON = {
     "kill": "dead",
     "restart": "alive",
     "pause": "dead or paused",
     "resume": "not paused",
 }  # verb -> the agents that it does not change
 
-LESS_IS_MORE = ("starve", "throttle")  # verbs whose small values do more, but whose 0 ends them
+ZERO_ENDS_FAULT = ("starve", "throttle")  # verbs whose small values do more, but whose 0 ends them
 
 
 class FaultFinding(NamedTuple):
@@ -59,10 +59,10 @@ class _State:
             yield FaultFinding(f"{verb} at {time:g} s strikes nobody", False)
         elif verb == "partition" and not other_side(names, self._members, str(action.options.get("kind"))):
             yield FaultFinding(f"partition at {time:g} s cuts nothing: nobody is on the other side", False)
-        elif verb in LESS_IS_MORE and action.value == 0.0 and verb not in self._begun:
+        elif verb in ZERO_ENDS_FAULT and action.value == 0.0 and verb not in self._begun:
             yield FaultFinding(f"{verb} at {time:g} s changes nothing: value = 0 only ends an earlier one", False)
         elif verb not in LINK_VERBS and (idle := [name for name in names if self._is_idle(verb, name)]):
-            yield FaultFinding(f"{verb} at {time:g} s changes nothing for {_listed(idle)}: {UNLESS.get(verb, 'dead')}", False)
+            yield FaultFinding(f"{verb} at {time:g} s changes nothing for {_listed(idle)}: {NO_EFFECT_ON.get(verb, 'dead')}", False)
         self._begun.add(verb)
         for name in names:
             self._change(verb, name)

@@ -87,7 +87,7 @@ class ComparisonSource:
         self.picture.note("asked", who, text)
         return text
 
-    async def chores(self) -> None:
+    async def run_while_shown(self) -> None:
         """Play both, tick by tick, as fast as asked."""
         last = time.monotonic()
         while self.tick < self._last_tick:

@@ -100,7 +100,7 @@ class PageServer:
         self._runner = web.AppRunner(app, access_log=None, handle_signals=False, shutdown_timeout=1.0)
         await self._runner.setup()
         await web.SockSite(self._runner, self._socket).start()
-        self._tasks = [asyncio.create_task(self._broadcast()), asyncio.create_task(self._source_chores())]
+        self._tasks = [asyncio.create_task(self._broadcast()), asyncio.create_task(self._run_source())]
 
     def freeze(self) -> None:
         """The run is over: what is shown stays, and says so."""
@@ -129,9 +129,9 @@ class PageServer:
         elif self._socket is not None:
             self._socket.close()
 
-    async def _source_chores(self) -> None:
+    async def _run_source(self) -> None:
         try:
-            await self.source.chores()
+            await self.source.run_while_shown()
         except Exception:
             log.exception("the page's source has failed")
 

@@ -54,7 +54,7 @@ class Source(Protocol):
     async def ask(self, request: dict[str, Any]) -> str:
         """Carry out a click and say what was done; raises BadSetting."""
 
-    async def chores(self) -> None:
+    async def run_while_shown(self) -> None:
         """What the source does while it is shown."""
 
 
@@ -127,7 +127,7 @@ class LiveSource:
         self._look_again.set()
         return text
 
-    async def chores(self) -> None:
+    async def run_while_shown(self) -> None:
         """Poll the supervisor, and play the other swarm."""
         await asyncio.gather(self._poll(), self._play())
 

@@ -67,7 +67,7 @@ class Observers:
         self._listeners: list[Callable[[Event, float], None]] = [recorder.see] if recorder else []
         if page is not None:
             self._listeners.append(page.source.picture.see)
-        self._chores: asyncio.Task[None] | None = None
+        self._flushing: asyncio.Task[None] | None = None
         scorer.on_event = self._see
         scorer.on_finish = self._finish
         scorer.on_fault = self._note_fault
@@ -75,16 +75,16 @@ class Observers:
 
     async def __aenter__(self) -> "Observers":
         if self._recorder is not None:
-            self._chores = asyncio.create_task(self._flush())
+            self._flushing = asyncio.create_task(self._flush())
         if self._page is not None:
             await self._page.open()
         return self
 
     async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._chores is not None:
-            self._chores.cancel()
+        if self._flushing is not None:
+            self._flushing.cancel()
             with contextlib.suppress(asyncio.CancelledError):
-                await self._chores
+                await self._flushing
         self._finish()
         if self._page is not None:
             await self._page.close()

@@ -90,7 +90,7 @@ class ReplaySource:
             raise BadSetting("a replay knows play, seek and speed")
         return ""
 
-    async def chores(self) -> None:
+    async def run_while_shown(self) -> None:
         """Play, and look through the whole file between."""
         last = time.monotonic()
         while True:

@@ -19,7 +19,7 @@ from agents.coverage.control import (
     UniformDensity,
     approach,
 )
-from agents.coverage.laws import LAWS, control_law
+from agents.coverage.laws import CONTROL_LAWS, control_law
 from agents.tracking.particles import NONE
 from protocol.geometry import EMPTY, rectangle, wrap_angle
 from protocol.sensing import SENSOR_CLASSES, Pose
@@ -154,7 +154,7 @@ def test_the_random_walk_keeps_a_goal_for_twenty_seconds_and_its_goals_fill_the_
 
 
 def test_laws_by_name_and_of_ones_own() -> None:
-    for name, law in LAWS.items():
+    for name, law in CONTROL_LAWS.items():
         assert type(control_law(AgentConfig(control=ControlSettings(mode=name)))) is law
     assert control_law(AgentConfig(control=ControlSettings(mode=f"{__name__}:Spin"))).command(situation()) == ((0.0, 0.0), 1.0)
 

@@ -140,7 +140,7 @@ def test_the_swarm_beside_a_live_one_is_played_to_its_tick_and_no_further(tmp_pa
         running.bus.step()
 
     async def some_chores() -> None:
-        chores = asyncio.create_task(source.chores())
+        chores = asyncio.create_task(source.run_while_shown())
         while (beside := source.beside()) is None or beside[0].truth is None or beside[0].truth.tick < 5:
             await asyncio.sleep(0.01)
         await asyncio.sleep(0.1)

@@ -69,7 +69,7 @@ class Played:
             self.play(request["to"])
         return "done"
 
-    async def chores(self) -> None:
+    async def run_while_shown(self) -> None:
         await asyncio.sleep(3600)
 
 
@@ -357,7 +357,7 @@ def test_each_ordered_fault_stands_once_on_the_time_line_of_the_supervisors_page
 
         control = ControlServer(directory, answer)
         await control.open()
-        pages = [asyncio.create_task(server.source.chores()) for server in (inside, outside)]
+        pages = [asyncio.create_task(server.source.run_while_shown()) for server in (inside, outside)]
         while asked < 4:
             await asyncio.sleep(0.01)
         for page in pages:
