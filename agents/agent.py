@@ -28,7 +28,7 @@ from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
-from agents.round_alone import is_held, own_gossip, play_alone, play_unseen
+from agents.round_alone import is_claim_held, play_alone, play_unobserved, unsent_gossip
 from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
@@ -71,7 +71,9 @@ class Agent(Node):
         self._answer_at: float | None = None
         self._opened_at = 0.0
         self._newest_tick = -1  # of the newest observation, played or not
-        self._asked_at: float | None = None  # when the driver was asked to come back at once: the next event shows for how long it was busy
+        self._busy_since: float | None = (
+            None  # when the driver was asked to come back at once: the next event shows for how long it was busy
+        )
         self._spared: list[Observation] = []  # of ticks that the pace spares; those that are not played yet
         self._spared_since = 0  # how many ticks were spared since the last shared one
         self._estimated = -1  # tick of the newest estimate
@@ -82,9 +84,9 @@ class Agent(Node):
 
     def handle(self, event: Event, now: float) -> list[Effect]:
         """Take one event at `now`, s. Return the effects in order; `NO_EFFECTS` when nothing follows (Node)."""
-        if self._asked_at is not None:
-            self._pace.spend(now - self._asked_at)
-            self._asked_at = None
+        if self._busy_since is not None:
+            self._pace.note_busy(now - self._busy_since)
+            self._busy_since = None
         if self._health.stall_ended(now):
             self._pace.forget()
             self._rounds.lag.forget()
@@ -115,7 +117,7 @@ class Agent(Node):
             return self._on_beacons([message for message in batch.messages if message.sender != self.name], now)
         if batch.kind is Hello:
             return self.membership.take_hellos(batch, now)
-        self._ask_back(now)
+        self._measure_busy_time(now)
         observed = [self._on_observation(message, now) for message in batch.messages if isinstance(message, Observation)]
         return [*chain.from_iterable(observed), *self._play_spared()]
 
@@ -141,7 +143,7 @@ class Agent(Node):
         They are the end of the tick, the early command of a slower pace, a Hello, a beat of the local health, the question for how long the
         driver was busy, an answer to a beacon, and the next step of joining.
         """
-        times = [self._close_at, self._ahead_at, self.membership.announcements.due, self._health.due, self._asked_at]
+        times = [self._close_at, self._ahead_at, self.membership.announcements.due, self._health.due, self._busy_since]
         if self._interest is not None:
             times += [self._answer_at, self._interest.due]
         return min([time for time in times if time is not None], default=None)
@@ -155,7 +157,7 @@ class Agent(Node):
         self.membership.session_watchdog.note_message(observation.sender, now)
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
-        if not self._pace.shares(observation.tick):
+        if not self._pace.is_shared(observation.tick):
             self._spare(observation)
             return []
         effects = self._close(now, forced=True) if self._gossip else self._play_spared()
@@ -185,8 +187,8 @@ class Agent(Node):
         spared, self._spared = self._spared, []
         effects: list[Effect] = []
         for observation in spared:
-            own = own_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
-            if is_held(self.config, self.outcome.belief, own.tick, self._pace.current):
+            own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            if is_claim_held(self.config, self.outcome.belief, own.tick, self._pace.current):
                 steers = self._pace.has_time and observation is spared[-1]
                 self.outcome = self._play_alone(own, observation, steers=steers)
                 effects += [*self._estimate(self.outcome, own), *([self._drive(self.outcome, own.tick)] if steers else [])]
@@ -199,7 +201,7 @@ class Agent(Node):
         """Play the tick of the open round alone on a copy, for gossips may come late: its estimate or, if it steers, its command."""
         own, observation = self._gossip, self._observation
         assert own is not None and observation is not None
-        if self._rounds.due != own.tick or not is_held(self.config, self.outcome.belief, own.tick, self._pace.current):
+        if self._rounds.due != own.tick or not is_claim_held(self.config, self.outcome.belief, own.tick, self._pace.current):
             return []
         ahead = self._play_alone(own, observation, steers=steers)
         return [self._drive(ahead, own.tick)] if steers else self._estimate(ahead, own)
@@ -225,7 +227,7 @@ class Agent(Node):
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
         self._pace.open(self.tick, now)
-        self._ask_back(now)
+        self._measure_busy_time(now)
         self._hold_claim(observation)
         listening, need, lag = bool(self._listening), self._pace.need, self._rounds.lag.need
         behind = self._rounds.behind(self.tick, self.outcome.belief.stamp)
@@ -255,9 +257,13 @@ class Agent(Node):
 
     def _hold_claim(self, observation: Observation) -> None:
         """Keep the claim over ticks of which nothing was seen, as long as peers keep the generator of the silent agent."""
-        if self._health.is_measuring and not self._rounds and is_held(self.config, self.outcome.belief, self.tick - 1, self._pace.current):
-            own = own_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
-            self.outcome = play_unseen(self.context, self.outcome, own, self._pace.current)
+        if (
+            self._health.is_measuring
+            and not self._rounds
+            and is_claim_held(self.config, self.outcome.belief, self.tick - 1, self._pace.current)
+        ):
+            own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            self.outcome = play_unobserved(self.context, self.outcome, own, self._pace.current)
 
     def _join(self, now: float) -> list[Effect]:
         """Ask for peers until the interest manager is settled. Then start the filter around the expected cell and open the first round."""
@@ -337,7 +343,7 @@ class Agent(Node):
             effects += self._on_interest_timer(self._interest, now)
         if self._ahead_at is not None:
             self._ahead_at = None
-            self._ask_back(now)
+            self._measure_busy_time(now)
             effects += self._close_if_complete(now) or self._play_ahead(steers=True)
         if self._close_at is not None and now >= self._close_at:
             self.counters["late"] += 1
@@ -410,7 +416,7 @@ class Agent(Node):
         self._keep_pace(now)
         self._observation, self._gossip, self._close_at, self._ahead_at = None, None, None, None
         self._awaited = set()
-        self._ask_back(now)
+        self._measure_busy_time(now)
         self._round_seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
         command = self._drive(self.outcome, self.tick)
         effects = self._update_interest(self._interest, gossip, now) if self._interest else []
@@ -435,9 +441,9 @@ class Agent(Node):
             if count:
                 self.counters[name] = count
 
-    def _ask_back(self, now: float) -> None:
+    def _measure_busy_time(self, now: float) -> None:
         """Ask the driver for an event as soon as it has done what it is told, which shows how long that took."""
-        self._asked_at = now if self._health.is_measuring else None
+        self._busy_since = now if self._health.is_measuring else None
 
     def _was_responsive(self, now: float) -> bool:
         """Whether the silence of a peer in the open round says something: the agent was served in time, and all keep its pace."""

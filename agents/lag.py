@@ -18,11 +18,13 @@ import math
 from collections.abc import Iterable, Sequence
 from itertools import chain
 
-MOST = 12  # ticks that a round is played late at most; gossips are kept for a little more (`inbox.WINDOW_TICKS`)
-REMEMBERED = 2.0  # s for which a late gossip is remembered
-IN_TIME = 0.95  # share of the gossips that a lag lets come in time
-HELD = 0.9  # share of the gossips that are still to come for which a round is held
-LEAST = 3  # gossips that must be missing: one or two silent peers show nothing about the network. So swarms of up to 3 agents hold no round
+LONGEST_LAG = 12  # ticks that a round is played late at most; gossips are kept for a little more (`inbox.WINDOW_TICKS`)
+MEMORY_SECONDS = 2.0  # s for which a late gossip is remembered
+IN_TIME_SHARE = 0.95  # share of the gossips that a lag lets come in time
+HELD_SHARE = 0.9  # share of the gossips that are still to come for which a round is held
+LEAST_MISSING = (
+    3  # gossips that must be missing: one or two silent peers show nothing about the network. So swarms of up to 3 agents hold no round
+)
 
 
 class Lag:
@@ -36,7 +38,7 @@ class Lag:
         """
         self.need = 0  # stated in the gossip
         self.current = 0  # rounds are played so many ticks late
-        self.most = min(MOST, math.ceil(max(0.0, longest - timeout) / period)) if measured else 0
+        self.most = min(LONGEST_LAG, math.ceil(max(0.0, longest - timeout) / period)) if measured else 0
         self._period, self._timeout = period, timeout
         self._newest = -1  # tick of the newest observation
         self._opened: dict[int, float] = {}  # when the own observation of a tick came
@@ -45,7 +47,7 @@ class Lag:
     def observe(self, tick: int, now: float) -> None:
         """Note that the observation of a tick has come."""
         self._opened[tick], self._newest = now, tick
-        oldest = tick - self.most - math.ceil(REMEMBERED / self._period)
+        oldest = tick - self.most - math.ceil(MEMORY_SECONDS / self._period)
         self._opened = {old: begin for old, begin in self._opened.items() if old >= oldest}
         self._late = {old: late for old, late in self._late.items() if old >= oldest}
 
@@ -55,7 +57,7 @@ class Lag:
         One that came before the own observation is in time. One that is later than the longest lag counts as lost, and is not noted; nor is
         one of a tick so far ahead that it is wrong.
         """
-        opened = self._opened.get(tick, now if self._newest < tick <= self._newest + MOST else None)
+        opened = self._opened.get(tick, now if self._newest < tick <= self._newest + LONGEST_LAG else None)
         if opened is None:
             return
         late = max(0, math.ceil((now - opened - self._timeout) / self._period - 1e-9))
@@ -72,20 +74,20 @@ class Lag:
 
         `expected`: gossips that it needs; `hopeful`: those that have not come, of peers that have not said anything later.
         """
-        return late < self.most and hopeful >= max(LEAST, HELD * expected)
+        return late < self.most and hopeful >= max(LEAST_MISSING, HELD_SHARE * expected)
 
     def close(self, needs: Iterable[int], now: float) -> None:
         """A tick ends. `needs`: those that the newest gossips state, the own one included."""
         opened = [(self._opened.get(old, now), late) for old, late in self._late.items()]
-        recent = [late for begin, late in opened if now - begin <= REMEMBERED + max(late) * self._period]
+        recent = [late for begin, late in opened if now - begin <= MEMORY_SECONDS + max(late) * self._period]
         self.need = _covering(sorted(chain.from_iterable(recent)))
         self.current = min(self.most, max([self.need, *needs]))
 
-    def settle(self) -> None:
+    def reset(self) -> None:
         """Keep no lag: the agent plays at a slower pace, which leaves the time for late gossips."""
         self.need = self.current = 0
 
 
 def _covering(late: Sequence[int]) -> int:
-    """The smallest number of ticks within which the share `IN_TIME` of the gossips came; `late`: those of each, in order."""
-    return late[math.ceil(IN_TIME * len(late)) - 1] if late else 0
+    """The smallest number of ticks within which the share `IN_TIME_SHARE` of the gossips came; `late`: those of each, in order."""
+    return late[math.ceil(IN_TIME_SHARE * len(late)) - 1] if late else 0

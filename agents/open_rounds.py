@@ -83,6 +83,6 @@ class OpenRounds:
     def end_tick(self, tick: int, pace: int, now: float) -> None:
         """A tick ends. An agent of a slower `pace` keeps no lag."""
         if pace > 1:
-            self.lag.settle()
+            self.lag.reset()
         elif self.lag.most:
             self.lag.close(self.recent.needs(tick), now)

@@ -16,11 +16,11 @@ import statistics
 from collections import deque
 from collections.abc import Iterable
 
-LONGEST, MOST = 1.0, 8  # between two rounds are at most so many s, or so many ticks where these are longer
-FULL, FREE = 0.9, 0.6  # share of the time between two rounds that a round may take; that it may take at a faster pace
-IDLE = 0.25  # the same share, when one round is enough to judge by
-JUDGED, CALM = 3, 2  # rounds by whose median the need rises, and by whose longest it falls
-REMEMBERED = 2.0  # s for which the earliest observation shows when ticks begin
+LONGEST_SECONDS, LONGEST_TICKS = 1.0, 8  # between two rounds are at most so many s, or so many ticks where these are longer
+BUSY_SHARE, FREE_SHARE = 0.9, 0.6  # share of the time between two rounds that a round may take; that it may take at a faster pace
+IDLE_SHARE = 0.25  # the same share, when one round is enough to judge by
+JUDGED_ROUNDS, CALM_ROUNDS = 3, 2  # rounds by whose median the need rises, and by whose longest it falls
+MEMORY_SECONDS = 2.0  # s for which the earliest observation shows when ticks begin
 
 
 class Pace:
@@ -35,18 +35,18 @@ class Pace:
         self._is_open, self._ends = False, False  # a round is open; one has just ended, and the time of its end is still to come
         self._period, self._measured = period, measured
         self._unannounced = 1  # the slowest pace that the agent may keep before it has stated it
-        while measured and 2 * self._unannounced * period <= LONGEST:
+        while measured and 2 * self._unannounced * period <= LONGEST_SECONDS:
             self._unannounced *= 2
-        self._most = max(self._unannounced, MOST) if measured else 1
+        self._most = max(self._unannounced, LONGEST_TICKS) if measured else 1
         self._begins: deque[tuple[float, float]] = deque()  # time of an observation, and when tick 0 would have been observed by it
         self._began = 0.0  # when the newest tick began
         self._played = -1  # tick of the newest round
         self._uneven_until = -1  # the tick until which peers may keep a slower pace
         self._began_late = self._spent = 0.0  # s from the beginning of the tick to its round, and s for which the driver was busy since
-        self._durations = deque([0.0] * JUDGED, maxlen=JUDGED)  # of the last rounds, the sum of both, in ticks
-        self._gaps = deque([1] * JUDGED, maxlen=JUDGED)  # ticks between the last rounds that were more than the pace; else 1
+        self._durations = deque([0.0] * JUDGED_ROUNDS, maxlen=JUDGED_ROUNDS)  # of the last rounds, the sum of both, in ticks
+        self._gaps = deque([1] * JUDGED_ROUNDS, maxlen=JUDGED_ROUNDS)  # ticks between the last rounds that were more than the pace; else 1
 
-    def shares(self, tick: int) -> bool:
+    def is_shared(self, tick: int) -> bool:
         """Whether the agent plays a tick with its peers."""
         return tick % self.current == 0
 
@@ -58,7 +58,7 @@ class Pace:
         """Note that the observation of a tick has come."""
         if not self._measured:
             return
-        while self._begins and not 0.0 <= now - self._begins[0][0] <= REMEMBERED:
+        while self._begins and not 0.0 <= now - self._begins[0][0] <= MEMORY_SECONDS:
             self._begins.popleft()
         self._begins.append((now, now - tick * self._period))
         self._began = min([begin for _, begin in self._begins]) + tick * self._period
@@ -78,7 +78,7 @@ class Pace:
         self._gaps.append(gap if gap > self.current else 1)
         self._played, self._began_late = tick, now - self._began
 
-    def spend(self, seconds: float) -> None:
+    def note_busy(self, seconds: float) -> None:
         """The driver was busy for some seconds with what the agent told it to do."""
         self._spent += max(0.0, seconds)
         if self._ends:
@@ -95,8 +95,8 @@ class Pace:
         if took <= self._most:  # else the agent was stopped: no pace could have been kept
             self._durations.append(took)
         duration, gap = statistics.median(self._durations), statistics.median(self._gaps)
-        slower = self._power(max(duration / FULL, gap))
-        calm = min(max(list(self._durations)[-CALM:]) / FREE, self._durations[-1] / IDLE)
+        slower = self._power(max(duration / BUSY_SHARE, gap))
+        calm = min(max(list(self._durations)[-CALM_ROUNDS:]) / FREE_SHARE, self._durations[-1] / IDLE_SHARE)
         faster = self._power(max(calm, gap))
         self.need = slower if slower > self.need else min(self.need, faster)
         own = max(self._stated, min(self.need, self._unannounced))

@@ -20,7 +20,9 @@ from protocol.message import Vector
 from protocol.messages import Gossip, Observation
 
 
-def own_gossip(context: AgentContext, incarnation: int, last: RoundResult, observation: Observation, pose_noise: Vector | None) -> Gossip:
+def unsent_gossip(
+    context: AgentContext, incarnation: int, last: RoundResult, observation: Observation, pose_noise: Vector | None
+) -> Gossip:
     """A gossip with the pose and the scan of an observation alone, which nobody is sent."""
     return Gossip(
         sender=context.name,
@@ -35,13 +37,13 @@ def own_gossip(context: AgentContext, incarnation: int, last: RoundResult, obser
     )
 
 
-def is_held(config: AgentConfig, belief: TrackerState, tick: int, pace: int) -> bool:
+def is_claim_held(config: AgentConfig, belief: TrackerState, tick: int, pace: int) -> bool:
     """Whether the claim of a belief still counts at a later tick: for as long as peers keep the generator of a silent agent."""
     most = max(config.ticks_of_silence, config.timing.silent_rounds * pace)
     return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
 
 
-def play_unseen(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
+def play_unobserved(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
     """The result of the ticks since `last` and before that of `own`, of which the agent saw nothing; it has no command.
 
     At a slower pace its peers left these ticks out as well, so nobody else has moved the particles that come into the cell meanwhile: the

@@ -15,10 +15,10 @@ def play(pace: Pace, ticks: range, busy: float, needs: list[int] | None = None, 
         if now >= (tick + 1) * PERIOD + lag and pace.current == 1:
             continue  # an agent that plays every tick takes the newest observation only
         pace.observe(tick, now)
-        if not pace.shares(tick):
+        if not pace.is_shared(tick):
             continue
         pace.open(tick, now)
-        pace.spend(busy)
+        pace.note_busy(busy)
         free = now + busy
         pace.close(tick, needs or [])
         kept.append(pace.current)
@@ -66,7 +66,7 @@ def test_a_need_of_more_than_a_second_counts_once_it_has_been_stated() -> None:
         pace.observe(tick, tick * 0.5)
         pace.open(tick, tick * 0.5)
         stated = pace.need
-        pace.spend(1.25 if tick < 4 else 0.0)
+        pace.note_busy(1.25 if tick < 4 else 0.0)
         pace.close(tick, [])
         seen.append((stated, pace.need, pace.current))
     assert seen[1:3] == [(1, 4, 2), (4, 4, 4)]  # two ticks are a second: that much is kept at once
@@ -79,10 +79,10 @@ def test_an_agent_whose_rounds_are_stalls_slows_down_as_well() -> None:
         if now >= (tick + 1) * 0.5 and kept == 1:
             continue
         pace.observe(tick, now)
-        if pace.shares(tick):
+        if pace.is_shared(tick):
             pace.open(tick, now)
             free = now + 1.25
-            pace.spend(1.25)
+            pace.note_busy(1.25)
             pace.forget()  # as `LocalHealth` tells it after each of these rounds
             pace.close(tick, [])
             kept = pace.current
@@ -96,7 +96,7 @@ def test_stops_of_the_process_are_no_reason_to_slow_down() -> None:
         now = tick * PERIOD
         pace.observe(tick, now)
         pace.open(tick, now)
-        pace.spend(20.0 * PERIOD)
+        pace.note_busy(20.0 * PERIOD)
         pace.forget()
         pace.close(tick, [])
     assert pace.need == 1
@@ -113,15 +113,15 @@ def test_the_longest_pace_is_a_second_or_eight_ticks(period: float, most: int) -
 def test_after_a_tick_between_that_took_too_long_there_is_no_time_until_the_next_round_has_ended() -> None:
     pace, seen = Pace(PERIOD, measured=True), []
     pace.open(0, 0.0)
-    pace.spend(3 * PERIOD)  # a round may take longer than a tick
+    pace.note_busy(3 * PERIOD)  # a round may take longer than a tick
     pace.close(0, [8])
     for seconds in (2 * PERIOD, 0.5 * PERIOD, 2 * PERIOD, 0.1 * PERIOD):  # the end of the round, and three ticks between
-        pace.spend(seconds)
+        pace.note_busy(seconds)
         seen.append(pace.has_time)
     pace.open(8, 8 * PERIOD)
     pace.close(8, [8])
     seen.append(pace.has_time)
-    pace.spend(2 * PERIOD)
+    pace.note_busy(2 * PERIOD)
     assert [*seen, pace.has_time] == [True, True, False, False, False, True]
 
 
