@@ -177,7 +177,7 @@ class Agent(Node):
         """Take the observation of a tick in which no gossips are sent, to keep the pace."""
         self._spared_since += 1
         self.counters["spared"] += 1
-        if self.outcome.frame is not None:  # else no round has been played yet
+        if self.outcome.round_cell is not None:  # else no round has been played yet
             self._spared.append(self._own_pose.take(observation))
 
     def _play_spared(self) -> list[Effect]:

@@ -23,7 +23,7 @@ from agents.config import AgentConfig
 from agents.gossip.inbox import WINDOW_TICKS
 from agents.gossip.table import AnnouncedSensor, GossipTable, gossip_table
 from agents.membership.peer_table import PeerTable
-from agents.round import AgentContext, Frame, RoundResult, result_of
+from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.claims import NO_CLAIM
 from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, RegionInput, TrackerState
@@ -69,7 +69,7 @@ class RecentTicks:
         """Whether a gossip of a peer has come that is later than `tick`."""
         return any(name in heard for other, heard in self._said.items() if other > tick)
 
-    def needs(self, tick: int) -> list[int]:
+    def stated_lags(self, tick: int) -> list[int]:
         """The lags in ticks that the newest gossips state, the own one included. Gossips older than the longest lag do not count."""
         newest: dict[str, int] = {}
         for old in sorted(self._said):
@@ -85,7 +85,7 @@ class RecentTicks:
         said.insert(place, (own, self._context.announced))
         return gossip_table([gossip for gossip, _ in said], [sensor for _, sensor in said], self._context.config)
 
-    def own(self, tick: int, nearest: Gossip) -> Gossip:
+    def own_gossip(self, tick: int, nearest: Gossip) -> Gossip:
         """The own gossip of a tick; without one the `nearest` without its scan, for the agent was skipped by that tick."""
         found = self._said.get(tick, {}).get(self._context.name)
         return found[0] if found else msgspec.structs.replace(nearest, tick=tick, scanned=False, detections_bytes=b"")
@@ -101,7 +101,7 @@ class RecentTicks:
         earlier = [belief for belief in self._beliefs if belief.stamp <= stamp]
         return earlier[-1] if earlier else self._beliefs[0] if self._beliefs else newest
 
-    def blurred(self, ticks: int) -> AgentConfig:
+    def blurred_config(self, ticks: int) -> AgentConfig:
         """The settings to read targets off a density that was moved on by some ticks: a target is spread wider, and its peak is lower."""
         if ticks not in self._blurred:
             config = self._context.config
@@ -127,9 +127,9 @@ def replayed_density(
         belief = tracker.catch_up(belief, Step(config, oldest + 1))  # the step that follows the belief of `oldest`
     density = tracker.merge(belief, table, Step(config, belief.stamp + 1))
     for stamp in range(belief.stamp + 1, tick):
-        own = recent.own(stamp, opened.gossip)
+        own = recent.own_gossip(stamp, opened.gossip)
         margin = _influence(Step(config, tick)) * (tick - stamp)
-        belief = advance(context, density, recent.table(own), around(polygon, opened.gossip, context.sensor.reach, margin))
+        belief = advance(context, density, recent.table(own), rectangle_around(polygon, opened.gossip, context.sensor.reach, margin))
         density = tracker.merge(belief, table, Step(config, stamp + 1))
     return density
 
@@ -149,7 +149,7 @@ def _influence(step: Step) -> float:
     return step.config.filter.halo + step.reach
 
 
-def around(polygon: np.ndarray, own: Gossip, reach: float, margin: float) -> np.ndarray:
+def rectangle_around(polygon: np.ndarray, own: Gossip, reach: float, margin: float) -> np.ndarray:
     """The rectangle (4, 2) around a cell and the footprint of a sensor, `margin` m wider, counter-clockwise."""
     (x, y, _), half = own.pose, reach + margin
     low, high = np.array([x - half, y - half]), np.array([x + half, y + half])
@@ -161,17 +161,17 @@ def around(polygon: np.ndarray, own: Gossip, reach: float, margin: float) -> np.
 
 def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, own: Gossip, peer_table: PeerTable) -> RoundResult:
     """The result of a round as it stands at the tick of `own`, ticks later: all of now but the belief, which stays that of the round."""
-    frame, belief, tracker, config = last.frame, last.belief, context.tracker, context.config
-    if frame is None:  # no round has been played yet
+    round_cell, belief, tracker, config = last.round_cell, last.belief, context.tracker, context.config
+    if round_cell is None:  # no round has been played yet
         return last
-    region = frame.region
+    region = round_cell.region
     for tick in range(belief.stamp + 1, own.tick):
-        table = recent.table(recent.own(tick, own))
+        table = recent.table(recent.own_gossip(tick, own))
         density = tracker.merge(belief, table, Step(config, tick))
         margin = _influence(Step(config, tick)) * (own.tick - tick)
-        belief = advance(context, density, table, around(region.polygon, own, context.sensor.reach, margin))
-    table, step = recent.table(own), Step(recent.blurred(own.tick - last.belief.stamp), own.tick)
+        belief = advance(context, density, table, rectangle_around(region.polygon, own, context.sensor.reach, margin))
+    table, step = recent.table(own), Step(recent.blurred_config(own.tick - last.belief.stamp), own.tick)
     density = tracker.merge(belief, table, step)
     now = region._replace(row=table.names.index(context.name), pose=own.pose)
     near = tracker.update(density, table, [now], step)[0]
-    return result_of(context, own, Frame(now, frame.generators), near, table, density, last.belief, peer_table.pace)
+    return result_of(context, own, RoundCell(now, round_cell.generators), near, table, density, last.belief, peer_table.pace)

@@ -85,4 +85,4 @@ class OpenRounds:
         if pace > 1:
             self.lag.reset()
         elif self.lag.most:
-            self.lag.close(self.recent.needs(tick), now)
+            self.lag.close(self.recent.stated_lags(tick), now)

@@ -35,7 +35,7 @@ from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import sensor_of
 
-HORIZON = 40.0  # m around the own cell; with neighbours only, an agent keeps no older copies of particles farther away
+COPY_HORIZON = 40.0  # m around the own cell; with neighbours only, an agent keeps no older copies of particles farther away
 
 
 class AgentContext(NamedTuple):
@@ -64,7 +64,7 @@ def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backe
     return AgentContext(name, sensor, sensor_facts(sensor), control_law(config, backend), backend, tracker, config, corners, sensor_class)
 
 
-class Frame(NamedTuple):
+class RoundCell(NamedTuple):
     """The own cell of a round and the gossips whose generators it was cut from."""
 
     region: RegionInput
@@ -86,7 +86,7 @@ class RoundResult:
     tracks: Tracks = NO_TRACKS  # estimates in the cell
     command: ControlInput = STAND
     intent: Intent | None = None  # for the next gossip
-    frame: Frame | None = None  # of the round; None: none was played
+    round_cell: RoundCell | None = None  # of the round; None: none was played
     density: Any = None  # around the cell, as the tracker represents it; with it a round that is played alone begins
 
     @property
@@ -124,18 +124,18 @@ def run_round(
         hash=_diagram_hash(peer_table, fresh, generator_table, region.claim),
         everyone=generator_table.everyone,
         known_names=peer_table.known_names if peer_table.local else None,
-        horizon=HORIZON if peer_table.local else math.inf,
+        horizon=COPY_HORIZON if peer_table.local else math.inf,
     )
     belief = context.tracker.belief_after(received, region, near, diagram, step)
     return result_of(
-        context, own, Frame(region, generator_table), near, table, received, belief, min(peer_table.pace, own.tick - last.belief.stamp)
+        context, own, RoundCell(region, generator_table), near, table, received, belief, min(peer_table.pace, own.tick - last.belief.stamp)
     )
 
 
 def result_of(
     context: AgentContext,
     own: Gossip,
-    frame: Frame,
+    round_cell: RoundCell,
     near: Update,
     table: GossipTable,
     received: Any,
@@ -145,20 +145,20 @@ def result_of(
     """The result of an update `near` the own cell at the pose of `own`; `ticks`: until the next command, 0: there is none."""
     command = STAND
     if ticks:
-        situation = _situation(context, own, frame.region.polygon, near, frame.generators, table, ticks)
+        situation = _situation(context, own, round_cell.region.polygon, near, round_cell.generators, table, ticks)
         if isinstance(context.law, SearchAndTrack):
-            situation = situation._replace(known=_surroundings(context, own, received, near, table, frame.generators))
+            situation = situation._replace(known=_surroundings(context, own, received, near, table, round_cell.generators))
         command = context.law.command(situation)
     return RoundResult(
         belief=belief,
         unused=unused_capacity(context.facts.capability, near.detected, near.load, context.config.capacity),
         load=near.load,
         mass=near.mass,
-        cell=frame.region.polygon,
+        cell=round_cell.region.polygon,
         tracks=near.tracks,
         command=command,
         intent=context.law.intent if isinstance(context.law, SearchAndTrack) else None,
-        frame=frame,
+        round_cell=round_cell,
         density=context.tracker.nearby(near),
     )
 

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from agents.config import AgentConfig
 from agents.coverage.capacity import place
 from agents.gossip.table import gossip_table
-from agents.round import AgentContext, Frame, RoundResult, result_of
+from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.step import Step
 from agents.tracking.tracker import TrackerState
 from protocol.message import Vector
@@ -49,7 +49,7 @@ def play_unobserved(context: AgentContext, last: RoundResult, own: Gossip, pace:
     At a slower pace its peers left these ticks out as well, so nobody else has moved the particles that come into the cell meanwhile: the
     agent does. At pace 1 its peers have played them, and the agent keeps what it owned, as it does before its first round.
     """
-    if pace == 1 or last.frame is None:
+    if pace == 1 or last.round_cell is None:
         return dataclasses.replace(last, belief=context.tracker.hold(last.belief, Step(context.config, own.tick)))
     return play_alone(context, last, replace(own, tick=own.tick - 1, scanned=False, detections_bytes=b""), pace=0)
 
@@ -59,13 +59,13 @@ def play_alone(context: AgentContext, last: RoundResult, own: Gossip, pace: int)
 
     `pace`: the ticks that the command is to last at most; it lasts as many as have passed since `last`. 0: the result has no command.
     """
-    tracker, frame, stamp = context.tracker, last.frame, last.belief.stamp
-    assert frame is not None
-    density, region = last.density, frame.region._replace(row=0, pose=own.pose)
+    tracker, round_cell, stamp = context.tracker, last.round_cell, last.belief.stamp
+    assert round_cell is not None
+    density, region = last.density, round_cell.region._replace(row=0, pose=own.pose)
     for tick in range(stamp + 1, own.tick + 1):
         said = own if tick == own.tick else replace(own, tick=tick, scanned=False, detections_bytes=b"")
         table, step = gossip_table([said], [context.announced], context.config), Step(context.config, tick)
         received, near = density, tracker.update(density, table, [region], step)[0]
         density = tracker.nearby(near)
     belief = tracker.hold(last.belief, Step(context.config, own.tick + 1), near)
-    return result_of(context, own, Frame(region, frame.generators), near, table, received, belief, min(pace, own.tick - stamp))
+    return result_of(context, own, RoundCell(region, round_cell.generators), near, table, received, belief, min(pace, own.tick - stamp))

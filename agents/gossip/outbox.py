@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from agents.coverage.capacity import place
 from agents.round import AgentContext, RoundResult
-from agents.tracking.tracker import Said
+from agents.tracking.tracker import GossipFields
 from protocol.fields import pack
 from protocol.message import SharedSettings, Vector
 from protocol.messages import UNKNOWN_AGE, Command, Gossip, Hello, Observation
@@ -49,7 +49,7 @@ def gossip(
     """
     owned = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1 - behind
-    said: Said = context.tracker.say(owned, context.config.filter) if current else {}
+    said: GossipFields = context.tracker.gossip_fields(owned, context.config.filter) if current else {}
     plan: dict[str, Any] = {} if outcome.intent is None else {"goal": outcome.intent.goal, "goal_utilisation": outcome.intent.utilisation}
     return Gossip(
         sender=context.name,
@@ -77,10 +77,10 @@ def gossip(
 
 def _claim_ages(outcome: RoundResult) -> bytes:
     """By how many ticks each generator of the claim is older than the round in which it was cut; empty: all are of that round."""
-    names, frame = outcome.belief.mine.claim.names, outcome.frame
-    if frame is None or (not frame.generators.ages and frame.generators.everyone.issuperset(names)):
+    names, round_cell = outcome.belief.mine.claim.names, outcome.round_cell
+    if round_cell is None or (not round_cell.generators.ages and round_cell.generators.everyone.issuperset(names)):
         return b""
-    ages, known = frame.generators.ages, frame.generators.everyone
+    ages, known = round_cell.generators.ages, round_cell.generators.everyone
     found = bytes([min(UNKNOWN_AGE, ages.get(name, 0)) if name in known else UNKNOWN_AGE for name in names])
     return found if any(found) else b""
 

@@ -23,7 +23,7 @@ from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling, bounds_o
 from agents.membership.half_open_link import HalfOpenLinkDetector, WorldLinkDetector
 from agents.membership.peer import Peer
 from agents.membership.peer_table import PeerTable
-from agents.round import HORIZON, AgentContext, RoundResult
+from agents.round import COPY_HORIZON, AgentContext, RoundResult
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
@@ -117,7 +117,7 @@ class InterestManager:
         cell = self._first_cell(self._own_beacon(observation, outcome), observation.tick)
         x, y = np.vstack([cell, [observation.pose[:2]]]).T
         around = Rectangle(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
-        return around.wider(max(HORIZON, self._context.sensor.reach + MARGIN))
+        return around.wider(max(COPY_HORIZON, self._context.sensor.reach + MARGIN))
 
     def _first_cell(self, own: Beacon, tick: int) -> np.ndarray:
         """The cell (V, 2) m that the known generators leave to this agent."""

@@ -23,7 +23,7 @@ from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.particles import NONE, WIRE, Particles, canonical, join, select
 from agents.tracking.regions import RegionUpdate, predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import Diagram, OwnedState, RegionInput, Said, claims_tile_arena, unknown_senders
+from agents.tracking.tracker import Diagram, GossipFields, OwnedState, RegionInput, claims_tile_arena, unknown_senders
 from protocol.compact import packed, quantised
 from protocol.fields import pack, pack_labels
 from protocol.messages import Gossip
@@ -39,7 +39,7 @@ def owned_by_sender(gossip: Gossip) -> OwnedState:
     return OwnedState(gossip.sender, make_claim(gossip.claim_names, gossip.claim), particles, gossip.diagram_hash)
 
 
-class Round(NamedTuple):
+class CopyInputs(NamedTuple):
     """The inputs of a round from which the copies outside the own cell are computed."""
 
     step: Step
@@ -59,18 +59,18 @@ class Copies:
     """
 
     near: Particles
-    round: Round | None = None
-    held: tuple[Step, ...] = ()  # the steps of skipped rounds, in which the copies only move
+    inputs: CopyInputs | None = None
+    skipped_steps: tuple[Step, ...] = ()  # the steps of skipped rounds, in which the copies only move
 
     def compute(self) -> Particles:
         """Compute the copies that are still to be computed; return all of them, at the stamp of the belief."""
-        if self.round is not None:
-            step, backend, received, polygon, claim, horizon = self.round
+        if self.inputs is not None:
+            step, backend, received, polygon, claim, horizon = self.inputs
             copies = backend.remote_copies(self.near, received_particles(received), polygon, claim, horizon, step)
-            self.near, self.round = worth_keeping(copies, step.config.filter.particles_per_target), None
-        for step in self.held:
+            self.near, self.inputs = worth_keeping(copies, step.config.filter.particles_per_target), None
+        for step in self.skipped_steps:
             self.near = predict(self.near, step)
-        self.held = ()
+        self.skipped_steps = ()
         return self.near
 
 
@@ -134,8 +134,8 @@ class ParticlePhd(NamedTuple):
         count = prior_size(filters, arena)
         return start(prior(seed, count, filters, arena) if box is None else prior_around(seed, count, filters, arena, box), name)
 
-    def say(self, mine: OwnedState, settings: FilterSettings) -> Said:
-        """See `Tracker.say`."""
+    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> GossipFields:
+        """See `Tracker.gossip_fields`."""
         states, weights, ids, labels = mine.particles
         if not len(ids):
             return {}
@@ -178,7 +178,7 @@ class ParticlePhd(NamedTuple):
             particles = select(particles, particles.weights > 0.0)
             particles = particles._replace(states=particles.states.astype(WIRE).astype(float))
         mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
-        copies = Copies(belief.copies.near, belief.copies.round, (*belief.copies.held, *missed))
+        copies = Copies(belief.copies.near, belief.copies.inputs, (*belief.copies.skipped_steps, *missed))
         return Belief(step.tick - 1, mine, copies, belief.everyone, belief.known_names, held_since=belief.claim_tick)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
@@ -219,6 +219,6 @@ class ParticlePhd(NamedTuple):
         self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step
     ) -> Belief:
         """See `Tracker.belief_after`: the drawn particles are owned; the copies are computed when they are needed."""
-        copies = Copies(update.updated, Round(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
+        copies = Copies(update.updated, CopyInputs(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
         mine = OwnedState(region.owner, region.claim, as_stated(update.resampled, region.owner, step), diagram.hash)
         return Belief(step.tick, mine, copies, diagram.everyone, diagram.known_names)

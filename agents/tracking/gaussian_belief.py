@@ -20,7 +20,7 @@ from agents.tracking.gaussian_reduction import estimates, limited, merged
 from agents.tracking.gaussians import EMPTY, Mixture, chain, clamped, in_order, mean_of, nodes, packed, pick, points, unpacked
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
-from agents.tracking.tracker import Diagram, RegionInput, Said, claims_tile_arena, unknown_senders
+from agents.tracking.tracker import Diagram, GossipFields, RegionInput, claims_tile_arena, unknown_senders
 from protocol import geometry
 from protocol.messages import Gossip
 
@@ -133,8 +133,8 @@ class MixturePhd(NamedTuple):
             known = pick(known, (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3]))
         return MixtureBelief(-1, OwnedMixture(name, NO_CLAIM, EMPTY, 0), known)
 
-    def say(self, mine: OwnedMixture, settings: FilterSettings) -> Said:
-        """See `Tracker.say`."""
+    def gossip_fields(self, mine: OwnedMixture, settings: FilterSettings) -> GossipFields:
+        """See `Tracker.gossip_fields`."""
         return {"components_bytes": packed(mine.mixture).tobytes()}
 
     def weighted_points(self, received: GossipTable | Mixture) -> Particles:

@@ -86,7 +86,7 @@ class OwnedState(NamedTuple):
     diagram_hash: int  # of the diagram that its cell was cut from
 
 
-class Said(TypedDict, total=False):
+class GossipFields(TypedDict, total=False):
     """The fields of a gossip that state an owned state (protocol/messages.py); what a tracker has no use for is missing."""
 
     weight: float
@@ -139,7 +139,7 @@ class Tracker(Protocol[B, R, U]):
         A rectangle is west, south, east and north, m.
         """
 
-    def say(self, mine: Any, settings: FilterSettings) -> Said:
+    def gossip_fields(self, mine: Any, settings: FilterSettings) -> GossipFields:
         """What a gossip carries of an owned state."""
 
     def weighted_points(self, received: R | GossipTable) -> Particles:

@@ -6,7 +6,7 @@ import pytest
 from agents.backend import PLAIN
 from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import GossipTable, received_particles
-from agents.tracking.belief import MOST_COPIES, Belief, Copies, ParticlePhd, Round, owned_by_sender, start, worth_keeping
+from agents.tracking.belief import MOST_COPIES, Belief, Copies, CopyInputs, ParticlePhd, owned_by_sender, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
 from agents.tracking.particles import NONE, Particles, canonical, join, unlabelled
 from agents.tracking.regions import predict
@@ -138,7 +138,7 @@ def test_copies_of_what_was_told_are_moved_on_but_for_those_that_were_corrected(
     step = Step(CONFIG, 4)
     cell = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 100.0], [0.0, 100.0]])
     told = particles((2, 80.0, 0.1), (3, 52.0, 0.1), (4, 90.0, 0.0))
-    copies = Copies(particles((3, 53.0, 0.2)), Round(step, PLAIN, told, cell, NO_CLAIM))
+    copies = Copies(particles((3, 53.0, 0.2)), CopyInputs(step, PLAIN, told, cell, NO_CLAIM))
     held = copies.compute()
     assert held.ids.tolist() == [3, 2]
     assert held.states[1, 0] == predict(told, step).states[0, 0]

@@ -197,9 +197,9 @@ def test_particles_stay_in_the_cell_of_the_last_round() -> None:
     swarm = Swarm(4)
     for tick in (1, 2, 3):
         swarm.see(tick, TARGET)
-    belief, frame = swarm.agent.outcome.belief, swarm.agent.outcome.frame
-    assert frame is not None and belief.mine.claim is frame.region.claim
-    assert (belief.mine.particles.states[:, 0] <= frame.region.polygon[:, 0].max() + 1e-6).all()
+    belief, round_cell = swarm.agent.outcome.belief, swarm.agent.outcome.round_cell
+    assert round_cell is not None and belief.mine.claim is round_cell.region.claim
+    assert (belief.mine.particles.states[:, 0] <= round_cell.region.polygon[:, 0].max() + 1e-6).all()
     moved = swarm.agent.context.tracker.hold(belief, Step(swarm.agent.config, 5))
     assert moved.stamp == 4 and moved.claim_tick == 0
 
