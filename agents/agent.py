@@ -366,7 +366,7 @@ class Agent(Node):
         if reopenings:
             self.counters["reopened"] += 1
         effects = [*interest.close_round(gossip, self.outcome), *reopenings]
-        self.outcome.belief.everyone &= self.peer_table.interest_set.keys() | {self.name}
+        self.outcome.belief.generator_names &= self.peer_table.interest_set.keys() | {self.name}
         return effects
 
     def _close_if_complete(self, now: float) -> list[Effect]:

@@ -122,7 +122,7 @@ def run_round(
         near = context.tracker.update(received, table, [region], step)[0]
     diagram = Diagram(
         hash=_diagram_hash(peer_table, fresh, generator_table, region.claim),
-        everyone=generator_table.everyone,
+        generator_names=generator_table.name_set,
         known_names=peer_table.known_names if peer_table.local else None,
         horizon=COPY_HORIZON if peer_table.local else math.inf,
     )
@@ -238,11 +238,11 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed:
 
 def _claim(generator_table: GossipTable, cell: Cell, unsubscribed: UnsubscribedGenerators) -> Claim:
     """The cell as generators, the own one first. The names in the table are in order; those of `unsubscribed` follow in any order."""
-    if not cell.bounds or max(cell.bounds) < len(generator_table.names):
+    if not cell.bounding or max(cell.bounding) < len(generator_table.names):
         return claim_of(cell, generator_table.names, generator_table.generators)
     everyone = (*generator_table.names, *unsubscribed.names())
-    names = tuple([everyone[index] for index in cell.bounds])
-    generators = np.concatenate([generator_table.generators, unsubscribed.generators])[np.array(cell.bounds)]
+    names = tuple([everyone[index] for index in cell.bounding])
+    generators = np.concatenate([generator_table.generators, unsubscribed.generators])[np.array(cell.bounding)]
     return make_claim(names, generators)
 
 

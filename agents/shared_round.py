@@ -59,7 +59,7 @@ def _computed(table: GossipTable, backend: Backend, tracker: AnyTracker, step: S
 
 def claim_of(cell: Cell, names: tuple[str, ...], generators: np.ndarray) -> Claim:
     """A cell as generators, the own one first. The names are in order, so the generator with the smaller index comes first."""
-    if not cell.bounds:
+    if not cell.bounding:
         return NO_CLAIM
-    bounds = np.array(cell.bounds)
-    return Claim(tuple([names[index] for index in cell.bounds]), generators[bounds], bounds < cell.bounds[0])
+    bounds = np.array(cell.bounding)
+    return Claim(tuple([names[index] for index in cell.bounding]), generators[bounds], bounds < cell.bounding[0])

@@ -18,7 +18,7 @@ from agents.coverage.cells import power_cell
 from agents.coverage.control import STAND, Lloyd, Situation, approach
 from agents.tracking.births import Scan, prior
 from agents.tracking.claims import power_distances
-from agents.tracking.particles import NONE, Particles, unlabelled
+from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.phd import correct, resample
 from agents.tracking.regions import in_view, moments
 from deploy.scenario import TeamSettings, resolve, team_counts
@@ -63,7 +63,7 @@ def owners_by_cells(points: np.ndarray, radii: np.ndarray) -> np.ndarray:
 def situation(pose: tuple[float, float, float], driven: tuple[float, float], centroid: tuple[float, float] | None) -> Situation:
     """An agent with a step of 0.25 s."""
     arena, sensor = (100.0, 100.0), SENSOR_CLASSES["A"]
-    return Situation("s1", 1, 0, 0.25, pose, driven, EMPTY, centroid, NONE, sensor, LIMITS, "centroid", arena)
+    return Situation("s1", 1, 0, 0.25, pose, driven, EMPTY, centroid, NO_PARTICLES, sensor, LIMITS, "centroid", arena)
 
 
 def team(name: str, triple: str = "ACD") -> list[float]:

@@ -27,7 +27,7 @@ from agents.tracking.births import inflow, starting_on_border, survival_probabil
 from agents.tracking.claims import Claim, Claims
 from agents.tracking.extraction import Tracks
 from agents.tracking.measuring import kernel_variance
-from agents.tracking.particles import NONE, Particles, unlabelled
+from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
@@ -93,7 +93,7 @@ def background_births(step: Step) -> Particles:
     birth, arena, mass = config.birth, config.arena, inflow(config.run.dt, config.filter, config.arena)
     count, salt = birth.background_particles, np.uint64(key(config.filter.seed, "background", tick))
     if not birth.background or mass <= 0.0:
-        return NONE
+        return NO_PARTICLES
     on_border = starting_on_border(config.filter, birth)
     states, ids = birth_kernels.background(count, on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
     found = unlabelled(states, np.full(count, mass / count), ids)
@@ -178,10 +178,10 @@ def _update_wedges(
     config = step.config
     settings, keys = prepared(config)
     stated: tuple[np.ndarray, ...] = _NOTHING_STATED
-    others = NONE
+    others = NO_PARTICLES
     if not isinstance(received, GossipTable):
         others = received
-    elif config.timing.interest == "all" or len(regions_) > 1 or received.stands_ready:
+    elif config.timing.interest == "all" or len(regions_) > 1 or received.is_stated_ready:
         stated = *received.stated, received.table
     else:
         stated = stated_near(received, regions_[0], step)
@@ -264,7 +264,7 @@ def decide(task: search_plan.Task, memory: search_plan.Memory) -> search_plan.De
     return search_plan.Decision((vx, vy), turn_rate, (goal_x, goal_y), load, search_plan.Memory(*answer[6]))
 
 
-_RAYS = search_plan.DIRECTIONS, search_plan.EDGES
+_RAYS = search_plan.DIRECTIONS, search_plan.SECTOR_EDGES
 
 
 FAST = Backend(

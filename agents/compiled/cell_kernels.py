@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
-from agents.coverage.cells import TOUCH
+from agents.coverage.cells import TOUCH_TOLERANCE
 
 
 @njit
@@ -179,7 +179,7 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, s
         for rank in range(count):
             j = picked[rank]
             limit = ahead[j]
-            if limit > farthest + TOUCH:
+            if limit > farthest + TOUCH_TOLERANCE:
                 break
             order[tried] = j
             tried += 1
@@ -195,7 +195,7 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, s
             if size < 3:
                 return corners, 0, 0
             farthest = _farthest(corners, size)
-        reached = within <= farthest + TOUCH
+        reached = within <= farthest + TOUCH_TOLERANCE
         beyond, within = within, 2.0 * within
     area = 0.0
     for c in range(size):
@@ -208,7 +208,7 @@ def _cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray, s
         j = order[rank]
         nx, ny = _direction(points, index, j)
         for c in range(size):
-            if corners[c, 0] * nx + corners[c, 1] * ny > ahead[j] - TOUCH:
+            if corners[c, 0] * nx + corners[c, 1] * ny > ahead[j] - TOUCH_TOLERANCE:
                 picked[bounding] = j
                 bounding += 1
                 break

@@ -35,7 +35,7 @@ from agents.gossip.table import (
     X,
     Y,
 )
-from agents.tracking.measuring import BEARING, FARTHEST, POSITION
+from agents.tracking.measuring import BEARING, LARGEST_DEVIATION, POSITION
 
 _S52 = np.uint64(52)
 _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
@@ -323,7 +323,7 @@ def correct(
     new_states[:count], new_weights[:count], new_ids[:count], new_labels[:count] = states, weights, ids, labels
     x, y, probabilities = np.empty(capacity), np.empty(capacity), np.empty(capacity)
     x[:count], y[:count] = states[:, 0], states[:, 1]
-    detections, densities, spreads = np.empty((close, 2)), np.zeros(close), np.full(close, FARTHEST * noise)
+    detections, densities, spreads = np.empty((close, 2)), np.zeros(close), np.full(close, LARGEST_DEVIATION * noise)
     rays = np.empty((close, all_rays.shape[1]))
     for m in range(close):
         detections[m], rays[m] = all_detections[picked[m]], all_rays[picked[m]]

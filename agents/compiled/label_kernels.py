@@ -8,7 +8,19 @@ from numba import njit
 
 from agents.compiled.cache import cached
 from agents.compiled.particle_kernels import merge_runs, scramble
-from agents.tracking.labels import ADOPTED, ALONE, AROUND, BESIDE, EXPLAINED, FAINT, HASH_BITS, HERE, STRANGER_MASS, TICK_BITS, YOUNG
+from agents.tracking.labels import (
+    ADOPTED_SHARE,
+    ADOPTION_RADIUS,
+    ALONE_RADIUS,
+    EXPLAINED_SHARE,
+    FAINT_MASS,
+    HASH_BITS,
+    INNER_RADIUS,
+    OUTER_RADIUS,
+    STRANGER_MASS,
+    TICK_BITS,
+    YOUNG_TICKS,
+)
 from agents.tracking.labels import NO_LABEL as NONE
 
 NO_LABEL, _HASH_BITS, _TICK_BITS = np.uint64(NONE), np.uint64(HASH_BITS), np.uint64(TICK_BITS)  # ids and shifts are of one type
@@ -81,12 +93,12 @@ def label_scan(
         for p in range(start, end):
             if numbers[p] >= 0:
                 sums[numbers[p]] = 0.0
-        if best != NO_LABEL and most >= EXPLAINED * norms[m]:
+        if best != NO_LABEL and most >= EXPLAINED_SHARE * norms[m]:
             given[m] = best
         start = end
     for p in range(pairs):  # more than half of a weight comes from one detection at most, so that no later pair changes a label again
         n = rows[p]
-        if labels[n] == NO_LABEL and terms[p] / norms[columns[p]] > ADOPTED * weights[n]:
+        if labels[n] == NO_LABEL and terms[p] / norms[columns[p]] > ADOPTED_SHARE * weights[n]:
             labels[n] = given[columns[p]]
 
 
@@ -135,7 +147,7 @@ def _middles(particles: tuple, taken: np.ndarray) -> tuple[np.ndarray, np.ndarra
             sums[k, 0] += weights[n]
             sums[k, 1] += weights[n] * states[n, 0]
             sums[k, 2] += weights[n] * states[n, 1]
-    heavy = np.flatnonzero((sums[:, 0] >= FAINT) & ~taken)
+    heavy = np.flatnonzero((sums[:, 0] >= FAINT_MASS) & ~taken)
     return heavy, sums[heavy, 1:] / sums[heavy, :1]
 
 
@@ -165,13 +177,13 @@ def name_peaks(shares: tuple, known: np.ndarray, places: np.ndarray, particles: 
     taken = _name_by_weight(shares, known, given)
     for m in range(len(cores)):
         age = ((stamp >> _HASH_BITS) + (_ONE << _TICK_BITS) - (given[m] >> _HASH_BITS)) % (_ONE << _TICK_BITS)
-        open_to[m] = given[m] == NO_LABEL or age <= np.uint64(YOUNG)
+        open_to[m] = given[m] == NO_LABEL or age <= np.uint64(YOUNG_TICKS)
     if open_to.any():
         rows, middles = _middles(particles, taken)
         labels, free = known[rows], np.ones(len(rows), np.bool_)
         for m in range(len(cores)):
             if open_to[m]:
-                k = _beside(places[m, 0], places[m, 1], labels, middles, free, BESIDE * size)
+                k = _beside(places[m, 0], places[m, 1], labels, middles, free, ADOPTION_RADIUS * size)
                 if k >= 0 and (given[m] == NO_LABEL or labels[k] < given[m]):
                     given[m], free[k] = labels[k], False
     derived = np.zeros(len(known), np.uint64)  # how many labels have been derived from each: all of them are taken
@@ -194,7 +206,7 @@ def name_peaks(shares: tuple, known: np.ndarray, places: np.ndarray, particles: 
 def rename(updated: tuple, owned: np.ndarray, predicted: tuple, places: np.ndarray, size: float) -> np.ndarray:
     """Twin of `labels.renamed`: `updated` is states, weights and labels, `predicted` the weights and labels of the first rows."""
     states, weights, labels = updated
-    alone, inner, outer = ALONE * size, HERE * size, AROUND * size
+    alone, inner, outer = ALONE_RADIUS * size, INNER_RADIUS * size, OUTER_RADIUS * size
     new, count = labels.copy(), len(predicted[1])
     known, masses = np.empty(len(labels), np.uint64), np.empty((len(labels), 2))
     for m in range(len(places)):

@@ -15,24 +15,24 @@ from agents.compiled.cache import cached
 from agents.compiled.correction_kernels import exp_minus
 from agents.compiled.particle_kernels import sort_by_id
 from agents.coverage.search_plan import (
-    BESIDE,
-    DECAY,
-    EDGE,
-    FAR,
+    CAPACITY_ANGLE,
+    DECAY_LENGTH,
+    DECAY_LIMIT,
     FIRST_TURN,
-    FORGOTTEN,
-    HOLDS,
-    LEAST,
+    HEADING_MARGIN,
     LEAST_OFFSET,
     LEAST_RADIUS,
-    MARGIN,
-    NEVER,
-    OUTSIDE,
+    NEVER_SEEN,
+    NEWCOMER_AGE,
+    OUTSIDE_VALUE,
+    PARTNER_MARGIN,
+    PLAN_MARGIN,
+    REACH_MARGIN,
+    REGAIN_TIME,
     SECTORS,
-    UNKNOWN,
-    UNSURE,
-    WINDOW,
-    WITHIN,
+    UNSURE_MASSES,
+    VALUE_IN_VIEW,
+    WINDOW_SHARE,
 )
 from agents.gossip.table import COS as SENSOR_COS
 from agents.gossip.table import COS_HALF, KIND, WEDGE
@@ -50,7 +50,7 @@ GOAL_EAST, GOAL_NORTH, UTILISATION, PARTNER_REACH, FIRST = range(5)  # columns o
 @njit
 def _circle(reach: float, side: float) -> float:
     """Twin of `search_plan.circle`."""
-    return max(reach - MARGIN * side, LEAST_RADIUS * side)
+    return max(reach - REACH_MARGIN * side, LEAST_RADIUS * side)
 
 
 @njit
@@ -78,7 +78,7 @@ def _seen_at(seen: np.ndarray, x: float, y: float, side: float) -> float:
     """Twin of `search_plan._seen_at` for one point."""
     row, column = int(np.floor(y / side)), int(np.floor(x / side))
     if row < 0 or column < 0 or row >= seen.shape[0] or column >= seen.shape[1]:
-        return NEVER
+        return NEVER_SEEN
     return seen[row, column]
 
 
@@ -132,7 +132,7 @@ def _partners_near(partners: np.ndarray, x: float, y: float, width: float, side:
     for k in range(len(partners)):
         dx, dy = partners[k, GOAL_EAST] - x, partners[k, GOAL_NORTH] - y
         near[number] = k
-        number += math.sqrt(dx * dx + dy * dy) <= width + _circle(partners[k, PARTNER_REACH], side) + BESIDE * side + 1e-6
+        number += math.sqrt(dx * dx + dy * dy) <= width + _circle(partners[k, PARTNER_REACH], side) + PARTNER_MARGIN * side + 1e-6
     return near[:number]
 
 
@@ -148,13 +148,13 @@ def _left_over(
         other = _circle(partners[k, PARTNER_REACH], side)
         dx, dy = x - partners[k, GOAL_EAST], y - partners[k, GOAL_NORTH]
         apart = math.sqrt(dx * dx + dy * dy)
-        if apart > other + BESIDE * side:
+        if apart > other + PARTNER_MARGIN * side:
             continue
         cost = _cost(apart, other)
         if cost < own or (cost == own and partners[k, FIRST] != 0.0):
-            fade = 1.0 if apart <= other else exp_minus(min((apart - other) * (1.0 / (DECAY * side)), FAR))
+            fade = 1.0 if apart <= other else exp_minus(min((apart - other) * (1.0 / (DECAY_LENGTH * side)), DECAY_LIMIT))
             held = min(1.0, 1.0 / max(partners[k, UTILISATION], 1e-9))
-            tracks *= 1.0 - sharing * held * (fade if apart <= other else OUTSIDE * fade)
+            tracks *= 1.0 - sharing * held * (fade if apart <= other else OUTSIDE_VALUE * fade)
             values *= 1.0 - sharing * fade
     return tracks, values
 
@@ -181,7 +181,7 @@ def _worth_at(
         apart = math.sqrt(apart2)
         away = (apart - best) * (beyond if apart > best else within)
         inside = tracks[n] * (1.0 - falloff * away * away) + values[n]
-        outside = (OUTSIDE * tracks[n] + values[n]) * exp_minus(min(max(apart - radius, 0.0) * rate, FAR))
+        outside = (OUTSIDE_VALUE * tracks[n] + values[n]) * exp_minus(min(max(apart - radius, 0.0) * rate, DECAY_LIMIT))
         terms[n] = inside if apart2 <= radius2 else outside
 
 
@@ -200,7 +200,7 @@ def _best_goal(
     gx, gy = body[GOAL_X], body[GOAL_Y]
     side = search[BIN]
     radius = _circle(body[REACH], side)
-    wide = radius + WITHIN * side
+    wide = radius + PLAN_MARGIN * side
     box = (
         max(int(np.floor((gy - wide) / side)), 0),
         min(int(np.floor((gy + wide) / side)), rows - 1),
@@ -235,7 +235,7 @@ def _best_goal(
         d = (candidate - 1) // 2
         qx = min(max(x + far * directions[d, 0], 0.0), body[WIDTH])
         qy = min(max(y + far * directions[d, 1], 0.0), body[HEIGHT])
-        _worth_at(qx, qy, xs[:count], ys[:count], ts[:count], ds[:count], radius, best_at, search[FALLOFF], DECAY * side, terms)
+        _worth_at(qx, qy, xs[:count], ys[:count], ts[:count], ds[:count], radius, best_at, search[FALLOFF], DECAY_LENGTH * side, terms)
         total = 0.0
         for n in range(count):
             total += terms[n]
@@ -243,7 +243,7 @@ def _best_goal(
             total -= search[STEP_COST] * math.sqrt((qx - gx) * (qx - gx) + (qy - gy) * (qy - gy)) / (2.0 * step)
         if total > best:
             best, best_x, best_y = total, qx, qy
-    held = search[CAPACITY] * body[ANGLE] / HOLDS
+    held = search[CAPACITY] * body[ANGLE] / CAPACITY_ANGLE
     return best_x, best_y, utilisation / held if held > 0.0 else 0.0
 
 
@@ -260,7 +260,7 @@ def _last_sight(
 ) -> np.ndarray:
     """Twin of `search_plan.last_sight`."""
     last, old = np.empty(len(ids)), 0
-    side, unknown = search[BIN], UNKNOWN * search[STALE]
+    side, unknown = search[BIN], NEWCOMER_AGE * search[STALE]
     for n in range(len(ids)):
         while old < len(old_ids) and old_ids[old] < ids[n]:
             old += 1
@@ -313,8 +313,8 @@ def _best_turn(
     edges: np.ndarray,
 ) -> float:
     """Twin of `search_plan.best_turn` for a wedge at x, y."""
-    side, forgotten = search[BIN], FORGOTTEN * search[STALE]
-    now, reach = body[NOW], max(body[REACH] - EDGE * side, 0.0)
+    side, forgotten = search[BIN], REGAIN_TIME * search[STALE]
+    now, reach = body[NOW], max(body[REACH] - HEADING_MARGIN * side, 0.0)
     held, some = np.zeros(SECTORS), False
     west, south = int(np.floor((x - reach) / side)), int(np.floor((y - reach) / side))
     bins = int(2.0 * reach / side) + 2  # along a side of the box
@@ -328,9 +328,9 @@ def _best_turn(
         if dx * dx + dy * dy > reach * reach:
             continue
         age = (now - last[n] + body[DT]) / forgotten
-        value = LEAST + 1.0 - exp_minus(min(age * age, 18.0))
+        value = VALUE_IN_VIEW + 1.0 - exp_minus(min(age * age, 18.0))
         mass = masses[int(np.floor(states[n, 1] / side)) - south, int(np.floor(states[n, 0] / side)) - west]
-        if UNSURE[0] < mass and mass < UNSURE[1]:
+        if UNSURE_MASSES[0] < mass and mass < UNSURE_MASSES[1]:
             value += search[CONFIRMATION] * (1.0 - mass)
         worth = weights[n] * value * left[n]
         held[_sector(dx * body[COS] + dy * body[SIN], dy * body[COS] - dx * body[SIN], edges)] += worth
@@ -341,7 +341,7 @@ def _best_turn(
         return 0.0
     if not some:
         return min(most, FIRST_TURN * body[ANGLE])
-    half = min(int(np.floor(0.5 * WINDOW * body[ANGLE] / width)), SECTORS // 2 - 1)
+    half = min(int(np.floor(0.5 * WINDOW_SHARE * body[ANGLE] / width)), SECTORS // 2 - 1)
     reachable = min(int(np.floor(most / width)), SECTORS // 2 - 1)
     sums = np.zeros(4 * SECTORS + 1)
     for k in range(3 * SECTORS):

@@ -11,7 +11,7 @@ from numba import njit
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import distance
 from agents.interest.position_table import GENERATOR_X, GENERATOR_Y, POWER_RADIUS, SENSOR_REACH, SENSOR_X, SENSOR_Y
-from agents.interest.selection import APPEARANCE, BEHIND, MARGIN, SEARCH, SPACING
+from agents.interest.selection import APPEARANCE_MARGIN, GRID_SPACING, OWNER_SLACK, SEARCH_RADIUS, SELECTION_MARGIN
 
 Limits = tuple[float, float, float, float]
 BLOCK = 4  # points of a grid along each side of a block
@@ -37,7 +37,7 @@ def _rivals(points: np.ndarray, table: np.ndarray) -> np.ndarray:
     for p in range(len(points)):
         dx, dy = points[p, 0] - x, points[p, 1] - y
         farthest = max(farthest, dx * dx + dy * dy)
-    radius = math.sqrt(farthest) + SPACING
+    radius = math.sqrt(farthest) + GRID_SPACING
     number, limit = len(table), np.inf
     least = np.empty(number)
     for n in range(number):
@@ -61,7 +61,7 @@ def _candidates(points: np.ndarray, rivals: np.ndarray, away: np.ndarray, found:
 
     `away` (K,) is scratch. A circle contains the points. Anywhere in it the smallest power distance is at most `limit`, the smallest one
     to the far sides of the circle. A rival is found if its power distance to the near side exceeds that by no more than the margin. The
-    margin is `BEHIND` times the distance from the rival to the best generator, of which this is an upper bound.
+    margin is `OWNER_SLACK` times the distance from the rival to the best generator, of which this is an upper bound.
     """
     west, south, east, north = _limits(points)
     x, y = 0.5 * (west + east), 0.5 * (south + north)
@@ -72,10 +72,10 @@ def _candidates(points: np.ndarray, rivals: np.ndarray, away: np.ndarray, found:
         away[n] = math.sqrt(dx * dx + dy * dy)
         far = away[n] + radius
         limit, most = min(limit, far * far - rivals[n, 3]), max(most, rivals[n, 3])
-    slack, count = BEHIND * (2.0 * radius + math.sqrt(max(limit + most, 0.0))) + 1e-6, 0
+    slack, count = OWNER_SLACK * (2.0 * radius + math.sqrt(max(limit + most, 0.0))) + 1e-6, 0
     for n in range(len(rivals)):
         near = max(away[n] - radius, 0.0)
-        if near * near - rivals[n, 3] - BEHIND * near <= limit + slack:
+        if near * near - rivals[n, 3] - OWNER_SLACK * near <= limit + slack:
             found[count] = n
             count += 1
     return count
@@ -104,7 +104,7 @@ def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray) -> tuple[np
                 row = int(rivals[n, 0])
                 if not found[row]:
                     dx, dy = rivals[n, 1] - rivals[best, 1], rivals[n, 2] - rivals[best, 2]
-                    found[row] = power[m] - smallest <= BEHIND * math.sqrt(dx * dx + dy * dy)
+                    found[row] = power[m] - smallest <= OWNER_SLACK * math.sqrt(dx * dx + dy * dy)
         start = end
     return found, least
 
@@ -113,21 +113,24 @@ def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray) -> tuple[np
 def _region(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, arena: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `selection.region`: points (N, 2) in m, block after block of neighbouring points, and the end of each block."""
     west, south, east, north = _limits(cell)
-    width = max(halo, reach) + MARGIN + SPACING
+    width = max(halo, reach) + SELECTION_MARGIN + GRID_SPACING
     first, bottom, last, top = _limits(arena)
     first, bottom = max(min(west, position[0]) - width, first), max(min(south, position[1]) - width, bottom)
     last, top = min(max(east, position[0]) + width, last), min(max(north, position[1]) + width, top)
-    columns, rows = 2 + int(max(last - first, 0.0) / SPACING), 2 + int(max(top - bottom, 0.0) / SPACING)
+    columns, rows = 2 + int(max(last - first, 0.0) / GRID_SPACING), 2 + int(max(top - bottom, 0.0) / GRID_SPACING)
     points, count = np.empty((columns * rows, 2)), 0
     ends, blocks = np.empty(columns * rows, np.int64), 0
-    disc, ring = (reach + MARGIN + SPACING) * (reach + MARGIN + SPACING), halo + MARGIN + SPACING
+    disc, ring = (
+        (reach + SELECTION_MARGIN + GRID_SPACING) * (reach + SELECTION_MARGIN + GRID_SPACING),
+        halo + SELECTION_MARGIN + GRID_SPACING,
+    )
     for south_row in range(0, rows, BLOCK):
         for west_column in range(0, columns, BLOCK):
             start = count
             for row in range(south_row, min(south_row + BLOCK, rows)):
-                y = bottom + SPACING * row
+                y = bottom + GRID_SPACING * row
                 for column in range(west_column, min(west_column + BLOCK, columns)):
-                    x = first + SPACING * column
+                    x = first + GRID_SPACING * column
                     dx, dy = x - position[0], y - position[1]
                     if dx * dx + dy * dy <= disc or distance(cell, x, y) <= ring:
                         points[count, 0], points[count, 1] = x, y
@@ -147,8 +150,13 @@ def _likeliest_cell(table: np.ndarray, arena: np.ndarray) -> np.ndarray:
     if number == 1:
         return home
     west, south, east, north = _limits(arena)
-    west, south, east, north = max(west, x - SEARCH), max(south, y - SEARCH), min(east, x + SEARCH), min(north, y + SEARCH)
-    columns, rows = 2 + int(max(east - west, 0.0) / (2.0 * SPACING)), 2 + int(max(north - south, 0.0) / (2.0 * SPACING))
+    west, south, east, north = (
+        max(west, x - SEARCH_RADIUS),
+        max(south, y - SEARCH_RADIUS),
+        min(east, x + SEARCH_RADIUS),
+        min(north, y + SEARCH_RADIUS),
+    )
+    columns, rows = 2 + int(max(east - west, 0.0) / (2.0 * GRID_SPACING)), 2 + int(max(north - south, 0.0) / (2.0 * GRID_SPACING))
     across, up = (east - west) / (columns - 1), (north - south) / (rows - 1)
     px, py, best = np.empty(columns * rows), np.empty(columns * rows), np.full(columns * rows, np.inf)
     for p in range(len(best)):
@@ -184,17 +192,17 @@ def wanted(
     """
     number, home = len(table) - 1, cell
     if len(cell) == 0:
-        home, halo = _likeliest_cell(table, arena), halo + APPEARANCE
+        home, halo = _likeliest_cell(table, arena), halo + APPEARANCE_MARGIN
     points, ends = _region(home, position, halo, reach, arena)
     owning, least = _owners(points, ends, table)
     west, south, east, north = _limits(home)
     chosen = owning[:number]
     for n in range(number):
         if not chosen[n]:
-            x, y, width = table[n, SENSOR_X], table[n, SENSOR_Y], halo + MARGIN + table[n, SENSOR_REACH]
+            x, y, width = table[n, SENSOR_X], table[n, SENSOR_Y], halo + SELECTION_MARGIN + table[n, SENSOR_REACH]
             away = max(max(west - x, x - east), max(south - y, y - north))  # a lower bound of the distance
             chosen[n] = away <= width + 1e-6 and distance(home, x, y) <= width
-    look = halo + MARGIN + bounds[0] + drift
+    look = halo + SELECTION_MARGIN + bounds[0] + drift
     west, south, east, north = west - look, south - look, east + look, north + look
     for p in range(len(points)):
         far = math.sqrt(max(least[p] + bounds[2] * bounds[2], 0.0)) + (bounds[1] + drift)

@@ -14,14 +14,14 @@ import numpy as np
 
 from protocol.geometry import EMPTY
 
-TOUCH = 1.0e-6  # m: a generator this close to bounding a cell belongs to its claim
+TOUCH_TOLERANCE = 1.0e-6  # m: a generator this close to bounding a cell belongs to its claim
 
 
 class Cell(NamedTuple):
-    """A power cell and the indices of the generators that bound it, its own first; an empty cell has no polygon and no bounds."""
+    """A power cell and the indices of the generators that bound it, its own first; an empty cell has neither."""
 
     polygon: np.ndarray  # (V, 2), counter-clockwise
-    bounds: tuple[int, ...]
+    bounding: tuple[int, ...]
 
 
 NO_CELL = Cell(EMPTY, ())
@@ -45,7 +45,7 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) ->
     tried = 0
     for rank in range(len(order)):
         limit = ahead[rank]
-        if limit > farthest + TOUCH:
+        if limit > farthest + TOUCH_TOLERANCE:
             break
         tried = rank + 1
         clipped = _clip(corners, normals[rank][0], normals[rank][1], limit)
@@ -59,7 +59,7 @@ def cut(index: int, points: np.ndarray, radii: np.ndarray, arena: np.ndarray) ->
     bounds = [index]
     for rank in range(tried):
         nx, ny = normals[rank]
-        if any(x * nx + y * ny > ahead[rank] - TOUCH for x, y in corners):
+        if any(x * nx + y * ny > ahead[rank] - TOUCH_TOLERANCE for x, y in corners):
             bounds.append(order[rank])
     return Cell(np.array(corners) + points[index], tuple(bounds))
 

@@ -17,7 +17,7 @@ from protocol.message import Vector
 from protocol.settings import LimitSettings
 
 CLEARANCE = 0.05  # m, kept around each body besides its radius: wheels do not obey to the millimetre
-HELD = 2  # times the time between two commands for which a velocity may be held
+HELD_PERIODS = 2  # times the time between two commands for which a velocity may be held
 ROUNDING = 1.0e-9  # m/s
 
 Bound = tuple[float, float, float]  # of velocities: n . v <= most, as n and most in m/s
@@ -31,7 +31,7 @@ def keep_apart(command: ControlInput, place: Vector, others: Iterable[Vector], l
     velocity, turn_rate = command
     points = {other for other in others if other != place}
     for pressed in (True, False):
-        bounds = [bound(place, other, limits.radius + CLEARANCE, HELD * seconds, pressed=pressed) for other in sorted(points)]
+        bounds = [bound(place, other, limits.radius + CLEARANCE, HELD_PERIODS * seconds, pressed=pressed) for other in sorted(points)]
         found = nearest(_at_most(velocity, limits.speed), bounds, limits.speed)
         if found is not None:
             return found, turn_rate

@@ -16,12 +16,12 @@ from agents.coverage.cells import power_cell
 from agents.coverage.control import STAND, ControlInput, Situation
 from protocol.geometry import polygon_centroid, rectangle, wrap_angle
 
-HEADINGS = 37  # compared headings, between the reachable extremes
-LEAST = 0.1  # weight of mass in view in this tick
-FORGOTTEN = 0.5  # s: mass out of sight for this time has regained most of its weight
-STALE = 5.0  # s: mass out of sight for longer has weight STALE_WEIGHT in the centroid
+HEADING_COUNT = 37  # compared headings, between the reachable extremes
+VALUE_IN_VIEW = 0.1  # weight of mass in view in this tick
+REGAIN_TIME = 0.5  # s: mass out of sight for this time has regained most of its weight
+STALE_AGE = 5.0  # s: mass out of sight for longer has weight `STALE_WEIGHT` in the centroid
 STALE_WEIGHT = 0.1
-UNKNOWN = 2.5  # s: the time out of sight assumed for a particle new in the cell
+NEWCOMER_AGE = 2.5  # s: the time out of sight assumed for a particle new in the cell
 
 
 class Pursuit:
@@ -55,7 +55,7 @@ class Pursuit:
     def _ages(self, situation: Situation) -> np.ndarray:
         """Times since each particle was last in sight, s: (N,)."""
         particles, now = situation.particles, situation.tick * situation.dt
-        seen = np.full(len(particles.ids), now - UNKNOWN)
+        seen = np.full(len(particles.ids), now - NEWCOMER_AGE)
         if len(self._ids):
             places = np.minimum(np.searchsorted(self._ids, particles.ids), len(self._ids) - 1)
             seen = np.where(self._ids[places] == particles.ids, self._seen[places], seen)
@@ -70,7 +70,7 @@ def _goal(situation: Situation, ages: np.ndarray) -> tuple[float, float] | None:
 
     Without mass it is the centroid of the situation, without a cell the centroid of the Voronoi cell, and None without either.
     """
-    weights = situation.particles.weights * np.where(ages > STALE, STALE_WEIGHT, 1.0)
+    weights = situation.particles.weights * np.where(ages > STALE_AGE, STALE_WEIGHT, 1.0)
     mass = float(weights.sum())
     if mass > 0.0:
         x, y = weights @ situation.particles.states[:, :2] / mass
@@ -105,9 +105,9 @@ def _best_turn(situation: Situation, ages: np.ndarray, place: tuple[float, float
     if not near.any():
         return None
     points = particles.states[near, :2]
-    values = particles.weights[near] * (LEAST + 1.0 - np.exp(-ages[near] / FORGOTTEN))
+    values = particles.weights[near] * (VALUE_IN_VIEW + 1.0 - np.exp(-ages[near] / REGAIN_TIME))
     most = min(math.pi, situation.limits.turn_rate * situation.dt * situation.ticks)
-    turns = sorted(np.linspace(-most, most, HEADINGS).tolist(), key=abs)  # the least turn first, so that it wins ties
+    turns = sorted(np.linspace(-most, most, HEADING_COUNT).tolist(), key=abs)  # the least turn first, so that it wins ties
     held = [float(situation.sensor.probability(points, (*place, heading + turn)) @ values) for turn in turns]
-    best = max(range(HEADINGS), key=held.__getitem__)
+    best = max(range(HEADING_COUNT), key=held.__getitem__)
     return turns[best] if held[best] > 0.0 else None

@@ -21,26 +21,28 @@ from agents.tracking.particles import Particles, select, total
 from agents.tracking.phd import exp_minus
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 
-MARGIN = 0.75  # bins of the reach that a goal leaves for the motion of the targets
+REACH_MARGIN = 0.75  # bins of the reach that a goal leaves for the motion of the targets
 LEAST_RADIUS = 0.5  # of a circle, bins
 LEAST_OFFSET = 0.05  # from a sensor to the place where a track is worth most, bins
-DECAY = 3.0  # bins: the value of what lies outside of the circle falls with exp(-distance / DECAY)
-WITHIN = 7.5  # bins beyond the own circle that a plan looks at
-BESIDE = 4.0  # bins beyond the circle of a partner that it serves
-FAR = 50.0  # such lengths away the value falls no further
-OUTSIDE = 0.4  # the value of a track just outside of the circle
-NEVER = -1.0e9  # s: the time of the last sight of what was never seen
-UNKNOWN = 0.5  # of `stale`: the greatest time out of sight of a particle that is new around the cell
+DECAY_LENGTH = 3.0  # bins: the value of what lies outside of the circle falls with exp(-distance / `DECAY_LENGTH`)
+PLAN_MARGIN = 7.5  # bins beyond the own circle that a plan looks at
+PARTNER_MARGIN = 4.0  # bins beyond the circle of a partner that it serves
+DECAY_LIMIT = 50.0  # such lengths away the value falls no further
+OUTSIDE_VALUE = 0.4  # the value of a track just outside of the circle
+NEVER_SEEN = -1.0e9  # s: the time of the last sight of what was never seen
+NEWCOMER_AGE = 0.5  # of `stale`: the greatest time out of sight of a particle that is new around the cell
 SECTORS = 72  # of a full turn, among which a heading is chosen
-EDGE = 0.2  # bins of the reach that the choice of a heading leaves for the motion of the targets
-WINDOW = 0.95  # of the viewing angle counts when a heading is chosen
-LEAST = 0.05  # value of mass that is in view without a break
-FORGOTTEN = 0.1  # of `stale`: mass out of sight for this time has regained most of its value
-UNSURE = (0.05, 0.9)  # masses of a bin that may or may not be a target
+HEADING_MARGIN = 0.2  # bins of the reach that the choice of a heading leaves for the motion of the targets
+WINDOW_SHARE = 0.95  # of the viewing angle counts when a heading is chosen
+VALUE_IN_VIEW = 0.05  # value of mass that is in view without a break
+REGAIN_TIME = 0.1  # of `stale`: mass out of sight for this time has regained most of its value
+UNSURE_MASSES = (0.05, 0.9)  # masses of a bin that may or may not be a target
 FIRST_TURN = 0.9  # of the viewing angle, the turn of a sensor that has nothing to look at
-HOLDS = math.pi / 4.0  # rad: `search.capacity` is the number of targets that a sensor of this angle can hold
+CAPACITY_ANGLE = math.pi / 4.0  # rad: `search.capacity` is the number of targets that a sensor of this angle can hold
 DIRECTIONS = np.array([(math.cos(math.pi * k / 8.0), math.sin(math.pi * k / 8.0)) for k in range(16)])
-EDGES = np.array([(math.cos(2.0 * math.pi * (k - 0.5) / SECTORS), math.sin(2.0 * math.pi * (k - 0.5) / SECTORS)) for k in range(SECTORS)])
+SECTOR_EDGES = np.array(
+    [(math.cos(2.0 * math.pi * (k - 0.5) / SECTORS), math.sin(2.0 * math.pi * (k - 0.5) / SECTORS)) for k in range(SECTORS)]
+)
 
 
 class PlanInput(NamedTuple):
@@ -66,7 +68,7 @@ class PlanInput(NamedTuple):
 
 def circle(reach: float, side: float) -> float:
     """Radius in m of the circle that a sensor serves, by its reach and the side of a bin, both in m."""
-    return max(reach - MARGIN * side, LEAST_RADIUS * side)
+    return max(reach - REACH_MARGIN * side, LEAST_RADIUS * side)
 
 
 class Memory(NamedTuple):
@@ -102,7 +104,7 @@ class Decision(NamedTuple):
 
 def no_memory(width: float, height: float, side: float) -> Memory:
     """The memory before the first round, of an arena of that size with bins of that side, m."""
-    seen = np.full((math.ceil(height / side), math.ceil(width / side)), NEVER)
+    seen = np.full((math.ceil(height / side), math.ceil(width / side)), NEVER_SEEN)
     return Memory(seen, np.empty(0, dtype=np.uint64), np.empty(0))
 
 
@@ -134,10 +136,10 @@ def _views(table: GossipTable) -> list[tuple[SensorModel, Pose]]:
 
 
 def _seen_at(seen: np.ndarray, x: np.ndarray, y: np.ndarray, side: float) -> np.ndarray:
-    """When the bins at some points were last in view, s (N,); `NEVER` outside of the arena."""
+    """When the bins at some points were last in view, s (N,); `NEVER_SEEN` outside of the arena."""
     rows, columns = np.floor(y / side).astype(np.int64), np.floor(x / side).astype(np.int64)
     inside = (rows >= 0) & (columns >= 0) & (rows < seen.shape[0]) & (columns < seen.shape[1])
-    found = np.full(len(x), NEVER)
+    found = np.full(len(x), NEVER_SEEN)
     found[inside] = seen[rows[inside], columns[inside]]
     return found
 
@@ -188,10 +190,10 @@ def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple
         dx, dy = x - goal_x, y - goal_y
         apart = np.sqrt(dx * dx + dy * dy)
         cost = _costs(apart, radius)
-        serves = (apart <= radius + BESIDE * side) & ((cost < own) | ((cost == own) & (first != 0.0)))
+        serves = (apart <= radius + PARTNER_MARGIN * side) & ((cost < own) | ((cost == own) & (first != 0.0)))
         inside, held = apart <= radius, min(1.0, 1.0 / max(utilisation, 1e-9))
-        fade = np.where(inside, 1.0, exp_minus(np.minimum(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY * side)), FAR)))
-        tracks = np.where(serves, tracks * (1.0 - sharing * held * np.where(inside, fade, OUTSIDE * fade)), tracks)
+        fade = np.where(inside, 1.0, exp_minus(np.minimum(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY_LENGTH * side)), DECAY_LIMIT)))
+        tracks = np.where(serves, tracks * (1.0 - sharing * held * np.where(inside, fade, OUTSIDE_VALUE * fade)), tracks)
         values = np.where(serves, values * (1.0 - sharing * fade), values)
     return tracks, values
 
@@ -204,7 +206,7 @@ def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]
     rows, columns = np.indices(seen.shape)
     x, y = (columns.ravel() + 0.5) * side, (rows.ravel() + 0.5) * side
     apart2 = (x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)
-    wide = radius + WITHIN * side
+    wide = radius + PLAN_MARGIN * side
     near = (tracks.ravel() + values.ravel() > 0.0) & (apart2 <= wide * wide)
     x, y, apart2 = x[near], y[near], apart2[near]
     left_tracks, left_values = left_over(task, x, y, settings.sharing)
@@ -220,7 +222,7 @@ def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]
             worth -= settings.step_cost * math.sqrt(dx * dx + dy * dy) / (2.0 * step)
         if worth > best:
             best, goal = worth, place
-    held = settings.capacity * body.angle / HOLDS
+    held = settings.capacity * body.angle / CAPACITY_ANGLE
     return goal, utilisation / held if held > 0.0 else 0.0
 
 
@@ -236,15 +238,17 @@ def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarra
     apart, best = np.sqrt(apart2), min(max(task.body.offset, LEAST_OFFSET * side), 0.9 * radius)
     away = (apart - best) * np.where(apart > best, 1.0 / (radius - best), 1.0 / best)
     inside = track * (1.0 - settings.falloff * away * away) + value
-    outside = (OUTSIDE * track + value) * exp_minus(np.minimum(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY * side)), FAR))
+    outside = (OUTSIDE_VALUE * track + value) * exp_minus(
+        np.minimum(np.maximum(apart - radius, 0.0) * (1.0 / (DECAY_LENGTH * side)), DECAY_LIMIT)
+    )
     return total(np.where(apart2 <= radius * radius, inside, outside))
 
 
 def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) -> np.ndarray:
     """When each of the particles around the cell was last in view, s (N,). A new one counts as seen when its bin was, at most
-    `UNKNOWN` of `stale` ago."""
+    `NEWCOMER_AGE` of `stale` ago."""
     now, settings, (x, y) = task.body.now, task.settings, around.states[:, :2].T
-    last = np.maximum(_seen_at(seen, x, y, settings.bin), now - UNKNOWN * settings.stale)
+    last = np.maximum(_seen_at(seen, x, y, settings.bin), now - NEWCOMER_AGE * settings.stale)
     if len(memory.ids):
         places = np.minimum(np.searchsorted(memory.ids, around.ids), len(memory.ids) - 1)
         last = np.where(memory.ids[places] == around.ids, memory.last[places], last)
@@ -277,7 +281,7 @@ def best_turn(task: Task, place: tuple[float, float], around: Particles, last: n
         return order[held.index(max(held))] * width
     dx, dy = points[:, 0] - place[0], points[:, 1] - place[1]
     sectors = sector_of(dx * body.cos + dy * body.sin, dy * body.cos - dx * body.sin)
-    half = min(math.floor(0.5 * WINDOW * body.angle / width), SECTORS // 2 - 1)
+    half = min(math.floor(0.5 * WINDOW_SHARE * body.angle / width), SECTORS // 2 - 1)
     values = window_values(np.bincount(sectors, worth, SECTORS), half, order, task.settings.second_heading)
     return order[values.index(max(values))] * width
 
@@ -290,7 +294,7 @@ def worth_around(
     Mass out of view gains value with time. A bin that may hold no target is worth another look.
     """
     body, settings, x, y = task.body, task.settings, around.states[:, 0], around.states[:, 1]
-    dx, dy, reach = x - place[0], y - place[1], max(body.reach - EDGE * settings.bin, 0.0)
+    dx, dy, reach = x - place[0], y - place[1], max(body.reach - HEADING_MARGIN * settings.bin, 0.0)
     near = dx * dx + dy * dy <= reach * reach
     rows, columns = np.floor(y / settings.bin), np.floor(x / settings.bin)
     south, west = math.floor((place[1] - reach) / settings.bin), math.floor((place[0] - reach) / settings.bin)
@@ -299,21 +303,21 @@ def worth_around(
     flat = ((rows - south) * bins + columns - west)[boxed].astype(np.int64)
     masses = np.zeros(len(x))
     masses[boxed] = np.bincount(flat, around.weights[boxed], bins * bins).astype(float)[flat]
-    age = (body.now - last + body.dt) / (FORGOTTEN * settings.stale)
-    value = LEAST + 1.0 - exp_minus(np.minimum(age * age, 18.0))
-    unsure = (masses > UNSURE[0]) & (masses < UNSURE[1])
+    age = (body.now - last + body.dt) / (REGAIN_TIME * settings.stale)
+    value = VALUE_IN_VIEW + 1.0 - exp_minus(np.minimum(age * age, 18.0))
+    unsure = (masses > UNSURE_MASSES[0]) & (masses < UNSURE_MASSES[1])
     value = np.where(unsure, value + settings.confirmation * (1.0 - masses), value)
     return around.states[near, :2], (around.weights * value * left)[near]
 
 
 def sector_of(ahead: np.ndarray, left: np.ndarray) -> np.ndarray:
     """The sectors (N,) of directions in the frame of the sensor; sector 0 lies ahead, the others follow counter-clockwise."""
-    behind = EDGES[0, 0] * left - EDGES[0, 1] * ahead < 0.0
+    behind = SECTOR_EDGES[0, 0] * left - SECTOR_EDGES[0, 1] * ahead < 0.0
     low = np.where(behind, SECTORS // 2, 0)
     high = low + SECTORS // 2
     while (high - low > 1).any():
         middle = (low + high) // 2
-        beyond = EDGES[middle, 0] * left - EDGES[middle, 1] * ahead >= 0.0
+        beyond = SECTOR_EDGES[middle, 0] * left - SECTOR_EDGES[middle, 1] * ahead >= 0.0
         open_ = high - low > 1
         low, high = np.where(open_ & beyond, middle, low), np.where(open_ & ~beyond, middle, high)
     return low

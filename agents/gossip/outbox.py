@@ -78,9 +78,9 @@ def gossip(
 def _claim_ages(outcome: RoundResult) -> bytes:
     """By how many ticks each generator of the claim is older than the round in which it was cut; empty: all are of that round."""
     names, round_cell = outcome.belief.mine.claim.names, outcome.round_cell
-    if round_cell is None or (not round_cell.generators.ages and round_cell.generators.everyone.issuperset(names)):
+    if round_cell is None or (not round_cell.generators.ages and round_cell.generators.name_set.issuperset(names)):
         return b""
-    ages, known = round_cell.generators.ages, round_cell.generators.everyone
+    ages, known = round_cell.generators.ages, round_cell.generators.name_set
     found = bytes([min(UNKNOWN_AGE, ages.get(name, 0)) if name in known else UNKNOWN_AGE for name in names])
     return found if any(found) else b""
 

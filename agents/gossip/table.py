@@ -18,7 +18,7 @@ from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, sensor_facts
 from agents.interest.tiles import Bounds, bounds_of
 from agents.tracking.births import Scan
-from agents.tracking.measuring import EXACT, kernel_variance, likely_poses, model_of, noise_of, spread_of
+from agents.tracking.measuring import EXACT_POSE, kernel_variance, likely_poses, model_of, noise_of, spread_of
 from agents.tracking.particles import Particles
 from protocol.components import COMPONENT
 from protocol.fields import read_labels
@@ -112,7 +112,7 @@ def _facts(sensor: SensorModel) -> SensorFacts:
     return sensor_facts(sensor)
 
 
-Stated = tuple[np.ndarray, np.ndarray, np.ndarray]  # states (N, 4) float32; ids and labels (N,) uint64
+StatedParticles = tuple[np.ndarray, np.ndarray, np.ndarray]  # states (N, 4) float32; ids and labels (N,) uint64
 
 
 class GossipTable:
@@ -142,7 +142,7 @@ class GossipTable:
             table[:, PLACE_NOISE:] = 0.0
             return table
         for row, gossip in zip(table, self.gossips):
-            left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.pose_noise or EXACT)][-2:]
+            left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.pose_noise or EXACT_POSE)][-2:]
             row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         return table
 
@@ -163,7 +163,7 @@ class GossipTable:
         return {gossip.sender: newest - gossip.tick for gossip in self.gossips if gossip.tick < newest}
 
     @once
-    def everyone(self) -> frozenset[str]:
+    def name_set(self) -> frozenset[str]:
         """The names as a set."""
         return frozenset(self.names)
 
@@ -247,21 +247,21 @@ class GossipTable:
         return shared.pop() if len(shared) == 1 else None
 
     @property
-    def stated(self) -> Stated:
+    def stated(self) -> StatedParticles:
         """States (N, 4) float32, ids and labels (N,) uint64 of all particles, gossip after gossip, at the tick of their claims.
 
         These arrays are the largest of a round, and no later round reads them. Only the last table that computed them keeps them.
         """
-        if not self.stands_ready:
-            _LATEST.append((self, self.stated_by([*range(len(self.gossips))])))
-        return _LATEST[0][1]
+        if not self.is_stated_ready:
+            _LAST_STATED.append((self, self.stated_by([*range(len(self.gossips))])))
+        return _LAST_STATED[0][1]
 
     @property
-    def stands_ready(self) -> bool:
+    def is_stated_ready(self) -> bool:
         """Whether `stated` is already computed."""
-        return bool(_LATEST) and _LATEST[0][0] is self
+        return bool(_LAST_STATED) and _LAST_STATED[0][0] is self
 
-    def stated_by(self, rows: list[int]) -> Stated:
+    def stated_by(self, rows: list[int]) -> StatedParticles:
         """The part of `stated` that comes from some rows."""
         gossips = self.gossips
         states = np.frombuffer(bytearray().join([gossips[row].states_bytes for row in rows]), dtype=np.float32)
@@ -292,7 +292,7 @@ class GossipTable:
                 rows = slice(end - np.int64(numbers[DETECTIONS]), end)
                 order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), key("sensor", gossip.sender)
                 noise, kappa = (float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])), float(numbers[KAPPA])
-                rays = self.rays[rows] if numbers[MODEL] or noise != EXACT else None  # whatever other sensors in the table measure
+                rays = self.rays[rows] if numbers[MODEL] or noise != EXACT_POSE else None  # whatever other sensors in the table measure
                 scan = Scan(salt, announced.sensor, gossip.pose, self.detections[rows], order, kappa, rays, noise)
                 found.append((float(numbers[PROB]), scan))
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
@@ -303,7 +303,7 @@ def received_particles(received: GossipTable | Particles) -> Particles:
     return received.particles if isinstance(received, GossipTable) else received
 
 
-_LATEST: deque[tuple[GossipTable, Stated]] = deque(maxlen=1)  # the table whose `stated` was computed last
+_LAST_STATED: deque[tuple[GossipTable, StatedParticles]] = deque(maxlen=1)  # the table whose `stated` was computed last
 _RECENT: deque[GossipTable] = deque(maxlen=2)  # a pure memo: in a simulation all agents hear the same gossips
 
 
@@ -326,4 +326,4 @@ def newest_table() -> GossipTable:
 def forget() -> None:
     """Drop the memos of this file, so that a measurement is that of a process of its own."""
     _RECENT.clear()
-    _LATEST.clear()
+    _LAST_STATED.clear()

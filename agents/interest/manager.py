@@ -18,7 +18,7 @@ from agents.config import AgentConfig
 from agents.coverage.capacity import place
 from agents.gossip.inbox import WINDOW_TICKS
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
-from agents.interest.selection import BEACON_PERIOD, JUMP, MARGIN, SELECTION_PERIOD, Choice, Ground
+from agents.interest.selection import BEACON_JUMP, BEACON_PERIOD, SELECTION_MARGIN, SELECTION_PERIOD, Choice, Ground
 from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling, bounds_of
 from agents.membership.half_open_link import HalfOpenLinkDetector, WorldLinkDetector
 from agents.membership.peer import Peer
@@ -30,16 +30,19 @@ from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
 from protocol.sensing import Pose, WedgeSensor
 from protocol.streams import key
 
-SETTLE = 0.25  # s of the clock for a question to reach all agents and for the answers to come back
-ROUNDS = 4  # times SETTLE before the first gossip, so that agents that must ask again have subscribed as well
-FIRST = 2  # tiles on every side of the own one to which a new agent subscribes
-BUSY, LONGEST = 8.0, 5.0  # an agent whose timer is late waits so many times the delay, at most so many s: the others are late as well
-UNHEARD = 3  # times that an agent without peers asks again before it asks in more tiles: the others may only be late
+ANSWER_SECONDS = 0.25  # s of the clock for a question to reach all agents and for the answers to come back
+JOIN_PERIODS = 4  # times `ANSWER_SECONDS` before the first gossip, so that agents that must ask again have subscribed as well
+FIRST_TILES = 2  # tiles on every side of the own one to which a new agent subscribes
+DELAY_FACTOR, LONGEST_WAIT = (
+    8.0,
+    5.0,
+)  # an agent whose timer is late waits so many times the delay, at most so many s: the others are late as well
+REPEATED_QUESTIONS = 3  # times that an agent without peers asks again before it asks in more tiles: the others may only be late
 MOST_QUESTIONS = 8  # in all; then an agent takes part, certified or not
-AHEAD = 16.0  # m: a tile is subscribed to this far before it is needed, so that a period of beacons has come by then
-FORGOTTEN = 2.5  # periods, or rounds at a slower pace, without a beacon or gossip after which a peer is forgotten
-CHECK = 4  # ticks between two checks of the peers that neighbours name
-LINGER = 4.0  # s of world time for which a subscription is kept after its peer was last needed: half of all are needed again by then
+SUBSCRIBE_AHEAD = 16.0  # m: a tile is subscribed to this far before it is needed, so that a period of beacons has come by then
+FORGET_PERIODS = 2.5  # periods, or rounds at a slower pace, without a beacon or gossip after which a peer is forgotten
+LINK_CHECK_TICKS = 4  # ticks between two checks of the peers that neighbours name
+LINGER_SECONDS = 4.0  # s of world time that a subscription outlives the need of its peer: half of all are needed again
 
 
 class InterestManager:
@@ -52,10 +55,10 @@ class InterestManager:
         self.due: float | None = None  # when to call `on_timer`
         self._context, self._peer_table, self._incarnation = context, peer_table, incarnation
         self._tiling = Tiling(config.timing.tile, config.arena)
-        drift = JUMP + config.limits.speed * config.run.dt
+        drift = BEACON_JUMP + config.limits.speed * config.run.dt
         own_bounds = bounds_of(context.sensor, context.facts)
         self._ground = Ground(context.arena, own_bounds, drift)
-        periods = BEACON_PERIOD, SELECTION_PERIOD, LINGER
+        periods = BEACON_PERIOD, SELECTION_PERIOD, LINGER_SECONDS
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in periods)
         self._phase, self._turn = key("beacon", context.name) % self._period, 0  # of the beacon that each period brings; its number
         self._unknown_until = 0  # until this tick the others may not know this agent
@@ -80,24 +83,24 @@ class InterestManager:
             return []
         if observation.tick > 0:
             self._unknown_until = observation.tick + 2 * self._period
-        self.due, self._join_at, self._turn = now + SETTLE, now + ROUNDS * SETTLE, self._turn_of(observation.tick - 1)
+        self.due, self._join_at, self._turn = now + ANSWER_SECONDS, now + JOIN_PERIODS * ANSWER_SECONDS, self._turn_of(observation.tick - 1)
         tile = self._tiling.tile(observation.pose[:2])
-        # the question reaches all agents that have subscribed to `FIRST` tiles around their own
+        # the question reaches all agents that have subscribed to `FIRST_TILES` tiles around their own
         self._last_beacon = question(self._own_beacon(observation, outcome), tile)
-        return [*self._subscribe_tiles(self._tiling.around(tile, FIRST)), self._last_beacon]
+        return [*self._subscribe_tiles(self._tiling.around(tile, FIRST_TILES)), self._last_beacon]
 
     def on_timer(self, observation: Observation, outcome: RoundResult, now: float) -> list[Effect]:
         """Continue to join: ask again, ask in more tiles, select peers, or become `settled`. Sets `due` for the next call."""
         overdue = now - self.due if self.due is not None else 0.0
-        settle = min(max(SETTLE, BUSY * overdue), LONGEST)
+        settle = min(max(ANSWER_SECONDS, DELAY_FACTOR * overdue), LONGEST_WAIT)
         self.due = now + settle
         own = self._own_beacon(observation, outcome)
-        if self._asking and not self._peer_table.peers and self._questions < UNHEARD:
+        if self._asking and not self._peer_table.peers and self._questions < REPEATED_QUESTIONS:
             self._questions += 1
             return [self._last_beacon] if self._last_beacon else []
         if self._asking:
             choice, table = self._select(self._first_cell(own, observation.tick), own, observation.tick)
-            soon = choice.needed.wider(AHEAD)
+            soon = choice.needed.wider(SUBSCRIBE_AHEAD)
             block = self._tiling.block(soon)
             self.known = self._tiling.ground(self._block) if self._block else None
             self._questions += 1
@@ -117,7 +120,7 @@ class InterestManager:
         cell = self._first_cell(self._own_beacon(observation, outcome), observation.tick)
         x, y = np.vstack([cell, [observation.pose[:2]]]).T
         around = Rectangle(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
-        return around.wider(max(COPY_HORIZON, self._context.sensor.reach + MARGIN))
+        return around.wider(max(COPY_HORIZON, self._context.sensor.reach + SELECTION_MARGIN))
 
     def _first_cell(self, own: Beacon, tick: int) -> np.ndarray:
         """The cell (V, 2) m that the known generators leave to this agent."""
@@ -127,7 +130,7 @@ class InterestManager:
 
     def _table(self, own: Beacon, tick: int) -> np.ndarray:
         """The positions of peers (`PositionTable.table`), after those without a recent beacon are forgotten."""
-        since = tick - math.ceil(FORGOTTEN * max(self._period, self._peer_table.pace))
+        since = tick - math.ceil(FORGET_PERIODS * max(self._period, self._peer_table.pace))
         self._forgotten |= self._peer_table.forget_outside(since, tick + WINDOW_TICKS)
         return self._peer_table.positions.table(beacon_row(own, self._context.config.partition.kind))
 
@@ -229,7 +232,7 @@ class InterestManager:
 
     def reopen_if_unheard(self, tick: int, now: float) -> list[Effect]:
         """A new session, if neighbours have long been naming a peer that this agent should hear and does not; else no effects."""
-        if tick % CHECK:
+        if tick % LINK_CHECK_TICKS:
             return []
         gossips = [gossip for gossip in self._peer_table.inbox.newest_closed.values() if gossip.tick == tick]
         known = self._peer_table.known_names.difference(self._peer_table.unheard())  # claims may tell of the unheard
@@ -250,7 +253,7 @@ class InterestManager:
 
     def _covers_generator(self, place: tuple[float, float]) -> bool:
         """Whether all agents with a generator at a place are known."""
-        return self.known is not None and self.known.holds(Rectangle(*place, *place).wider(self._ground.bounds.offset + JUMP))
+        return self.known is not None and self.known.holds(Rectangle(*place, *place).wider(self._ground.bounds.offset + BEACON_JUMP))
 
     def reselect(self, cell: np.ndarray, own: Beacon, tick: int) -> list[Effect]:
         """Select peers for a cell and follow it with the tiles; the subscriptions that change."""
@@ -277,7 +280,7 @@ class InterestManager:
         """Subscribe to the gossips and tokens of the interest set, and end subscriptions that are no longer needed.
 
         A change of subscription costs more than some gossips too many, and many peers are soon needed again. So gossips stay subscribed
-        for `LINGER` s, and tokens until the peer is forgotten.
+        for `LINGER_SECONDS` s, and tokens until the peer is forgotten.
         """
         interest_set, run, lingering = self._peer_table.interest_set, self._context.config.run.name, self._lingering
         added: set[str] = set()
@@ -308,7 +311,7 @@ class InterestManager:
     def _follow_tiles(self, needed: Rectangle, tick: int) -> list[Effect]:
         """Subscribe to the tiles of the needed rectangle. A tile is dropped when it lies a whole side outside of it."""
         assert self._block is not None
-        soon = self._tiling.block(needed.wider(AHEAD))
+        soon = self._tiling.block(needed.wider(SUBSCRIBE_AHEAD))
         if soon == self._block:
             return []
         late = self._tiling.block(needed.wider(self._tiling.side))
@@ -348,10 +351,10 @@ def moved(pose: Pose, command: tuple[tuple[float, float], float], config: AgentC
 
 
 def _jumped(old: Beacon, new: Beacon) -> bool:
-    """Whether a beacon differs from an older one by more than `JUMP` m, or states wider bounds."""
+    """Whether a beacon differs from an older one by more than `BEACON_JUMP` m, or states wider bounds."""
     apart = max(math.dist(old.position, new.position), math.dist(old.cod, new.cod), abs(old.power_radius - new.power_radius))
     wider = new.widest_reach > old.widest_reach or new.widest_offset > old.widest_offset or new.widest_radius > old.widest_radius
-    return apart > JUMP or wider
+    return apart > BEACON_JUMP or wider
 
 
 def _union(one: TileBlock, other: TileBlock | None) -> TileBlock:

@@ -20,7 +20,7 @@ from agents.config import FilterSettings
 from agents.gossip.table import GossipTable, received_particles
 from agents.tracking.births import prior, prior_around, prior_size
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
-from agents.tracking.particles import NONE, WIRE, Particles, canonical, join, select
+from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, join, select
 from agents.tracking.regions import RegionUpdate, predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, GossipFields, OwnedState, RegionInput, claims_tile_arena, unknown_senders
@@ -94,7 +94,7 @@ class Belief:
     stamp: int
     mine: OwnedState
     copies: Copies
-    everyone: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
+    generator_names: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
     known_names: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
     held_since: int | None = None  # the claim was cut in this round and held over skipped ones; None: it was cut at `stamp`
 
@@ -106,13 +106,13 @@ class Belief:
 
 def start(prior: Particles, name: str) -> Belief:
     """The belief before the first round: copies of the prior, and no owned particle."""
-    return Belief(stamp=-1, mine=OwnedState(name, NO_CLAIM, NONE, 0), copies=Copies(prior))
+    return Belief(stamp=-1, mine=OwnedState(name, NO_CLAIM, NO_PARTICLES, 0), copies=Copies(prior))
 
 
 def _released(belief: Belief) -> Belief:
     """The belief without a claim: all particles are copies."""
     particles = canonical(join([belief.mine.particles, belief.copies.compute()]))
-    return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, NONE, 0), Copies(particles))
+    return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, NO_PARTICLES, 0), Copies(particles))
 
 
 def as_stated(particles: Particles, owner: str, step: Step) -> Particles:
@@ -176,10 +176,10 @@ class ParticlePhd(NamedTuple):
             for each in missed:
                 particles = predict(particles, each)
             particles = select(particles, particles.weights > 0.0)
-            particles = particles._replace(states=particles.states.astype(WIRE).astype(float))
+            particles = particles._replace(states=particles.states.astype(WIRE_TYPE).astype(float))
         mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
         copies = Copies(belief.copies.near, belief.copies.inputs, (*belief.copies.skipped_steps, *missed))
-        return Belief(step.tick - 1, mine, copies, belief.everyone, belief.known_names, held_since=belief.claim_tick)
+        return Belief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, held_since=belief.claim_tick)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
         """The particles that count at `belief.stamp`, or the table itself when only its particles count; there an id may occur twice.
@@ -221,4 +221,4 @@ class ParticlePhd(NamedTuple):
         """See `Tracker.belief_after`: the drawn particles are owned; the copies are computed when they are needed."""
         copies = Copies(update.updated, CopyInputs(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
         mine = OwnedState(region.owner, region.claim, as_stated(update.resampled, region.owner, step), diagram.hash)
-        return Belief(step.tick, mine, copies, diagram.everyone, diagram.known_names)
+        return Belief(step.tick, mine, copies, diagram.generator_names, diagram.known_names)

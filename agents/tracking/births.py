@@ -14,8 +14,8 @@ import numpy as np
 
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.labels import birth_labels
-from agents.tracking.measuring import BEARING, EXACT, birth_places, kernel_variance, likely_poses, model_of, noise_of
-from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, select, squared_distances, unlabelled
+from agents.tracking.measuring import BEARING, EXACT_POSE, birth_places, kernel_variance, likely_poses, model_of, noise_of
+from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, select, squared_distances, unlabelled
 from agents.tracking.step import Step
 from protocol.compact import DIRECTIONS
 from protocol.sensing import Pose, SensorModel, measurement_of
@@ -35,7 +35,7 @@ class Scan(NamedTuple):
     numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
     rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None if these are positions from an exact pose
-    pose_noise: tuple[float, float] = EXACT  # standard deviations of the pose, m on each axis and rad
+    pose_noise: tuple[float, float] = EXACT_POSE  # standard deviations of the pose, m on each axis and rad
 
     def probability(self, points: np.ndarray) -> np.ndarray:
         """p_d of points (N, 2): (N,), the mean over the poses that the sensor may have."""
@@ -65,12 +65,12 @@ def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings)
     """The uniform PHD of density `prior_density` per m^2 with which all agents start, as `count` particles; a pure memo."""
     mass = settings.prior_density * arena.width * arena.height
     if count == 0 or mass == 0.0:
-        return NONE
+        return NO_PARTICLES
     ids = _numbered(key(seed, "prior"), count)
     x = uniform(scramble(ids, 1)) * arena.width
     y = uniform(scramble(ids, 2)) * arena.height
     states = np.column_stack([x, y, _directions(scramble(ids, 3)) * settings.speed])
-    return canonical(unlabelled(states.astype(WIRE).astype(float), np.full(count, mass / count), ids))
+    return canonical(unlabelled(states.astype(WIRE_TYPE).astype(float), np.full(count, mass / count), ids))
 
 
 @lru_cache(maxsize=2)
@@ -98,7 +98,7 @@ def prior_around(
     east, north = int(min(box[2], arena.width) // SQUARE), int(min(box[3], arena.height) // SQUARE)
     found = [squares.get((column, row)) for column in range(west, east + 1) for row in range(south, north + 1)]
     groups = [group for group in found if group is not None]
-    return select(everywhere, np.sort(np.concatenate(groups))) if groups else NONE
+    return select(everywhere, np.sort(np.concatenate(groups))) if groups else NO_PARTICLES
 
 
 def background_births(step: Step) -> Particles:
@@ -116,7 +116,7 @@ def _background_births(seed: int, tick: int, dt: float, settings: FilterSettings
     """`background_births`, a pure memo, because in virtual time all agents of a process need it."""
     mass, count = inflow(dt, settings, arena), birth.background_particles
     if not birth.background or mass <= 0.0:
-        return NONE
+        return NO_PARTICLES
     width, height = arena.width, arena.height
     ids = _numbered(key(seed, "background", tick), count)
     on_border = np.arange(count) < starting_on_border(settings, birth)

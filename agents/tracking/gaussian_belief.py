@@ -43,7 +43,7 @@ class MixtureBelief:
     stamp: int
     mine: OwnedMixture
     copies: Mixture
-    everyone: frozenset[str] = frozenset()
+    generator_names: frozenset[str] = frozenset()
     known_names: frozenset[str] | None = None
     held_since: int | None = None
 
@@ -158,7 +158,7 @@ class MixturePhd(NamedTuple):
             moved = _moved(moved, step._replace(tick=tick))
         mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step) if alone is None else alone.inside)
         copies = pick(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
-        return MixtureBelief(step.tick - 1, mine, copies, belief.everyone, belief.known_names, held_since=belief.claim_tick)
+        return MixtureBelief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, held_since=belief.claim_tick)
 
     def merge(self, belief: MixtureBelief, table: GossipTable, step: Step) -> GossipTable | Mixture:
         """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""
@@ -196,7 +196,7 @@ class MixturePhd(NamedTuple):
         if diagram.horizon < math.inf:
             others &= geometry.distances(region.polygon, means) <= diagram.horizon
         mine = OwnedMixture(region.owner, region.claim, update.inside, diagram.hash)
-        return MixtureBelief(step.tick, mine, pick(update.around, others), diagram.everyone, diagram.known_names)
+        return MixtureBelief(step.tick, mine, pick(update.around, others), diagram.generator_names, diagram.known_names)
 
 
 def _region_of(corrected: Mixture, peaks: Tracks, region: RegionInput, step: Step) -> MixtureUpdate:

@@ -15,7 +15,7 @@ from agents.tracking.births import Scan, background_births, least_density, survi
 from agents.tracking.claims import in_arena
 from agents.tracking.gaussians import EMPTY, KERNEL, SHARES, Mixture, chain, mean_of, nodes, pick, unlabelled, variances
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
-from agents.tracking.measuring import BEARING, UNSURE, model_of, noise_of
+from agents.tracking.measuring import BEARING, POSE_SPREAD, model_of, noise_of
 from agents.tracking.particles import column_sums
 from agents.tracking.phd import exp_minus
 from agents.tracking.step import Step
@@ -141,7 +141,7 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     """
     config = step.config
     x, y, _ = scan.pose
-    width = 3.0 * np.sqrt(variances(mixture)) + (scan.sensor.reach + UNSURE * scan.pose_noise[0])
+    width = 3.0 * np.sqrt(variances(mixture)) + (scan.sensor.reach + POSE_SPREAD * scan.pose_noise[0])
     close = np.hypot(mixture.means[:, 0] - x, mixture.means[:, 1] - y) <= width
     near, noise = pick(mixture, close), measured_covariances(scan, config)
     seen = scan.probability(nodes(near).reshape(-1, 2)).reshape(-1, len(SHARES))

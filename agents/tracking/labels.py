@@ -2,10 +2,10 @@
 
 Data types: a label is an integer below 2^53, so that a float64 and JSON hold it; arrays of labels are uint64. 0 means none.
 
-Rules. A detection that founds a label gives it to its births, and all copies of a particle inherit it. A label is a pure function of
-(seed, sensor, tick, detection), and older labels are smaller numbers until the tick passes 2^24 and counts anew. The particles of the
-prior and of background births have none. Such a particle takes the label of the detection from which more than the share `ADOPTED` of its
-weight comes. A detection founds no label if a living label explains at least the share `EXPLAINED` of it: its births then carry that label.
+Rules. A detection that founds a label gives it to its births, and all copies of a particle inherit it. A label is a pure function of (seed,
+sensor, tick, detection), and older labels are smaller numbers until the tick passes 2^24 and counts anew. The particles of the prior and of
+background births have none. Such a particle takes the label of the detection from which more than the share `ADOPTED_SHARE` of its weight
+comes. A detection founds no label if a living label explains at least the share `EXPLAINED_SHARE` of it: its births then carry that label.
 So births beside a living track belong to it.
 
 A label stands for one target, so estimates and labels go together one to one (`name_peaks`). Two targets that meet exchange particles,
@@ -23,14 +23,14 @@ from protocol.streams import scramble
 
 NO_LABEL = 0
 HASH_BITS, TICK_BITS = 29, 24  # of a label: a hash in the low bits, the tick plus one above; 2^24 ticks are 48 days at 4 Hz
-EXPLAINED = 0.02  # share of N(z) that the particles of one label must make up
-ADOPTED = 0.5  # share of a particle's weight
-YOUNG = 4  # ticks after which a label is no longer young
+EXPLAINED_SHARE = 0.02  # share of N(z) that the particles of one label must make up
+ADOPTED_SHARE = 0.5  # share of a particle's weight
+YOUNG_TICKS = 4  # ticks after which a label is no longer young
 # Lengths are in bins of `extraction.bin`, the scale on which targets are told apart.
-BESIDE = 5.0  # between a peak and the mean of the label that it takes although none of its particles bear it
-FAINT = 0.02  # mass below which a label is not taken so, expected targets
-ALONE = 3.0  # around an estimate without another estimate
-HERE, AROUND = 2.5, 6.0  # around an estimate: its particles are nearer than the first, those around it nearer than the second
+ADOPTION_RADIUS = 5.0  # between a peak and the mean of the label that it takes although none of its particles bear it
+FAINT_MASS = 0.02  # mass below which a label is not taken so, expected targets
+ALONE_RADIUS = 3.0  # around an estimate without another estimate
+INNER_RADIUS, OUTER_RADIUS = 2.5, 6.0  # around an estimate: its particles are nearer than the first, those around it nearer than the second
 STRANGER_MASS = 0.5  # that a label must have around an estimate to be a stranger there, expected targets
 
 
@@ -71,12 +71,12 @@ def heaviest(labels: np.ndarray, weights: np.ndarray) -> tuple[int, float]:
 
 
 def middles(particles: Particles) -> dict[int, tuple[float, float]]:
-    """The mean position in m of the particles of each label that has a mass of at least `FAINT`."""
+    """The mean position in m of the particles of each label that has a mass of at least `FAINT_MASS`."""
     known, places = np.unique(particles.labels, return_inverse=True)
     masses, east, north = (
         np.bincount(places, particles.weights * factors, len(known)) for factors in (1.0, particles.states[:, 0], particles.states[:, 1])
     )
-    rows = np.flatnonzero((masses >= FAINT) & (known != NO_LABEL))
+    rows = np.flatnonzero((masses >= FAINT_MASS) & (known != NO_LABEL))
     return {int(known[row]): (float(east[row] / masses[row]), float(north[row] / masses[row])) for row in rows}
 
 
@@ -89,7 +89,7 @@ def given_labels(labels: np.ndarray, terms: np.ndarray, norms: np.ndarray, found
     for number in range(len(norms)):
         rows = np.flatnonzero(terms[:, number])
         label, weight = heaviest(labels[rows], terms[rows, number])
-        if label != NO_LABEL and weight >= EXPLAINED * norms[number]:
+        if label != NO_LABEL and weight >= EXPLAINED_SHARE * norms[number]:
             given[number] = label
     return given
 
@@ -101,9 +101,9 @@ def name_peaks(
 
     `places` (M, 2) are the peaks and `known` the `middles` of the labels around, m; bins have the side `size` m. The pair of a peak and a
     label with the largest weight comes first, then the next of the peaks and labels that are left; of equals the older label, then the
-    first peak. A peak that is left then takes the nearest label without a peak within `BESIDE`. So does a peak whose label is young, if
-    the other label is older: most peaks of young labels are clutter beside a target that was missed. A peak that is still left takes a
-    label derived from its heaviest one, and a peak without any label has none.
+    first peak. A peak that is left then takes the nearest label without a peak within `ADOPTION_RADIUS`. So does a peak whose label is
+    young, if the other label is older: most peaks of young labels are clutter beside a target that was missed. A peak that is still left
+    takes a label derived from its heaviest one, and a peak without any label has none.
     """
     given, taken = [NO_LABEL] * len(peaks), {NO_LABEL}
     for _, label, number in sorted((-weight, label, number) for number, peak in enumerate(peaks) for label, weight in peak.items()):
@@ -113,7 +113,7 @@ def name_peaks(
     free = {label: middle for label, middle in sorted(known.items()) if label not in taken}
     for number, place in enumerate(places):
         if given[number] == NO_LABEL or is_young(given[number], tick):
-            label = _beside(place, free, BESIDE * size)
+            label = _beside(place, free, ADOPTION_RADIUS * size)
             if label != NO_LABEL and (given[number] == NO_LABEL or label < given[number]):
                 given[number] = label
                 del free[label]
@@ -130,8 +130,8 @@ def name_peaks(
 
 
 def is_young(label: int, tick: int) -> bool:
-    """Whether a label was founded at most `YOUNG` ticks before a tick."""
-    return (tick + 1 - (label >> HASH_BITS)) % (1 << TICK_BITS) <= YOUNG
+    """Whether a label was founded at most `YOUNG_TICKS` ticks before a tick."""
+    return (tick + 1 - (label >> HASH_BITS)) % (1 << TICK_BITS) <= YOUNG_TICKS
 
 
 def _beside(place: np.ndarray, free: dict[int, tuple[float, float]], reach: float) -> int:
@@ -160,7 +160,7 @@ def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places:
     weights[:count] = np.where(owned[:count], weights[:count], predicted.weights)
     before[:count] = np.where(owned[:count], before[:count], predicted.labels)
     between, away = squared_distances(places, places), squared_distances(updated.states, places)
-    alone, inner, outer = ALONE * size, HERE * size, AROUND * size
+    alone, inner, outer = ALONE_RADIUS * size, INNER_RADIUS * size, OUTER_RADIUS * size
     np.fill_diagonal(between, np.inf)
     for number in np.flatnonzero(between.min(axis=1) > alone * alone):
         here, near = away[:, number] <= inner * inner, away[:, number] <= outer * outer

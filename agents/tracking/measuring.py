@@ -20,10 +20,10 @@ from protocol.streams import normal, scramble, uniform
 
 POSITION, RANGE_BEARING, BEARING = 0.0, 1.0, 2.0  # models of a scan, a column of the gossip table
 MODELS = {"range-bearing": RANGE_BEARING, "bearing": BEARING}  # by `Measurement.kind`
-FARTHEST = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
+LARGEST_DEVIATION = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 TINY = 1e-12
-EXACT = (0.0, 0.0)  # the noise of a pose that is exact
-UNSURE = math.sqrt(3.0)  # deviations of `likely_poses`
+EXACT_POSE = (0.0, 0.0)  # the noise of a pose that is exact
+POSE_SPREAD = math.sqrt(3.0)  # deviations of `likely_poses`
 
 
 class Noise(NamedTuple):
@@ -53,9 +53,9 @@ def likely_poses(pose: tuple[float, float, float], pose_noise: tuple[float, floa
 
     They lie sqrt(3) standard deviations away on each axis and to each side: the third-degree cubature of Arasaratnam and Haykin (2009).
     """
-    if pose_noise == EXACT:
+    if pose_noise == EXACT_POSE:
         return [pose]
-    (x, y, heading), away, turned = pose, UNSURE * pose_noise[0], UNSURE * pose_noise[1]
+    (x, y, heading), away, turned = pose, POSE_SPREAD * pose_noise[0], POSE_SPREAD * pose_noise[1]
     sides = [(x + away, y, heading), (x - away, y, heading), (x, y + away, heading), (x, y - away, heading)]
     return [*sides, (x, y, heading + turned), (x, y, heading - turned)]
 
@@ -124,5 +124,5 @@ def spread_of(model: float, ranges: float, radius: float, noise: Noise) -> float
     if model == BEARING:
         return 2.0 * radius
     if model == RANGE_BEARING:
-        return FARTHEST * math.sqrt(noise.along) + 2.0 * (ranges + FARTHEST * math.sqrt(noise.along))
-    return 2.0 * FARTHEST * math.sqrt(noise.along + noise.across + noise.bearing * ranges * ranges)
+        return LARGEST_DEVIATION * math.sqrt(noise.along) + 2.0 * (ranges + LARGEST_DEVIATION * math.sqrt(noise.along))
+    return 2.0 * LARGEST_DEVIATION * math.sqrt(noise.along + noise.across + noise.bearing * ranges * ranges)

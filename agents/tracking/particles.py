@@ -20,8 +20,8 @@ class Particles(NamedTuple):
     labels: np.ndarray  # 0: none
 
 
-NONE = Particles(np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.uint64), np.empty(0, dtype=np.uint64))
-WIRE = np.float32  # the precision of states on the wire
+NO_PARTICLES = Particles(np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.uint64), np.empty(0, dtype=np.uint64))
+WIRE_TYPE = np.float32  # the precision of states on the wire
 
 
 def unlabelled(states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> Particles:
@@ -32,7 +32,7 @@ def unlabelled(states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> Part
 def join(parts: list[Particles]) -> Particles:
     """All particles of several sets, in order."""
     if not parts:
-        return NONE
+        return NO_PARTICLES
     return Particles(
         np.concatenate([part.states for part in parts]),
         np.concatenate([part.weights for part in parts]),

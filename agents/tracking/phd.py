@@ -14,9 +14,9 @@ import numpy as np
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, birth_density, founded_labels, measurement_births, survival_probability
 from agents.tracking.extraction import block_sums
-from agents.tracking.labels import ADOPTED, NO_LABEL, given_labels
+from agents.tracking.labels import ADOPTED_SHARE, NO_LABEL, given_labels
 from agents.tracking.measuring import densities, kernel_variance, model_of, noise_of
-from agents.tracking.particles import NONE, WIRE, Particles, canonical, column_sums, join, squared_distances
+from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, join, squared_distances
 from protocol.sensing import measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble
@@ -152,7 +152,7 @@ def _labels_after(
     after, given = labels.copy(), given_labels(labels, terms, norms, founded)
     for number in range(len(norms)):
         rows = np.flatnonzero(terms[:, number])
-        after[rows[(labels[rows] == NO_LABEL) & (terms[rows, number] / norms[number] > ADOPTED * weights[rows])]] = given[number]
+        after[rows[(labels[rows] == NO_LABEL) & (terms[rows, number] / norms[number] > ADOPTED_SHARE * weights[rows])]] = given[number]
     return after, given
 
 
@@ -206,7 +206,7 @@ def resample(particles: Particles, owner: str, tick: int, seed: int, settings: F
     sums = np.add.accumulate(particles.weights)
     mass = float(sums[-1]) if len(sums) else 0.0
     if mass <= 0.0:
-        return NONE
+        return NO_PARTICLES
     count = sample_size(mass, settings)
     marks = (np.arange(count) + sample_offset(seed, owner, tick)) * (mass / count)
     parents = np.minimum(np.searchsorted(sums, marks, side="right"), len(sums) - 1)
@@ -214,5 +214,5 @@ def resample(particles: Particles, owner: str, tick: int, seed: int, settings: F
     ids = particles.ids[parents]
     again = repeats > 0
     ids[again] = scramble(ids[again] + repeats[again].astype(np.uint64), key(seed, "split", tick))
-    states = particles.states[parents].astype(WIRE).astype(float)
+    states = particles.states[parents].astype(WIRE_TYPE).astype(float)
     return canonical(Particles(states, np.full(count, mass / count), ids, particles.labels[parents]))

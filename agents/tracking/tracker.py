@@ -36,7 +36,7 @@ class Diagram(NamedTuple):
     """The knowledge of an agent about the diagram that its cell was cut from."""
 
     hash: int  # agents with equal hashes cut the same diagram
-    everyone: frozenset[str]  # the agents with a generator in it
+    generator_names: frozenset[str]  # the agents with a generator in it
     known_names: frozenset[str] | None  # the agents known in that round; None if the agent receives all gossips
     horizon: float  # m from its cell: it keeps no copies farther away
 
@@ -103,7 +103,7 @@ class TrackerState(Protocol):
 
     stamp: int  # the tick of its last round, or of the last prediction
     mine: Any  # the owned state, stated in the next gossip: owner, claim and hash of the diagram, and what the tracker says of its targets
-    everyone: frozenset[str]  # see `Diagram`
+    generator_names: frozenset[str]  # see `Diagram`
     known_names: frozenset[str] | None  # see `Diagram`
 
     @property
@@ -113,7 +113,7 @@ class TrackerState(Protocol):
 
 def unknown_senders(belief: TrackerState, table: GossipTable) -> frozenset[str]:
     """The senders in a table that the agent did not know in its last round: they have cut other diagrams, whatever hash they state."""
-    return frozenset() if belief.known_names is None else table.everyone - belief.known_names - {belief.mine.owner}
+    return frozenset() if belief.known_names is None else table.name_set - belief.known_names - {belief.mine.owner}
 
 
 def claims_tile_arena(belief: TrackerState, table: GossipTable) -> bool:
@@ -122,7 +122,7 @@ def claims_tile_arena(belief: TrackerState, table: GossipTable) -> bool:
     All newcomers share the hash of an empty diagram, 0. It claims nothing, so that their copies count.
     """
     agreed = belief.mine.diagram_hash != 0 and table.claimed == (belief.claim_tick, belief.mine.diagram_hash)
-    return agreed and bool(belief.everyone) and belief.everyone <= table.everyone and not unknown_senders(belief, table)
+    return agreed and bool(belief.generator_names) and belief.generator_names <= table.name_set and not unknown_senders(belief, table)
 
 
 B = TypeVar("B", bound=TrackerState)

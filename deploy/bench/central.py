@@ -16,7 +16,7 @@ from agents.gossip.table import AnnouncedSensor, GossipTable, announced_sensor
 from agents.tracking import phd
 from agents.tracking.births import prior
 from agents.tracking.claims import NO_CLAIM, Claim
-from agents.tracking.particles import NONE, Particles, join
+from agents.tracking.particles import NO_PARTICLES, Particles, join
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config, world_config
@@ -78,7 +78,7 @@ class Central:
             commands[member.name] = self._command(member, cell, own)
             owned.append(_drawn(own, member.name, step))
             self._unused[index] = self._capacity(member, updated, words.table[index])
-        self._particles = join(owned) if owned else NONE
+        self._particles = join(owned) if owned else NO_PARTICLES
         settings = scenario.extraction
         estimates = extraction_kernels.estimate_tracks(
             updated.states,
@@ -143,9 +143,9 @@ class Central:
 
 
 def _claim(cell: Cell, points: np.ndarray, radii: np.ndarray) -> Claim:
-    bounds = np.array(cell.bounds, dtype=int)
+    bounds = np.array(cell.bounding, dtype=int)
     generators = np.column_stack([points[bounds], radii[bounds]])
-    return Claim(tuple(map(str, cell.bounds)), generators, bounds < bounds[0] if len(bounds) else np.empty(0, dtype=bool))
+    return Claim(tuple(map(str, cell.bounding)), generators, bounds < bounds[0] if len(bounds) else np.empty(0, dtype=bool))
 
 
 def _drawn(own: Particles, owner: str, step: Step) -> Particles:
@@ -153,7 +153,7 @@ def _drawn(own: Particles, owner: str, step: Step) -> Particles:
     filters, tick = step.config.filter, step.tick
     mass = particle_kernels.first_moments(own.states, own.weights)[0]
     if mass <= 0.0:
-        return NONE
+        return NO_PARTICLES
     count, salt = phd.sample_size(mass, filters), np.uint64(key(filters.seed, "split", tick))
     states, ids, labels = particle_kernels.resample(*own, mass, count, phd.sample_offset(filters.seed, owner, tick), salt)  # type: ignore[arg-type]
     return Particles(states, np.full(len(ids), mass / count), ids, labels)

@@ -17,7 +17,7 @@ from agents.round import AgentContext, Replay, RoundResult
 from agents.tracking.belief import Belief, Copies
 from agents.tracking.claims import make_claim
 from agents.tracking.extraction import Tracks
-from agents.tracking.particles import NONE, unlabelled
+from agents.tracking.particles import NO_PARTICLES, unlabelled
 from agents.tracking.tracker import OwnedState
 from deploy import __main__ as command_line
 from deploy.installation import command
@@ -62,7 +62,7 @@ def play(
     side = math.sqrt(config.arena.width * config.arena.height / everybody)
     angle = TURN_RATE * mine.tick * config.run.dt
     return RoundResult(
-        belief=Belief(mine.tick, share, Copies(NONE), frozenset((*heard, me.name))),
+        belief=Belief(mine.tick, share, Copies(NO_PARTICLES), frozenset((*heard, me.name))),
         unused=last.unused,
         mass=1.0,
         cell=rectangle(side, side) + mine.cod - 0.5 * side,

@@ -21,7 +21,7 @@ from agents.tracking.claims import NO_CLAIM, Claim, owned
 from agents.tracking.extraction import estimate_tracks
 from agents.tracking.gaussians import Mixture, chain, in_order
 from agents.tracking.labels import renamed
-from agents.tracking.particles import NONE, Particles, canonical, join, select
+from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, select
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
@@ -132,5 +132,5 @@ def mixture_difference(one: Mixture, other: Mixture) -> float:
 def united(owned: Mapping[str, Particles]) -> Particles:
     """Everything that the agents own, in ascending order of id; an id that two of them own occurs twice."""
     parts = [owned[name] for name in sorted(owned, key=order)]
-    everything = join(parts) if parts else NONE
+    everything = join(parts) if parts else NO_PARTICLES
     return select(everything, np.argsort(everything.ids, kind="stable"))

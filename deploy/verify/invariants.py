@@ -210,7 +210,10 @@ class InvariantChecker:
         hashes = {estimate.diagram_hash for estimate in estimates.values()}
         need(len(hashes) == 1, f"tick {tick}: {len(hashes)} different diagrams though healed")
         for agent in self._simulation.agents.values():
-            need(agent.outcome.belief.everyone == alive, f"{agent.name} believes that {sorted(agent.outcome.belief.everyone)} are alive")
+            need(
+                agent.outcome.belief.generator_names == alive,
+                f"{agent.name} believes that {sorted(agent.outcome.belief.generator_names)} are alive",
+            )
         if self._is_ledger and self._first_mass:
             kept = math.fsum(estimate.mass for estimate in estimates.values()) / self._first_mass
             need(abs(kept - 1.0) <= self._mass_kept, f"tick {tick}: {kept:.4f} of the mass though healed")
@@ -305,7 +308,7 @@ def check_diagram(agent: Agent, since: int) -> None:
         if last is None or last.incarnation != peer.incarnation or last.listening or not peer.token or peer.left_at is not None:
             continue
         need(
-            last.tick < since or name in belief.everyone,
+            last.tick < since or name in belief.generator_names,
             f"{agent.name}: {name} is alive, was heard at {last.tick}, no generator at {belief.stamp}",
         )
 

@@ -8,7 +8,7 @@ from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import GossipTable, received_particles
 from agents.tracking.belief import MOST_COPIES, Belief, Copies, CopyInputs, ParticlePhd, owned_by_sender, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
-from agents.tracking.particles import NONE, Particles, canonical, join, unlabelled
+from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, unlabelled
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import OwnedState
@@ -83,7 +83,7 @@ def test_copies_stand_in_for_an_owner_that_is_silent() -> None:
 
 
 def test_a_particle_that_two_hold_counts_once() -> None:
-    belief = Belief(4, owned_state("s1", particles((1, 20.0, 0.1))), Copies(NONE), frozenset({"s1", "s2"}))
+    belief = Belief(4, owned_state("s1", particles((1, 20.0, 0.1))), Copies(NO_PARTICLES), frozenset({"s1", "s2"}))
     assert merged(belief, [owned_state("s2", particles((1, 20.0, 0.1), (4, 60.0, 0.1)))]) == [1, 4]
 
 
@@ -93,14 +93,16 @@ def test_where_views_differ_both_count_near_the_border_and_deeper_the_nearer_own
     mine = owned_state(
         "s1", particles((1, 49.0, 0.1), (2, 52.0, 0.1), (3, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s2": (90.0, 50.0, 0.0)}, diagram_hash=1
     )
-    belief = Belief(4, mine, Copies(NONE), frozenset({"s1", "s2"}))
+    belief = Belief(4, mine, Copies(NO_PARTICLES), frozenset({"s1", "s2"}))
     assert merged(belief, [owned_state("s2", particles((4, 59.0, 0.1)), diagram_hash=2)]) == [1, 2, 4]
 
 
 def test_in_a_hole_between_claims_the_copies_live_on() -> None:
     """s2 saw s1 farther east and claims from 60 m on; s1 claims up to 50 m; a copy at 55 m is nobody's and stays."""
-    theirs = owned_state("s2", NONE, {"s1": (50.0, 50.0, 0.0), "s2": (70.0, 50.0, 0.0)}, diagram_hash=2)
-    belief = Belief(4, owned_state("s1", NONE, diagram_hash=1), Copies(particles((5, 55.0, 0.1), (6, 65.0, 0.1))), frozenset({"s1", "s2"}))
+    theirs = owned_state("s2", NO_PARTICLES, {"s1": (50.0, 50.0, 0.0), "s2": (70.0, 50.0, 0.0)}, diagram_hash=2)
+    belief = Belief(
+        4, owned_state("s1", NO_PARTICLES, diagram_hash=1), Copies(particles((5, 55.0, 0.1), (6, 65.0, 0.1))), frozenset({"s1", "s2"})
+    )
     assert merged(belief, [theirs]) == [5]
 
 
@@ -174,7 +176,7 @@ def test_a_sleeper_replays_the_motion_that_it_missed_and_claims_nothing() -> Non
 
 
 def test_who_missed_nothing_is_not_woken() -> None:
-    belief = Belief(4, owned_state("s1", NONE), Copies(NONE), frozenset({"s1"}))
+    belief = Belief(4, owned_state("s1", NO_PARTICLES), Copies(NO_PARTICLES), frozenset({"s1"}))
     assert TRACKER.catch_up(belief, Step(CONFIG, 5)) is belief
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agents.config import AgentConfig, BirthSettings, FilterSettings
 from agents.tracking.births import Scan, background_births, birth_density, measurement_births, prior
-from agents.tracking.particles import NONE, Particles, unlabelled
+from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.step import Step
 from protocol.compact import DIRECTIONS
 from protocol.sensing import WedgeSensor
@@ -130,13 +130,13 @@ def test_what_explains_a_detection_is_no_target_without_particles() -> None:
 )
 def test_the_least_birth_density_follows_the_clutter_within_limits(clutter_density: float, least: float) -> None:
     quiet = scan([(50.0, 30.0)])._replace(clutter_density=clutter_density)
-    assert birth_density(NONE, quiet, np.zeros(1), BIRTH) == pytest.approx([least], rel=1e-12)
+    assert birth_density(NO_PARTICLES, quiet, np.zeros(1), BIRTH) == pytest.approx([least], rel=1e-12)
 
 
 def test_birth_densities_without_particles_detections_or_births() -> None:
-    assert birth_density(NONE, scan([(50.0, 30.0)]), np.zeros(1), BIRTH).tolist() == [0.25 * 3e-4]
-    assert birth_density(NONE, scan([]), np.zeros(0), BIRTH).shape == (0,)
-    assert birth_density(NONE, scan([(50.0, 30.0)]), np.zeros(1), BirthSettings(measurement=False)).tolist() == [0.0]
+    assert birth_density(NO_PARTICLES, scan([(50.0, 30.0)]), np.zeros(1), BIRTH).tolist() == [0.25 * 3e-4]
+    assert birth_density(NO_PARTICLES, scan([]), np.zeros(0), BIRTH).shape == (0,)
+    assert birth_density(NO_PARTICLES, scan([(50.0, 30.0)]), np.zeros(1), BirthSettings(measurement=False)).tolist() == [0.0]
 
 
 def test_directions_are_unit_vectors_all_around() -> None:

@@ -74,8 +74,8 @@ def test_every_place_belongs_to_one_claim_alone_that_of_the_least_power_distance
     holders = np.zeros((len(points), len(places)), dtype=bool)
     for index in range(len(points)):
         cell = cut(index, points, radii, ARENA)
-        if cell.bounds:
-            chosen = list(cell.bounds)
+        if cell.bounding:
+            chosen = list(cell.bounding)
             names = tuple(str(number) for number in chosen)
             claim = make_claim(names, np.column_stack([points, radii])[chosen])
             holders[index] = owned(places, claim, ARENA_SETTINGS)
@@ -128,7 +128,7 @@ def test_two_generators_by_hand() -> None:
 def test_a_generator_inside_a_much_heavier_one_has_no_cell() -> None:
     points = np.array([[20.0, 20.0], [21.0, 20.0]])
     cell = cut(1, points, np.array([30.0, 1.0]), ARENA)
-    assert cell.polygon.shape == (0, 2) and cell.bounds == ()
+    assert cell.polygon.shape == (0, 2) and cell.bounding == ()
 
 
 def test_a_cell_need_not_hold_its_own_generator() -> None:
@@ -152,8 +152,8 @@ def test_a_generator_outside_the_arena_may_own_a_part_of_it_or_nothing() -> None
 
 def test_bounds_name_the_neighbours_alone_and_the_own_generator_first() -> None:
     points = np.array([[5.0, 20.0], [15.0, 20.0], [25.0, 20.0], [35.0, 20.0]])
-    assert cut(0, points, np.zeros(4), ARENA).bounds == (0, 1)
-    assert sorted(cut(1, points, np.zeros(4), ARENA).bounds) == [0, 1, 2]
+    assert cut(0, points, np.zeros(4), ARENA).bounding == (0, 1)
+    assert sorted(cut(1, points, np.zeros(4), ARENA).bounding) == [0, 1, 2]
 
 
 def test_depth_is_the_distance_to_the_nearest_bisector() -> None:

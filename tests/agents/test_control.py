@@ -20,7 +20,7 @@ from agents.coverage.control import (
     approach,
 )
 from agents.coverage.laws import CONTROL_LAWS, control_law
-from agents.tracking.particles import NONE
+from agents.tracking.particles import NO_PARTICLES
 from protocol.geometry import EMPTY, rectangle, wrap_angle
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import BadSetting, LimitSettings
@@ -49,7 +49,7 @@ def situation(
         driven=driven or cod,
         cell=cell,
         centroid=centroid,
-        particles=NONE,
+        particles=NO_PARTICLES,
         sensor=SENSOR_CLASSES["C"],
         limits=LimitSettings(),
         heading=heading,

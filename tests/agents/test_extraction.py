@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from agents.config import ExtractionSettings
 from agents.tracking.extraction import estimate_tracks
-from agents.tracking.particles import NONE, Particles, unlabelled
+from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -28,7 +28,7 @@ def particles(*rows: np.ndarray) -> Particles:
 
 
 def test_no_particles_no_targets() -> None:
-    assert estimate_tracks(NONE).positions.shape == (0, 2)
+    assert estimate_tracks(NO_PARTICLES).positions.shape == (0, 2)
 
 
 def test_a_target_of_mass_one_is_found_at_its_mean() -> None:

@@ -17,7 +17,7 @@ from agents.interest.selection import Ground
 from agents.interest.tiles import Bounds
 from agents.tracking.claims import end_to_end, make_claim, owned
 from agents.tracking.extraction import NO_TRACKS, estimate_tracks
-from agents.tracking.particles import NONE, Particles, join, select
+from agents.tracking.particles import NO_PARTICLES, Particles, join, select
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol.fields import pack, pack_labels
@@ -179,7 +179,7 @@ def test_copies_after_a_round_and_what_counts_of_them(seed: int, count: int, num
     rng = np.random.default_rng(seed)
     points, radii = diagram(rng, count)
     cell = cut(0, points, radii, BOX)
-    names = cell.bounds
+    names = cell.bounding
     claim = make_claim(tuple(map(str, names)), np.column_stack([points, radii])[list(names)])
     near, told = cloud(rng, number), cloud(rng, int(rng.integers(0, 60)))
     mixed = join([told, select(near, rng.random(number) < 0.5)])
@@ -187,7 +187,7 @@ def test_copies_after_a_round_and_what_counts_of_them(seed: int, count: int, num
         for polygon in (cell.polygon, EMPTY):
             assert_same("remote_copies", near, mixed, polygon, claim, horizon, step(border=border))
     assert_same("merge", mixed, rng.random(len(mixed.ids)) < 0.8, near, rng.random(number) < 0.3)
-    assert_same("merge", NONE, np.empty(0, dtype=bool), near, np.zeros(number, dtype=bool))
+    assert_same("merge", NO_PARTICLES, np.empty(0, dtype=bool), near, np.zeros(number, dtype=bool))
 
 
 @given(seeds, st.integers(0, 300), st.sampled_from(["hashes", "few", "numbers", "ends"]))
@@ -264,7 +264,7 @@ def regions_of(rng: np.random.Generator, table: GossipTable, owners: int) -> lis
     generators, found = np.column_stack([points, radii]), []
     for place in rng.permutation(len(table.names))[:owners].tolist():
         cell = cut(place % len(radii), points, radii, BOX) if rng.random() < 0.9 else NO_CELL
-        claim = make_claim(tuple(map(str, cell.bounds)), generators[list(cell.bounds)])
+        claim = make_claim(tuple(map(str, cell.bounding)), generators[list(cell.bounding)])
         gossip = table.gossips[place]
         found.append(RegionInput(gossip.sender, place, table.sensors[place].sensor, gossip.pose, cell.polygon, claim))
     return found
@@ -323,10 +323,10 @@ def test_regions_that_only_wedges_look_at_are_computed_by_the_compiled_loops_in_
     generators = np.array([[5.0, 20.0, 0.0], [30.0, 20.0, 0.0], [38.0, 20.0, 0.0]])
     regions = []
     for place, cell in enumerate(cells_of(generators)):
-        bounds = list(cell.bounds)
+        bounds = list(cell.bounding)
         claim = make_claim(tuple(map(str, bounds)), generators[bounds])
         regions.append(RegionInput(f"s{place}", place, table.sensors[place].sensor, said[place].pose, cell.polygon, claim))
-    assert_same("update_regions", table, cloud(np.random.default_rng(1), 100), NONE, regions, step())
+    assert_same("update_regions", table, cloud(np.random.default_rng(1), 100), NO_PARTICLES, regions, step())
     assert len(calls) == 1
 
 
@@ -344,9 +344,9 @@ def test_nothing_at_all() -> None:
     nobody = table_of([])
     for polygon in (BOX, EMPTY):
         region = RegionInput("s1", 0, SENSOR_CLASSES["A"], (0.0, 0.0, 0.0), polygon, make_claim((), np.empty((0, 3))))
-        assert_same("update_regions", nobody, NONE, NONE, [region], step())
-    assert_same("update_regions", nobody, NONE, NONE, [], step())
-    assert_same("merge", NONE, np.empty(0, dtype=bool), NONE, np.empty(0, dtype=bool))
+        assert_same("update_regions", nobody, NO_PARTICLES, NO_PARTICLES, [region], step())
+    assert_same("update_regions", nobody, NO_PARTICLES, NO_PARTICLES, [], step())
+    assert_same("merge", NO_PARTICLES, np.empty(0, dtype=bool), NO_PARTICLES, np.empty(0, dtype=bool))
 
 
 @given(seeds, st.integers(0, 90))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.coverage.cells import power_cell
-from agents.interest.selection import MARGIN, Ground, owners, select_peers
+from agents.interest.selection import SELECTION_MARGIN, Ground, owners, select_peers
 from agents.interest.tiles import Bounds, Rectangle
 from protocol.geometry import EMPTY, distances, rectangle
 
@@ -37,7 +37,7 @@ def test_a_row_of_sensors_hears_its_own_surroundings() -> None:
     cell = power_cell(2, generators[:, :2], generators[:, 2], ARENA)
     places = np.column_stack([generators[order[:-1], :2], np.full(9, 5.0)])
     heard = select_peers(cell, (50.0, 100.0), 5.0, 6.0, table(places, generators[order]), GROUND).chosen
-    needed = [abs(middles[index] - 50.0) - 20.0 <= 6.0 + MARGIN for index in order[:-1]]
+    needed = [abs(middles[index] - 50.0) - 20.0 <= 6.0 + SELECTION_MARGIN for index in order[:-1]]
     assert [bool(asked) or not must for asked, must in zip(heard, needed)] == [True] * 9
     assert not heard[-1] and not heard[-2]
 
@@ -87,10 +87,12 @@ def test_nobody_from_outside_the_needed_ground_can_own_or_see_what_matters() -> 
 
 
 def _matters(stranger: list[float], generators: np.ndarray, cell: np.ndarray, eye: tuple[float, float]) -> bool:
-    """Whether a generator owns a point of a fine grid within the halo of a cell, or in the footprint, `MARGIN` m wider."""
+    """Whether a generator owns a point of a fine grid within the halo of a cell, or in the footprint, `SELECTION_MARGIN` m wider."""
     axis = np.arange(0.0, 200.0, 1.0)
     points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    near = (distances(cell, points) <= 6.0 + MARGIN) | (np.hypot(points[:, 0] - eye[0], points[:, 1] - eye[1]) <= 8.0 + MARGIN)
+    near = (distances(cell, points) <= 6.0 + SELECTION_MARGIN) | (
+        np.hypot(points[:, 0] - eye[0], points[:, 1] - eye[1]) <= 8.0 + SELECTION_MARGIN
+    )
     points = points[near]
 
     def power(generator: np.ndarray) -> np.ndarray:

@@ -5,9 +5,17 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
-from agents.interest.manager import BUSY, FORGOTTEN, LINGER, LONGEST, SETTLE, UNHEARD, InterestManager
+from agents.interest.manager import (
+    ANSWER_SECONDS,
+    DELAY_FACTOR,
+    FORGET_PERIODS,
+    LINGER_SECONDS,
+    LONGEST_WAIT,
+    REPEATED_QUESTIONS,
+    InterestManager,
+)
 from agents.interest.position_table import SENSOR_X, beacon_row
-from agents.interest.selection import BEACON_PERIOD, JUMP
+from agents.interest.selection import BEACON_JUMP, BEACON_PERIOD
 from agents.interest.tiles import Rectangle
 from agents.membership.peer_table import PeerTable
 from protocol.geometry import rectangle
@@ -91,37 +99,39 @@ def test_an_announced_sensor_counts_though_its_beacon_says_nothing_of_others() -
 def test_who_goes_and_comes_back_is_listened_to_all_the_while() -> None:
     watcher = lookout()
     assert look(watcher, 0, 30.0) == [Subscribe(GOSSIP), Subscribe(TOKEN)]
-    assert [look(watcher, 1 + tick, 190.0) for tick in range(int(LINGER) - 1)] == [[]] * (int(LINGER) - 1)
-    assert look(watcher, int(LINGER), 30.0) == []
+    assert [look(watcher, 1 + tick, 190.0) for tick in range(int(LINGER_SECONDS) - 1)] == [[]] * (int(LINGER_SECONDS) - 1)
+    assert look(watcher, int(LINGER_SECONDS), 30.0) == []
 
 
 def test_who_stays_away_is_dropped_and_its_token_when_it_is_forgotten() -> None:
     watcher = lookout()
     look(watcher, 0, 30.0)
     said = [look(watcher, tick, 190.0) for tick in range(1, 10)]
-    assert said[int(LINGER) - 1] == [Unsubscribe(GOSSIP)] and sum(map(len, said)) == 1
+    assert said[int(LINGER_SECONDS) - 1] == [Unsubscribe(GOSSIP)] and sum(map(len, said)) == 1
     assert look(watcher, 10, 30.0) == [Subscribe(GOSSIP)]
-    silent = 11 + int(FORGOTTEN * BEACON_PERIOD)
+    silent = 11 + int(FORGET_PERIODS * BEACON_PERIOD)
     watcher.take_beacon(beacon("s3", silent, 60.0))
     assert about_s2(watcher.reselect(HOME, beacon("s1", silent, 10.0), silent)) == [Unsubscribe(GOSSIP), Unsubscribe(TOKEN)]
 
 
-@pytest.mark.parametrize(("late", "pause"), [(0.0, SETTLE), (0.02, SETTLE), (0.3, BUSY * 0.3), (60.0, LONGEST)])
+@pytest.mark.parametrize(
+    ("late", "pause"), [(0.0, ANSWER_SECONDS), (0.02, ANSWER_SECONDS), (0.3, DELAY_FACTOR * 0.3), (60.0, LONGEST_WAIT)]
+)
 def test_who_is_called_late_gives_the_others_more_time_for_their_answers(late: float, pause: float) -> None:
     watcher = lookout()
-    assert watcher.due == SETTLE
-    watcher.on_timer(SEEN, Agent(CONFIG, "s1").outcome, SETTLE + late)
-    assert watcher.due == pytest.approx(SETTLE + late + pause)
+    assert watcher.due == ANSWER_SECONDS
+    watcher.on_timer(SEEN, Agent(CONFIG, "s1").outcome, ANSWER_SECONDS + late)
+    assert watcher.due == pytest.approx(ANSWER_SECONDS + late + pause)
 
 
 def test_who_hears_nobody_asks_again_nearby_before_it_looks_farther() -> None:
     watcher, outcome = lookout(), Agent(CONFIG, "s1").outcome
     said: list[list[Effect]] = []
-    for _ in range(UNHEARD + 1):
+    for _ in range(REPEATED_QUESTIONS + 1):
         assert watcher.due is not None
         said.append(watcher.on_timer(SEEN, outcome, watcher.due))
-    assert [[type(effect) for effect in effects] for effects in said[:UNHEARD]] == [[Beacon]] * UNHEARD
-    assert any(isinstance(effect, Subscribe) for effect in said[UNHEARD])  # the arena is larger than what it listens to
+    assert [[type(effect) for effect in effects] for effects in said[:REPEATED_QUESTIONS]] == [[Beacon]] * REPEATED_QUESTIONS
+    assert any(isinstance(effect, Subscribe) for effect in said[REPEATED_QUESTIONS])  # the arena is larger than what it listens to
     neighbour = lookout()
     neighbour.take_beacon(beacon("s2", 0, 30.0))
     assert neighbour.due is not None
@@ -158,7 +168,7 @@ def test_a_newcomer_is_answered_who_should_have_been_heard_of_before() -> None:
     """He may not know me either, unless he has just entered the ground that I know."""
     watcher, now = settled(), 3 * int(BEACON_PERIOD)
     edge = max(box.east for box in [watcher.known] if box is not None)
-    for name, x, answered in (("s4", 20.0, True), ("s5", edge - JUMP - 0.5, False), ("s6", edge + 1.0, False), ("s4", 21.0, False)):
+    for name, x, answered in (("s4", 20.0, True), ("s5", edge - BEACON_JUMP - 0.5, False), ("s6", edge + 1.0, False), ("s4", 21.0, False)):
         assert watcher.take_beacon(beacon(name, now, x)) == answered
     assert watcher.take_beacon(msgspec.structs.replace(beacon("s7", now, edge + 1.0), asks=True))
 

@@ -14,7 +14,7 @@ from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_tracks
 from agents.tracking.labels import birth_labels, derived_label, heaviest, middles, name_peaks, renamed
-from agents.tracking.particles import NONE, Particles, join
+from agents.tracking.particles import NO_PARTICLES, Particles, join
 from agents.tracking.phd import correct, resample
 from deploy.scoring.tracks import UniqueLabels
 from protocol.codec import decode, encode
@@ -44,7 +44,7 @@ def seen(particles: Particles, *detections: tuple[float, float], tick: int = 5) 
 
 
 def test_a_detection_of_nothing_known_founds_a_label_and_its_births_bear_it() -> None:
-    born = seen(NONE, (10.0, 10.0), (10.0, 10.5))
+    born = seen(NO_PARTICLES, (10.0, 10.0), (10.0, 10.5))
     labels = np.unique(born.labels)
     assert len(labels) == 2 and 0 not in labels and labels.max() < 2**53
     scan = Scan(77, EYE, (7.0, 10.0, 0.0), np.zeros((2, 2)), np.arange(2, dtype=np.uint64), 1e-3)
@@ -130,10 +130,10 @@ def test_a_peak_whose_label_was_founded_within_4_ticks_takes_an_older_one_beside
 
 def test_the_middle_of_a_label_is_the_mean_of_its_particles_and_a_faint_label_has_none() -> None:
     two = join([cloud(4.0, 5.0, 0.6, 5), cloud(8.0, 5.0, 0.2, 5, first=100), cloud(9.0, 9.0, 0.019, 7), cloud(3.0, 3.0, 0.5, 0)])
-    assert list(middles(two)) == [5] and middles(two)[5] == pytest.approx((5.0, 5.0), abs=0.01) and not middles(NONE)
+    assert list(middles(two)) == [5] and middles(two)[5] == pytest.approx((5.0, 5.0), abs=0.01) and not middles(NO_PARTICLES)
 
 
-def after(*clouds: Particles, estimates: list[tuple[float, float]], outside: Particles = NONE, size: float = 1.0) -> list[int]:
+def after(*clouds: Particles, estimates: list[tuple[float, float]], outside: Particles = NO_PARTICLES, size: float = 1.0) -> list[int]:
     """The label of each cloud of 50 particles in a cell after renaming; those `outside` lie in another cell."""
     everything = join([outside, *clouds])
     labels = renamed(everything, np.arange(len(everything.ids)) >= len(outside.ids), outside, np.array(estimates).reshape(-1, 2), size)

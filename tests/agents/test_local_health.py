@@ -59,7 +59,7 @@ def test_tokens_that_all_vanish_are_deaths_unless_the_agent_was_late(asleep: flo
     for name in names:
         agent.handle(Gone("agent", name, 1), now)
     agent.handle(see(2), now)
-    assert agent.outcome.belief.everyone == generators
+    assert agent.outcome.belief.generator_names == generators
 
 
 def test_a_single_token_that_vanishes_while_the_agent_is_late_counts_after_the_next_round() -> None:
@@ -69,7 +69,7 @@ def test_a_single_token_that_vanishes_while_the_agent_is_late_counts_after_the_n
         agent.handle(see(tick), 3.6 + 0.25 * tick)
         for name in names[1:]:
             agent.handle(word(tick, name), 3.61 + 0.25 * tick)
-        assert len(agent.outcome.belief.everyone) == everyone
+        assert len(agent.outcome.belief.generator_names) == everyone
 
 
 @pytest.mark.parametrize(("now", "awaited"), [(1.0, 3), (4.0, 4)])
@@ -85,12 +85,12 @@ def test_silence_counts_only_in_rounds_in_which_the_agent_was_served() -> None:
     for tick in range(2, 40):  # an agent that is late in every round: its timer comes when the next observation is there
         agent.handle(see(tick), 5.0 * tick)
         agent.handle(Timer(), 5.0 * tick + 4.0)
-    assert "s2" in agent.outcome.belief.everyone and agent.peer_table.silence_timeouts == 0
+    assert "s2" in agent.outcome.belief.generator_names and agent.peer_table.silence_timeouts == 0
     for tick in range(40, 90):
         agent.handle(see(tick), 200.0 + 0.5 * tick)
         while (due := agent.deadline() or math.inf) < 200.5 + 0.5 * tick:
             agent.handle(Timer(), due)
-    assert "s2" not in agent.outcome.belief.everyone and agent.peer_table.silence_timeouts == 1
+    assert "s2" not in agent.outcome.belief.generator_names and agent.peer_table.silence_timeouts == 1
 
 
 def test_a_gossip_ends_the_doubt() -> None:

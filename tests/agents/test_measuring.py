@@ -11,7 +11,7 @@ from agents.config import FilterSettings
 from agents.tracking.births import Scan
 from agents.tracking.measuring import (
     BEARING,
-    EXACT,
+    EXACT_POSE,
     POSITION,
     RANGE_BEARING,
     Noise,
@@ -75,7 +75,7 @@ def test_a_team_of_positions_whose_poses_are_not_exact_walks_the_same_trajectory
 @pytest.mark.parametrize("place", [(9.0, 4.0), (3.0, 12.0), (5.0, 5.0)])
 def test_the_density_of_ranges_and_bearings_has_the_integral_one_over_the_plane(place: tuple[float, float]) -> None:
     """The mean range is that of the target, so dividing by the range of the detection is right to second order: within 1 %."""
-    noise, step = noise_of((RANGE_BEARING, 0.3, 0.03), 0.25, 0.0, EXACT), 0.02
+    noise, step = noise_of((RANGE_BEARING, 0.3, 0.03), 0.25, 0.0, EXACT_POSE), 0.02
     ticks = np.arange(-3.0, 3.0, step)
     points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2) + np.array(place)
     squared, peaks = densities(np.array([[*place, 0.0, 0.0]]), POSE, points, rays_of(points), RADIUS, noise)
@@ -83,7 +83,7 @@ def test_the_density_of_ranges_and_bearings_has_the_integral_one_over_the_plane(
 
 
 def test_the_density_of_a_bearing_has_the_integral_one_over_the_circle_in_units_of_half_the_squared_radius() -> None:
-    noise, step = noise_of((BEARING, 0.0, 0.05), 0.25, 0.0, EXACT), 1e-3
+    noise, step = noise_of((BEARING, 0.0, 0.05), 0.25, 0.0, EXACT_POSE), 1e-3
     angles = np.arange(-math.pi, math.pi, step)
     points = np.array(POSE[:2]) + 7.0 * np.column_stack([np.cos(angles), np.sin(angles)])
     squared, peaks = densities(np.array([[9.0, 5.0, 0.0, 0.0]]), POSE, points, rays_of(points), RADIUS, noise)
@@ -109,7 +109,7 @@ def test_the_likely_poses_have_the_mean_and_the_variances_of_the_pose() -> None:
     poses = np.array(likely_poses(POSE, (0.3, 0.05)))
     assert poses.mean(axis=0) == pytest.approx(POSE)
     assert np.cov(poses.T, bias=True) == pytest.approx(np.diag([0.09, 0.09, 0.0025]))
-    assert likely_poses(POSE, EXACT) == [POSE]
+    assert likely_poses(POSE, EXACT_POSE) == [POSE]
 
 
 def test_what_a_sensor_sees_from_an_unsure_pose_is_the_mean_over_its_poses() -> None:
@@ -138,7 +138,7 @@ def test_a_difference_of_bearings_counts_as_an_angle_also_across_the_west(error:
 
 @pytest.mark.parametrize("model", [RANGE_BEARING, BEARING])
 def test_births_scatter_as_the_sensor_does(model: float) -> None:
-    noise = noise_of((model, 0.3, 0.04), 0.1, 0.0, EXACT)
+    noise = noise_of((model, 0.3, 0.04), 0.1, 0.0, EXACT_POSE)
     place = np.array([[POSE[0] + 6.0, POSE[1]]])
     ids = np.arange(1, 4001, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     found = birth_places(ids, POSE, np.repeat(place, 4000, axis=0), np.repeat(rays_of(place), 4000, axis=0), RADIUS, noise)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, survival_probability
-from agents.tracking.particles import NONE, Particles, select, total, unlabelled
+from agents.tracking.particles import NO_PARTICLES, Particles, select, total, unlabelled
 from agents.tracking.phd import correct, exp_minus, likelihood_noise, predict, resample, sample_size
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import ArenaSettings
@@ -182,8 +182,8 @@ def test_particles_that_a_scan_cannot_reach_keep_their_bits() -> None:
 
 
 def test_no_particles_and_no_scans_are_cases() -> None:
-    assert len(correct_all(NONE, [scan([(20.0, 20.0)])]).weights) == 0
-    assert len(correct_all(NONE, [scan([(20.0, 20.0)])], BirthSettings()).weights) == 10
+    assert len(correct_all(NO_PARTICLES, [scan([(20.0, 20.0)])]).weights) == 0
+    assert len(correct_all(NO_PARTICLES, [scan([(20.0, 20.0)])], BirthSettings()).weights) == 10
     before = cloud(8, 5)
     assert all((ours == theirs).all() for ours, theirs in zip(correct_all(before, []), before))
 
@@ -259,7 +259,7 @@ def test_the_first_copy_keeps_its_id_and_the_owner_keeps_what_it_said() -> None:
 
 
 def test_no_mass_leaves_no_particles() -> None:
-    assert len(resample(NONE, "s1", 1, 1, FILTER).ids) == 0
+    assert len(resample(NO_PARTICLES, "s1", 1, 1, FILTER).ids) == 0
     assert len(resample(cloud(1, 5)._replace(weights=np.zeros(5)), "s1", 1, 1, FILTER).ids) == 0
 
 

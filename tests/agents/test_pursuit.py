@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from agents.config import AgentConfig, ControlSettings
 from agents.coverage.control import STAND, Situation
 from agents.coverage.laws import control_law
-from agents.coverage.pursuit import STALE, Pursuit
-from agents.tracking.particles import NONE, Particles, unlabelled
+from agents.coverage.pursuit import STALE_AGE, Pursuit
+from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from protocol.geometry import EMPTY, rectangle
 from protocol.sensing import SENSOR_CLASSES, Pose
 from protocol.settings import LimitSettings
@@ -87,14 +87,14 @@ def test_mass_that_has_been_out_of_sight_for_long_counts_little_in_the_centroid(
     watched = ((18.0, 50.0, 0.0),)
     early = law.command(situation(held, 0, (50.0, 90.0, 0.0), watched))[0]
     late = early
-    for tick in range(1, 2 * int(STALE) + 1):
+    for tick in range(1, 2 * int(STALE_AGE) + 1):
         late = law.command(situation(held, tick, (50.0, 90.0, 0.0), watched))[0]
     assert early[0] == pytest.approx(0.0, abs=1e-9)
     assert late[0] / late[1] == pytest.approx(((20.0 + 0.1 * 80.0) / 1.1 - 50.0) / (50.0 - 90.0))
 
 
 def test_without_mass_it_goes_to_the_middle_of_the_cell_and_without_a_cell_to_that_of_its_voronoi_cell() -> None:
-    here = situation(NONE, pose=(10.0, 50.0, 0.0))
+    here = situation(NO_PARTICLES, pose=(10.0, 50.0, 0.0))
     assert Pursuit().command(here)[0] == pytest.approx((2.0, 0.0))
     homeless = here._replace(cell=EMPTY, centroid=None, generators=np.array([[10.0, 50.0], [30.0, 50.0]]), own_generator=0)
     lone = Pursuit().command(homeless)[0]  # x < 20: the middle is (10, 50), where it stands

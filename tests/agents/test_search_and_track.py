@@ -25,7 +25,7 @@ from agents.coverage.search_plan import (
     worth_at,
 )
 from agents.round import context_of
-from agents.tracking.particles import NONE, Particles, unlabelled
+from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from protocol.codec import decode, encode
 from protocol.fields import Malformed
 from protocol.messages import Gossip
@@ -48,8 +48,8 @@ def gossip(name: str, pose: Pose) -> Gossip:
 
 
 def task(
-    density: Particles = NONE,
-    around: Particles = NONE,
+    density: Particles = NO_PARTICLES,
+    around: Particles = NO_PARTICLES,
     partners: np.ndarray = NOBODY,
     is_open: bool = False,
     goal: tuple[float, float] = (50.0, 50.0),

@@ -13,7 +13,7 @@ from agents.interest.position_table import NO_GENERATORS
 from agents.round import _claim
 from agents.tracking.births import Scan, measurement_births
 from agents.tracking.claims import end_to_end, make_claim
-from agents.tracking.particles import NONE, Particles, unlabelled
+from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.phd import sample_offset
 from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
@@ -66,7 +66,7 @@ def table_of(gossips: list[Gossip]) -> GossipTable:
 def updated(backend: Backend, received: Particles, table: GossipTable, polygon: np.ndarray) -> RegionUpdate:
     """What s1 with this cell makes of some particles."""
     claim = make_claim(("s1",), np.array([[10.0, 30.0, 0.0]]))
-    return backend.update_regions(table, received, NONE, [RegionInput("s1", 0, SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
+    return backend.update_regions(table, received, NO_PARTICLES, [RegionInput("s1", 0, SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
 
 
 @BOTH
@@ -161,7 +161,7 @@ def test_an_id_that_is_told_and_copied_is_kept_once_as_it_was_told(backend: Back
     assert united.ids.tolist() == [1, 2, 3] and united.weights.tolist() == [0.1, 0.8, 0.3]
     twice = particles((1.0, 1.0, 0.1), (2.0, 2.0, 0.2))
     twice = unlabelled(twice.states, twice.weights, np.array([7, 7], dtype=np.uint64))
-    assert backend.merge(twice, np.array([True, True]), NONE, np.array([], dtype=bool)).weights.tolist() == [0.1]
+    assert backend.merge(twice, np.array([True, True]), NO_PARTICLES, np.array([], dtype=bool)).weights.tolist() == [0.1]
 
 
 @pytest.mark.parametrize("name", ["s1", "s2", "s10"])

@@ -16,7 +16,7 @@ from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer import plausible
 from agents.round import AgentContext, _claim, _fields, _own_cell
 from agents.tracking.belief import Belief, Copies, ParticlePhd
-from agents.tracking.particles import NONE
+from agents.tracking.particles import NO_PARTICLES
 from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.messages import Gossip
@@ -62,7 +62,7 @@ def test_the_claim_of_a_stranger_never_agrees_with_mine_whatever_view_it_states(
     """s2, unknown until now, claims what lies beyond 50 m, and I what lies before 60 m; both say the same view."""
     mine = owned_state("s1", particles((1, 49.0, 0.1), (2, 58.0, 0.1)), {"s1": (30.0, 50.0, 0.0), "s3": (90.0, 50.0, 0.0)}, diagram_hash=7)
     theirs = owned_state("s2", particles((4, 59.0, 0.1)), diagram_hash=7)
-    belief = Belief(4, mine, Copies(NONE), frozenset({"s1", "s3"}), frozenset({"s3"}))
+    belief = Belief(4, mine, Copies(NO_PARTICLES), frozenset({"s1", "s3"}), frozenset({"s3"}))
     assert merged(belief, [theirs]) == [1, 4]
     assert merged(replace(belief, known_names=frozenset({"s2", "s3"})), [theirs]) == [1, 2, 4]
 

@@ -70,7 +70,7 @@ def test_its_cells_and_claims_are_ours(stranger: ModuleType) -> None:
         assert areas[-1] == pytest.approx(polygon_area(ours.polygon), abs=1e-9)
         if areas[-1] == 0.0:
             continue
-        assert claim[0] == row and {other[0] for other in claim} == {names[bound] for bound in ours.bounds}
+        assert claim[0] == row and {other[0] for other in claim} == {names[bound] for bound in ours.bounding}
         said = tuple(other[0] for other in claim)
         stated = make_claim(said, np.array([other[1:] for other in claim]))
         assert [stranger.owns(claim, x, y) for x, y in grid.tolist()] == owned(grid, stated, arena).tolist()

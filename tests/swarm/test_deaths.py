@@ -51,7 +51,7 @@ def test_losses_in_bursts_keep_nobody_alive_who_has_died_in_silence() -> None:
 
     def look(tick: int, simulation: Simulation) -> None:
         living = simulation.agents.keys()
-        counted.update(tick for agent in simulation.agents.values() if agent.outcome.belief.everyone - living)
+        counted.update(tick for agent in simulation.agents.values() if agent.outcome.belief.generator_names - living)
 
     faults = fault(0.0, "drop", "100%", 0.3, burst=4.0), fault(5.0, "kill", "50%", silent=True)
     watch(ledger(*faults, run__seconds=10.0), clock="realtime", at_tick=look)

@@ -89,7 +89,7 @@ def test_a_peer_that_was_heard_some_rounds_ago_has_a_generator_and_a_round_is_as
     simulation, checker = watched(100.0)
     agent = agent_of(simulation)
     heard = agent.peer_table.inbox.newest_closed["s2"].tick
-    agent.outcome.belief.everyone = frozenset({"s1"})
+    agent.outcome.belief.generator_names = frozenset({"s1"})
     for rounds in range(SILENT_ROUNDS + 1):
         agent.outcome.belief.stamp, agent.counters["rounds"] = heard + rounds * pace, 100 + rounds
         since = checker._silent_since(agent)

@@ -47,7 +47,7 @@ def test_losses_in_bursts_make_few_cells_overlap_since_claims_tell_of_the_unhear
 
     def look(tick: int, simulation: Simulation) -> None:
         living = simulation.agents.keys()
-        lacking.extend([len(living - agent.outcome.belief.everyone) for agent in simulation.agents.values() if tick > 4])
+        lacking.extend([len(living - agent.outcome.belief.generator_names) for agent in simulation.agents.values() if tick > 4])
 
     for seed in range(1, 4):
         bursts = fault(0.0, "drop", "100%", 0.3, burst=4.0)
