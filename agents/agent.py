@@ -71,9 +71,7 @@ class Agent(Node):
         self._answer_at: float | None = None
         self._opened_at = 0.0
         self._newest_tick = -1  # of the newest observation, played or not
-        self._busy_since: float | None = (
-            None  # when the driver was asked to come back at once: the next event shows for how long it was busy
-        )
+        self._busy_since: float | None = None  # when the driver was asked to come back at once: the next event ends its busy time
         self._spared: list[Observation] = []  # of ticks that the pace spares; those that are not played yet
         self._spared_since = 0  # how many ticks were spared since the last shared one
         self._estimated = -1  # tick of the newest estimate

@@ -11,7 +11,7 @@ import dataclasses
 from msgspec.structs import replace
 
 from agents.config import AgentConfig
-from agents.coverage.capacity import place
+from agents.coverage.capacity import to_world
 from agents.gossip.table import gossip_table
 from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.step import Step
@@ -29,7 +29,7 @@ def unsent_gossip(
         incarnation=incarnation,
         tick=observation.tick,
         pose=observation.pose,
-        cod=place(context.facts.cod_offset, observation.pose),
+        cod=to_world(context.facts.cod_offset, observation.pose),
         power_radius=last.power_radius,
         unused=last.unused,
         detections_bytes=observation.detections_bytes,

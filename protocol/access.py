@@ -18,8 +18,8 @@ from protocol.settings import NetworkSettings
 WORLD, WATCHER, OPERATOR = "world", "monitor", "operator"  # common names of the world, of all watchers and of all operators
 FILES = (("certificate", "certificate"), ("private_key", "key"))  # Zenoh's word, field of the settings
 TLS = {"verify_name_on_connect": False, "close_link_on_expiration": True}  # a certificate that runs out ends its links
-LOOKS = ["declare_liveliness_subscriber", "liveliness_query"]
-DECLARATIONS = ["declare_subscriber", "liveliness_token", "reply", *LOOKS]
+TOKEN_QUERIES = ["declare_liveliness_subscriber", "liveliness_query"]
+DECLARATIONS = ["declare_subscriber", "liveliness_token", "reply", *TOKEN_QUERIES]
 
 
 def common_name(own: Token | None) -> str:
@@ -61,7 +61,7 @@ def access_control(run: str, agents: Iterable[str]) -> dict[str, Any]:
         own = [rule for rule in own if rule["key_exprs"]]
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [name]})
-    rules.append(_rule("all look who is there", LOOKS, ["ingress"], [all_tokens(run)]))
+    rules.append(_rule("all look who is there", TOKEN_QUERIES, ["ingress"], [all_tokens(run)]))
     rules.append(_rule("what I declare goes out", DECLARATIONS, ["egress"], [f"{ROOT}/{run}/**"]))
     policies.append({"rules": [rule["id"] for rule in rules[-2:]], "subjects": names})
     subjects = [{"id": name, "cert_common_names": [name]} for name in names]

@@ -7,12 +7,12 @@ import msgspec
 
 from protocol.compact import unpacked
 from protocol.fields import Malformed
-from protocol.keys import NAME, OF_ALL, Key, parse_message_key
+from protocol.keys import NAME, RUN_WIDE_KINDS, Key, parse_message_key
 from protocol.message import WIRE_VERSION, Message
 from protocol.messages import KINDS, Beacon, Gossip, Observation, are_contents_valid
 
 MAX_BYTES = 512 * 1024
-OUTSIDE = re.compile(r"Expected `(int|float)` [<>]")  # how msgspec says that a number is outside its limits,
+OUT_OF_RANGE = re.compile(r"Expected `(int|float)` [<>]")  # how msgspec says that a number is outside its limits,
 TOO_LONG = re.compile(r"Expected `(bytes|array)` of length <=")  # and that an array or a list is too long
 
 
@@ -96,7 +96,7 @@ def _parse(key: str, payload: bytes) -> Message:
 
 def _reason(text: str) -> str:
     """The reason of `Malformed` for what msgspec says."""
-    return "range" if OUTSIDE.match(text) else "size" if TOO_LONG.match(text) else "format"
+    return "range" if OUT_OF_RANGE.match(text) else "size" if TOO_LONG.match(text) else "format"
 
 
 def _unpack(gossip: Gossip) -> None:
@@ -122,7 +122,7 @@ def _check_name(parts: Key, message: Message) -> None:
     if isinstance(message, Beacon) and message.tile != parts.tile:
         raise Malformed("sender", f"tile = {message.tile}: was said in the tile {parts.tile}")
     named = message.recipient if isinstance(message, Observation) else message.sender
-    if named != parts.name and parts.kind not in OF_ALL:
+    if named != parts.name and parts.kind not in RUN_WIDE_KINDS:
         if not NAME.match(named):
             raise Malformed("format", f"{parts.kind}: {named[:64]!r} is no name")
         raise Malformed("sender", f"{named!r} speaks under the key of {parts.name!r}")

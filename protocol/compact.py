@@ -15,8 +15,8 @@ from protocol.streams import key, scramble
 
 STEP = 1.0 / 256.0  # m, of the grid; twice as large as often as a cell is too wide for 16 bits
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
-HEAD, ROW = 16, 6  # bytes
-MOST = 65535  # of a number of the grid
+HEAD_BYTES, ROW_BYTES = 16, 6  # bytes
+LARGEST_GRID_NUMBER = 65535  # of a number of the grid
 
 
 def packed(states: np.ndarray, speed: float) -> bytes:
@@ -27,7 +27,7 @@ def packed(states: np.ndarray, speed: float) -> bytes:
     while True:
         grid = np.rint(states[:, :2] / step)
         low = grid.min(axis=0)
-        if (grid.max(axis=0) - low).max() <= MOST:
+        if (grid.max(axis=0) - low).max() <= LARGEST_GRID_NUMBER:
             break
         step *= 2.0
     turns = np.rint(np.arctan2(states[:, 3], states[:, 2]) * (4096 / (2.0 * math.pi))).astype(np.int64) % 4096
@@ -37,13 +37,13 @@ def packed(states: np.ndarray, speed: float) -> bytes:
 
 def unpacked(data: bytes, sender: str, stamp: int) -> tuple[np.ndarray, np.ndarray]:
     """States (N, 4) float32 and ids (N,) uint64, ascending, of the particles that a sender owns at the tick `stamp`. Raises Malformed."""
-    count, rest = divmod(len(data) - HEAD, ROW)
+    count, rest = divmod(len(data) - HEAD_BYTES, ROW_BYTES)
     if count < 1 or rest:
-        raise Malformed("shape", f"particles: {len(data)} bytes are not {HEAD} and a whole number of {ROW}")
+        raise Malformed("shape", f"particles: {len(data)} bytes are not {HEAD_BYTES} and a whole number of {ROW_BYTES}")
     if count > MAX_ROWS:
         raise Malformed("size", f"particles: {count} particles, at most {MAX_ROWS} are allowed")
     west, south, step, speed = np.frombuffer(data, "<f4", 4).astype(float).tolist()
-    columns, rows, turns = np.frombuffer(data, "<u2", 3 * count, HEAD).reshape(3, count)
+    columns, rows, turns = np.frombuffer(data, "<u2", 3 * count, HEAD_BYTES).reshape(3, count)
     with np.errstate(all="ignore"):  # wrong bits give numbers that the check of the message refuses
         velocities = DIRECTIONS[turns % 4096] * speed
         states = np.column_stack([west + columns * step, south + rows * step, velocities]).astype("<f4")

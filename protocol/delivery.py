@@ -18,7 +18,7 @@ from protocol.once import once
 from protocol.reception import Decoded, in_batches, read_all
 
 Item = Decoded | Event  # a decoded message, or the event that the bytes were rejected
-BOXED = (Gossip, Beacon, Hello, Estimate)  # kinds that wait in the receivers' boxes until the instant holds no other event
+BOXED_KINDS = (Gossip, Beacon, Hello, Estimate)  # kinds that wait in the receivers' boxes until the instant holds no other event
 
 
 class MessageRun:
@@ -67,7 +67,7 @@ class BusEndpoint:
     timer: float | None = None
     paused: bool = False
     waiting: list[Event] = field(default_factory=list)  # what arrived while it stood still or was at work
-    unsaid: list[Effect] = field(default_factory=list)  # the effects of a round that it had computed, while it stands still
+    unpublished: list[Effect] = field(default_factory=list)  # the effects of a round that it had computed, while it stands still
     clock: float = 0.0  # offset of its clock from the time of the bus, s
     work: float = 0.0  # time that it takes for one round, s
     starved: Callable[[], float] | None = None  # draws the time that its next round takes, s; None: none

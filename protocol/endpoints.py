@@ -12,8 +12,8 @@ from msgspec import structs
 from protocol.settings import BadSetting, NetworkSettings
 
 ENCRYPTED = ("tls/", "quic/")
-FORM = re.compile(r"^[a-z-]+/\S+\Z")
-GUARDED = re.compile(r"^(tls/|quic/|unixsock-stream/|[a-z]+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+)")
+ENDPOINT_FORM = re.compile(r"^[a-z-]+/\S+\Z")
+SAFE_ENDPOINT = re.compile(r"^(tls/|quic/|unixsock-stream/|[a-z]+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+)")
 
 
 def check_endpoints(settings: NetworkSettings) -> None:
@@ -28,9 +28,9 @@ def check_endpoints(settings: NetworkSettings) -> None:
     for field in ("listen", "seeds"):
         for endpoint in getattr(settings, field):
             setting = f"network.{field} = {endpoint!r}"
-            if not FORM.match(endpoint):
+            if not ENDPOINT_FORM.match(endpoint):
                 raise BadSetting(f"{setting}: should read protocol/address:port, such as tcp/127.0.0.1:0")
-            if not settings.insecure and not GUARDED.match(endpoint):
+            if not settings.insecure and not SAFE_ENDPOINT.match(endpoint):
                 raise BadSetting(f"{setting}: leaves this machine without TLS; use tls/..., a loopback address, or network.insecure = true")
             if endpoint.startswith(ENCRYPTED) and not settings.encrypted:
                 raise BadSetting(f"{setting}: needs certificates; `covey keys` makes them, --keys DIR uses them")
@@ -68,12 +68,12 @@ def own_endpoints(settings: NetworkSettings) -> tuple[str, ...]:
     return settings.listen
 
 
-def elsewhere(settings: NetworkSettings) -> NetworkSettings:
+def on_any_port(settings: NetworkSettings) -> NetworkSettings:
     """The same settings with any free port; for a session that is opened anew while the old one still holds its port."""
     return structs.replace(settings, listen=tuple(re.sub(r":\d+$", ":0", endpoint) for endpoint in settings.listen))
 
 
-def refused(settings: NetworkSettings, text: str) -> BadSetting:
+def endpoint_error(settings: NetworkSettings, text: str) -> BadSetting:
     """Zenoh's complaint about endpoints that cannot be used, as a BadSetting of one line."""
     text = re.sub(r" at \S+\.rs:\d+\.?", "", text).strip()
     hint = "the port is in use; choose a free one, or port 0 for any" if "already in use" in text else text

@@ -18,8 +18,8 @@ from protocol.message import Message
 from protocol.messages import Beacon, Observation
 
 ROOT = "covey"
-OF_ALL = ("truth", "halt")  # kinds with one key for the whole run
-LONGEST = 256  # characters of a message key: two names, a kind and two numbers
+RUN_WIDE_KINDS = ("truth", "halt")  # kinds with one key for the whole run
+LONGEST_KEY = 256  # characters of a message key: two names, a kind and two numbers
 NAME = re.compile(r"^[A-Za-z0-9_.-]{1,64}\Z")
 
 INCARNATION = re.compile(r"^(0|[1-9][0-9]{0,18})\Z")
@@ -29,7 +29,7 @@ Tile = tuple[int, int]  # column from the west, row from the south
 
 
 class Key(NamedTuple):
-    """The parts of a message's key; `name` is the agent, empty for the kinds in `OF_ALL`; `tile` is that of a beacon."""
+    """The parts of a message's key; `name` is the agent, empty for the kinds in `RUN_WIDE_KINDS`; `tile` is that of a beacon."""
 
     run: str
     kind: str
@@ -54,7 +54,7 @@ def order(name: str) -> tuple[int, str]:
 def message_key(run: str, message: Message) -> str:
     """The key under which a message is published."""
     kind = type(message).__struct_config__.tag
-    if kind in OF_ALL:
+    if kind in RUN_WIDE_KINDS:
         return f"{ROOT}/{run}/{kind}"
     if isinstance(message, Beacon):
         return f"{ROOT}/{run}/beacon/{message.column}/{message.row}/{message.sender}"
@@ -64,7 +64,7 @@ def message_key(run: str, message: Message) -> str:
 
 def all_of(run: str, kind: str) -> str:
     """The expression for every key of one kind."""
-    return f"{ROOT}/{run}/{kind}" if kind in OF_ALL else one_of(run, kind, "*")
+    return f"{ROOT}/{run}/{kind}" if kind in RUN_WIDE_KINDS else one_of(run, kind, "*")
 
 
 def one_of(run: str, kind: str, name: str) -> str:
@@ -99,13 +99,13 @@ def all_tokens(run: str) -> str:
 
 def parse_message_key(text: str) -> Key | None:
     """The parts of a message key, or None for anything else."""
-    return _parse_message_key(text) if len(text) <= LONGEST else None
+    return _parse_message_key(text) if len(text) <= LONGEST_KEY else None
 
 
 @lru_cache(maxsize=1 << 15)  # the same keys return in every round, also with some thousand agents
 def _parse_message_key(text: str) -> Key | None:
     parts = text.split("/")
-    if len(parts) == 3 and parts[0] == ROOT and parts[2] in OF_ALL:
+    if len(parts) == 3 and parts[0] == ROOT and parts[2] in RUN_WIDE_KINDS:
         return Key(parts[1], parts[2], "")
     if parts[0] != ROOT or not NAME.match(parts[-1]):
         return None

@@ -31,7 +31,7 @@ class Condition(Section, frozen=True, kw_only=True):
     flip: Fraction = 0.0  # share of the messages that are spoilt: one bit is wrong, or eight bytes are all ones, which is no number
 
 
-AT_ONCE = 8  # messages: numpy takes as long for the draws of one as of so many
+DRAWS_AT_ONCE = 8  # messages: numpy takes as long for the draws of one as of so many
 CLEAR = Condition()
 LOST: list[tuple[float, bytes]] = []
 
@@ -71,7 +71,7 @@ class Channel:
     def draw(self) -> list[float]:
         """The eight draws of the next message, each in [0, 1)."""
         if not self._draws:
-            self._draws = self._rng.random((AT_ONCE, 8)).tolist()[::-1]
+            self._draws = self._rng.random((DRAWS_AT_ONCE, 8)).tolist()[::-1]
         return self._draws.pop()
 
     def _loses(self, draw: float, condition: Condition) -> bool:

@@ -25,7 +25,7 @@ import zenoh
 
 from protocol import codec, keys
 from protocol.access import common_name, secured
-from protocol.endpoints import check_endpoints, check_files, elsewhere, refused
+from protocol.endpoints import check_endpoints, check_files, endpoint_error, on_any_port
 from protocol.inbox import Arrival, Inbox, RateLimiter
 from protocol.links import LiveLink
 from protocol.message import Message
@@ -35,7 +35,7 @@ from protocol.settings import BadSetting, NetworkSettings
 from protocol.so_linger import Sockets
 from protocol.stdin import follow_stdin
 from protocol.tokens import ALONE_SECONDS, Tokens
-from protocol.transport import session_values
+from protocol.zenoh_settings import session_values
 
 CLOSE_SECONDS = 2.0
 SO_LINGER_SHARE = 0.25  # of the lease between two passes over new sockets; links live for the lease at least
@@ -69,7 +69,7 @@ def open_session(settings: NetworkSettings, own: keys.Token | None = None) -> ze
     try:
         return zenoh.open(session_config(settings, own))
     except zenoh.ZError as error:
-        raise refused(settings, str(error)) from None
+        raise endpoint_error(settings, str(error)) from None
 
 
 def open_for(result: Future[zenoh.Session], settings: NetworkSettings, own: keys.Token) -> None:
@@ -314,7 +314,7 @@ class Driver:
             except (BadSetting, zenoh.ZError) as error:  # the old session may still hold the port
                 log.warning("could not open the session anew: %s", error)
                 tries += 1
-                self._settings = elsewhere(self._settings) if tries == MOST_TRIES else self._settings
+                self._settings = on_any_port(self._settings) if tries == MOST_TRIES else self._settings
                 await self._close(self._take_declared())
                 await asyncio.sleep(RETRY_SECONDS)
         self.counts["reopened"] += 1

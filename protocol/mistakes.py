@@ -8,8 +8,8 @@ import msgspec
 
 from protocol.settings import explain, fits, locate, part_of
 
-MOST = 50  # mistakes that are reported
-PLAIN: tuple[Any, ...] = (1.0, 1, "x", False, {}, [])  # one of them replaces a missing or wrong value
+MOST_MISTAKES = 50  # mistakes that are reported
+SAMPLE_VALUES: tuple[Any, ...] = (1.0, 1, "x", False, {}, [])  # one of them replaces a missing or wrong value
 
 
 def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str | int]], dict[str, Any]]:
@@ -17,7 +17,7 @@ def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str
     found: list[str] = []
     paths: list[list[str | int]] = []
     rest = copy.deepcopy(data)
-    for _ in range(10 * MOST):
+    for _ in range(10 * MOST_MISTAKES):
         try:
             msgspec.convert(rest, into)
             return found, paths, rest
@@ -27,7 +27,7 @@ def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str
                 found.append(explain(str(error), rest, into))
                 paths.append(path)
             _mend(rest, kind, path, hint)
-        if len(found) == MOST:
+        if len(found) == MOST_MISTAKES:
             break
     return [*found, "and more"], paths, {}
 
@@ -63,4 +63,4 @@ def _some(hint: Any) -> Any:
     if hasattr(hint, "__struct_fields__"):
         hints = get_type_hints(hint, include_extras=True)
         return {field.encode_name: _some(hints[field.name]) for field in msgspec.structs.fields(hint) if field.required}
-    return next((copy.copy(value) for value in (*PLAIN, *get_args(hint)) if fits(value, hint)), None)
+    return next((copy.copy(value) for value in (*SAMPLE_VALUES, *get_args(hint)) if fits(value, hint)), None)

@@ -68,7 +68,7 @@ def die_with_parent() -> None:
         leave(143)
 
 
-def let_others_finish() -> None:
+def use_batch_scheduling() -> None:
     """Ask the kernel not to preempt a running process when a message wakes this one.
 
     In lockstep every agent waits for every other, and a round that is interrupted finds its data gone from the caches.
@@ -142,7 +142,7 @@ def main(
         config = _with_sensor(load(options.config, into), options)
         log_json_lines(config.run.name, options.name)
         if role == "agents" and config.run.clock == "lockstep":
-            let_others_finish()
+            use_batch_scheduling()
         incarnation = options.incarnation if options.incarnation is not None else time.time_ns() // 1_000_000
         node = build(config, options.name, incarnation)
         link = LiveLink(config.shared_seed, options.name, logging.getLogger(__name__).warning) if config.network.link_faults else None

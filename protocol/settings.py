@@ -119,7 +119,7 @@ class SensorSettings(Section, frozen=True, kw_only=True):
             raise ValueError(f"{self.model} lacks {', '.join(missing)} of protocol.sensing.SensorModel")
         if isinstance(sensor, WedgeSensor):
             return sensor
-        from protocol.foreign import CheckedSensor, probe  # which imports this file
+        from protocol.user_classes import CheckedSensor, probe  # which imports this file
 
         checked = CheckedSensor(sensor, self.model)
         probe(checked, self.model)
@@ -272,14 +272,14 @@ def explain(text: str, data: Any, into: Any) -> str:
         fields = list(getattr(hint, "__struct_encode_fields__", ()))
         close = difflib.get_close_matches(unknown[1], fields, n=1)
         hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(fields)}"
-        return f"{place([*path, unknown[1]])}: there is no such field; {hint}"
+        return f"{field_path([*path, unknown[1]])}: there is no such field; {hint}"
     missing = re.search(r"missing required field `(.*)`", complaint)
     if missing:
-        return f"{place(path)} = {value!r}: the field {missing[1]} is missing"
-    return f"{place(path)} = {value!r}: {_right(complaint, hint)}"
+        return f"{field_path(path)} = {value!r}: the field {missing[1]} is missing"
+    return f"{field_path(path)} = {value!r}: {_right(complaint, hint)}"
 
 
-def place(path: Sequence[str | int]) -> str:
+def field_path(path: Sequence[str | int]) -> str:
     """A place in a file in words: `faults[0].at`, where lists count from 0."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
 

@@ -11,8 +11,8 @@ import socket
 import stat
 import struct
 
-FOLDER = "/proc/self/fd"
-OFF = struct.pack("ii", 0, 0)
+DESCRIPTOR_FOLDER = "/proc/self/fd"
+LINGER_OFF = struct.pack("ii", 0, 0)
 
 
 class Sockets:
@@ -25,7 +25,7 @@ class Sockets:
         """Take SO_LINGER off every new socket; return the number of sockets that had it."""
         there, changed = set[int](), set[int]()
         with contextlib.suppress(OSError):  # the folder exists on Linux alone
-            for number in map(int, os.listdir(FOLDER)):
+            for number in map(int, os.listdir(DESCRIPTOR_FOLDER)):
                 with contextlib.suppress(OSError):  # closed meanwhile
                     found = os.fstat(number)
                     if stat.S_ISSOCK(found.st_mode):
@@ -41,5 +41,5 @@ def _clear_so_linger(descriptor: int) -> bool:
     with socket.socket(fileno=os.dup(descriptor)) as other:
         on, _ = struct.unpack("ii", other.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))
         if on:
-            other.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, OFF)
+            other.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, LINGER_OFF)
         return bool(on)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import codec
-from protocol.delivery import BOXED, BusEndpoint, Delivery, Item, MessageRun, place_of
+from protocol.delivery import BOXED_KINDS, BusEndpoint, Delivery, Item, MessageRun, place_of
 from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.message import Message
 from protocol.messages import Command, Gossip
@@ -166,7 +166,7 @@ class VirtualBus:
         """Carry out what a node had computed, and hand it the events that waited, of observations only the newest."""
         if self._stands_still(endpoint):
             return
-        effects, endpoint.unsaid = endpoint.unsaid, []
+        effects, endpoint.unpublished = endpoint.unpublished, []
         for effect in effects:
             self._carry_out(endpoint, effect)
         if endpoint.at_work:
@@ -200,8 +200,8 @@ class VirtualBus:
         return True
 
     def _deliver(self, delivery: Delivery) -> None:
-        """Hand a message to all its listeners; those of kinds in `BOXED` go into their boxes."""
-        if delivery.kind not in BOXED:
+        """Hand a message to all its listeners; those of kinds in `BOXED_KINDS` go into their boxes."""
+        if delivery.kind not in BOXED_KINDS:
             [item] = read_all([(delivery.key, delivery.payload)])
             event = event_of(item)
             for endpoint in delivery.listeners:
@@ -263,7 +263,7 @@ class VirtualBus:
         """Carry out the effects of a starved node after half of the time that its round takes, or when it wakes after that."""
 
         def finish() -> None:
-            endpoint.unsaid = effects
+            endpoint.unpublished = effects
             self._wake(endpoint)
 
         endpoint.at_work = True

@@ -12,12 +12,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from protocol.fields import LARGEST_NUMBER, MAX_DETECTIONS
-from protocol.foreign import fault_of, real_array, shown
 from protocol.message import Vector
 from protocol.messages import Command
 from protocol.pose import integrate
 from protocol.sensing import Pose
 from protocol.settings import BadSetting, LimitSettings, load_named
+from protocol.user_classes import as_bad_setting, real_array, shown
 from world.bodies import start_poses
 from world.config import BodySettings, WorldConfig
 
@@ -113,7 +113,7 @@ class CheckedPlatform:
     def read(self, tick: int) -> tuple[Pose, np.ndarray | None]:
         """As the platform says."""
         what = f"{self._name}.read({tick})"
-        with fault_of(what):
+        with as_bad_setting(what):
             answer = self._platform.read(tick)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise BadSetting(f"{what} returned {shown(answer)}: should be a pose and detections")
@@ -121,12 +121,12 @@ class CheckedPlatform:
 
     def drive(self, velocity: Vector, turn_rate: float) -> None:
         """Tell the platform."""
-        with fault_of(f"{self._name}.drive"):
+        with as_bad_setting(f"{self._name}.drive"):
             self._platform.drive(velocity, turn_rate)
 
     def stop(self) -> None:
         """Tell the platform."""
-        with fault_of(f"{self._name}.stop"):
+        with as_bad_setting(f"{self._name}.stop"):
             self._platform.stop()
 
 

@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 
 from protocol.fields import MAX_DETECTIONS
-from protocol.foreign import fault_of, real_array, shown
 from protocol.settings import ArenaSettings, BadSetting, load_named
 from protocol.streams import key, normal, scramble, stream
+from protocol.user_classes import as_bad_setting, real_array, shown
 from world.config import TargetSettings
 
 
@@ -62,7 +62,7 @@ class CheckedMotion:
     def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> tuple[np.ndarray, np.ndarray]:
         """As the motion says."""
         what = f"{self._name}.move of {len(ids)} targets"
-        with fault_of(what):
+        with as_bad_setting(what):
             answer = self._motion.move(positions, headings, ids, tick)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise BadSetting(f"{what} returned {shown(answer)}: should be positions (T, 2) and headings (T,)")

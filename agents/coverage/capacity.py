@@ -51,7 +51,7 @@ def detecting_capability(sensor: SensorModel) -> float:
     return sensor_facts(sensor).capability
 
 
-def place(offset: tuple[float, float], pose: Pose) -> tuple[float, float]:
+def to_world(offset: tuple[float, float], pose: Pose) -> tuple[float, float]:
     """The world coordinates, m, of a point `offset` in the frame of a sensor at `pose`."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     return pose[0] + cos * offset[0] - sin * offset[1], pose[1] + sin * offset[0] + cos * offset[1]
@@ -59,7 +59,7 @@ def place(offset: tuple[float, float], pose: Pose) -> tuple[float, float]:
 
 def centroid_of_detection(sensor: SensorModel, pose: Pose) -> np.ndarray:
     """Centroid of detection (2,) in m: the p_d-weighted centroid of the footprint (14)."""
-    return np.array(place(sensor_facts(sensor).cod_offset, pose))
+    return np.array(to_world(sensor_facts(sensor).cod_offset, pose))
 
 
 def unused_capacity(capability: float, detected: float, load: float, settings: CapacitySettings = CapacitySettings()) -> float:

@@ -10,8 +10,8 @@ from agents.config import AgentConfig
 from agents.coverage.control import ControlInput, ControlLaw, Lloyd, RandomWalk, Situation, Static, UniformDensity
 from agents.coverage.pursuit import Pursuit
 from agents.coverage.search_and_track import SearchAndTrack
-from protocol.foreign import fault_of, shown
 from protocol.settings import BadSetting, load_named
+from protocol.user_classes import as_bad_setting, shown
 
 CONTROL_LAWS: dict[str, type[ControlLaw]] = {
     "lloyd": Lloyd,
@@ -50,7 +50,7 @@ class CheckedLaw:
 
     def command(self, situation: Situation) -> ControlInput:
         """The command of the law, checked; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""
-        with fault_of(f"{self._name}.command"):
+        with as_bad_setting(f"{self._name}.command"):
             answer = self._law.command(situation)
         try:
             (vx, vy), turn_rate = answer

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from agents.coverage.capacity import place
+from agents.coverage.capacity import to_world
 from agents.round import AgentContext, RoundResult
 from agents.tracking.tracker import GossipFields
 from protocol.fields import pack
@@ -56,7 +56,7 @@ def gossip(
         incarnation=incarnation,
         tick=observation.tick,
         pose=observation.pose,
-        cod=place(context.facts.cod_offset, observation.pose),
+        cod=to_world(context.facts.cod_offset, observation.pose),
         power_radius=outcome.power_radius,
         unused=outcome.unused,
         detections_bytes=observation.detections_bytes,

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from agents.config import AgentConfig
-from agents.coverage.capacity import place
+from agents.coverage.capacity import to_world
 from agents.gossip.inbox import WINDOW_TICKS
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
 from agents.interest.selection import BEACON_JUMP, BEACON_PERIOD, SELECTION_MARGIN, SELECTION_PERIOD, Choice, Ground
@@ -208,7 +208,7 @@ class InterestManager:
             incarnation=self._incarnation,
             tick=tick,
             position=pose[:2],
-            cod=place(context.facts.cod_offset, pose),
+            cod=to_world(context.facts.cod_offset, pose),
             power_radius=radius,
             reach=context.sensor.reach,
             column=column,

@@ -9,7 +9,7 @@ import numpy as np
 from agents.backend import Backend
 from agents.compiled import claim_kernels, extraction_kernels, particle_kernels
 from agents.compiled.label_kernels import stamp_of
-from agents.coverage.capacity import SensorFacts, place, power_radius, unused_capacity
+from agents.coverage.capacity import SensorFacts, power_radius, to_world, unused_capacity
 from agents.coverage.cells import Cell
 from agents.coverage.control import Lloyd, Situation
 from agents.gossip.table import AnnouncedSensor, GossipTable, announced_sensor
@@ -106,7 +106,7 @@ class Central:
                 incarnation=1,
                 tick=self._tick,
                 pose=pose,
-                cod=place(member.facts.cod_offset, pose),
+                cod=to_world(member.facts.cod_offset, pose),
                 power_radius=power_radius(unused),
                 unused=unused,
                 detections_bytes=pack(scan, "<f4"),
@@ -129,7 +129,7 @@ class Central:
                 tick=self._tick,
                 dt=scenario.run.dt,
                 pose=pose,
-                driven=place(member.facts.cod_offset, pose),
+                driven=to_world(member.facts.cod_offset, pose),
                 cell=cell.polygon,
                 centroid=(east / mass, north / mass) if mass > 0.0 else None,
                 particles=own,

@@ -31,7 +31,7 @@ from protocol.access import access_control as of_the_swarm
 from protocol.endpoints import free_port
 from protocol.messages import Observation
 from protocol.settings import NetworkSettings
-from protocol.transport import session_values
+from protocol.zenoh_settings import session_values
 
 ROOT = Path(__file__).resolve().parents[2]
 # As ROS 2 Jazzy installs them (share/<package>/msg/<Type>.json, REP 2011). Twist, Odometry and their parts: extracted by the CARLA project

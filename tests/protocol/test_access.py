@@ -3,7 +3,7 @@
 import pytest
 
 from protocol.access import access_control, common_name, secured
-from protocol.keys import OF_ALL, Token, all_of, matches, one_of, token_key
+from protocol.keys import RUN_WIDE_KINDS, Token, all_of, matches, one_of, token_key
 from protocol.settings import NetworkSettings
 
 RULES = access_control("r", ("s1", "s2"))
@@ -18,12 +18,12 @@ def allowed(name: str, message: str, flow: str, key: str) -> bool:
 
 
 def written_by(name: str) -> set[str]:
-    keys = {one_of("r", kind, owner) for kind in KINDS for owner in ("s1", "s2", "world")} | {all_of("r", kind) for kind in OF_ALL}
+    keys = {one_of("r", kind, owner) for kind in KINDS for owner in ("s1", "s2", "world")} | {all_of("r", kind) for kind in RUN_WIDE_KINDS}
     return {key.removeprefix("covey/r/").replace("*/*/", "") for key in keys if allowed(name, "put", "ingress", key)}
 
 
 def heard_by(name: str) -> set[str]:
-    keys = {one_of("r", kind, "s1") for kind in KINDS} | {one_of("r", "observation", "s2"), *(all_of("r", kind) for kind in OF_ALL)}
+    keys = {one_of("r", kind, "s1") for kind in KINDS} | {one_of("r", "observation", "s2"), *(all_of("r", kind) for kind in RUN_WIDE_KINDS)}
     heard = {key for key in keys if allowed(name, "put", "egress", key)}
     assert heard == {key for key in keys if allowed(name, "declare_subscriber", "ingress", key)}
     return {key.removeprefix("covey/r/").replace("*/*/", "") for key in heard}

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.mistakes import MOST, mistakes
+from protocol.mistakes import MOST_MISTAKES, mistakes
 from protocol.settings import Common, NetworkSettings, RunSettings, Section
 
 
@@ -73,8 +73,8 @@ def test_every_mistake_is_told_once(data: dict[str, Any], lines: list[str]) -> N
 
 
 def test_of_very_many_mistakes_the_first_are_told() -> None:
-    found, _, _ = mistakes({"run": {f"x{number}": 1 for number in range(3 * MOST)}}, Whole)
-    assert len(found) == MOST + 1 and found[-1] == "and more"
+    found, _, _ = mistakes({"run": {f"x{number}": 1 for number in range(3 * MOST_MISTAKES)}}, Whole)
+    assert len(found) == MOST_MISTAKES + 1 and found[-1] == "and more"
 
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)

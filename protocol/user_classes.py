@@ -18,12 +18,12 @@ from protocol.settings import BadSetting
 
 AT_REST: Pose = (0.0, 0.0, 0.0)
 GRID = 200  # points on a side of the square in which a sensor is sampled
-OFF = 1.5  # times that an area may differ from the sampled one, whose border is as coarse as the grid
+AREA_FACTOR = 1.5  # times that an area may differ from the sampled one, whose border is as coarse as the grid
 LEAST_SEEN = 100  # points of the grid with a probability above 0 from which on the sampled area says something
 
 
 @contextmanager
-def fault_of(what: str) -> Iterator[None]:
+def as_bad_setting(what: str) -> Iterator[None]:
     """Turn an exception inside the context into a BadSetting that names `what`."""
     try:
         yield
@@ -74,7 +74,7 @@ class CheckedSensor:
         return self._positive("area")
 
     def _positive(self, part: str) -> float:
-        with fault_of(f"{self._name}.{part}"):
+        with as_bad_setting(f"{self._name}.{part}"):
             value = getattr(self._sensor, part)
         number = isinstance(value, int | float | np.number) and not isinstance(value, bool | complex | np.complexfloating)
         if not number or not 0.0 < value <= 1e13:
@@ -84,7 +84,7 @@ class CheckedSensor:
     def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
         """p_d of points (N, 2): (N,), each from 0 to 1."""
         what = f"{self._name}.probability of {len(points)} points"
-        with fault_of(what):
+        with as_bad_setting(what):
             value = self._sensor.probability(points, pose)
         found = real_array(what, value, (len(points),))
         if len(found) and not (found.min() >= 0.0 and found.max() <= 1.0):
@@ -95,7 +95,7 @@ class CheckedSensor:
     def footprint(self, pose: Pose) -> np.ndarray:
         """The outline (V, 2) with at least three corners."""
         what = f"{self._name}.footprint"
-        with fault_of(what):
+        with as_bad_setting(what):
             value = self._sensor.footprint(pose)
         found = real_array(what, value, (-1, 2))
         if len(found) < 3:
@@ -133,5 +133,5 @@ def _sample(sensor: CheckedSensor, name: str) -> None:
         worst = beyond[np.argmax(found[beyond])]
         raise BadSetting(f"{name}.probability is {found[worst]:.2g} at {far[worst]:.3g} m: should be 0 beyond reach = {reach:g}")
     seen = int((found > 0.0).sum())
-    if seen >= LEAST_SEEN and not 1.0 / OFF <= sensor.area / (seen * step * step) <= OFF:
+    if seen >= LEAST_SEEN and not 1.0 / AREA_FACTOR <= sensor.area / (seen * step * step) <= AREA_FACTOR:
         raise BadSetting(f"{name}.area = {sensor.area:g}: should be {seen * step * step:.3g} m^2, where its probability is above 0")

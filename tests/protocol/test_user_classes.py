@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.foreign import CheckedSensor, fault_of, probe, real_array
 from protocol.sensing import SENSOR_CLASSES, SensorModel
 from protocol.settings import BadSetting
+from protocol.user_classes import CheckedSensor, as_bad_setting, probe, real_array
 
 WEDGE = SENSOR_CLASSES["A"]
 POINTS = np.array([[1.0, 0.0], [-7.0, 3.0]])
@@ -47,9 +47,9 @@ def test_what_is_no_array_of_that_shape_is_told_in_one_short_line(value: Any, to
 def test_an_exception_inside_is_the_cause_and_a_bad_setting_passes() -> None:
     with (
         pytest.raises(BadSetting, match=r"mine:Law\.command raised ZeroDivisionError: division by zero") as caught,
-        fault_of("mine:Law.command"),
+        as_bad_setting("mine:Law.command"),
     ):
         _ = 1 / 0
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
-    with pytest.raises(BadSetting, match=r"^as it is$"), fault_of("mine:Law.command"):
+    with pytest.raises(BadSetting, match=r"^as it is$"), as_bad_setting("mine:Law.command"):
         raise BadSetting("as it is")
