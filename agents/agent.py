@@ -28,7 +28,7 @@ from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
-from agents.round_alone import is_claim_held, play_alone, play_unobserved, unsent_gossip
+from agents.round_alone import holds_claim, play_alone, play_unobserved, unsent_gossip
 from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
@@ -186,7 +186,7 @@ class Agent(Node):
         effects: list[Effect] = []
         for observation in spared:
             own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
-            if is_claim_held(self.config, self.outcome.belief, own.tick, self._pace.current):
+            if holds_claim(self.config, self.outcome.belief, own.tick, self._pace.current):
                 steers = self._pace.has_time and observation is spared[-1]
                 self.outcome = self._play_alone(own, observation, steers=steers)
                 effects += [*self._estimate(self.outcome, own), *([self._drive(self.outcome, own.tick)] if steers else [])]
@@ -199,7 +199,7 @@ class Agent(Node):
         """Play the tick of the open round alone on a copy, for gossips may come late: its estimate or, if it steers, its command."""
         own, observation = self._gossip, self._observation
         assert own is not None and observation is not None
-        if self._rounds.due != own.tick or not is_claim_held(self.config, self.outcome.belief, own.tick, self._pace.current):
+        if self._rounds.due != own.tick or not holds_claim(self.config, self.outcome.belief, own.tick, self._pace.current):
             return []
         ahead = self._play_alone(own, observation, steers=steers)
         return [self._drive(ahead, own.tick)] if steers else self._estimate(ahead, own)
@@ -255,11 +255,8 @@ class Agent(Node):
 
     def _hold_claim(self, observation: Observation) -> None:
         """Keep the claim over ticks of which nothing was seen, as long as peers keep the generator of the silent agent."""
-        if (
-            self._health.is_measuring
-            and not self._rounds
-            and is_claim_held(self.config, self.outcome.belief, self.tick - 1, self._pace.current)
-        ):
+        all_played = self._health.is_measuring and not self._rounds
+        if all_played and holds_claim(self.config, self.outcome.belief, self.tick - 1, self._pace.current):
             own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             self.outcome = play_unobserved(self.context, self.outcome, own, self._pace.current)
 

@@ -37,7 +37,7 @@ def unsent_gossip(
     )
 
 
-def is_claim_held(config: AgentConfig, belief: TrackerState, tick: int, pace: int) -> bool:
+def holds_claim(config: AgentConfig, belief: TrackerState, tick: int, pace: int) -> bool:
     """Whether the claim of a belief still counts at a later tick: for as long as peers keep the generator of a silent agent."""
     most = max(config.ticks_of_silence, config.timing.silent_rounds * pace)
     return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
