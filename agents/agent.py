@@ -386,7 +386,7 @@ class Agent(Node):
         """Whether the round that is due waits for another tick, because hardly any gossip has come."""
         if self._listening or self._pace.current > 1 or not self._was_responsive(now):
             return False
-        return self._rounds.holds(self.tick, self._awaited, len(self.peer_table.fresh(due)))
+        return self._rounds.holds(due, self.tick, self._awaited, len(self.peer_table.fresh(due)))
 
     def _play(self, opened: OpenRound, now: float) -> None:
         """Play a round."""

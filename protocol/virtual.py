@@ -54,9 +54,7 @@ class VirtualBus:
         self.deliveries = 0
         self.bytes = 0  # published
         self.tap: Callable[[Node, Event], None] | None = None  # called after a node has taken an event
-        self.apart: Callable[[str, str], bool] = lambda one, other: (
-            False
-        )  # whether two labels have no session: neither sees the other's token
+        self.apart: Callable[[str, str], bool] = lambda one, other: False  # whether two labels have no session, and see no token
         self.batches = True  # messages of one instant are handed over together; False: one by one, for comparison
         self._link = link
         self._command_delay = command_delay
@@ -87,12 +85,12 @@ class VirtualBus:
         endpoint = self._endpoints[label] = BusEndpoint(node, label, self._sequence)
         self._ready.append((endpoint, Started()))
         self._holders.setdefault(_parent(endpoint.token), {})[endpoint] = None
-        if endpoint.node.sees_all_tokens:
+        if node.sees_all_tokens:
             self._all_seeing[endpoint] = None
         watching = self._watching(endpoint.token)
-        for other in self._endpoints.values() if endpoint.node.sees_all_tokens else watching:
+        for other in self._endpoints.values() if node.sees_all_tokens else watching:
             if other is not endpoint and not self.apart(label, other.label):
-                if endpoint.node.sees_all_tokens:
+                if node.sees_all_tokens:
                     self._ready.append((endpoint, Alive(other.node.role, other.node.name, other.node.incarnation)))
                 if other in watching:
                     self._ready.append((other, Alive(node.role, node.name, node.incarnation)))
@@ -115,9 +113,7 @@ class VirtualBus:
         for endpoint in sorted(named, key=place_of):
             node = endpoint.node
             subject = (node.role, node.name, node.incarnation) == (event.role, event.name, event.incarnation)
-            if not subject and (
-                endpoint.node.sees_all_tokens or tokens_of(endpoint.node.run, event.role, event.name) in endpoint.expressions
-            ):
+            if not subject and (node.sees_all_tokens or tokens_of(node.run, event.role, event.name) in endpoint.expressions):
                 self._schedule(endpoint, event, delay)
 
     def pause(self, name: str) -> None:

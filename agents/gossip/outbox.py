@@ -38,10 +38,10 @@ def gossip(
     observation: Observation,
     *,
     listening: bool,
-    pace: int = 1,
-    behind: int = 0,
-    lag: int = 0,
-    pose_noise: Vector | None = None,
+    pace: int,
+    behind: int,
+    lag: int,
+    pose_noise: Vector | None,
 ) -> Gossip:
     """The gossip of a tick: pose, scan and generator; and the owned state, if the last round is that of the tick before.
 

@@ -54,9 +54,4 @@ class AnnouncementSchedule:
 
     def _early_period(self, peers: int) -> float:
         """Time between Hellos before the run has started or while a sensor is unknown, s."""
-        return min(EARLY_PERIOD * early_slowdown(max(peers, self._team)), LATER_PERIOD)
-
-
-def early_slowdown(peers: int) -> float:
-    """The factor by which Hellos become rarer among so many peers, at least 1."""
-    return max(1.0, peers / EARLY_CROWD)
+        return min(EARLY_PERIOD * max(1.0, max(peers, self._team) / EARLY_CROWD), LATER_PERIOD)

@@ -73,8 +73,7 @@ def likelihood_noise(noise: float, settings: FilterSettings) -> float:
     The position noise of one step spreads N = `particles_per_target` particles. The kernel of each is a Gaussian of that spread times
     N^(-1/6) (Silverman's rule in the plane) times `roughening`. Without a kernel an accurate sensor leaves weight on few particles.
     """
-    width = settings.roughening * settings.position_noise * settings.particles_per_target ** (-1.0 / 6.0)
-    return math.sqrt(noise * noise + width * width)
+    return math.sqrt(noise * noise + kernel_variance(settings))
 
 
 def correct(
