@@ -66,8 +66,8 @@ class InterestManager:
         self._asking = True
         self._last_beacon: Beacon | None = None
         self._block: TileBlock | None = None  # the tiles to which the agent subscribes
-        self.known: Rectangle | None = None  # the rectangle in which all agents are known; None: nowhere yet
-        self._known_from: list[tuple[int, Rectangle]] = []  # ticks from which on larger rectangles are known, the earliest first
+        self.known_area: Rectangle | None = None  # the rectangle in which all agents are known; None: nowhere yet
+        self._known_areas_from: list[tuple[int, Rectangle]] = []  # ticks from which on larger rectangles are known, the earliest first
         self._chosen_at = 0
         self._link_detector, self._world_link_detector = HalfOpenLinkDetector(context.name, 2 * self._period), WorldLinkDetector()
         self._last_interest_set: dict[str, Peer] = {}  # the interest set of the last selection
@@ -102,9 +102,9 @@ class InterestManager:
             choice, table = self._select(self._first_cell(own, observation.tick), own, observation.tick)
             soon = choice.needed.wider(SUBSCRIBE_AHEAD)
             block = self._tiling.block(soon)
-            self.known = self._tiling.ground(self._block) if self._block else None
+            self.known_area = self._tiling.rectangle_of(self._block) if self._block else None
             self._questions += 1
-            if not self._tiling.ground(self._block or block).holds(soon) and self._questions < MOST_QUESTIONS:
+            if not self._tiling.rectangle_of(self._block or block).holds(soon) and self._questions < MOST_QUESTIONS:
                 return self._subscribe_tiles(_union(block, self._block), own)
             self._asking = False
             self.due = max(now + settle, self._join_at)
@@ -179,7 +179,7 @@ class InterestManager:
 
     def close_round(self, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
         """The effects at the end of a round: a beacon and a new selection, where they are due for the pose of the next tick."""
-        next_one = self._beacon(gossip.tick + 1, moved(gossip.pose, outcome.command, self._context.config), outcome.power_radius)
+        next_one = self._beacon(gossip.tick + 1, pose_after(gossip.pose, outcome.command, self._context.config), outcome.power_radius)
         return [*self._beacon_if_due(next_one, gossip), *self._reselect_if_due(next_one, gossip, outcome)]
 
     def _beacon_if_due(self, next_one: Beacon, gossip: Gossip) -> list[Effect]:
@@ -249,11 +249,13 @@ class InterestManager:
 
     def _covers_beacons(self, place: tuple[float, float]) -> bool:
         """Whether all agents that were lately at a place are known."""
-        return self.known is None or self.known.holds(Rectangle(*place, *place).wider(self._ground.drift))
+        return self.known_area is None or self.known_area.holds(Rectangle(*place, *place).wider(self._ground.drift))
 
     def _covers_generator(self, place: tuple[float, float]) -> bool:
         """Whether all agents with a generator at a place are known."""
-        return self.known is not None and self.known.holds(Rectangle(*place, *place).wider(self._ground.bounds.offset + BEACON_JUMP))
+        return self.known_area is not None and self.known_area.holds(
+            Rectangle(*place, *place).wider(self._ground.bounds.offset + BEACON_JUMP)
+        )
 
     def reselect(self, cell: np.ndarray, own: Beacon, tick: int) -> list[Effect]:
         """Select peers for a cell and follow it with the tiles; the subscriptions that change."""
@@ -270,9 +272,9 @@ class InterestManager:
     def _apply(self, choice: Choice, table: np.ndarray, tick: int) -> list[Effect]:
         """Make a selection the interest set; the subscriptions that change."""
         self._peer_table.choose(table, choice)
-        while self._known_from and tick >= self._known_from[0][0]:
-            self.known = self._known_from.pop(0)[1]
-        self._peer_table.certified = self.known is not None and self.known.holds(choice.needed) and tick >= self._unknown_until
+        while self._known_areas_from and tick >= self._known_areas_from[0][0]:
+            self.known_area = self._known_areas_from.pop(0)[1]
+        self._peer_table.certified = self.known_area is not None and self.known_area.holds(choice.needed) and tick >= self._unknown_until
         before, self._chosen_at = self._chosen_at, tick
         return self._subscribe_peers(before, tick)
 
@@ -318,11 +320,11 @@ class InterestManager:
         block = _union(soon, _common(self._block, late))
         if block == self._block:
             return []
-        grown, ground = _union(block, self._block) != self._block, self._tiling.ground(block)
-        self.known = _overlap(self.known, ground) if self.known else None
-        self._known_from = [(since, _overlap(some, ground)) for since, some in self._known_from]
+        grown, ground = _union(block, self._block) != self._block, self._tiling.rectangle_of(block)
+        self.known_area = _overlap(self.known_area, ground) if self.known_area else None
+        self._known_areas_from = [(since, _overlap(some, ground)) for since, some in self._known_areas_from]
         if grown:  # by then every agent in the new tiles has sent a beacon
-            self._known_from.append((tick + self._period + self._peer_table.pace, ground))
+            self._known_areas_from.append((tick + self._period + self._peer_table.pace, ground))
         return self._subscribe_tiles(block)
 
     def _subscribe_tiles(self, block: TileBlock, asking: Beacon | None = None) -> list[Effect]:
@@ -344,7 +346,7 @@ def question(own: Beacon, tile: tuple[int, int]) -> Beacon:
     return msgspec.structs.replace(own, column=tile[0], row=tile[1], asks=True)
 
 
-def moved(pose: Pose, command: tuple[tuple[float, float], float], config: AgentConfig) -> Pose:
+def pose_after(pose: Pose, command: tuple[tuple[float, float], float], config: AgentConfig) -> Pose:
     """The pose after a tick of a command, which is within the limits of the body."""
     (vx, vy), turn = command
     return pose[0] + vx * config.run.dt, pose[1] + vy * config.run.dt, pose[2] + turn * config.run.dt

@@ -19,7 +19,7 @@ class PeerPositions(PositionTable):
 
     def note(self, peer: Peer, beacon: Beacon) -> None:
         """Note the position in a beacon, if the peer is live."""
-        if self._counts(peer):
+        if self._has_position(peer):
             self.put(peer.name, beacon.tick, beacon_row(beacon, self._diagram))
 
     def note_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
@@ -59,10 +59,10 @@ class PeerPositions(PositionTable):
         found = []
         for name, gossip in gossips.items():
             peer = peers.get(name)
-            if peer is not None and peer.announced is not None and (steady or self._counts(peer)):
+            if peer is not None and peer.announced is not None and (steady or self._has_position(peer)):
                 found.append((name, gossip.tick, gossip_row(gossip, peer.announced, self._diagram)))
         self.put_all(found)
 
-    def _counts(self, peer: Peer) -> bool:
+    def _has_position(self, peer: Peer) -> bool:
         """Whether a peer has a position: it has not gone, its sensor is known, and it has not been silent for long."""
         return peer.left_at is None and peer.announced is not None and peer.missed < self.silence_limit

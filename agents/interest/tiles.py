@@ -81,7 +81,7 @@ class Tiling:
         (column, row), (columns, rows) = tile, self._last
         return TileBlock(max(0, column - width), max(0, row - width), min(columns, column + width), min(rows, row + width))
 
-    def ground(self, block: TileBlock) -> Rectangle:
+    def rectangle_of(self, block: TileBlock) -> Rectangle:
         """The rectangle of all positions whose beacons are published in these tiles; it is infinite where the arena ends."""
         (west, south, east, north), (column, row), side = block, self._last, self.side
         return Rectangle(

@@ -167,7 +167,7 @@ def settled() -> InterestManager:
 def test_a_newcomer_is_answered_who_should_have_been_heard_of_before() -> None:
     """He may not know me either, unless he has just entered the ground that I know."""
     watcher, now = settled(), 3 * int(BEACON_PERIOD)
-    edge = max(box.east for box in [watcher.known] if box is not None)
+    edge = max(box.east for box in [watcher.known_area] if box is not None)
     for name, x, answered in (("s4", 20.0, True), ("s5", edge - BEACON_JUMP - 0.5, False), ("s6", edge + 1.0, False), ("s4", 21.0, False)):
         assert watcher.take_beacon(beacon(name, now, x)) == answered
     assert watcher.take_beacon(msgspec.structs.replace(beacon("s7", now, edge + 1.0), asks=True))
@@ -187,5 +187,5 @@ def test_new_ground_is_known_after_a_period_though_more_has_been_added_since() -
 def grown(watcher: InterestManager, step: int, tick: int) -> Rectangle:
     """The ground that is known after a choice for a cell that is 18 m wider, one tile, in each step."""
     watcher.reselect(rectangle(56.0 + 18.0 * step, 20.0), beacon("s1", tick, 10.0), tick)
-    assert watcher.known is not None
-    return watcher.known
+    assert watcher.known_area is not None
+    return watcher.known_area

@@ -18,14 +18,14 @@ def test_a_place_has_one_tile_and_outside_the_arena_the_nearest() -> None:
 
 
 def test_the_ground_of_a_box_has_no_end_where_the_arena_ends() -> None:
-    assert TILING.ground(TileBlock(1, 1, 2, 1)) == Rectangle(25.0, 25.0, 75.0, 50.0)
-    assert TILING.ground(TileBlock(0, 0, 4, 2)) == Rectangle(-math.inf, -math.inf, math.inf, math.inf)
+    assert TILING.rectangle_of(TileBlock(1, 1, 2, 1)) == Rectangle(25.0, 25.0, 75.0, 50.0)
+    assert TILING.rectangle_of(TileBlock(0, 0, 4, 2)) == Rectangle(-math.inf, -math.inf, math.inf, math.inf)
 
 
 def test_the_box_of_a_rectangle_holds_it() -> None:
     asked = Rectangle(30.0, -20.0, 51.0, 20.0)
     assert TILING.block(asked) == TileBlock(1, 0, 2, 0)
-    assert TILING.ground(TILING.block(asked)).holds(asked) and not TILING.ground(TILING.block(asked)).holds(asked.wider(30.0))
+    assert TILING.rectangle_of(TILING.block(asked)).holds(asked) and not TILING.rectangle_of(TILING.block(asked)).holds(asked.wider(30.0))
     assert TILING.around((0, 2), 1).tiles() == [(0, 1), (0, 2), (1, 1), (1, 2)]
 
 
