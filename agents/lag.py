@@ -22,9 +22,8 @@ LONGEST_LAG = 12  # ticks that a round is played late at most; gossips are kept 
 MEMORY_SECONDS = 2.0  # s for which a late gossip is remembered
 IN_TIME_SHARE = 0.95  # share of the gossips that a lag lets come in time
 HELD_SHARE = 0.9  # share of the gossips that are still to come for which a round is held
-LEAST_MISSING = (
-    3  # gossips that must be missing: one or two silent peers show nothing about the network. So swarms of up to 3 agents hold no round
-)
+# gossips that must be missing: one or two silent peers show nothing about the network. So swarms of up to 3 agents hold no round
+LEAST_MISSING = 3
 
 
 class Lag:
