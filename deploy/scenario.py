@@ -164,7 +164,8 @@ def read(name: str, overrides: dict[str, Any] | None = None, *, agents_too: bool
 
 def _is_of_agents(data: dict[str, Any]) -> bool:
     """Whether data are what `agent_config` leaves of a scenario: all that agents read, their own seed, and no word of the world."""
-    return set(data) == set(AgentConfig.__struct_fields__) and set(data["run"]) == set(RunSettings.__struct_fields__)
+    run = data.get("run")
+    return set(data) == set(AgentConfig.__struct_fields__) and isinstance(run, dict) and set(run) == set(RunSettings.__struct_fields__)
 
 
 def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str) -> Scenario:

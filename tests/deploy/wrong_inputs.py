@@ -9,6 +9,7 @@ from deploy.__main__ import app
 from deploy.cli.errors import guarded
 from deploy.scenario import agent_config, resolve, toml_text
 
+AGENTS = toml_text(agent_config(resolve("quick")))
 FILES = {
     "empty.toml": b"",
     "syntax.toml": b"[run\n",
@@ -42,7 +43,8 @@ FILES = {
     "team.toml": b"[team]\ncomposition = '2A'\n[members]\na = 'A'\n",
     "few.toml": b"[team]\ncomposition = '4A'\n[[faults]]\nat = 1.0\nverb = 'kill'\nwho = '3'\n"
     b"[[faults]]\nat = 2.0\nverb = 'kill'\nwho = '2'\n",
-    "agents.toml": toml_text(agent_config(resolve("quick"))).encode(),
+    "agents.toml": AGENTS.encode(),
+    "scalar.toml": f"run = 5\n{AGENTS[AGENTS.index('[arena]') :]}".encode(),
     "strangers.toml": toml_text(agent_config(resolve("quick", {"timing.interest": "neighbours"}))).encode(),
     "file": b"",
     "file.mcap": b"no recording",
