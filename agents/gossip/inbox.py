@@ -43,10 +43,14 @@ class RoundInbox:
         if len(far) > WINDOW_TICKS:
             old = next(iter(far))
             del far[old]
-            if name in self.of(old) and not self._is_near(old):
-                del self.rounds[old][name]
-                if not self.rounds[old]:
-                    del self.rounds[old]
+            if not self._is_near(old):
+                self._drop(name, old)
+
+    def _drop(self, name: str, tick: int) -> None:
+        """Drop the gossip of a peer and a tick, if there is one."""
+        gossips = self.rounds.get(tick, {})
+        if gossips.pop(name, None) is not None and not gossips:
+            del self.rounds[tick]
 
     def of(self, tick: int) -> dict[str, Gossip]:
         """The gossips of a tick, by name; not to be changed."""
@@ -63,8 +67,9 @@ class RoundInbox:
 
     def forget(self, name: str) -> None:
         """Drop all gossips of a peer."""
-        for gossips in (self.newest_closed, *self.rounds.values()):
-            gossips.pop(name, None)
+        self.newest_closed.pop(name, None)
+        for tick in [*self.rounds]:
+            self._drop(name, tick)
         self._far.pop(name, None)
 
     def drop_newest_closed(self, names: Iterable[str]) -> None:

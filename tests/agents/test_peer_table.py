@@ -134,9 +134,10 @@ def test_of_made_up_names_that_say_hello_a_fixed_number_is_kept() -> None:
         name = f"x{number}"
         assert hear(peers, gossip(name, 0)) == "unknown_sensor" and name not in peers.peers
         assert peers.take_hello(hello(name)) is None and hear(peers, gossip(name, 0)) is None
+        assert hear(peers, gossip(name, 10_000 + number)) is None, "each in a tick of its own"
     assert len(peers.peers) == len(peers.interest_set) == 1 + MOST_STRANGERS
     assert "s2" in peers.peers and f"x{3 * MOST_STRANGERS - 1}" in peers.peers and "x0" not in peers.peers
-    assert sum(map(len, peers.inbox.rounds.values())) == MOST_STRANGERS
+    assert len(peers.inbox.rounds) == 1 + MOST_STRANGERS and len(peers.inbox.of(0)) == MOST_STRANGERS
     peers.close(0)
     assert len(peers.inbox.newest_closed) == MOST_STRANGERS
 
