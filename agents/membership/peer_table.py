@@ -191,8 +191,9 @@ class PeerTable:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
-        if not self.inbox.is_far_ahead(tick):  # a wrong tick shows no life
-            peer.missed, peer.doubted = 0, False
+        peer.doubted = False
+        if not self.inbox.is_far_ahead(tick):  # a wrong tick ends no silence
+            peer.missed = 0
             if peer.left_at is not None:
                 peer.left_at, self.selection_outdated = None, True
         return ACCEPTED

@@ -118,6 +118,16 @@ def test_a_gossip_of_a_tick_far_ahead_brings_nobody_back_who_has_gone() -> None:
             assert "s3" not in generators(peers, tick + 1)
 
 
+def test_a_lost_token_is_no_departure_of_one_that_is_heard_by_an_agent_that_wakes() -> None:
+    peers = neighbours("s2", "s3", "s4")
+    for tick in (0, 40):  # in between this agent stood still
+        assert tick == 0 or not peers.gone("s4", 1, 0, doubted=True)
+        for name in ("s2", "s3", "s4"):
+            assert hear(peers, gossip(name, tick)) is None
+        peers.close(tick)
+    assert generators(peers, 41) == ["s2", "s3", "s4"] and hear(peers, gossip("s4", 41)) is None
+
+
 def test_no_round_waits_for_a_peer_that_says_ticks_far_ahead_alone() -> None:
     peers = neighbours("s2", "s3")
     waited = []
