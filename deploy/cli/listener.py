@@ -46,7 +46,7 @@ def swarm_to_watch(run: str | None, *, supervised: bool = False) -> tuple[RunDir
 
 def swarm_elsewhere(file: str) -> Scenario:
     """The scenario of a swarm that runs on other machines; raises BadSetting where it does not say how to reach them."""
-    scenario = resolve(file, agents_too=True)
+    scenario = resolve(file)
     if not scenario.network.seeds:
         raise BadSetting(f"--run {file}: network.seeds is empty; should hold the endpoints of the swarm, such as 'tls/10.0.0.1:7447'")
     admitted = scenario.network.admit or tuple(scenario.members)
