@@ -145,3 +145,19 @@ def test_an_observer_takes_no_word_of_made_up_names() -> None:
     watchdog.take(Alive("agent", "x0", 1), 0.0)
     watchdog.take(Gone("agent", "x0", 1), 0.0)
     assert orders(watchdog, strangers, 10.0) == [Reopen("x0 speaks, but its token has gone")]
+
+
+@pytest.mark.parametrize("standstill", [3.0, 5.5, 8.0, 10.0, 60.0])
+def test_an_observer_that_stood_still_or_is_late_keeps_its_session(standstill: float) -> None:
+    """All that has waited comes at once: words, then the tokens that the links of the old lease took along, then these again."""
+    team, found = ("s1", "s2", "s3"), list[Effect]()
+    watchdog = ListenerWatchdog(team)
+    for name in team:
+        watchdog.take(Alive("agent", name, 1), 0.0)
+    for stop in range(10):
+        now = (stop + 1) * standstill
+        words = [received(hello(name, *team)) for name in team for _ in range(int(standstill / 2.0))]
+        tokens = [told("agent", name, 1) for told in (Gone, Alive) for name in team]
+        for event in (*words, *tokens[:3], *words[:1], *tokens[3:], *words):
+            found += watchdog.take(event, now)
+    assert found == []
