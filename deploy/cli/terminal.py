@@ -42,7 +42,8 @@ def stop_event() -> asyncio.Event:
 def keyboard(show_cursor: Callable[[bool], object]) -> Iterator[Pressed]:
     """Keys without Enter and without an echo. Ctrl-Z gives the terminal back until the program is in front again.
 
-    Signals wait until the first look for keys: an exception while the `with` statement enters would leave the terminal as it is.
+    Signals wait until the first look for keys, if the program has one thread: an exception while the `with` statement enters would leave
+    the terminal as it is.
     """
     number = sys.stdin.fileno()
     before = termios.tcgetattr(number)
