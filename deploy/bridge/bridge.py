@@ -26,6 +26,7 @@ from deploy.bridge.client import Heard, Participant
 from deploy.bridge.frames import Placement, Planar, heading_of, moved, placed, wheels
 from deploy.bridge.ros import RosNode, message
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
+from deploy.bridge.watchdog import BridgeWatchdog
 
 ARENA_FRAME = "map"
 DRIVE_PERIOD = 0.05  # s between two cmd_vel: drivers stop after some tenths of a second without
@@ -47,6 +48,7 @@ class Bridge:
         self._client = Participant(network, run, options.agent)
         self._limit = rules.turn_rate
         self.body = RobotBody(rules, self._client.incarnation, self._client.say, self._client.appear)
+        self._watchdog = BridgeWatchdog(rules.expected)
         self._axle: Placement = (0.0, 0.0, 0.0)  # of the robot, in the arena's frame
         self._robot_frame = ""
         self._moves = threading.Lock()  # odometry comes in a thread of Zenoh
@@ -59,7 +61,7 @@ class Bridge:
         )
         ros.subscribe(f"/{name}/odom", ODOMETRY, self._on_odometry)
         ros.subscribe(f"/{name}/detections", POSES, self._on_detections)
-        self._client.listen("gossip/*", f"command/{name}", f"estimate/{name}", "pose/*", "halt")
+        self._client.listen("gossip/*", "hello/*", f"command/{name}", f"estimate/{name}", "pose/*", "halt")
 
     def serve(self, over: threading.Event) -> int:
         """Take part until `over` or the end of the run; the exit code, which is 3 when a younger body has taken the name."""
@@ -110,6 +112,9 @@ class Bridge:
             else:
                 with self._moves:
                     self.body.hear(heard, time.monotonic())
+                if reason := self._watchdog.take(heard, time.monotonic()):
+                    print(f"bridge: joining the run again: {reason}", file=sys.stderr)
+                    self._client.rejoin()
         if self.body.halt != before and self._options.keep is not None:
             keep(self._options.keep, self.body.halt)
 

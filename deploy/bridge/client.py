@@ -4,8 +4,10 @@ It is the part that a participant in another language needs first (docs/referenc
 certificates it keeps the access control of a body itself, as every peer does: who says what is judged by the certificate.
 """
 
+import contextlib
 import json
 import queue
+import threading
 import time
 from typing import Any, NamedTuple
 
@@ -14,6 +16,7 @@ import zenoh
 
 WIRE = 2
 MAX_BYTES = 524288
+RETRY_SECONDS = 0.5  # between two attempts to join again
 TLS = {"verify_name_on_connect": False, "close_link_on_expiration": True}
 DROP = zenoh.CongestionControl.DROP
 Fields = dict[str, Any]
@@ -48,22 +51,55 @@ class Participant:
     def __init__(self, network: Network, run: str, name: str) -> None:
         self.incarnation = time.time_ns() // 1_000_000
         self.events: queue.SimpleQueue[Heard] = queue.SimpleQueue()
-        self._run, self._name = run, name
-        self._session = zenoh.open(config_of(network, run, name))
+        self._network, self._run, self._name = network, run, name
+        self._keys: list[str] = []  # that are listened to
+        self._up: set[tuple[str, str, int]] = set()  # role, name and incarnation of the tokens
         self._publishers: dict[str, tuple[Any, zenoh.SourceInfo]] = {}
         self._token: Any = None
-        tokens = self._session.liveliness().declare_subscriber(f"covey/{run}/alive/**", self._on_token, history=True)
-        self._held: list[Any] = [tokens]
+        self._held: list[Any] = []
+        self._session: zenoh.Session | None = None  # None: on the way to another one
+        self._join()
+
+    def _join(self) -> None:
+        """Open a session with all subscriptions."""
+        session = zenoh.open(config_of(self._network, self._run, self._name))
+        self._held = [session.liveliness().declare_subscriber(f"covey/{self._run}/alive/**", self._on_token, history=True)]
+        self._held += [self._subscriber(session, key) for key in self._keys]
+        self._session = session
+
+    def _subscriber(self, session: zenoh.Session, key: str) -> Any:
+        return session.declare_subscriber(f"covey/{self._run}/{key}", self._on_sample, allowed_origin=zenoh.Locality.REMOTE)
 
     def listen(self, *keys: str) -> None:
         """Subscribe to keys within the run, such as gossip/*."""
-        remote = zenoh.Locality.REMOTE
-        subscribe = self._session.declare_subscriber
-        self._held += [subscribe(f"covey/{self._run}/{key}", self._on_sample, allowed_origin=remote) for key in keys]
+        self._keys += keys
+        if self._session is not None:
+            self._held += [self._subscriber(self._session, key) for key in keys]
+
+    def rejoin(self) -> None:
+        """Leave the network and join it again, in a thread: a client waits for its router. What is said meanwhile is lost."""
+        session, self._session = self._session, None
+        if session is not None:
+            declared = [self._publishers, self._token, self._held]  # released when the session is closed
+            self._publishers, self._token = {}, None
+            threading.Thread(target=self._leave_and_join, args=(session, declared), daemon=True).start()
+
+    def _leave_and_join(self, session: zenoh.Session, declared: list[Any]) -> None:
+        with contextlib.suppress(zenoh.ZError):
+            session.close()
+        declared.clear()
+        for token in self._up:
+            self.events.put(Heard(token[0], token[1], {}, token[2], up=False))
+        self._up.clear()  # the next session tells of those that are there
+        while self._session is None:
+            try:
+                self._join()
+            except zenoh.ZError:  # the old session may still hold the port
+                time.sleep(RETRY_SECONDS)
 
     def appear(self, up: bool) -> None:
         """Declare the token, or take it back; of no effect where that is so already."""
-        if up and self._token is None:
+        if up and self._token is None and self._session is not None:
             expression = f"covey/{self._run}/alive/body/{self._name}/{self.incarnation}"
             self._token = self._session.liveliness().declare_token(expression)
         elif not up and self._token is not None:
@@ -72,6 +108,8 @@ class Participant:
 
     def say(self, kind: str, fields: Fields) -> None:
         """Publish a message of this kind under the own name."""
+        if self._session is None:
+            return
         said = {"type": kind, "sender": self._name, "incarnation": self.incarnation, "wire": WIRE, **fields}
         key = f"covey/{self._run}/{kind}/{self._name}"
         if key not in self._publishers:
@@ -82,11 +120,14 @@ class Participant:
 
     def close(self) -> None:
         """Leave the run."""
-        self._session.close()
+        if self._session is not None:
+            self._session.close()
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         _, _, _, role, name, number = str(sample.key_expr).split("/")
-        self.events.put(Heard(role, name, {}, int(number), sample.kind == zenoh.SampleKind.PUT))
+        up = sample.kind == zenoh.SampleKind.PUT
+        (self._up.add if up else self._up.discard)((role, name, int(number)))
+        self.events.put(Heard(role, name, {}, int(number), up))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         """Hand on a message that is whole and of this version; whatever else comes is passed over."""
@@ -143,7 +184,7 @@ def access_control(run: str, name: str, agents: tuple[str, ...]) -> Fields:
 
     everybody = ["monitor", "operator", *agents]
     for agent in agents:
-        says = [f"{root}/gossip/{agent}", f"{root}/pose/{agent}", *(mine[1:] if agent == name else [])]
+        says = [*(f"{root}/{kind}/{agent}" for kind in ("gossip", "hello", "pose")), *(mine[1:] if agent == name else [])]
         allow(agent, "ingress", ["put"], says)
         allow(agent, "ingress", ["declare_subscriber"], [pose, *(mine[:1] if agent == name else [])])
         allow(agent, "egress", ["put"], [pose, *(mine[:1] if agent == name else [])])

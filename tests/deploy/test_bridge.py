@@ -24,6 +24,7 @@ from deploy.bridge.client import Heard, Network, Participant, access_control, co
 from deploy.bridge.frames import fenced, moved, placed, wheels
 from deploy.bridge.ros import QOS, RosNode, attachment, message, topic_key
 from deploy.bridge.settings import BridgeOptions, Wrong, check, read_run
+from deploy.bridge.watchdog import BridgeWatchdog
 from deploy.live.certificates import make_keys
 from deploy.scenario import resolve, toml_text
 from protocol import codec, keys, live
@@ -187,6 +188,7 @@ def test_after_the_last_tick_it_stands_and_says_nothing() -> None:
 def test_the_file_of_the_halt_holds_the_order_that_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, bridge = tmp_path / "halt", Bridge.__new__(Bridge)
     bridge.body, bridge._moves, bridge._options = Desk().body, threading.Lock(), BridgeOptions(tmp_path, "s3", keep=file)
+    bridge._watchdog = BridgeWatchdog(())
     for held, incarnation in ((True, 9), (False, 8)):
         bridge._on_heard(Heard("halt", "operator-1", {"held": held}, incarnation))
     bridge._on_heard(Heard("halt", "operator-1", {}, 10))  # of another form
@@ -324,10 +326,11 @@ def test_the_access_control_of_a_bridge_lets_in_and_out_what_that_of_a_body_of_o
         found = [rule for rule in rules["rules"] if rule["id"] in mine and message in rule["messages"] and flow in rule["flows"]]
         return any(keys.matches(expression, key) for rule in found for expression in rule["key_exprs"])
 
-    says = [f"covey/r/{kind}/{name}" for kind in ("gossip", "pose", "command", "estimate") for name in agents] + ["covey/r/halt"]
+    says = [f"covey/r/{kind}/{name}" for kind in ("gossip", "hello", "pose", "command", "estimate") for name in agents] + ["covey/r/halt"]
     for name in (*agents, "monitor", "operator", "world", "x9"):
         for key in says:
-            wanted = allowed(ours, name, "put", "ingress", key) and (key.endswith(("/s3", "halt")) or "/gossip/" in key or "/pose/" in key)
+            mine = key.endswith(("/s3", "halt")) or any(f"/{kind}/" in key for kind in ("gossip", "hello", "pose"))
+            wanted = mine and allowed(ours, name, "put", "ingress", key)
             assert allowed(theirs, name, "put", "ingress", key) == wanted, (name, key)
         assert allowed(theirs, name, "put", "egress", "covey/r/observation/s3") == (name in ("s3", "monitor", "operator"))
         assert allowed(theirs, name, "put", "egress", "covey/r/pose/s3") == allowed(ours, name, "put", "egress", "covey/r/pose/s3")

@@ -1,0 +1,72 @@
+"""Whether the session of a bridge is half open (docs/reference/protocol.md, *Liveliness tokens*; zenoh issue 2806).
+
+After an outage a session can be left through which nothing of a peer comes, or no tokens. The Hellos of the others tell it from a death.
+"""
+
+from collections.abc import Iterable
+
+from deploy.bridge.client import Heard
+
+HEARD_LATELY = 3.0  # s since the last message
+PATIENCE = 5.0  # s for which a sign must last
+FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, doubled each time
+
+NEVER = -float("inf")
+
+
+class BridgeWatchdog:
+    """What the Hellos of the agents say about the own session. Others than the expected agents count once they have a token."""
+
+    def __init__(self, expected: Iterable[str]) -> None:
+        self._agents = set(expected)
+        self._words: dict[str, float] = {}  # name -> when its last message came
+        self._hellos: dict[str, tuple[frozenset[str], float]] = {}  # name -> whom its last Hello lists, and when it came
+        self._tokens: dict[str, set[int]] = {}  # name -> incarnations with a token
+        self._missed: dict[str, float] = {}  # name -> since when the others hear it and this session does not
+        self._tokenless: dict[str, float] = {}  # name -> when its first Hello without a token came
+        self._rest, self._not_before = FIRST_REST, NEVER
+
+    def take(self, heard: Heard, now: float) -> str:
+        """Take a message or a token; the reason to open the session anew, empty if there is none."""
+        if heard.kind == "agent":
+            self._agents.add(heard.name)
+            tokens = self._tokens.setdefault(heard.name, set())
+            (tokens.add if heard.up else tokens.discard)(heard.incarnation)
+            if tokens:
+                self._tokenless.pop(heard.name, None)
+            else:
+                self._words.pop(heard.name, None)
+        elif heard.kind in ("gossip", "hello") and heard.name in self._agents:
+            self._words[heard.name] = now
+            if heard.kind == "hello":
+                self._hellos[heard.name] = frozenset(heard.fields.get("heard", ())), now
+                return self._judge(heard.name, now)
+        return ""
+
+    def _judge(self, sender: str, now: float) -> str:
+        """The first sign that has lasted, upon a Hello."""
+        if self._tokens.get(sender) == set():
+            self._tokenless.setdefault(sender, now)
+        missed = [name for name in sorted(self._agents) if self._is_missed(name, now)]
+        self._missed = {name: self._missed.get(name, now) for name in missed}
+        signs = [(since, f"the others hear {name}, this session does not") for name, since in self._missed.items()]
+        if sender in self._tokenless:
+            signs.append((self._tokenless[sender], f"{sender} speaks, but its token has gone"))
+        lasting = [sign for since, sign in signs if now - since >= PATIENCE]
+        if not lasting or now < self._not_before:
+            return ""
+        self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
+        self._missed.clear()
+        self._tokenless.clear()
+        return lasting[0]
+
+    def _is_missed(self, name: str, now: float) -> bool:
+        """Whether nothing comes of a name that at least half of the heard agents list."""
+        if self._is_heard(name, now):
+            return False
+        voters = [listed for voter, (listed, when) in self._hellos.items() if self._is_heard(voter, now) and now - when <= PATIENCE]
+        lists = sum(name in listed for listed in voters)
+        return lists > 0 and 2 * lists >= len(voters)
+
+    def _is_heard(self, name: str, now: float) -> bool:
+        return now - self._words.get(name, NEVER) <= HEARD_LATELY
