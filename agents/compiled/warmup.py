@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import logging
 import os
 import signal
 import subprocess
@@ -28,6 +29,8 @@ LOST = (4, 5)  # ticks in which the agents do not hear each other
 SKIPPED = (8, 9)  # ticks that s2 does not see
 TICK_SECONDS = 1e3  # between two ticks: every open round closes before the next
 LONGEST = 90.0  # s to wait for the next loop while another process compiles
+
+log = logging.getLogger(__name__)
 
 
 def warm() -> None:
@@ -64,10 +67,18 @@ def _compile_on_two_cores(fast: Backend) -> None:
     other = subprocess.Popen([sys.executable, "-m", __name__], cwd=top, stdin=subprocess.PIPE)
     try:
         _play_all(PLAIN._replace(**{name: getattr(fast, name) for name in SLOWEST_TO_COMPILE}))
-        other.wait()
+        _wait_for(other)
     finally:
         other.kill()
         other.communicate()
+
+
+def _wait_for(other: subprocess.Popen[bytes]) -> None:
+    """Wait until the second process has ended, or hangs; what it leaves is compiled here afterwards."""
+    for _ in _while_loops_come():
+        if other.poll() is not None:
+            return
+    log.warning("the second process that compiles has made no loop for %g s: it is ended, and its part compiled here", LONGEST)
 
 
 def main() -> None:
@@ -89,18 +100,23 @@ def _one_by_one() -> Iterator[None]:
 
     descriptor = os.open(str(correct.stats.cache_path), os.O_RDONLY)  # the folder in which numba keeps what it has compiled
     try:
-        done, end = 0, time.monotonic() + LONGEST
-        while time.monotonic() < end:
-            try:
+        for _ in _while_loops_come():
+            with contextlib.suppress(BlockingIOError):
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
-            except BlockingIOError:
-                time.sleep(0.05)
-            if loops_on_disk() > done:
-                done, end = loops_on_disk(), time.monotonic() + LONGEST
         yield
     finally:
         os.close(descriptor)
+
+
+def _while_loops_come() -> Iterator[None]:
+    """Pass 20 times a second, until no process has compiled another loop for `LONGEST` s."""
+    done, end = 0, time.monotonic() + LONGEST
+    while time.monotonic() < end:
+        yield
+        time.sleep(0.05)
+        if loops_on_disk() > done:
+            done, end = loops_on_disk(), time.monotonic() + LONGEST
 
 
 def _play_all(backend: Backend) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from agents.compiled import cache, warmup
 from agents.compiled.cache import folder
 from agents.compiled.correction_kernels import correct
 from deploy.simulation import compiled
@@ -77,6 +78,27 @@ def test_who_finds_loops_that_nobody_has_called_complete_compiles_once_and_says_
     command = [sys.executable, "-m", "deploy", "simulate", "quick", "--seconds", "1"]
     said = [subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=200, check=True).stderr for _ in range(2)]
     assert [text.count("compiling the particle loops") for text in said] == [1, 0]
+
+
+def test_a_second_process_is_waited_for_while_loops_come_and_not_when_it_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path)
+    monkeypatch.setattr(warmup, "LONGEST", 1.0)
+    (tmp_path / "agents").mkdir()
+    compiling = "for number in 0 1 2 3 4 5; do touch agents/loop$number.nbi; sleep 0.4; done"
+    with subprocess.Popen(["sh", "-c", compiling], cwd=tmp_path) as slow:
+        warmup._wait_for(slow)
+        assert slow.poll() == 0 and caplog.text == ""
+    with subprocess.Popen(["sleep", "100"]) as hung:
+        try:
+            warmup._wait_for(hung)
+            assert hung.poll() is None
+        finally:
+            hung.kill()
+    assert [record.getMessage() for record in caplog.records] == [
+        "the second process that compiles has made no loop for 1 s: it is ended, and its part compiled here"
+    ]
 
 
 @pytest.mark.slow
