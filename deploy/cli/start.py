@@ -9,6 +9,7 @@ from typing import NoReturn
 import msgspec
 
 from deploy.cli.options import DisplayOptions
+from deploy.cli.scenario_checks import check_platform_class
 from deploy.installation import command, environment
 from deploy.live.processes import Spawn, child_environment
 from deploy.live.zygote import Zygote
@@ -30,6 +31,7 @@ def run_live(scenario: Scenario, requested_name: str | None, title: str, showing
     `requested_name`: the name that the user gives the run; None: one of the date and the scenario.
     """
     refuse_oracle(scenario)
+    check_platform_class(scenario)
     check_loopback()
     detached = os.environ.pop(DETACHED, None)  # the name that the waiting command has chosen
     directory, lock = new_run_directory(detached or requested_name, scenario.run.scenario)

@@ -119,6 +119,7 @@ TYPED = [
     ("simulate few.toml", 2, "few.toml: faults[1].who = '2': only 1 agent qualifies at 2 s"),
     ("check robot.toml", 2, "robot.toml: bodies.platform = 'no_such_lab:Robot': No module named 'no_such_lab'"),
     ("simulate robot.toml", 2, "covey: robot.toml: bodies.platform = 'no_such_lab:Robot': No module named 'no_such_lab'"),
+    ("up robot.toml", 2, "covey: robot.toml: bodies.platform = 'no_such_lab:Robot': No module named 'no_such_lab'"),
     ("check agents.toml", 2, "covey: agents.toml: settings of agents, as a run writes them; a scenario is the run.toml beside it"),
     ("check strangers.toml --team 4A", 2, "covey: strangers.toml: settings of agents, as a run writes them"),
     ("check scalar.toml", 2, "scalar.toml: run = 5: should be a table, got a whole number"),
