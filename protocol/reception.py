@@ -82,15 +82,14 @@ class Reception:
         messages = iter(decode_all(unread))
         for arrival, out in zip(arrivals, shut):
             if arrival.token is not None:
-                seen = self._tokens.see(arrival.key, bool(arrival.token))
-                if seen is not None:
-                    yield seen
+                yield from self._tokens.see(arrival.key, bool(arrival.token))
                 continue
             message = None if out else next(messages)
             if message is None or isinstance(message, Malformed):
                 yield self._refuse(arrival, message, now)
             else:
                 self._counts["received"] += 1
+                self._tokens.hear(message.sender)
                 yield Decoded(message, arrival.payload)
 
     def _refuse(self, arrival: Arrival, error: Malformed | None, now: float) -> Rejected:
