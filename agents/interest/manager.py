@@ -147,6 +147,7 @@ class InterestManager:
     def take_beacons(self, beacons: list[Beacon]) -> bool:
         """Take beacons of other agents; whether one of them should be answered."""
         asking, widest = False, self._ground.bounds
+        self._peer_table.note_heard([beacon.sender for beacon in beacons])
         for beacon in beacons:
             asking |= beacon.asks
             if beacon.widest_reach > widest.reach or beacon.widest_offset > widest.offset or beacon.widest_radius > widest.radius:

@@ -14,7 +14,7 @@ the gossips of those that it selects.
 """
 
 import math
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Iterable
 from itertools import compress
 from operator import attrgetter
@@ -62,7 +62,7 @@ class PeerTable:
         self.silence_timeouts = 0  # how often a peer with its token up has been silent for too long
         self._last_known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
         self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
-        self._strangers: dict[str, None] = {}  # the peers that are not in the roster and have no token, the earliest first
+        self._strangers = OrderedDict[str, None]()  # the peers that are not in the roster and have no token, the longest silent first
         self._most_strangers = MAX_NAMES if self.local else MOST_STRANGERS  # local: tokens are seen of the interest set alone
 
     def alive(self, name: str, incarnation: int) -> None:
@@ -382,8 +382,14 @@ class PeerTable:
             self._set_interest([peer for name, peer in self.interest_set.items() if name not in names], [])
             self.selection_outdated = True
 
+    def note_heard(self, names: Iterable[str]) -> None:
+        """Note whose beacons have come: of too many strangers the one that has been silent for longest is forgotten."""
+        for name in names:
+            if name in self._strangers:
+                self._strangers.move_to_end(name)
+
     def _limit_strangers(self, name: str) -> None:
-        """Note a peer without a token as a stranger, unless it is in the roster; forget the earliest of too many.
+        """Note a peer without a token as a stranger, unless it is in the roster; forget the first of too many.
 
         Anybody can make up names and greet under them; a token is up as long as a session keeps it.
         """

@@ -12,6 +12,7 @@ from agents.config import TimingSettings
 from agents.gossip.inbox import WINDOW_TICKS
 from agents.membership.agreement import MOST_WARNINGS
 from agents.membership.peer_table import MOST_STRANGERS
+from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Hello
 from protocol.node import Alive, Effect, Gone, Timer, Warn, received
 from tests.agents.test_agent import LOCKSTEP, hello, met, only, see, word
@@ -97,3 +98,19 @@ def test_an_agent_that_hears_its_neighbours_forgets_made_up_names_whatever_tick_
                 break
             agent.handle(Timer(), due)
     assert agent.tick == 3 * WINDOW_TICKS - 1 and not agent.peer_table.peers and not names_in(agent.peer_table)
+
+
+def test_names_in_beacons_push_out_those_that_have_been_silent_for_longest() -> None:
+    agent = Agent(msgspec.structs.replace(LOCKSTEP, timing=TimingSettings(interest="neighbours")), "s1")
+    usual = {"position": (1.0, 1.0), "cod": (2.0, 1.0), "power_radius": 1.0, "reach": 8.0, "column": 0, "row": 0, "sensor_class": "B"}
+    agent.handle(see(0), 0.0)
+
+    def say(*names: str) -> None:
+        agent.handle(received(*[Beacon(sender=name, incarnation=1, tick=0, **usual) for name in names]), 0.0)  # type: ignore[arg-type]
+
+    say("g2", "g3")
+    for first in range(0, MAX_NAMES, MAX_NAMES // 4):
+        say("g2")
+        say(*(f"x{first + number}" for number in range(MAX_NAMES // 4)))
+    assert len(agent.peer_table.peers) == MAX_NAMES
+    assert "g2" in agent.peer_table.peers and "g3" not in agent.peer_table.peers and "x0" not in agent.peer_table.peers
