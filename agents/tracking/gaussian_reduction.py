@@ -13,6 +13,7 @@ from agents.tracking.gaussians import Mixture, chain, pick, variances
 from agents.tracking.labels import name_peaks, weight_by_label
 from agents.tracking.particles import total
 
+STRIP = 1024  # components whose pairs are looked at together, so that they take little memory
 ALIKE = 9.0  # a component merges with one of at most this many times its variance
 
 
@@ -42,20 +43,39 @@ def merged(mixture: Mixture, settings: MixtureSettings) -> Mixture:
 
 def _close_pairs(mixture: Mixture, most: float) -> dict[int, list[int]]:
     """The components close to each component, by its number; those with none are left out."""
-    means, sizes = mixture.means, mixture.covariances[:, 0, 0] + mixture.covariances[:, 1, 1]
-    dx, dy = means[:, 0, None] - means[None, :, 0], means[:, 1, None] - means[None, :, 1]
-    least = np.minimum(sizes[:, None], sizes[None, :])
-    near = (dx * dx + dy * dy <= most * least) & (sizes[:, None] <= ALIKE * least) & (sizes[None, :] <= ALIKE * least)
-    rows, columns = np.nonzero(np.triu(near, 1))
+    rows, columns = _near_pairs(mixture, most)
     if not len(rows):
         return {}
-    inverses, apart = np.linalg.inv(mixture.covariances), means[rows] - means[columns]
+    inverses, apart = np.linalg.inv(mixture.covariances), mixture.means[rows] - mixture.means[columns]
     close = (_squared(apart, inverses[rows]) <= most) & (_squared(apart, inverses[columns]) <= most)
     found: dict[int, list[int]] = {}
     for one, other in zip(rows[close].tolist(), columns[close].tolist()):
         found.setdefault(one, []).append(other)
         found.setdefault(other, []).append(one)
     return found
+
+
+def _near_pairs(mixture: Mixture, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs of components, in order, of alike variances and with places no farther apart than the narrower one allows.
+
+    Each component is compared with those that follow it from west to east, as far as it reaches itself.
+    """
+    order = np.argsort(mixture.means[:, 0], kind="stable")
+    x, y = mixture.means[order, 0], mixture.means[order, 1]
+    sizes = (mixture.covariances[:, 0, 0] + mixture.covariances[:, 1, 1])[order]
+    ends = np.searchsorted(x, x + 1.001 * np.sqrt(most * sizes) + 1e-6, side="right")  # a little more: sums are rounded
+    found = [np.empty((2, 0), dtype=np.int64)]
+    for start in range(0, len(order), STRIP):
+        west = np.arange(start, min(start + STRIP, len(order)))
+        numbers = ends[west] - west - 1
+        one = np.repeat(west, numbers)
+        other = one + 1 + np.arange(len(one)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
+        dx, dy, least = x[one] - x[other], y[one] - y[other], np.minimum(sizes[one], sizes[other])
+        near = (dx * dx + dy * dy <= most * least) & (sizes[one] <= ALIKE * least) & (sizes[other] <= ALIKE * least)
+        found.append(np.stack([order[one[near]], order[other[near]]]))
+    rows, columns = np.sort(np.concatenate(found, axis=1), axis=0)
+    ascending = np.lexsort((columns, rows))
+    return rows[ascending], columns[ascending]
 
 
 def _squared(vectors: np.ndarray, matrices: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The Gaussian-mixture PHD against numbers by hand and closed forms: motion, correction, splitting, merging, dropping, extraction."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from agents.tracking import gaussian_belief, gaussian_phd
 from agents.tracking.births import Scan
 from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.gaussian_belief import MixtureBelief, MixturePhd, OwnedMixture
-from agents.tracking.gaussian_reduction import estimates, limited, merged
+from agents.tracking.gaussian_reduction import ALIKE, STRIP, _near_pairs, estimates, limited, merged
 from agents.tracking.gaussians import EMPTY, Mixture, chain, clamped, in_order, mean_of, nodes, packed, points, unpacked
 from agents.tracking.step import Step
 from protocol.fields import pack
@@ -351,3 +352,49 @@ def test_the_prior_has_its_mass_everywhere() -> None:
     mixture = gaussian_phd.prior(config(FilterSettings(kind="gaussian-mixture", prior_density=0.01)))
     assert mixture.weights.sum() == pytest.approx(16.0)
     assert mixture.means[:, :2].mean(axis=0) == pytest.approx([20.0, 20.0])
+
+
+# ---------------------------------------------------------------------- many components
+
+
+def many(number: int, seed: int, *, side: float = 40.0, grid: float = 0.0) -> Mixture:
+    """Components all over an arena, of variances from 0.01 to 25 m^2; on a grid where one is asked for."""
+    rng = np.random.default_rng(seed)
+    means = rng.uniform(0.0, side, (number, 4))
+    if grid:
+        means = np.round(means / grid) * grid
+    sizes = rng.choice([0.01, 0.1, 0.3, 2.0, 25.0], (number, 1, 1))
+    numbers = np.arange(number, dtype=np.uint64)
+    return Mixture(rng.random(number), means, sizes * np.eye(4), numbers, numbers)
+
+
+@pytest.mark.parametrize(("number", "side", "grid"), [(0, 40.0, 0.0), (1, 40.0, 0.0), (300, 40.0, 0.0), (300, 40.0, 4.0), (90, 0.0, 0.0)])
+def test_near_pairs_are_those_that_a_comparison_of_all_with_all_finds(number: int, side: float, grid: float) -> None:
+    for seed in range(5):
+        print(f"seed {seed}")
+        mixture = many(number, seed, side=side, grid=grid)
+        (x, y), sizes = mixture.means[:, :2].T.tolist(), (2.0 * mixture.covariances[:, 0, 0]).tolist()
+        wanted = []
+        for one in range(number):
+            for other in range(one + 1, number):
+                least, most = sorted((sizes[one], sizes[other]))
+                if (x[one] - x[other]) ** 2 + (y[one] - y[other]) ** 2 <= 4.0 * least and most <= ALIKE * least:
+                    wanted.append((one, other))
+        rows, columns = _near_pairs(mixture, 4.0)
+        assert [*zip(rows.tolist(), columns.tolist())] == wanted
+        assert number < 2 or wanted
+
+
+def test_thousands_of_components_take_little_memory_and_no_pair_is_lost_between_two_strips() -> None:
+    """One sensor that states a thousand false detections makes as many: all pairs at once would take 200 MB for each number of a pair."""
+    number = 5 * STRIP
+    mixture = many(number, 1, side=1000.0)
+    mixture.covariances[:] = 0.1 * np.eye(4)
+    mixture.means[:, 0] = np.arange(number) * 0.5  # each reaches the next one alone, 0.5 m on
+    mixture.means[:, 1] = 0.0
+    tracemalloc.start()
+    rows, columns = _near_pairs(mixture, 4.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert rows.tolist() == [*range(number - 1)] and columns.tolist() == [*range(1, number)]
+    assert peak < 20e6, f"{peak / 1e6:.0f} MB"
