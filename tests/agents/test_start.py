@@ -26,6 +26,15 @@ def test_an_agent_of_its_own_runs_the_compiled_loops_and_plain_numpy_only_where_
     assert start(TEAM, "s1", 1).context.backend is PLAIN
 
 
+def test_an_agent_has_loaded_its_loops_when_it_starts() -> None:
+    """In a process of its own, in which no other test has called a loop."""
+    program = "from agents.__main__ import start; from agents.config import AgentConfig; start(AgentConfig(members={'s1': 'A'}), 's1', 1)"
+    program += "; from agents.compiled.cell_kernels import cut_cells; print(len(cut_cells.signatures))"
+    kept = {name: value for name, value in os.environ.items() if name != "NUMBA_DISABLE_JIT"}
+    done = subprocess.run([sys.executable, "-c", program], env=kept, capture_output=True, text=True, timeout=110, check=False)
+    assert done.stdout.strip().isdecimal() and int(done.stdout) > 0, done.stdout + done.stderr
+
+
 def test_a_stranger_is_refused_before_anything_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("agents.compiled.warmup.warm", lambda: pytest.fail("compiles"))
     with pytest.raises(BadSetting, match=r"--name s9: the roster has no such member; it has s1"):

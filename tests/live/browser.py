@@ -29,7 +29,7 @@ MARKS = [
 
 @pytest.fixture
 def page(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """A window; at the end no page may have raised an error, and its console may hold nothing but the complaint that a test expects."""
+    """A window; at the end no page may have raised an error, and its console holds the complaint that a test expects, and no other."""
     complaints: list[str] = []
     expected = getattr(request, "param", None)
     with playwright.sync_playwright() as driver:
@@ -40,8 +40,9 @@ def page(request: pytest.FixtureRequest) -> Iterator[Any]:
         window.on("pageerror", lambda error: complaints.append(str(error)))
         yield window
         browser.close()
-    complaints = [one for one in complaints if expected is None or expected not in one]
-    assert not complaints, complaints
+    others = [one for one in complaints if expected is None or expected not in one]
+    assert not others, others
+    assert expected is None or complaints, f"nobody complained of {expected}"
 
 
 def address(process: Any) -> str:

@@ -45,6 +45,7 @@ def test_bodies_move_and_a_click_kills(covey: Covey, page: Any) -> None:
     page.click("#row-s2 button")
     until(page, "covey.belief && covey.belief.name === 's2' && covey.belief.claim.length > 0")
     until(page, "covey.frame.score && covey.frame.score[6] < 1e-6")
+    until(page, "document.querySelector('#legend').textContent.includes('its claim')")
     clicked = time.monotonic()
     page.click("#belief [data-verb=kill]")
     until(page, f"document.querySelector('#row-s2.dead') && {happened('lost', 's2')}")

@@ -217,6 +217,7 @@ def test_a_page_whose_server_ends_says_so_and_shows_the_next_one_at_the_same_pla
     page.keyboard.press("Space")
     until(page, "document.querySelector('#answer').textContent.includes('no connection')")
     process.wait(timeout=60)
+    page.wait_for_event("console", lambda said: "ERR_CONNECTION_REFUSED" in said.text)  # the page has looked for a server in vain
     address(covey.start("replay", str(other), "--page", url.rstrip("/").rpartition(":")[2]))
     until(page, "covey.hello.run === 'other' && covey.frame.agents.length === 2 && covey.told === covey.frame")
     assert page.evaluate("covey.chosen") is None and page.is_hidden("#belief")
