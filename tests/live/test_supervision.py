@@ -68,6 +68,8 @@ def test_a_detached_run_is_acted_on_from_elsewhere_and_a_second_one_of_its_name_
     assert covey.run("restart")[1] == "restarted s2, s3\n"
     back = rows(covey.wait(lambda data: rows(data)["s3"].get("tick", -1) > dead["s3"]["tick"]))
     assert (back["s3"]["state"], back["s3"]["incarnation"]) == ("running", 2)
+    assert covey.run("restart", "s3")[1] == "restarted s3\n", "a living one too"
+    covey.wait(lambda data: rows(data)["s3"]["alive"] and rows(data)["s3"]["incarnation"] == 3)
 
     assert covey.run("pause", "s1")[1] == "paused s1\n"
     assert rows(covey.wait(lambda data: not rows(data)["s1"]["alive"]))["s1"]["state"] == "paused"

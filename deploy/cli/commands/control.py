@@ -54,7 +54,10 @@ def resume(*who: AgentChoice, random: RandomCount = None, run: RunName = None) -
 
 @app.command(group=ACT, help_epilogue="Example: covey restart s1 s2")
 def restart(*who: AgentChoice, random: RandomCount = None, run: RunName = None) -> int:
-    """Bring agents back under their names; all the dead unless said."""
+    """Bring agents back under their names; all the dead unless said.
+
+    One that is named and still lives is ended first.
+    """
     return _send("restart", who, random, run, "100%")
 
 
