@@ -389,10 +389,7 @@ class PeerTable:
                 self._strangers.move_to_end(name)
 
     def _limit_strangers(self, name: str) -> None:
-        """Note a peer without a token as a stranger, unless it is in the roster; forget the first of too many.
-
-        Anybody can make up names and greet under them; a token is up as long as a session keeps it.
-        """
+        """Note a peer without a token as a stranger, unless it is in the roster; forget the first of too many: names can be made up."""
         if name in self._others:
             return
         self._strangers[name] = None
