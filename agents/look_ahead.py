@@ -30,7 +30,8 @@ from agents.tracking.tracker import Diagram, RegionInput, TrackerState
 from protocol.keys import order
 from protocol.messages import Gossip
 
-BLUR = 0.2  # per s: what the peak of a target that is out of view loses to its surroundings
+BLUR = 0.6  # per s: what the peak of a target that is out of view loses to its surroundings
+BESIDE = 0.6  # expected targets: least mass of a peak near another one, for a low threshold would count the rest of a target as another
 NOBODY = ""  # owns no cell: a replay corrects a density and draws no particles from it
 
 
@@ -102,11 +103,14 @@ class RecentTicks:
         return earlier[-1] if earlier else self._beliefs[0] if self._beliefs else newest
 
     def blurred_config(self, ticks: int) -> AgentConfig:
-        """The settings to read targets off a density that was moved on by some ticks: a target is spread wider, and its peak is lower."""
+        """The settings to read targets off a density that was moved on by some ticks: a target is spread wider, and its peak is lower.
+
+        What is left when one expected target has been taken from a peak must be more than that to be another one.
+        """
         if ticks not in self._blurred:
-            config = self._context.config
+            config, now = self._context.config, self._context.config.extraction
             share = 1.0 / (1.0 + BLUR * ticks * config.run.dt)
-            extraction = msgspec.structs.replace(config.extraction, threshold=share * config.extraction.threshold)
+            extraction = msgspec.structs.replace(now, threshold=share * now.threshold, beside=max(now.beside, BESIDE))
             self._blurred[ticks] = msgspec.structs.replace(config, extraction=extraction)
         return self._blurred[ticks]
 

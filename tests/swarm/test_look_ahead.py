@@ -2,19 +2,25 @@
 
 import statistics
 
+import msgspec
 import numpy as np
 import pytest
 
 from agents.agent import Agent
+from agents.backend import PLAIN
+from agents.config import ExtractionSettings
 from agents.gossip.table import announced_sensor, gossip_table
+from agents.look_ahead import RecentTicks
+from agents.round import context_of
 from agents.tracking.belief import owned_by_sender
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, in_arena
+from agents.tracking.extraction import estimate_tracks
 from agents.tracking.particles import Particles, canonical, join, select
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
-from deploy.scenario import Scenario, agent_config
+from deploy.scenario import Scenario, agent_config, resolve
 from deploy.simulation import Simulation, compiled
 from deploy.verify.central_filter import _widely, drawn, particle_difference
 from protocol.compact import quantised
@@ -129,3 +135,19 @@ def test_an_owner_keeps_the_particles_that_it_states_in_few_bytes() -> None:
         states, ids = quantised(mine.states, seen.simulation.scenario.filter.speed, agent.name, agent.outcome.belief.stamp)
         assert np.array_equal(states, mine.states) and np.array_equal(ids, mine.ids)
     assert sum(len(agent.outcome.belief.mine.particles.ids) for agent in seen.agents.values()) > 100
+
+
+def test_a_density_that_was_moved_on_shows_weak_targets_and_none_twice() -> None:
+    """After 2 s: a quarter of a target is left at its peak, or 1.3 expected targets."""
+    scenario = resolve("efficacy", {"run.dt": DT})
+    now = scenario.extraction
+    later = RecentTicks(context_of(agent_config(scenario), "s1", "A", PLAIN), 4).blurred_config(4).extraction
+
+    def found(mass: float, settings: ExtractionSettings) -> int:
+        places = np.tile([10.5, 10.5, 0.0, 0.0], (10, 1))
+        particles = Particles(places, np.full(10, mass / 10.0), np.arange(10, dtype=np.uint64), np.zeros(10, np.uint64))
+        return len(estimate_tracks(particles, settings).positions)
+
+    assert [found(0.25, now), found(0.25, later)] == [0, 1]
+    assert [found(1.3, msgspec.structs.replace(now, threshold=later.threshold)), found(1.3, later)] == [2, 1]
+    assert found(1.7, later) == 2
