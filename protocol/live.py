@@ -95,7 +95,8 @@ class Driver:
         self._node = node
         self._settings = settings
         self._link = link
-        self._inbox = Inbox(coalesced_keys=node.coalesced_keys)
+        # Faults of links count from the arrival on: with them no message waits for others of its kind.
+        self._inbox = Inbox(coalesced_keys=node.coalesced_keys if link is None else "")
         self._rate_limiter = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own, [keys.all_tokens(node.run)] if node.sees_all_tokens else [])
