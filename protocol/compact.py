@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from protocol.arithmetic import elementwise
 from protocol.fields import MAX_ROWS, Malformed
 from protocol.streams import key, scramble
 
@@ -30,7 +31,7 @@ def packed(states: np.ndarray, speed: float) -> bytes:
         if (grid.max(axis=0) - low).max() <= LARGEST_GRID_NUMBER:
             break
         step *= 2.0
-    turns = np.rint(np.arctan2(states[:, 3], states[:, 2]) * (4096 / (2.0 * math.pi))).astype(np.int64) % 4096
+    turns = np.rint(elementwise(math.atan2, states[:, 3], states[:, 2]) * (4096 / (2.0 * math.pi))).astype(np.int64) % 4096
     numbers = np.concatenate([*(grid - low).T, turns])
     return np.array([*(low * step), step, speed], dtype="<f4").tobytes() + numbers.astype("<u2").tobytes()
 

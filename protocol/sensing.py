@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 import msgspec
 import numpy as np
 
+from protocol.arithmetic import elementwise
 from protocol.measuring import Measurement
 
 Pose = tuple[float, float, float]
@@ -103,7 +104,9 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
         """
         steps = max(2, math.ceil(self.angle / math.radians(5.0)))
         bearings = pose[2] + np.linspace(-self.angle / 2.0, self.angle / 2.0, steps + 1)
-        arc = np.column_stack([pose[0] + self.radius * np.cos(bearings), pose[1] + self.radius * np.sin(bearings)])
+        arc = np.column_stack(
+            [pose[0] + self.radius * elementwise(math.cos, bearings), pose[1] + self.radius * elementwise(math.sin, bearings)]
+        )
         return arc[:-1] if self.angle > 2.0 * math.pi - _SLIT else np.vstack([[pose[:2]], arc])
 
 

@@ -127,7 +127,7 @@ def _sample(sensor: CheckedSensor, name: str) -> None:
     reach, step = sensor.reach, 3.0 * sensor.reach / GRID
     side = (np.arange(GRID) + 0.5) * step - 1.5 * reach
     points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    found, far = sensor.probability(points, AT_REST), np.hypot(points[:, 0], points[:, 1])
+    found, far = sensor.probability(points, AT_REST), np.sqrt((points * points).sum(axis=1))
     beyond = np.flatnonzero((found > 0.0) & (far > reach * (1.0 + 1e-9)))
     if len(beyond):
         worst = beyond[np.argmax(found[beyond])]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from protocol.arithmetic import elementwise
 from protocol.fields import MAX_DETECTIONS
 from protocol.measuring import Measurement, measured
 from protocol.sensing import Pose, SensorModel, WedgeSensor, measurement_of, wedge_probabilities
@@ -80,7 +81,7 @@ def poisson_table(mean: float) -> np.ndarray:
     if mean == 0.0:
         return np.ones(1)
     logs = [n * math.log(mean) - mean - math.lgamma(n + 1.0) for n in range(longest)]
-    return np.cumsum(np.exp(logs))
+    return np.cumsum([math.exp(log) for log in logs])
 
 
 class Detector:
@@ -137,9 +138,9 @@ class Detector:
         hit = uniform(scramble(bits, _MISS)) < seen.probabilities
         bits, owners, points = bits[hit], seen.sensors[hit], positions[seen.targets[hit]]
         # Box and Muller: two normal variates from two uniform ones.
-        radius = self._noise * np.sqrt(-2.0 * np.log1p(-uniform(scramble(bits, _RADIUS))))
+        radius = self._noise * np.sqrt(-2.0 * elementwise(math.log1p, -uniform(scramble(bits, _RADIUS))))
         angle = 2.0 * math.pi * uniform(scramble(bits, _ANGLE))
-        noise = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        noise = np.column_stack([radius * elementwise(math.cos, angle), radius * elementwise(math.sin, angle)])
         found = points + noise
         for index, sensor in enumerate(sensors):
             if (measurement := measurement_of(sensor)) is not None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from protocol.arithmetic import elementwise
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
 from protocol.pose import clip_velocity
@@ -152,7 +153,7 @@ QPOS, QVEL = 10, 9  # numbers of a robot: x, y, z, quaternion, left, right, turr
 def _yaws(state: np.ndarray) -> np.ndarray:
     """The headings of the discs in rad, from the rows of qpos (N, 10)."""
     w, x, y, z = state[:, 3:7].T
-    return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return elementwise(math.atan2, 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def model_text(poses: dict[str, Pose], step: float, radius: float) -> str:

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from protocol.arithmetic import elementwise
 from protocol.fields import MAX_DETECTIONS
 from protocol.settings import ArenaSettings, BadSetting, load_named
 from protocol.streams import key, normal, scramble, stream
@@ -35,7 +36,12 @@ class ConstantSpeed:
         """Turn by a keyed normal variate, then go straight for one tick."""
         if self._turn > 0.0:
             headings = headings + self._turn * normal(scramble(ids, key(self._seed, "heading", tick)))
-        return positions + self._step * np.column_stack([np.cos(headings), np.sin(headings)]), headings
+        return positions + self._step * _directions(headings), headings
+
+
+def _directions(headings: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 2) of headings (N,)."""
+    return np.column_stack([elementwise(math.cos, headings), elementwise(math.sin, headings)])
 
 
 def build_motion(settings: TargetSettings, dt: float, seed: int) -> Motion:
@@ -89,9 +95,9 @@ def arrivals(rng: np.random.Generator, number: int, arena: ArenaSettings, step: 
     offset = along - corners[side]
     x = np.choose(side, [offset, arena.width, arena.width - offset, 0.0])
     y = np.choose(side, [0.0, offset, arena.height, arena.height - offset])
-    headings = wrap((side + 1.0) * (math.pi / 2.0) + np.arcsin(2.0 * draws[:, 1] - 1.0))
+    headings = wrap((side + 1.0) * (math.pi / 2.0) + elementwise(math.asin, 2.0 * draws[:, 1] - 1.0))
     way = step * draws[:, 2]
-    positions = np.column_stack([x + way * np.cos(headings), y + way * np.sin(headings)])
+    positions = np.column_stack([x, y]) + way[:, None] * _directions(headings)
     kept = inside(positions, arena)
     return positions[kept], headings[kept]
 

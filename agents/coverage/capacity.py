@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.config import CapacitySettings
+from agents.tracking.particles import total
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 
 _AT_REST: Pose = (0.0, 0.0, 0.0)
@@ -39,11 +40,11 @@ def sensor_facts(sensor: SensorModel) -> SensorFacts:
     ticks = (np.arange(_GRID) + 0.5) * step - sensor.reach
     points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
     probability = sensor.probability(points, _AT_REST)
-    total = float(probability.sum())
-    if not total > 0.0:
+    detected = total(probability)
+    if not detected > 0.0:
         raise ValueError(f"{type(sensor).__name__}: the detection probability is 0 everywhere within its reach of {sensor.reach} m")
-    x, y = (probability @ points) / total
-    return SensorFacts(total * step * step, (float(x), float(y)))
+    x, y = (total(probability * points[:, axis]) / detected for axis in (0, 1))
+    return SensorFacts(detected * step * step, (x, y))
 
 
 def detecting_capability(sensor: SensorModel) -> float:

@@ -14,6 +14,8 @@ import numpy as np
 from agents.coverage.capacity import sensor_facts
 from agents.coverage.cells import power_cell
 from agents.coverage.control import STAND, ControlInput, Situation
+from agents.tracking.particles import total
+from protocol.arithmetic import elementwise
 from protocol.geometry import polygon_centroid, rectangle, wrap_angle
 
 HEADING_COUNT = 37  # compared headings, between the reachable extremes
@@ -71,10 +73,10 @@ def _goal(situation: Situation, ages: np.ndarray) -> tuple[float, float] | None:
     Without mass it is the centroid of the situation, without a cell the centroid of the Voronoi cell, and None without either.
     """
     weights = situation.particles.weights * np.where(ages > STALE_AGE, STALE_WEIGHT, 1.0)
-    mass = float(weights.sum())
+    mass = total(weights)
     if mass > 0.0:
-        x, y = weights @ situation.particles.states[:, :2] / mass
-        return float(x), float(y)
+        x, y = (total(weights * situation.particles.states[:, axis]) / mass for axis in (0, 1))
+        return x, y
     if situation.centroid is not None:
         return situation.centroid
     if situation.own_generator < 0:
@@ -101,13 +103,14 @@ def _best_turn(situation: Situation, ages: np.ndarray, place: tuple[float, float
     """The turn in rad after which the footprint at `place` holds the most mass out of sight; None if no footprint holds mass."""
     particles, heading = situation.particles, situation.pose[2]
     reach = situation.sensor.reach
-    near = np.hypot(particles.states[:, 0] - place[0], particles.states[:, 1] - place[1]) <= reach
+    dx, dy = particles.states[:, 0] - place[0], particles.states[:, 1] - place[1]
+    near = dx * dx + dy * dy <= reach * reach
     if not near.any():
         return None
     points = particles.states[near, :2]
-    values = particles.weights[near] * (VALUE_IN_VIEW + 1.0 - np.exp(-ages[near] / REGAIN_TIME))
+    values = particles.weights[near] * (VALUE_IN_VIEW + 1.0 - elementwise(math.exp, -ages[near] / REGAIN_TIME))
     most = min(math.pi, situation.limits.turn_rate * situation.dt * situation.ticks)
     turns = sorted(np.linspace(-most, most, HEADING_COUNT).tolist(), key=abs)  # the least turn first, so that it wins ties
-    held = [float(situation.sensor.probability(points, (*place, heading + turn)) @ values) for turn in turns]
+    held = [total(situation.sensor.probability(points, (*place, heading + turn)) * values) for turn in turns]
     best = max(range(HEADING_COUNT), key=held.__getitem__)
     return turns[best] if held[best] > 0.0 else None

@@ -277,7 +277,7 @@ def best_turn(task: Task, place: tuple[float, float], around: Particles, last: n
     reachable = min(math.floor(most / width), SECTORS // 2 - 1)
     order = sorted(range(-reachable, reachable + 1), key=lambda k: (abs(k), -k))
     if not isinstance(task.sensor, WedgeSensor):
-        held = [float(task.sensor.probability(points, (*place, task.heading + k * width)) @ worth) for k in order]
+        held = [total(task.sensor.probability(points, (*place, task.heading + k * width)) * worth) for k in order]
         return order[held.index(max(held))] * width
     dx, dy = points[:, 0] - place[0], points[:, 1] - place[1]
     sectors = sector_of(dx * body.cos + dy * body.sin, dy * body.cos - dx * body.sin)

@@ -36,7 +36,7 @@ def prior(config: AgentConfig) -> Mixture:
     places = np.array([((c + 0.5) / columns * arena.width, (r + 0.5) / rows * arena.height) for r in range(rows) for c in range(columns)])
     weights = np.full(len(places), filters.prior_density * arena.width * arena.height / len(places))
     ids = scramble(np.arange(len(places), dtype=np.uint64), key(filters.seed, "prior"))
-    order = np.argsort(ids)
+    order = np.argsort(ids, kind="stable")
     covariances = _covariances(len(ids), deviation**2, 0.5 * filters.speed**2)
     return unlabelled(weights, np.column_stack([places, np.zeros_like(places)])[order], covariances, ids[order])
 
@@ -142,7 +142,8 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     config = step.config
     x, y, _ = scan.pose
     width = 3.0 * np.sqrt(variances(mixture)) + (scan.sensor.reach + POSE_SPREAD * scan.pose_noise[0])
-    close = np.hypot(mixture.means[:, 0] - x, mixture.means[:, 1] - y) <= width
+    dx, dy = mixture.means[:, 0] - x, mixture.means[:, 1] - y
+    close = dx * dx + dy * dy <= width * width
     near, noise = pick(mixture, close), measured_covariances(scan, config)
     seen = scan.probability(nodes(near).reshape(-1, 2)).reshape(-1, len(SHARES))
     rows, columns, found, likelihood = _detected(near, scan, noise, step)

@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.config import MixtureSettings
 from agents.tracking.extraction import DETAILS, Tracks
-from agents.tracking.gaussians import Mixture, chain, pick, variances
+from agents.tracking.gaussians import Mixture, chain, factors, pick, variances
 from agents.tracking.labels import name_peaks, weight_by_label
 from agents.tracking.particles import total
 
@@ -46,8 +46,8 @@ def _close_pairs(mixture: Mixture, most: float) -> dict[int, list[int]]:
     rows, columns = _near_pairs(mixture, most)
     if not len(rows):
         return {}
-    inverses, apart = np.linalg.inv(mixture.covariances), mixture.means[rows] - mixture.means[columns]
-    close = (_squared(apart, inverses[rows]) <= most) & (_squared(apart, inverses[columns]) <= most)
+    factor, apart = factors(mixture.covariances), mixture.means[rows] - mixture.means[columns]
+    close = (_squared(apart, factor[rows]) <= most) & (_squared(apart, factor[columns]) <= most)
     found: dict[int, list[int]] = {}
     for one, other in zip(rows[close].tolist(), columns[close].tolist()):
         found.setdefault(one, []).append(other)
@@ -78,12 +78,15 @@ def _near_pairs(mixture: Mixture, most: float) -> tuple[np.ndarray, np.ndarray]:
     return rows[ascending], columns[ascending]
 
 
-def _squared(vectors: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """The quadratic forms (P,) of vectors (P, 4) in matrices (P, 4, 4)."""
-    found = np.zeros(len(vectors))
+def _squared(apart: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """The squared Mahalanobis distances (P,) of differences (P, 4), by the Cholesky factors (P, 4, 4) of the covariances."""
+    found, scaled = np.zeros(len(apart)), np.empty_like(apart)
     for row in range(4):
-        for column in range(4):
-            found = found + vectors[:, row] * matrices[:, row, column] * vectors[:, column]
+        rest = apart[:, row]
+        for before in range(row):
+            rest = rest - factor[:, row, before] * scaled[:, before]
+        scaled[:, row] = rest / factor[:, row, row]
+        found = found + scaled[:, row] * scaled[:, row]
     return found
 
 

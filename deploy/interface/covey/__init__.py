@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from covey.studies import Study, load_study, study
     from deploy.installation import VERSION as __version__
     from deploy.scenario import Scenario
+    from protocol.arithmetic import elementwise
     from protocol.sensing import Pose, SensorModel, WedgeSensor
     from protocol.settings import BadSetting
 
@@ -35,6 +36,7 @@ __all__ = [
     "WedgeSensor",
     "__version__",
     "approach",
+    "elementwise",
     "load",
     "load_study",
     "scenario",
@@ -63,6 +65,10 @@ def __getattr__(name: str) -> Any:
         from agents.coverage import control
 
         found = getattr(control, name)
+    elif name == "elementwise":
+        from protocol import arithmetic
+
+        found = arithmetic.elementwise
     elif name == "BadSetting":
         from protocol import settings
 

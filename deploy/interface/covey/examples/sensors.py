@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from covey import Pose
+from covey import Pose, elementwise
 
 DATA = Path(__file__).parent
 
@@ -41,12 +41,14 @@ class RangeFalling:
         ahead = dx * math.cos(pose[2]) + dy * math.sin(pose[2])
         cosine = math.cos(self._angle / 2.0) if self._angle < 2.0 * math.pi else -2.0
         inside = (range2 <= self.reach**2) & (ahead >= cosine * np.sqrt(range2))
-        return np.where(inside, self._peak * np.exp(-range2 / self._scale**2), 0.0)
+        return np.where(inside, self._peak * elementwise(math.exp, -range2 / self._scale**2), 0.0)
 
     def footprint(self, pose: Pose) -> np.ndarray:
         """The outline (V, 2), an arc point about every 5 degrees."""
         bearings = pose[2] + np.linspace(-0.5, 0.5, max(3, math.ceil(math.degrees(self._angle) / 5.0) + 1)) * self._angle
-        arc = np.column_stack([pose[0] + self.reach * np.cos(bearings), pose[1] + self.reach * np.sin(bearings)])
+        arc = np.column_stack(
+            [pose[0] + self.reach * elementwise(math.cos, bearings), pose[1] + self.reach * elementwise(math.sin, bearings)]
+        )
         return arc[:-1] if self._angle >= 2.0 * math.pi else np.vstack([[pose[:2]], arc])
 
 
@@ -77,7 +79,7 @@ class SampledGrid:
             raise ValueError(f"file = {file!r}: probabilities lie from 0 to 1 and are not all 0")
         self._cells = [(int(row), int(column)) for row, column in zip(*np.nonzero(self._grid))]
         self.area = len(self._cells) * spacing**2
-        self.reach = max(float(np.hypot(x, y)) for cell in self._cells for x, y in self._corners(*cell)) * (1.0 + 1e-9)
+        self.reach = max(math.hypot(x, y) for cell in self._cells for x, y in self._corners(*cell)) * (1.0 + 1e-9)
 
     def probability(self, points: np.ndarray, pose: Pose) -> np.ndarray:
         """p_d of points (N, 2), that of the cell in which each lies: (N,)."""

@@ -1,0 +1,18 @@
+"""Functions of arrays whose bits do not depend on the processor (docs/explanation/decisions/0001-deterministic-arithmetic.md).
+
+numpy chooses another sine, exponential or matrix product where the processor has wider instructions, and their last bits differ. What moves
+a body, a target or a particle uses + - * / and square roots, which IEEE 754 rounds, and for the rest the scalar functions of `math`.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+
+def elementwise(function: Callable[..., float], *columns: np.ndarray) -> np.ndarray:
+    """What a function of `math` gives for each element of an array of any shape, or of several of one shape; about 0.1 us an element.
+
+    Its errors are those of the function, as `math.exp` of 1000 raises OverflowError.
+    """
+    found = map(function, *(column.ravel().tolist() for column in columns))
+    return np.fromiter(found, float, columns[0].size).reshape(columns[0].shape)
