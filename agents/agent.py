@@ -81,7 +81,7 @@ class Agent(Node):
         self._health = LocalHealth(measured=config.run.clock == "realtime")
 
     def handle(self, event: Event, now: float) -> list[Effect]:
-        """Take one event at `now`, s. Return the effects in order; `NO_EFFECTS` when nothing follows (Node)."""
+        """Take one event at `now`, s. Return the effects in order; `NO_EFFECTS` where the deadline stays as it was, too (Node)."""
         if self._busy_since is not None:
             self._pace.note_busy(now - self._busy_since)
             self._busy_since = None
@@ -132,14 +132,14 @@ class Agent(Node):
 
     @property
     def keep_last(self) -> tuple[str, int]:
-        """Of the observations that wait the newest are enough: among as many as the pace is one to play (Node)."""
+        """Of waiting observations as many are kept as the pace has ticks: one of them is played with peers (Node)."""
         return "/observation/", self._pace.current
 
     def deadline(self) -> float | None:
         """When to call with `Timer`, s (Node): when the first of these is due.
 
-        They are the end of the tick, the early command of a slower pace, a Hello, a beat of the local health, the question for how long the
-        driver was busy, an answer to a beacon, and the next step of joining.
+        They are the end of the tick, the early command of a slower pace, a Hello, a beat of the local health, the moment after an event
+        (it tells how long the driver was busy), an answer to a beacon, and the next step of joining.
         """
         times = [self._close_at, self._ahead_at, self.membership.announcements.due, self._health.due, self._busy_since]
         if self._interest is not None:
@@ -196,7 +196,7 @@ class Agent(Node):
         return effects
 
     def _play_ahead(self, *, steers: bool) -> list[Effect]:
-        """Play the tick of the open round alone on a copy, for gossips may come late: its estimate or, if it steers, its command."""
+        """Play the tick of the open round alone, as gossips may come late: the estimate or, if it steers, the command. The belief stays."""
         own, observation = self._gossip, self._observation
         assert own is not None and observation is not None
         if self._rounds.due != own.tick or not holds_claim(self.config, self.outcome.belief, own.tick, self._pace.current):

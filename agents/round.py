@@ -1,7 +1,7 @@
 """One closed round: the belief, the cell and the command that follow from the gossips of a tick.
 
-`run_round` is a pure function of the last result, the peer table and the gossips of this tick, the own one included. The tracker decides
-how targets are tracked.
+`run_round` changes none of its arguments: the last result, the peer table and the gossips of this tick, the own one included. Only a
+control law may have a memory. The tracker decides how targets are tracked.
 """
 
 import math
@@ -39,7 +39,7 @@ COPY_HORIZON = 40.0  # m around the own cell; with neighbours only, an agent kee
 
 
 class AgentContext(NamedTuple):
-    """What stays constant about an agent: its name, sensor, settings, backend and tracker."""
+    """What stays the same in all rounds of an agent: its name, sensor, settings, control law, backend and tracker."""
 
     name: str
     sensor: SensorModel
@@ -217,7 +217,7 @@ def _diagram_hash(peer_table: PeerTable, fresh: dict[str, Gossip], generator_tab
 
     In a swarm that hears everybody it is a hash of all generators. With neighbours only, `LOCAL_DIAGRAM` states that all gossips of the
     interest set came in time. Two agents with complete interest sets in the same tick agree about every generator that both know. An
-    agent with an empty cell needs no certificate: unknown peers could only shrink its cell.
+    agent with an empty cell need not be certified: unknown peers could only shrink its cell.
     """
     if peer_table.local and (peer_table.certified or not claim.names) and len(fresh) == len(peer_table.interest_set):
         return LOCAL_DIAGRAM if peer_table.interest_set.keys() >= set(claim.names[1:]) else generator_table.diagram_hash

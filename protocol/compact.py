@@ -14,7 +14,7 @@ from protocol.arithmetic import elementwise
 from protocol.fields import MAX_ROWS, Malformed
 from protocol.streams import key, scramble
 
-STEP = 1.0 / 256.0  # m, of the grid; twice as large as often as a cell is too wide for 16 bits
+STEP = 1.0 / 256.0  # m, of the grid; doubled until the cell fits into 16 bits
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
 HEAD_BYTES, ROW_BYTES = 16, 6  # bytes
 LARGEST_GRID_NUMBER = 65535  # of a number of the grid

@@ -1,4 +1,4 @@
-"""The live driver: one node, one process, asyncio and Zenoh. No other file of the swarm's own software imports zenoh.
+"""The live driver: one node, one process, asyncio and Zenoh. No other file of agents, world and their observers imports zenoh.
 
 Zenoh's threads only apply the rate limit and append to the inbox. Decoding, the node and its timers run in the event loop. Every
 message names its Zenoh session, so the quarantine excludes a sender of garbage and not the agent of the key.

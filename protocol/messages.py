@@ -140,7 +140,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     cod: Vector  # centroid of detection (14); the generator of the cell, but with `voronoi` the position is
     power_radius: Magnitude  # g(U) (13)
     unused: Area  # U, m^2 (11)
-    detections_bytes: RowsOf8Bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32: x, y
+    detections_bytes: RowsOf8Bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32, as the sensor measures
     scanned: bool = True  # False: no scan in this tick, unlike an empty scan
     listening: bool = False  # True: a new incarnation without a cell
     claim_tick: Tick = 0  # the round in which the claim was cut
@@ -218,8 +218,9 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
     @once
     def extent(self) -> tuple[float, float]:
-        """The largest of U and of the areas of discs with the power radius and with that of the claim's owner, m^2; the distance of the COD
-        from the sensor, m.
+        """What the announced sensor must allow: an area in m^2, and the distance of the COD from the sensor in m.
+
+        The area is the largest of U and of the discs with the power radius and with that in the own claim.
         """
         claimed = _unpack_radius(self.claim_bytes, 16)[0] if self.claim_bytes else 0.0
         radius = max(self.power_radius, abs(claimed))
@@ -280,7 +281,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
 
 def are_contents_valid(gossips: list[Gossip]) -> bool:
-    """Whether one pass proves that `check_contents` refuses none of these gossips (see `check_rows`); False: it decides."""
+    """Whether one pass proves that `check_contents` refuses none of these gossips (see `check_rows`); if not, each must be checked."""
     states = np.frombuffer(b"".join([gossip.states_bytes for gossip in gossips]), F4)
     claims = np.frombuffer(b"".join([gossip.claim_bytes for gossip in gossips]), F8)
     detections = np.frombuffer(b"".join([gossip.detections_bytes for gossip in gossips]), F4)
@@ -325,7 +326,7 @@ class BodyPose(Message, frozen=True, kw_only=True, dict=True, tag="pose"):
 
 
 class Command(Message, frozen=True, kw_only=True, dict=True, tag="command"):
-    """From an agent to the world: the motion of its body until the next tick (1)."""
+    """From an agent to the world: the motion of its body until the next command (1)."""
 
     tick: Tick
     velocity: Vector  # m/s

@@ -156,7 +156,7 @@ class Node(Protocol):
 
     @property
     def keep_last(self) -> tuple[str, int]:
-        """A part of keys, and the number of messages of such a key that are kept while more wait: the newest. An empty part: all are."""
+        """A part of keys, and how many messages of each such key may wait; older ones are dropped. An empty part: all may."""
         return "", 0
 
     @property

@@ -130,7 +130,7 @@ def main(
     """Run one process: read the configuration, build the node, drive it, leave with its exit code; 2 on bad input.
 
     `on_line` takes the lines that a parent writes to the standard input. Without it they set the link faults. `at_end` is called when
-    the node is driven no more, for whatever reason but an error in it.
+    the node is driven no more, but for an error in it.
     """
     options = arguments(role)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # until the driver takes signals: loops may have to be compiled first

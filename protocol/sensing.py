@@ -40,7 +40,7 @@ class SensorModel(Protocol):
         """Outline of the field of view (V, 2), counter-clockwise; it need not be convex."""
 
     def __hash__(self) -> int:
-        """Of identity, as every object has it, or of value: what follows from a sensor is kept by it. One of a user is wrapped."""
+        """The default of every object, or that of its parameters: D, the COD and outlines are kept in tables by sensor."""
 
 
 LEAST_ANGLE, LEAST_RADIUS = 1.0e-6, 1.0e-3  # of a wedge, rad and m: quotients by its area stay finite

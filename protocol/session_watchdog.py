@@ -157,7 +157,7 @@ class SessionWatchdog:
 
 
 class ListenerWatchdog:
-    """The watchdog of a participant that says no Hello: a body, a scorer, a recorder. Else whom it takes for dead could be alive."""
+    """The watchdog of a participant that says no Hello: a body, a scorer, a recorder. Half a session shows it living agents as dead."""
 
     def __init__(self, members: Iterable[str]) -> None:
         """`members`: the agents that are expected. Others count once their token has been seen, for anybody can make up names."""

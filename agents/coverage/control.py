@@ -67,7 +67,7 @@ class ControlLaw(Protocol):
     """A law that drives a body."""
 
     def command(self, situation: Situation) -> ControlInput:
-        """The velocity and turn rate until the next tick."""
+        """The velocity and turn rate until the next command, `situation.ticks` ticks later."""
 
 
 class Lloyd:

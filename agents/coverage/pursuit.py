@@ -1,4 +1,4 @@
-"""Pursuit: a control law beyond the paper that prefers mass out of sight; the law of the paper is `control.Lloyd`.
+"""Pursuit: a control law beyond the paper whose sensor turns to mass out of sight; the law of the paper is `control.Lloyd`.
 
 Data types: `Pursuit` keeps for each particle of the own cell the time of its last sight.
 

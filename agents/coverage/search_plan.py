@@ -181,7 +181,7 @@ def _costs(apart: np.ndarray, radius: float) -> np.ndarray:
 
 
 def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple[np.ndarray, np.ndarray]:
-    """The shares of tracks and of what is to be found at some places (N,) that partners with smaller cost leave."""
+    """The shares at some places (N,) that partners with smaller cost leave to the own sensor: of tracks, and of what is to be found."""
     body, side = task.body, task.settings.bin
     own = _costs(np.sqrt((x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)), circle(body.reach, side))
     tracks, values = np.ones(len(x)), np.ones(len(x))
@@ -324,7 +324,7 @@ def sector_of(ahead: np.ndarray, left: np.ndarray) -> np.ndarray:
 
 
 def window_values(held: np.ndarray, half: int, order: Sequence[int], second_heading: float) -> list[float]:
-    """What the window of 2 half + 1 sectors holds around each heading of `order`, with the best that the next turn can add in part."""
+    """What the window of 2 half + 1 sectors around each heading of `order` holds, and a share of the most that it can hold a turn later."""
     sums, most, found = [0.0], max(order), []
     for k in range(3 * SECTORS):
         sums.append(sums[-1] + float(held[k % SECTORS]))

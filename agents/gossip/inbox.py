@@ -4,7 +4,7 @@ from collections.abc import Iterable, Set
 
 from protocol.messages import Gossip
 
-WINDOW_TICKS = 16  # after the last closed round, of which all gossips are kept; of other ticks so many gossips of each peer
+WINDOW_TICKS = 16  # of so many ticks after the last closed round all gossips are kept, and of later ticks this many of each peer
 
 
 class RoundInbox:

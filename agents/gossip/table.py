@@ -116,7 +116,7 @@ StatedParticles = tuple[np.ndarray, np.ndarray, np.ndarray]  # states (N, 4) flo
 
 
 class GossipTable:
-    """Gossips of one round in the order of names. A table never changes; derived arrays are computed once."""
+    """Gossips of one round in the order of names. The rows of a table never change; what follows from them is computed once and kept."""
 
     def __init__(
         self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], diagram: str, config: AgentConfig | None = None

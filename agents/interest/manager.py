@@ -33,7 +33,7 @@ from protocol.streams import key
 ANSWER_SECONDS = 0.25  # s of the clock for a question to reach all agents and for the answers to come back
 JOIN_PERIODS = 4  # times `ANSWER_SECONDS` before the first gossip, so that agents that must ask again have subscribed as well
 FIRST_TILES = 2  # tiles on every side of the own one to which a new agent subscribes
-# an agent whose timer is late waits so many times the delay, at most so many s: the others are late as well
+# an agent whose own timer came late takes the others for as late: it waits this many times its delay, and at most so many s
 DELAY_FACTOR, LONGEST_WAIT = 8.0, 5.0
 REPEATED_QUESTIONS = 3  # times that an agent without peers asks again before it asks in more tiles: the others may only be late
 MOST_QUESTIONS = 8  # in all; then an agent takes part, certified or not

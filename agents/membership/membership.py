@@ -33,7 +33,7 @@ class Membership:
         self._bodies = BodyTokens(peer_table)
 
     def alive(self, event: Alive, now: float) -> list[Effect]:
-        """A token has appeared; the effects are those of a fence."""
+        """A token has appeared; the effects are the end of this agent if the token is its successor's."""
         if event.role == "agent" and event.name == self._context.name:
             return self.fence(event.incarnation)
         if event.role == "body":

@@ -229,8 +229,8 @@ class PeerTable:
     def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """For each generator of the diagram of `tick` the gossip that states it.
 
-        It is a fresh gossip, or the newest one of a peer that has been silent for a short time. The claims of others name generators
-        too: a peer is silent since the newest one that it or a claim has stated.
+        It is a fresh gossip, or the newest one of a peer that has been silent for a short time: since its newest gossip, or since the
+        newest claim of another that names its generator. A peer of a slower pace may be silent for the ticks between two of its own.
         """
         limit, served = self._silence_limit, self._responsive_rounds
         oldest = served[-limit] if len(served) >= limit else -1  # the tick so many rounds ago in which this agent was served in time
@@ -270,7 +270,7 @@ class PeerTable:
         if missing or not self._steady:
             self._last_known = self._newest_known(tick, self.fresh(tick))
             self._forget_silent(tick)
-        complete = self.interest_set.keys() <= self.inbox.of(tick).keys()  # others were in the interest set when they spoke
+        complete = self.interest_set.keys() <= self.inbox.of(tick).keys()  # a gossip of who has left the set may be there as well
         if not self._steady:
             self._settle_doubts(tick, len(self.inbox.of(tick)))
         self._steady = complete and (self._steady or steady(self.interest_set.values(), self.local))

@@ -18,7 +18,7 @@ from protocol.settings import ArenaSettings
 
 
 class Claim(NamedTuple):
-    """A cell as its owner states it: generators (G, 3) of COD x, y and power radius, the owner's first."""
+    """A cell as its owner states it: generators (G, 3) of x, y and power radius, the owner's first."""
 
     names: tuple[str, ...]
     generators: np.ndarray

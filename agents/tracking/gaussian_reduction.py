@@ -122,8 +122,8 @@ def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks
     """Estimated targets, heaviest first, and the mixture with the labels that they found.
 
     The heaviest component and those within `radius` m of it are a peak while they hold at least `threshold` expected targets; a peak
-    of more is that number of targets, rounded. Of two labels in a peak that each hold as much, each is a peak. Components wider than
-    `radius` show no place. Labels are those of `labels.name_peaks`.
+    of more is that number of targets, rounded. If those with the label of the heaviest one hold `threshold`, and the others too, only
+    those with the label are the peak. Components wider than `radius` show no place. Labels are those of `labels.name_peaks`.
     A label stands for one target: where a peak of one target finds no free label, the components of its heaviest one take a new one.
     """
     wide = variances(mixture) > radius * radius

@@ -37,7 +37,7 @@ STRANGER_MASS = 0.5  # that a label must have around an estimate to be a strange
 def birth_labels(hashes: np.ndarray, tick: int) -> np.ndarray:
     """The labels (M,) of births at `tick`; `hashes` (M,) uint64 are functions of (seed, sensor, tick, detection).
 
-    Particles take the id of the first copy at a detection for its hash.
+    The hash of a birth of particles is the id of the first one at its detection.
     """
     stamp = np.uint64(((tick + 1) % (1 << TICK_BITS)) << HASH_BITS)
     return stamp | (hashes >> np.uint64(64 - HASH_BITS)) | np.uint64(1)

@@ -3,8 +3,8 @@
 Data types: a `RegionInput` is an owner with its cell; a `TrackerState` is the belief between two rounds; an `Update` is the result for
 one cell; an `OwnedState` goes into the next gossip.
 
-Rules. A round knows agents, cells and claims; the tracker alone knows how targets are represented. All of these are values. A
-`Tracker` is a set of pure functions of them, and `belief.ParticlePhd` is one.
+Rules. A round knows agents, cells and claims; the tracker alone knows how targets are represented. A `Tracker` is a set
+of functions that give new values and keep their arguments; `belief.ParticlePhd` is one. Copies of others are computed when first needed.
 """
 
 from collections.abc import Sequence
@@ -146,7 +146,7 @@ class Tracker(Protocol[B, R, U]):
         """The density that counts as weighted points, for control laws that search."""
 
     def catch_up(self, belief: B, step: Step) -> B:
-        """The belief after missed rounds: that at the tick before `step.tick`, which claims nothing. `update` predicts the rest."""
+        """The belief at the tick before `step.tick`, without a claim if that round was missed. `update` predicts the rest."""
 
     def hold(self, belief: B, step: Step, alone: U | None = None) -> B:
         """The belief at the tick before `step.tick`, of an agent that skipped rounds: it holds its claim.
