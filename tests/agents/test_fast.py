@@ -31,6 +31,7 @@ from tests.agents.gossip_table import table as table_of
 fast = pytest.importorskip("agents.compiled.backend")
 from agents.compiled import claim_kernels, extraction_kernels  # noqa: E402
 from agents.compiled import particle_kernels as kernels  # noqa: E402
+from agents.compiled.cache import is_switched_off  # noqa: E402
 from agents.compiled.label_kernels import stamp_of  # noqa: E402
 
 FAST = fast.FAST
@@ -328,6 +329,29 @@ def test_regions_that_only_wedges_look_at_are_computed_by_the_compiled_loops_in_
         regions.append(RegionInput(f"s{place}", place, table.sensors[place].sensor, said[place].pose, cell.polygon, claim))
     assert_same("update_regions", table, cloud(np.random.default_rng(1), 100), NO_PARTICLES, regions, step())
     assert len(calls) == 1
+
+
+@pytest.mark.skipif(is_switched_off(), reason="as plain Python the loops take minutes")
+def test_a_thousand_detections_of_one_place_are_named_in_a_moment() -> None:
+    """Each finds a target with a label and 12 particles of its own. In time that grows with their cube it would be minutes."""
+    count, place = 1000, (20.0, 20.0)
+    labels = np.repeat(np.arange(count, dtype=np.uint64) * 2 + 1, 12) | stamp_of(np.uint64(7))
+    states, ids = np.tile([*place, 0.0, 0.0], (12 * count, 1)), np.arange(12 * count, dtype=np.uint64) + 1
+    said = Gossip(
+        sender="s0",
+        incarnation=1,
+        tick=7,
+        pose=(15.0, 20.0, 0.0),
+        cod=place,
+        power_radius=0.0,
+        unused=0.0,
+        detections_bytes=pack(np.tile(place, (count, 1)), "<f4"),
+    )
+    table = table_of([said])
+    region = RegionInput("s0", 0, table.sensors[0].sensor, said.pose, BOX, make_claim(("0",), np.array([[*place, 0.0]])))
+    cloud = Particles(states, np.full(12 * count, 1.0 / 12.0), ids, labels)
+    named = FAST.update_regions(table, cloud, NO_PARTICLES, [region], step())[0].tracks.labels
+    assert len(named) == len(set(named.tolist())) == count
 
 
 def test_an_agent_that_hears_a_part_reads_no_gossip_of_what_is_far() -> None:

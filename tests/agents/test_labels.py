@@ -1,15 +1,12 @@
 """Labels: what founds them, who inherits them, and which estimate bears which."""
 
-import time
-
 import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.compiled import extraction_kernels, label_kernels
-from agents.compiled.cache import is_switched_off
+from agents.compiled import label_kernels
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_tracks
@@ -236,26 +233,6 @@ def test_labels_are_numbered_by_their_first_rows_also_when_many_are_alike() -> N
     numbers, known = label_kernels.number_labels(np.concatenate((many, many[::-1])))
     assert (known == many).all() and (numbers == np.concatenate((np.arange(5000), np.arange(5000)[::-1]))).all()
     assert [len(part) for part in label_kernels.number_labels(many[:0])] == [0, 0]
-
-
-def corrected_and_named(count: int) -> tuple[list[int], list[int]]:
-    """The labels of births and estimates at so many detections of one place, each with a label and 12 particles of its own."""
-    stamp = label_kernels.stamp_of(np.uint64(TICK))
-    labels = np.repeat(np.arange(count, dtype=np.uint64) * 2 + 1, 12) | stamp
-    states, weights, births = np.full((12 * count, 4), 0.5), np.full(12 * count, 1.0 / 12.0), np.zeros(count, np.uint64)
-    rows, columns = np.tile(np.arange(12 * count), count), np.repeat(np.arange(count), 12 * count)
-    label_kernels.label_scan(labels, weights, rows, columns, np.ones(len(rows)), np.ones(count), births)
-    return births.tolist(), extraction_kernels.estimate_tracks(states, weights, labels, 1.0, 0.5, 0.0, stamp)[1].tolist()
-
-
-@pytest.mark.skipif(is_switched_off(), reason="as plain Python the loops take minutes")
-def test_a_thousand_detections_of_one_place_are_corrected_and_named_in_a_moment() -> None:
-    """In time that grows with their cube it would be minutes."""
-    corrected_and_named(2)  # compiles
-    began = time.process_time()
-    births, names = corrected_and_named(1000)
-    assert time.process_time() - began < 5.0
-    assert len(set(names)) == 1000 and set(births) == {min(names)}
 
 
 def test_a_label_counts_once_in_a_tick_for_the_estimate_nearest_to_where_it_was_last() -> None:
