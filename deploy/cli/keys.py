@@ -16,6 +16,6 @@ def keys(names: list[str], scenario: str | None, into: Path, hosts: tuple[str, .
         raise BadSetting(f"--days {days}: should be a number of days from 1 to 36500")
     owners = names or [WORLD, WATCHER, OPERATOR, *resolve(str(scenario)).members]
     made = make_keys(owners, into, hosts, days=days, force=force, in_git=in_git)
-    print(f"{len(made)} certificates in {into}: {', '.join(file.stem for file in made)}")
+    print(f"{len(made)} certificate{'s' * (len(made) != 1)} in {into}: {', '.join(file.stem for file in made)}")
     print(f"{into / AUTHORITY}.key signs more of them: keep it off the machines of the swarm")
     return 0
