@@ -143,8 +143,8 @@ def advance(context: AgentContext, density: Any, table: GossipTable, polygon: np
     step = Step(context.config, table.gossips[0].tick)
     row = table.names.index(context.name)
     region = RegionInput(NOBODY, row, context.sensor, table.gossips[row].pose, polygon, NO_CLAIM)
-    near = context.tracker.update(density, table, [region], step)[0]
-    state: TrackerState = context.tracker.belief_after(density, region, near, Diagram(0, frozenset(), None, np.inf), step)
+    update = context.tracker.update(density, table, [region], step)[0]
+    state: TrackerState = context.tracker.belief_after(density, region, update, Diagram(0, frozenset(), None, np.inf), step)
     return state
 
 
@@ -177,5 +177,5 @@ def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, ow
     table, step = recent.table(own), Step(recent.blurred_config(own.tick - last.belief.stamp), own.tick)
     density = tracker.merge(belief, table, step)
     now = region._replace(row=table.names.index(context.name), pose=own.pose)
-    near = tracker.update(density, table, [now], step)[0]
-    return result_of(context, own, RoundCell(now, round_cell.generators), near, table, density, last.belief, peer_table.pace)
+    update = tracker.update(density, table, [now], step)[0]
+    return result_of(context, own, RoundCell(now, round_cell.generators), update, table, density, last.belief, peer_table.pace)

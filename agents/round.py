@@ -108,27 +108,27 @@ def run_round(
     generator_table = _generator_table(context, peer_table, own, fresh, table)
     row = table.names.index(context.name)
     if replay is None:
-        received = context.tracker.merge(context.tracker.catch_up(last.belief, step), table, step)
-        if generator_table is table is received:
+        density = context.tracker.merge(context.tracker.catch_up(last.belief, step), table, step)
+        if generator_table is table is density:
             shared = shared_round(table, context.backend, context.tracker, step, context.arena)
     if shared is not None:
-        region, near = shared.regions[row], shared.updates[row]
+        region, update = shared.regions[row], shared.updates[row]
     else:
         cell = _own_cell(context, generator_table, peer_table.unsubscribed)
         claim = _claim(generator_table, cell, peer_table.unsubscribed)
         region = RegionInput(context.name, row, context.sensor, own.pose, cell.polygon, claim)
         if replay is not None:
-            received = replay(table, cell.polygon)
-        near = context.tracker.update(received, table, [region], step)[0]
+            density = replay(table, cell.polygon)
+        update = context.tracker.update(density, table, [region], step)[0]
     diagram = Diagram(
         hash=_diagram_hash(peer_table, fresh, generator_table, region.claim),
         generator_names=generator_table.name_set,
         known_names=peer_table.known_names if peer_table.local else None,
         horizon=COPY_HORIZON if peer_table.local else math.inf,
     )
-    belief = context.tracker.belief_after(received, region, near, diagram, step)
+    belief = context.tracker.belief_after(density, region, update, diagram, step)
     return result_of(
-        context, own, RoundCell(region, generator_table), near, table, received, belief, min(peer_table.pace, own.tick - last.belief.stamp)
+        context, own, RoundCell(region, generator_table), update, table, density, belief, min(peer_table.pace, own.tick - last.belief.stamp)
     )
 
 
@@ -136,38 +136,38 @@ def result_of(
     context: AgentContext,
     own: Gossip,
     round_cell: RoundCell,
-    near: Update,
+    update: Update,
     table: GossipTable,
-    received: Any,
+    density: Any,
     belief: TrackerState,
     ticks: int,
 ) -> RoundResult:
-    """The result of an update `near` the own cell at the pose of `own`; `ticks`: until the next command, 0: there is none."""
+    """The result of an `update` of the own cell at the pose of `own`; `ticks`: until the next command, 0: there is none."""
     command = STAND
     if ticks:
-        situation = _situation(context, own, round_cell.region.polygon, near, round_cell.generators, table, ticks)
+        situation = _situation(context, own, round_cell.region.polygon, update, round_cell.generators, table, ticks)
         if isinstance(context.law, SearchAndTrack):
-            situation = situation._replace(known=_surroundings(context, own, received, near, table, round_cell.generators))
+            situation = situation._replace(known=_surroundings(context, own, density, update, table, round_cell.generators))
         command = context.law.command(situation)
     return RoundResult(
         belief=belief,
-        unused=unused_capacity(context.facts.capability, near.detected, near.load, context.config.capacity),
-        load=near.load,
-        mass=near.mass,
+        unused=unused_capacity(context.facts.capability, update.detected, update.load, context.config.capacity),
+        load=update.load,
+        mass=update.mass,
         cell=round_cell.region.polygon,
-        tracks=near.tracks,
+        tracks=update.tracks,
         command=command,
         intent=context.law.intent if isinstance(context.law, SearchAndTrack) else None,
         round_cell=round_cell,
-        density=context.tracker.nearby(near),
+        density=context.tracker.nearby(update),
     )
 
 
 def _surroundings(
     context: AgentContext,
     own: Gossip,
-    received: Any,
-    near: Update,
+    density: Any,
+    update: Update,
     table: GossipTable,
     generator_table: GossipTable,
 ) -> Surroundings:
@@ -177,8 +177,8 @@ def _surroundings(
     partners = np.empty((len(generator_table.names), 5))
     partners[:, :3], partners[:, 3], partners[:row, 4], partners[row:, 4] = generator_table.plans, generator_table.table[:, REACH], 1.0, 0.0
     return Surroundings(
-        density=context.tracker.weighted_points(received),
-        around=near.updated,
+        density=context.tracker.weighted_points(density),
+        around=update.updated,
         table=table,
         partners=partners[others],
         goal=own.goal if own.goal is not None else own.pose[:2],
@@ -246,10 +246,10 @@ def _claim(generator_table: GossipTable, cell: Cell, unsubscribed: UnsubscribedG
     return make_claim(names, generators)
 
 
-def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
+def _centroid(update: Update, cell: np.ndarray) -> tuple[float, float] | None:
     """The centroid in m of the PHD in the cell (17). Without mass it is that of the cell's area; None without a cell."""
-    if near.mass > 0.0:
-        return near.moment_x / near.mass, near.moment_y / near.mass
+    if update.mass > 0.0:
+        return update.moment_x / update.mass, update.moment_y / update.mass
     if not len(cell):
         return None
     x, y = polygon_centroid(cell)
@@ -257,7 +257,7 @@ def _centroid(near: Update, cell: np.ndarray) -> tuple[float, float] | None:
 
 
 def _situation(
-    context: AgentContext, own: Gossip, cell: np.ndarray, near: Update, generator_table: GossipTable, table: GossipTable, ticks: int
+    context: AgentContext, own: Gossip, cell: np.ndarray, update: Update, generator_table: GossipTable, table: GossipTable, ticks: int
 ) -> Situation:
     """What the control law reads; `ticks`: until the next command."""
     config = context.config
@@ -269,8 +269,8 @@ def _situation(
         pose=own.pose,
         driven=own.pose[:2] if config.partition.kind == "voronoi" else own.cod,
         cell=cell,
-        centroid=_centroid(near, cell),
-        particles=near.own,
+        centroid=_centroid(update, cell),
+        particles=update.own,
         sensor=context.sensor,
         limits=config.limits,
         heading=config.control.heading,

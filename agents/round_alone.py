@@ -65,7 +65,7 @@ def play_alone(context: AgentContext, last: RoundResult, own: Gossip, pace: int)
     for tick in range(stamp + 1, own.tick + 1):
         said = own if tick == own.tick else replace(own, tick=tick, scanned=False, detections_bytes=b"")
         table, step = gossip_table([said], [context.announced], context.config), Step(context.config, tick)
-        received, near = density, tracker.update(density, table, [region], step)[0]
-        density = tracker.nearby(near)
-    belief = tracker.hold(last.belief, Step(context.config, own.tick + 1), near)
-    return result_of(context, own, RoundCell(region, round_cell.generators), near, table, received, belief, min(pace, own.tick - stamp))
+        before, update = density, tracker.update(density, table, [region], step)[0]
+        density = tracker.nearby(update)
+    belief = tracker.hold(last.belief, Step(context.config, own.tick + 1), update)
+    return result_of(context, own, RoundCell(region, round_cell.generators), update, table, before, belief, min(pace, own.tick - stamp))

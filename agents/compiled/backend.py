@@ -101,11 +101,11 @@ def background_births(step: Step) -> Particles:
     return found
 
 
-def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
+def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
     """See `merge.remote_copies`."""
     cell, halo, moved = polygon if len(polygon) else _NO_CORNERS, step.config.filter.halo, motion(step)
     return Particles(
-        *merge_kernels.remote_copies(tuple(near), tuple(received), cell, claim.generators, claim.wins_ties, halo, horizon, moved)
+        *merge_kernels.remote_copies(tuple(near), tuple(density), cell, claim.generators, claim.wins_ties, halo, horizon, moved)
     )
 
 
@@ -147,17 +147,17 @@ def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np
 
 
 def update_regions(
-    table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
+    table: GossipTable, density: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
     """See `regions.update_regions`."""
     wedges = [type(region.sensor) is WedgeSensor for region in regions_]
     if table.all_wedges and len(table.table) and False not in wedges:
-        return _update_wedges(table, received, births, regions_, step)
-    return _update_mixed(table, received, births, regions_, step)
+        return _update_wedges(table, density, births, regions_, step)
+    return _update_mixed(table, density, births, regions_, step)
 
 
 def _update_mixed(
-    table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
+    table: GossipTable, density: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
     """The updates of a team with other sensors than wedges; compiled loops compute the regions out of reach of those sensors."""
     others, halo = table.table[table.table[:, KIND] == OTHER], step.config.filter.halo
@@ -165,12 +165,12 @@ def _update_mixed(
     for region in regions_:
         reached = bool((geometry.distances(region.polygon, others) <= halo + others[:, REACH]).any())
         is_plain = reached or type(region.sensor) is not WedgeSensor or not len(table.table)
-        found += (regions.update_regions if is_plain else _update_wedges)(table, received, births, [region], step)
+        found += (regions.update_regions if is_plain else _update_wedges)(table, density, births, [region], step)
     return found
 
 
 def _update_wedges(
-    table: GossipTable, received: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
+    table: GossipTable, density: GossipTable | Particles, births: Particles, regions_: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
     """The updates of a team of wedges, by one call of the compiled loops."""
     if not regions_:
@@ -179,12 +179,12 @@ def _update_wedges(
     settings, keys = prepared(config)
     stated: tuple[np.ndarray, ...] = _NOTHING_STATED
     others = NO_PARTICLES
-    if not isinstance(received, GossipTable):
-        others = received
-    elif config.timing.interest == "all" or len(regions_) > 1 or received.is_stated_ready:
-        stated = *received.stated, received.table
+    if not isinstance(density, GossipTable):
+        others = density
+    elif config.timing.interest == "all" or len(regions_) > 1 or density.is_stated_ready:
+        stated = *density.stated, density.table
     else:
-        stated = stated_near(received, regions_[0], step)
+        stated = stated_near(density, regions_[0], step)
     corners = _end_to_end([region.polygon for region in regions_])
     updated, own, drawn, tracks, names, results = region_kernels.update_regions(
         settings,

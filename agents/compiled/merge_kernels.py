@@ -36,7 +36,7 @@ def _farther(polygon: np.ndarray, x: np.ndarray, y: np.ndarray, halo: float, hor
 @cached
 def remote_copies(
     near: tuple,
-    received: tuple,
+    density: tuple,
     polygon: np.ndarray,
     generators: np.ndarray,
     wins_ties: np.ndarray,
@@ -46,7 +46,7 @@ def remote_copies(
 ) -> _Particles:
     """Twin of `merge.remote_copies`: states, weights, ids and labels of the copies; `motion` is the tuple of `backend.motion`."""
     near_states, near_weights, near_ids, near_labels = near
-    states, weights, ids, labels = received
+    states, weights, ids, labels = density
     width, height = motion[9], motion[10]
     found, found_weights, found_ids, found_labels = blank(len(near_ids) + len(ids))
     mine, count = owned(near_states, generators, wins_ties, width, height), 0

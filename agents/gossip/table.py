@@ -298,9 +298,9 @@ class GossipTable:
         return [scan for _, scan in sorted(found, key=lambda one: one[0])]
 
 
-def received_particles(received: GossipTable | Particles) -> Particles:
+def as_particles(density: GossipTable | Particles) -> Particles:
     """The particles of a table, or the particles themselves."""
-    return received.particles if isinstance(received, GossipTable) else received
+    return density.particles if isinstance(density, GossipTable) else density
 
 
 _LAST_STATED: deque[tuple[GossipTable, StatedParticles]] = deque(maxlen=1)  # the table whose `stated` was computed last

@@ -17,7 +17,7 @@ import numpy as np
 
 from agents.backend import Backend
 from agents.config import FilterSettings
-from agents.gossip.table import GossipTable, received_particles
+from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.births import prior, prior_around, prior_size
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, join, select
@@ -44,7 +44,7 @@ class CopyInputs(NamedTuple):
 
     step: Step
     backend: Backend
-    received: GossipTable | Particles  # the particles that counted, one tick before
+    density: GossipTable | Particles  # the particles that counted, one tick before
     polygon: np.ndarray  # the own cell
     claim: Claim
     horizon: float = math.inf  # m from the cell: copies farther away are dropped
@@ -54,7 +54,7 @@ class CopyInputs(NamedTuple):
 class Copies:
     """The particles that an agent holds after a round and that other agents own.
 
-    `near` holds the corrected particles around the own cell. The others are the received particles of that round, moved by one step.
+    `near` holds the corrected particles around the own cell. The others are those that counted before that round, moved by one step.
     They are computed only when the fresh claims may not cover the arena: otherwise the particles of these claims replace them.
     """
 
@@ -65,8 +65,8 @@ class Copies:
     def compute(self) -> Particles:
         """Compute the copies that are still to be computed; return all of them, at the stamp of the belief."""
         if self.inputs is not None:
-            step, backend, received, polygon, claim, horizon = self.inputs
-            copies = backend.remote_copies(self.near, received_particles(received), polygon, claim, horizon, step)
+            step, backend, density, polygon, claim, horizon = self.inputs
+            copies = backend.remote_copies(self.near, as_particles(density), polygon, claim, horizon, step)
             self.near, self.inputs = worth_keeping(copies, step.config.filter.particles_per_target), None
         for step in self.skipped_steps:
             self.near = predict(self.near, step)
@@ -149,9 +149,9 @@ class ParticlePhd(NamedTuple):
             "particles": packed(states, settings.speed) if settings.compact else b"",
         }
 
-    def weighted_points(self, received: GossipTable | Particles) -> Particles:
+    def weighted_points(self, density: GossipTable | Particles) -> Particles:
         """See `Tracker.weighted_points`."""
-        return received_particles(received)
+        return as_particles(density)
 
     def catch_up(self, belief: Belief, step: Step) -> Belief:
         """See `Tracker.catch_up`: all particles become copies, and move by the keyed noise of the missed ticks."""
@@ -206,19 +206,19 @@ class ParticlePhd(NamedTuple):
         return self.backend.merge(received, counts, copies, free)
 
     def update(
-        self, received: GossipTable | Particles, table: GossipTable, regions: Sequence[RegionInput], step: Step
+        self, density: GossipTable | Particles, table: GossipTable, regions: Sequence[RegionInput], step: Step
     ) -> list[RegionUpdate]:
         """See `Tracker.update` and `regions.update_regions`."""
-        return self.backend.update_regions(table, received, self.backend.background_births(step), regions, step)
+        return self.backend.update_regions(table, density, self.backend.background_births(step), regions, step)
 
     def nearby(self, update: RegionUpdate) -> Particles:
         """See `Tracker.nearby`."""
         return update.updated
 
     def belief_after(
-        self, received: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step
+        self, density: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step
     ) -> Belief:
         """See `Tracker.belief_after`: the drawn particles are owned; the copies are computed when they are needed."""
-        copies = Copies(update.updated, CopyInputs(step, self.backend, received, region.polygon, region.claim, diagram.horizon))
+        copies = Copies(update.updated, CopyInputs(step, self.backend, density, region.polygon, region.claim, diagram.horizon))
         mine = OwnedState(region.owner, region.claim, as_stated(update.resampled, region.owner, step), diagram.hash)
         return Belief(step.tick, mine, copies, diagram.generator_names, diagram.known_names)

@@ -81,9 +81,9 @@ def owned_by_sender(gossip: Gossip) -> OwnedMixture:
     return OwnedMixture(gossip.sender, make_claim(gossip.claim_names, gossip.claim), unpacked(gossip.components), gossip.diagram_hash)
 
 
-def received_mixture(received: GossipTable | Mixture) -> Mixture:
+def as_mixture(density: GossipTable | Mixture) -> Mixture:
     """The components of a table, or the components themselves."""
-    return unpacked(received.components) if isinstance(received, GossipTable) else received
+    return unpacked(density.components) if isinstance(density, GossipTable) else density
 
 
 def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
@@ -91,9 +91,9 @@ def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
     return limited(pick(mixture, claims.owned(mixture.means, claim, step.config.arena)), step.config.mixture.most_components)
 
 
-def filter_step(received: Mixture, table: GossipTable, step: Step) -> tuple[Tracks, Mixture]:
+def filter_step(density: Mixture, table: GossipTable, step: Step) -> tuple[Tracks, Mixture]:
     """The estimates and the PHD one step later, after all scans of a table, background births included; in canonical order."""
-    born = chain([gaussian_phd.predict(in_order(received), step), gaussian_phd.newcomers(step)])
+    born = chain([gaussian_phd.predict(in_order(density), step), gaussian_phd.newcomers(step)])
     corrected, settings = _tidied(gaussian_phd.correct(born, table.scans(), step), step), step.config.extraction
     return estimates(corrected, settings.threshold, SHARPNESS * settings.bin)
 
@@ -137,9 +137,9 @@ class MixturePhd(NamedTuple):
         """See `Tracker.gossip_fields`."""
         return {"components_bytes": packed(mine.mixture).tobytes()}
 
-    def weighted_points(self, received: GossipTable | Mixture) -> Particles:
+    def weighted_points(self, density: GossipTable | Mixture) -> Particles:
         """See `Tracker.weighted_points`."""
-        return points(received_mixture(received))
+        return points(as_mixture(density))
 
     def catch_up(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
         """See `Tracker.catch_up`: all components become copies, and move by the missed ticks."""
@@ -176,11 +176,9 @@ class MixturePhd(NamedTuple):
         free = self.backend.orphaned(belief.copies.means, stated, config.arena)
         return in_order(chain([pick(received, counts), pick(belief.copies, free)]))
 
-    def update(
-        self, received: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step
-    ) -> list[MixtureUpdate]:
+    def update(self, density: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> list[MixtureUpdate]:
         """See `Tracker.update`."""
-        peaks, corrected = filter_step(received_mixture(received), table, step)
+        peaks, corrected = filter_step(as_mixture(density), table, step)
         return [_region_of(corrected, peaks, region, step) for region in regions]
 
     def nearby(self, update: MixtureUpdate) -> Mixture:
@@ -188,7 +186,7 @@ class MixturePhd(NamedTuple):
         return update.around
 
     def belief_after(
-        self, received: GossipTable | Mixture, region: RegionInput, update: MixtureUpdate, diagram: Diagram, step: Step
+        self, density: GossipTable | Mixture, region: RegionInput, update: MixtureUpdate, diagram: Diagram, step: Step
     ) -> MixtureBelief:
         """See `Tracker.belief_after`: copies are the corrected components in the arena, outside the cell and within the horizon of it."""
         means, arena = update.around.means, step.config.arena

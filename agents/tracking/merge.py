@@ -16,15 +16,15 @@ from agents.tracking.step import Step
 from protocol import geometry
 
 
-def remote_copies(near: Particles, received: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
-    """The copies after a round, all of positive weight: particles `near` the cell, then received particles.
+def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
+    """The copies after a round, all of positive weight: particles `near` the cell, then those of the `density` one step before.
 
-    Of the corrected particles `near` the cell, those in the arena and outside the claim are copies. Of the received particles, moved
+    Of the corrected particles `near` the cell, those in the arena and outside the claim are copies. Of the density, moved
     by one step, those farther than the halo and within `horizon` m of the cell are copies. `polygon` (V, 2) is the cell, m.
     """
     arena, states = step.config.arena, near.states
     others = select(near, ~claims.owned(states, claim, arena) & claims.in_arena(states, arena))
-    moved = predict(received, step)
+    moved = predict(density, step)
     away = geometry.distances(polygon, moved.states)
     apart, within = away > step.config.filter.halo, (away <= horizon) | (horizon == math.inf)
     copies = join([others, select(moved, apart & within)])

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.gossip.table import GossipTable, received_particles
+from agents.gossip.table import GossipTable, as_particles
 from agents.tracking import claims, phd
 from agents.tracking.births import near_part
 from agents.tracking.extraction import NO_TRACKS, Tracks, estimate_tracks, select_tracks
@@ -40,13 +40,13 @@ class RegionUpdate(NamedTuple):
 
 
 def update_regions(
-    table: GossipTable, received: GossipTable | Particles, births: Particles, regions: Sequence[RegionInput], step: Step
+    table: GossipTable, density: GossipTable | Particles, births: Particles, regions: Sequence[RegionInput], step: Step
 ) -> list[RegionUpdate]:
-    """One update per owner. `received` holds the particles that count one tick before, `table` the scans of the tick.
+    """One update per owner. `density` holds the particles that count one tick before, `table` the scans of the tick.
 
     `births` are the background births of the tick.
     """
-    predicted = predict(canonical(received_particles(received)), step)
+    predicted = predict(canonical(as_particles(density)), step)
     return [_update_region(table, predicted, births, region, step) for region in regions]
 
 

@@ -142,7 +142,7 @@ class Tracker(Protocol[B, R, U]):
     def gossip_fields(self, mine: Any, settings: FilterSettings) -> GossipFields:
         """What a gossip carries of an owned state."""
 
-    def weighted_points(self, received: R | GossipTable) -> Particles:
+    def weighted_points(self, density: R | GossipTable) -> Particles:
         """The density that counts as weighted points, for control laws that search."""
 
     def catch_up(self, belief: B, step: Step) -> B:
@@ -157,13 +157,13 @@ class Tracker(Protocol[B, R, U]):
     def merge(self, belief: B, table: GossipTable, step: Step) -> R | GossipTable:
         """The density that counts at the tick before, given the gossips of this tick; the table itself if nothing else counts."""
 
-    def update(self, received: R | GossipTable, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> Sequence[U]:
+    def update(self, density: R | GossipTable, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> Sequence[U]:
         """For each owner the density around its cell one step later, corrected with the scans of the table, with moments and estimates."""
 
     def nearby(self, update: U) -> R:
         """The density around the cell after an update."""
 
-    def belief_after(self, received: R | GossipTable, region: RegionInput, update: U, diagram: Diagram, step: Step) -> B:
+    def belief_after(self, density: R | GossipTable, region: RegionInput, update: U, diagram: Diagram, step: Step) -> B:
         """The belief after the round: the owned state for the next gossip, and the copies of the others."""
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from agents.backend import PLAIN
 from agents.config import AgentConfig, TimingSettings
-from agents.gossip.table import GossipTable, received_particles
+from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.belief import MOST_COPIES, Belief, Copies, CopyInputs, ParticlePhd, owned_by_sender, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, unlabelled
@@ -66,7 +66,7 @@ def words(belief: Belief, others: list[OwnedState], tick: int = 5) -> GossipTabl
 
 def merged(belief: Belief, others: list[OwnedState]) -> list[int]:
     """Ids of everything that counts, ascending."""
-    return canonical(received_particles(TRACKER.merge(belief, words(belief, others), Step(CONFIG, 5)))).ids.tolist()
+    return canonical(as_particles(TRACKER.merge(belief, words(belief, others), Step(CONFIG, 5)))).ids.tolist()
 
 
 def test_fresh_claims_replace_the_copies_that_lie_in_them() -> None:

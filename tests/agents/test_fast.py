@@ -237,7 +237,7 @@ class Case(NamedTuple):
     """The arguments of `update_regions`."""
 
     table: GossipTable
-    received: GossipTable | Particles
+    density: GossipTable | Particles
     births: Particles
     regions: list[RegionInput]
     step: Step

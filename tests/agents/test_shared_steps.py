@@ -63,10 +63,10 @@ def table_of(gossips: list[Gossip]) -> GossipTable:
     return table(gossips, SENSOR, CONFIG)
 
 
-def updated(backend: Backend, received: Particles, table: GossipTable, polygon: np.ndarray) -> RegionUpdate:
+def updated(backend: Backend, density: Particles, table: GossipTable, polygon: np.ndarray) -> RegionUpdate:
     """What s1 with this cell makes of some particles."""
     claim = make_claim(("s1",), np.array([[10.0, 30.0, 0.0]]))
-    return backend.update_regions(table, received, NO_PARTICLES, [RegionInput("s1", 0, SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
+    return backend.update_regions(table, density, NO_PARTICLES, [RegionInput("s1", 0, SENSOR, POSE, polygon, claim)], Step(CONFIG, 5))[0]
 
 
 @BOTH

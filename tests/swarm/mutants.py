@@ -62,11 +62,11 @@ def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | Non
         mine = scramble(np.arange(10000, dtype=np.uint64), salt)
         return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
 
-    def update_regions(table: GossipTable, received: Any, births: Particles, each: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
+    def update_regions(table: GossipTable, density: Any, births: Particles, each: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
         found = []
         for region in each:
             owners.append(region.owner)
-            found += PLAIN.update_regions(table, received, births, [region], step)
+            found += PLAIN.update_regions(table, density, births, [region], step)
         return found
 
     patch.setattr(regions, "correct", correct)
