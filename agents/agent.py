@@ -72,8 +72,8 @@ class Agent(Node):
         self._opened_at = 0.0
         self._newest_tick = -1  # of the newest observation, played or not
         self._busy_since: float | None = None  # when the driver was asked to come back at once: the next event ends its busy time
-        self._spared: list[Observation] = []  # of ticks that the pace spares; those that are not played yet
-        self._spared_since = 0  # how many ticks were spared since the last shared one
+        self._gossip_free: list[Observation] = []  # of ticks that the pace leaves out; those that are not played yet
+        self._gossip_free_count = 0  # how many ticks were gossip-free since the last shared one
         self._estimated = -1  # tick of the newest estimate
         self._ahead_at: float | None = None  # at a slower pace: when to compute a command early, once the own gossip is out
         self._round_seconds = 0.0  # from the opening of the last shared round to its end
@@ -117,7 +117,7 @@ class Agent(Node):
             return self.membership.take_hellos(batch, now)
         self._measure_busy_time(now)
         observed = [self._on_observation(message, now) for message in batch.messages if isinstance(message, Observation)]
-        return [*chain.from_iterable(observed), *self._play_spared()]
+        return [*chain.from_iterable(observed), *self._play_gossip_free()]
 
     def _expressions(self) -> list[str]:
         """The key expressions to which the agent subscribes at the start."""
@@ -156,38 +156,38 @@ class Agent(Node):
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
         if not self._pace.is_shared(observation.tick):
-            self._spare(observation)
+            self._take_gossip_free(observation)
             return []
-        effects = self._close(now, forced=True) if self._gossip else self._play_spared()
+        effects = self._close(now, forced=True) if self._gossip else self._play_gossip_free()
         if self.tick < 0:
             self._health.start(now)
             self._listening.start(is_late=observation.tick > 0)
         elif observation.tick > self.tick + 1:
-            self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._spared_since)
-        self._spared_since, observation = 0, self._own_pose.take(observation)
+            self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._gossip_free_count)
+        self._gossip_free_count, observation = 0, self._own_pose.take(observation)
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
         self.membership.announcements.observation_arrived(now)
         if self._interest is not None and not self._interest.settled:
             return [*effects, *self._interest.start(observation, self.outcome, now)]
         return [*effects, *self._open_round(observation, now)]
 
-    def _spare(self, observation: Observation) -> None:
-        """Take the observation of a tick in which no gossips are sent, to keep the pace."""
-        self._spared_since += 1
+    def _take_gossip_free(self, observation: Observation) -> None:
+        """Take the observation of a gossip-free tick: none are sent, to keep the pace."""
+        self._gossip_free_count += 1
         self.counters["spared"] += 1
         if self.outcome.round_cell is not None:  # else no round has been played yet
-            self._spared.append(self._own_pose.take(observation))
+            self._gossip_free.append(self._own_pose.take(observation))
 
-    def _play_spared(self) -> list[Effect]:
-        """Play the spared ticks alone, unless a shared round is still open: their estimates, and the command of the last."""
+    def _play_gossip_free(self) -> list[Effect]:
+        """Play the gossip-free ticks alone, unless a shared round is still open: their estimates, and the command of the last."""
         if self._rounds:
             return []
-        spared, self._spared = self._spared, []
+        observations, self._gossip_free = self._gossip_free, []
         effects: list[Effect] = []
-        for observation in spared:
+        for observation in observations:
             own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             if holds_claim(self.config, self.outcome.belief, own.tick, self._pace.current):
-                steers = self._pace.has_time and observation is spared[-1]
+                steers = self._pace.has_time and observation is observations[-1]
                 self.outcome = self._play_alone(own, observation, steers=steers)
                 effects += [*self._estimate(self.outcome, own), *([self._drive(self.outcome, own.tick)] if steers else [])]
             else:
@@ -415,7 +415,7 @@ class Agent(Node):
         self._round_seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
         command = self._drive(self.outcome, self.tick)
         effects = self._update_interest(self._interest, gossip, now) if self._interest else []
-        return [*effects, *self._estimate(self.outcome, gossip), command, *self._play_spared()]
+        return [*effects, *self._estimate(self.outcome, gossip), command, *self._play_gossip_free()]
 
     def _keep_apart(self, outcome: RoundResult, observation: Observation) -> RoundResult:
         """The result with a command that keeps the body away from those of the peers and from what it senses."""

@@ -2,8 +2,9 @@
 
 Data type: a `Pace`. An agent that cannot play every tick would skip rounds at random, and agents that skip at random meet in no round.
 So all leave out the same ticks: a pace is a power of two, and an agent of pace n shares the ticks that n divides. Slow agents share only
-ticks that the faster ones share as well. A tick is *shared* when its round is played with the gossips of the peers, *spared* when the pace
-leaves it out and the agent plays it alone, and *skipped* when its observation came too late to be played at all.
+ticks that the faster ones share as well. A tick is *shared* when its round is played with the gossips of the peers. It is *gossip-free*
+when the pace leaves it out and the agent plays it alone (the counter `spared`), and *skipped* when its observation came too late to be
+played at all.
 
 Every gossip states the pace that its sender *needs*, from what it measures: how long after its tick a round begins, how long the driver is
 busy with it, and which ticks were missed. Waiting for peers does not count. An agent *keeps* the slowest pace that it needs itself or that

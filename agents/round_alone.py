@@ -1,9 +1,9 @@
-"""The ticks that an agent plays alone: those that a slower pace spares, and a shared one while its gossips are still out.
+"""The ticks that an agent plays alone: the gossip-free ones of a slower pace, and a shared one while its gossips are still out.
 
 At a slower pace a gossip states particles and scan of every n-th tick. The world goes on meanwhile, and so does the body: its sensor scans
 in every tick. The owner of a cell is the authority for the particles in it, so it corrects them with these scans by itself. Its cell, its
-claim and the generators of all agents stay those of the last shared round. What the scans of spared ticks have taught it goes into its next
-gossip. What it computes early for a shared tick only gives its estimate and its command in time: the round begins without it.
+claim and the generators of all agents stay those of the last shared round. What the scans of gossip-free ticks have taught it goes into
+its next gossip. What it computes early for a shared tick only gives its estimate and its command in time: the round begins without it.
 """
 
 import dataclasses

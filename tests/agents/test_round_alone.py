@@ -212,7 +212,7 @@ def test_ticks_of_which_nothing_was_seen_keep_the_particles_that_enter_the_cell(
     simulation = Simulation(resolve("efficacy", {**options, "sensors.L.prob_detection": 1e-12}), clock="realtime")
     for agent in simulation.agents.values():
         agent._pace.close = lambda tick, needs, pace=agent._pace: setattr(pace, "current", 8)  # type: ignore[method-assign]
-    simulation.agents["s2"]._spare = lambda observation: None  # type: ignore[method-assign]
+    simulation.agents["s2"]._take_gossip_free = lambda observation: None  # type: ignore[method-assign]
     simulation.run()
     masses = [score.mass for score in simulation.scorer.scores]
     assert min(masses[16::8]) > 0.999 * masses[0]
