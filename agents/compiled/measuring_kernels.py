@@ -30,7 +30,7 @@ def noise_of(sensor: np.ndarray, position_noise: float, kernel: float) -> tuple[
 
 @njit
 def _density(x: float, y: float, sensor: np.ndarray, point: np.ndarray, ray: np.ndarray, noise: tuple) -> tuple[float, float]:
-    """Twin of `measuring.densities` for one particle and one detection: the squared Mahalanobis distance, and the peak per m^2."""
+    """Twin of `measuring.distances_and_peaks` for one particle and one detection: squared Mahalanobis distance, and peak per m^2."""
     model, along_variance, across_variance, bearing_variance = noise
     east, north, far = ray[0], ray[1], ray[2]
     if model == POSITION:

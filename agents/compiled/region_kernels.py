@@ -132,8 +132,8 @@ def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: 
 
 
 @njit
-def _gate(predicted: tuple, polygon: np.ndarray, halo: float, sensor: np.ndarray, scratch: tuple) -> tuple:
-    """Twin of `regions.gate`: states, weights, ids and labels of the particles within the halo, and of the others within reach."""
+def _split_by_halo(predicted: tuple, polygon: np.ndarray, halo: float, sensor: np.ndarray, scratch: tuple) -> tuple:
+    """Twin of `regions.split_by_halo`: states, weights, ids and labels of the particles within the halo, and of the others within reach."""
     x, y, states, weights, ids, labels, known = predicted
     boxed, seen, rows, some = scratch
     west, south, east, north = around(polygon, halo)
@@ -204,15 +204,15 @@ def _update_region(
     salts: np.ndarray,
     detections: np.ndarray,
     rays: np.ndarray,
-    gated: tuple,
+    parted: tuple,
     polygon: np.ndarray,
     generators: np.ndarray,
     wins_ties: np.ndarray,
     owner: np.uint64,
     directions: np.ndarray,
 ) -> tuple:
-    """The fields of a `regions.RegionUpdate` for one owner from its gated particles; `sensor` is its row of the table."""
-    near_states, near_weights, near_ids, near_labels, far_states, far_weights, _, _ = gated
+    """The fields of a `regions.RegionUpdate` for one owner from its particles, parted by the halo; `sensor` is its row of the table."""
+    near_states, near_weights, near_ids, near_labels, far_states, far_weights, _, _ = parted
     halo = settings[HALO]
     birth = (
         settings[BIRTHS] != 0.0,
@@ -317,10 +317,10 @@ def update_regions(
         sensor, polygon = table[spans[k, 0]], corners[corner : corner + spans[k, 1]]
         claimed = slice(bound, bound + spans[k, 2])
         corner, bound = corner + spans[k, 1], bound + spans[k, 2]
-        gated = _gate(predicted, polygon, halo, sensor, scratch)
+        parted = _split_by_halo(predicted, polygon, halo, sensor, scratch)
         claim = generators[claimed], wins_ties[claimed]
         found = _update_region(
-            settings, keys, now, sensor, table, salts, detections, rays, gated, polygon, claim[0], claim[1], draws[k], directions
+            settings, keys, now, sensor, table, salts, detections, rays, parted, polygon, claim[0], claim[1], draws[k], directions
         )
         updated, own = _append(updated, start[0], found[0], 2 * size), _append(own, start[1], found[1], 2 * size)
         drawn = _append(drawn, start[2], found[2], 2 * size)

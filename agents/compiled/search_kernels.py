@@ -23,7 +23,7 @@ from agents.coverage.search_plan import (
     LEAST_OFFSET,
     LEAST_RADIUS,
     NEVER_SEEN,
-    NEWCOMER_AGE,
+    NEW_PARTICLE_AGE,
     OUTSIDE_VALUE,
     PARTNER_MARGIN,
     PLAN_MARGIN,
@@ -260,7 +260,7 @@ def _last_sight(
 ) -> np.ndarray:
     """Twin of `search_plan.last_sight`."""
     last, old = np.empty(len(ids)), 0
-    side, unknown = search[BIN], NEWCOMER_AGE * search[STALE]
+    side, unknown = search[BIN], NEW_PARTICLE_AGE * search[STALE]
     for n in range(len(ids)):
         while old < len(old_ids) and old_ids[old] < ids[n]:
             old += 1

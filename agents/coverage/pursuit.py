@@ -23,7 +23,7 @@ VALUE_IN_VIEW = 0.1  # weight of mass in view in this tick
 REGAIN_TIME = 0.5  # s: mass out of sight for this time has regained most of its weight
 STALE_AGE = 5.0  # s: mass out of sight for longer has weight `STALE_WEIGHT` in the centroid
 STALE_WEIGHT = 0.1
-NEWCOMER_AGE = 2.5  # s: the time out of sight assumed for a particle new in the cell
+NEW_PARTICLE_AGE = 2.5  # s: the time out of sight assumed for a particle new in the cell
 
 
 class Pursuit:
@@ -57,7 +57,7 @@ class Pursuit:
     def _ages(self, situation: Situation) -> np.ndarray:
         """Times since each particle was last in sight, s: (N,)."""
         particles, now = situation.particles, situation.tick * situation.dt
-        seen = np.full(len(particles.ids), now - NEWCOMER_AGE)
+        seen = np.full(len(particles.ids), now - NEW_PARTICLE_AGE)
         if len(self._ids):
             places = np.minimum(np.searchsorted(self._ids, particles.ids), len(self._ids) - 1)
             seen = np.where(self._ids[places] == particles.ids, self._seen[places], seen)

@@ -30,7 +30,7 @@ PARTNER_MARGIN = 4.0  # bins beyond the circle of a partner that it serves
 DECAY_LIMIT = 50.0  # such lengths away the value falls no further
 OUTSIDE_VALUE = 0.4  # the value of a track just outside of the circle
 NEVER_SEEN = -1.0e9  # s: the time of the last sight of what was never seen
-NEWCOMER_AGE = 0.5  # of `stale`: the greatest time out of sight of a particle that is new around the cell
+NEW_PARTICLE_AGE = 0.5  # of `stale`: the greatest time out of sight of a particle that is new around the cell
 SECTORS = 72  # of a full turn, among which a heading is chosen
 HEADING_MARGIN = 0.2  # bins of the reach that the choice of a heading leaves for the motion of the targets
 WINDOW_SHARE = 0.95  # of the viewing angle counts when a heading is chosen
@@ -246,9 +246,9 @@ def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarra
 
 def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) -> np.ndarray:
     """When each of the particles around the cell was last in view, s (N,). A new one counts as seen when its bin was, at most
-    `NEWCOMER_AGE` of `stale` ago."""
+    `NEW_PARTICLE_AGE` of `stale` ago."""
     now, settings, (x, y) = task.body.now, task.settings, around.states[:, :2].T
-    last = np.maximum(_seen_at(seen, x, y, settings.bin), now - NEWCOMER_AGE * settings.stale)
+    last = np.maximum(_seen_at(seen, x, y, settings.bin), now - NEW_PARTICLE_AGE * settings.stale)
     if len(memory.ids):
         places = np.minimum(np.searchsorted(memory.ids, around.ids), len(memory.ids) - 1)
         last = np.where(memory.ids[places] == around.ids, memory.last[places], last)

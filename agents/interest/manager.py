@@ -242,7 +242,7 @@ class InterestManager:
         """A neighbour is more than one tick ahead of the own `tick`: a new session, if that has lasted long; else no effects."""
         return (
             [Reopen(f"the others go on, and {self._context.name} has heard of no tick after {tick}")]
-            if self._world_link_detector.is_behind(tick, now)
+            if self._world_link_detector.should_reopen(tick, now)
             else []
         )
 

@@ -67,8 +67,8 @@ class WorldLinkDetector:
         self._since = Since(-1, NEVER)
         self._rest, self._not_before = FIRST_REST, NEVER
 
-    def is_behind(self, tick: int, now: float) -> bool:
-        """A gossip is more than one tick ahead of the own `tick`; whether the session is to be opened anew."""
+    def should_reopen(self, tick: int, now: float) -> bool:
+        """Note that a gossip is more than one tick ahead of the own `tick`; whether the session is to be opened anew."""
         if tick != self._since.tick or now < self._since.now:
             self._since = Since(tick, now)
         if now - self._since.now < PATIENCE or now < self._not_before:

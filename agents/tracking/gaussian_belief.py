@@ -93,7 +93,7 @@ def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
 
 def filter_step(density: Mixture, table: GossipTable, step: Step) -> tuple[Tracks, Mixture]:
     """The estimates and the PHD one step later, after all scans of a table, background births included; in canonical order."""
-    born = chain([gaussian_phd.predict(in_order(density), step), gaussian_phd.newcomers(step)])
+    born = chain([gaussian_phd.predict(in_order(density), step), gaussian_phd.background_births(step)])
     corrected, settings = _tidied(gaussian_phd.correct(born, table.scans(), step), step), step.config.extraction
     return estimates(corrected, settings.threshold, SHARPNESS * settings.bin)
 

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from agents.config import AgentConfig
-from agents.tracking.births import Scan, background_births, least_density, survival_probability
+from agents.tracking import births
+from agents.tracking.births import Scan, least_density, survival_probability
 from agents.tracking.claims import in_arena
 from agents.tracking.gaussians import EMPTY, KERNEL, SHARES, Mixture, chain, mean_of, nodes, pick, unlabelled, variances
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
@@ -46,10 +47,10 @@ def _covariances(count: int, place: float, velocity: float) -> np.ndarray:
     return np.tile(np.diag([place, place, velocity, velocity]), (count, 1, 1))
 
 
-def newcomers(step: Step) -> Mixture:
+def background_births(step: Step) -> Mixture:
     """The background births of a tick: a component at each particle of `births.background_births`."""
     config = step.config
-    born = background_births(step)
+    born = births.background_births(step)
     if not len(born.ids):
         return EMPTY
     covariances = _covariances(len(born.ids), (0.5 * config.mixture.spread) ** 2, 0.25 * config.filter.speed**2)

@@ -74,7 +74,7 @@ def noise_of(model: tuple[float, float, float], position_noise: float, kernel: f
     return Noise(kind, range_noise * range_noise + place, place, turn)
 
 
-def densities(
+def distances_and_peaks(
     states: np.ndarray, pose: tuple[float, ...], points: np.ndarray, rays: np.ndarray, radius: float, noise: Noise
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared Mahalanobis distances (N, M) of detections at `points` (M, 2) from particles, and peaks (N, M) of the densities, per m^2."""

@@ -15,7 +15,7 @@ from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, birth_density, founded_labels, measurement_births, survival_probability
 from agents.tracking.extraction import block_sums
 from agents.tracking.labels import ADOPTED_SHARE, NO_LABEL, given_labels
-from agents.tracking.measuring import densities, kernel_variance, model_of, noise_of
+from agents.tracking.measuring import distances_and_peaks, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, join, squared_distances
 from protocol.sensing import measurement_of
 from protocol.settings import ArenaSettings
@@ -118,7 +118,7 @@ def correct_scan(
     probability = scan.probability(particles.states[:, :2])
     if scan.rays is not None:
         scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
-        squared, peaks = densities(particles.states, scan.pose, scan.detections, scan.rays, scan.sensor.reach, scan_noise)
+        squared, peaks = distances_and_peaks(particles.states, scan.pose, scan.detections, scan.rays, scan.sensor.reach, scan_noise)
         rows, columns = np.nonzero((squared <= settings.gate * settings.gate) & (probability > 0.0)[:, None])
         likelihood = exp_minus(squared[rows, columns] * 0.5) * peaks[rows, columns]
     else:

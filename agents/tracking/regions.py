@@ -52,7 +52,7 @@ def update_regions(
 
 def _update_region(table: GossipTable, predicted: Particles, births: Particles, region: RegionInput, step: Step) -> RegionUpdate:
     config, claim = step.config, region.claim
-    near, far = gate(predicted, births, region, step)
+    near, far = split_by_halo(predicted, births, region, step)
     updated = correct(near, table, region.polygon, step)
     owned = claims.owned(updated.states, claim, config.arena)
     tracks = NO_TRACKS
@@ -74,7 +74,7 @@ def predict(particles: Particles, step: Step) -> Particles:
     return phd.predict(particles, step.tick, config.filter.seed, config.run.dt, config.filter, config.arena)
 
 
-def gate(predicted: Particles, births: Particles, region: RegionInput, step: Step) -> tuple[Particles, Particles]:
+def split_by_halo(predicted: Particles, births: Particles, region: RegionInput, step: Step) -> tuple[Particles, Particles]:
     """The predicted particles and births within the halo of a cell, and the other predicted particles within reach of the sensor.
 
     In the first set the births stand behind the predicted particles.

@@ -103,11 +103,11 @@ def test_who_is_cut_off_from_the_world_alone_asks_for_a_new_session_and_nobody_e
 
 def test_who_is_left_behind_says_so_after_its_seconds_and_then_rarely() -> None:
     behind = WorldLinkDetector()
-    times = [0.5 * step for step in range(200) if behind.is_behind(7, 0.5 * step)]
+    times = [0.5 * step for step in range(200) if behind.should_reopen(7, 0.5 * step)]
     assert times[0] == PATIENCE and times[1] == PATIENCE + FIRST_REST and times[2] == times[1] + 2.0 * FIRST_REST
 
 
 def test_who_follows_at_a_distance_is_not_left_behind() -> None:
     behind = WorldLinkDetector()
-    assert not any(behind.is_behind(step // 4, 0.5 * step) for step in range(400))
-    assert not any(behind.is_behind(9, 1000.0 - 0.5 * step) for step in range(400))  # a clock that runs back
+    assert not any(behind.should_reopen(step // 4, 0.5 * step) for step in range(400))
+    assert not any(behind.should_reopen(9, 1000.0 - 0.5 * step) for step in range(400))  # a clock that runs back

@@ -16,7 +16,7 @@ from agents.tracking.measuring import (
     RANGE_BEARING,
     Noise,
     birth_places,
-    densities,
+    distances_and_peaks,
     kernel_variance,
     likely_poses,
     noise_of,
@@ -78,7 +78,7 @@ def test_the_density_of_ranges_and_bearings_has_the_integral_one_over_the_plane(
     noise, step = noise_of((RANGE_BEARING, 0.3, 0.03), 0.25, 0.0, EXACT_POSE), 0.02
     ticks = np.arange(-3.0, 3.0, step)
     points = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2) + np.array(place)
-    squared, peaks = densities(np.array([[*place, 0.0, 0.0]]), POSE, points, rays_of(points), RADIUS, noise)
+    squared, peaks = distances_and_peaks(np.array([[*place, 0.0, 0.0]]), POSE, points, rays_of(points), RADIUS, noise)
     assert float((np.exp(-0.5 * squared) * peaks).sum() * step * step) == pytest.approx(1.0, rel=0.01)
 
 
@@ -86,7 +86,7 @@ def test_the_density_of_a_bearing_has_the_integral_one_over_the_circle_in_units_
     noise, step = noise_of((BEARING, 0.0, 0.05), 0.25, 0.0, EXACT_POSE), 1e-3
     angles = np.arange(-math.pi, math.pi, step)
     points = np.array(POSE[:2]) + 7.0 * np.column_stack([np.cos(angles), np.sin(angles)])
-    squared, peaks = densities(np.array([[9.0, 5.0, 0.0, 0.0]]), POSE, points, rays_of(points), RADIUS, noise)
+    squared, peaks = distances_and_peaks(np.array([[9.0, 5.0, 0.0, 0.0]]), POSE, points, rays_of(points), RADIUS, noise)
     assert float((np.exp(-0.5 * squared) * peaks).sum() * step * RADIUS**2 / 2.0) == pytest.approx(1.0, rel=0.01)
 
 
@@ -100,7 +100,7 @@ def test_a_pose_of_unknown_heading_widens_a_position_across_the_ray_and_not_alon
     noise = noise_of((POSITION, 0.0, 0.0), 0.1, 0.0, (0.0, 0.05))
     point = np.array([[POSE[0] + 8.0, POSE[1]]])
     ahead, aside = np.array([[POSE[0] + 8.5, POSE[1], 0.0, 0.0]]), np.array([[POSE[0] + 8.0, POSE[1] + 0.5, 0.0, 0.0]])
-    along, across = (densities(place, POSE, point, rays_of(point), RADIUS, noise)[0][0, 0] for place in (ahead, aside))
+    along, across = (distances_and_peaks(place, POSE, point, rays_of(point), RADIUS, noise)[0][0, 0] for place in (ahead, aside))
     assert along == pytest.approx(25.0)
     assert across == pytest.approx(0.25 / (0.01 + 0.0025 * 64.0))
 
@@ -132,7 +132,7 @@ def test_what_a_sensor_sees_from_an_unsure_pose_is_the_mean_over_its_poses() -> 
 def test_a_difference_of_bearings_counts_as_an_angle_also_across_the_west(error: float) -> None:
     noise = Noise(BEARING, 0.0, 0.0, 1.0)
     point = np.array([[POSE[0] - 5.0 * math.cos(error), POSE[1] - 5.0 * math.sin(error)]])
-    squared, _ = densities(np.array([[POSE[0] - 8.0, POSE[1], 0.0, 0.0]]), POSE, point, rays_of(point), RADIUS, noise)
+    squared, _ = distances_and_peaks(np.array([[POSE[0] - 8.0, POSE[1], 0.0, 0.0]]), POSE, point, rays_of(point), RADIUS, noise)
     assert squared[0, 0] == pytest.approx(error**2, rel=0.02)
 
 
