@@ -150,7 +150,7 @@ def advance(context: AgentContext, density: Any, table: GossipTable, polygon: np
 
 def _influence(step: Step) -> float:
     """How far away a particle may be in m that matters for a place one tick later."""
-    return step.config.filter.halo + step.reach
+    return step.config.filter.halo + step.max_displacement
 
 
 def rectangle_around(polygon: np.ndarray, own: Gossip, reach: float, margin: float) -> np.ndarray:

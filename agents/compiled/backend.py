@@ -127,7 +127,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
             return settings, keys
     filters, birth, noise = config.filter, config.birth, config.detection.noise
     step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
-    numbers = [*motion(step)[3:], filters.halo, step.reach, noise, width, (filters.gate * width) ** 2]
+    numbers = [*motion(step)[3:], filters.halo, step.max_displacement, noise, width, (filters.gate * width) ** 2]
     numbers += [filters.certainty, filters.vicinity / phd.BINS]
     numbers += [birth.measurement, birth.measurement_particles, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
@@ -141,7 +141,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
 
 def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, ...]:
     """States, ids, labels and table rows of the gossips whose boxes of particles touch the surroundings of a region."""
-    (x, y), reach, width = region.pose[:2], region.sensor.reach + step.reach, step.config.filter.halo + step.reach
+    (x, y), reach, width = region.pose[:2], region.sensor.reach + step.max_displacement, step.config.filter.halo + step.max_displacement
     near = region_kernels.touching(table.boxes, region.polygon if len(region.polygon) else _NO_CORNERS, width, x, y, reach)
     return *table.stated_by(near.tolist()), table.table[near]
 

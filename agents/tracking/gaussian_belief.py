@@ -17,14 +17,26 @@ from agents.tracking import claims, gaussian_phd
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.extraction import Tracks, select_tracks
 from agents.tracking.gaussian_reduction import estimates, limited, merged
-from agents.tracking.gaussians import EMPTY, Mixture, chain, clamped, in_order, mean_of, nodes, packed, pick, points, unpacked
+from agents.tracking.gaussians import (
+    EMPTY,
+    Mixture,
+    chain,
+    clamped,
+    in_order,
+    packed,
+    pick,
+    quadrature_mean,
+    quadrature_points,
+    unpacked,
+    weighted_points,
+)
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, GossipFields, RegionInput, claims_tile_arena, unknown_senders
 from protocol import geometry
 from protocol.messages import Gossip
 
-SHARPNESS = 2.0  # bins around a component that are one peak
+PEAK_RADIUS_BINS = 2.0  # bins around a component that are one peak
 
 
 class OwnedMixture(NamedTuple):
@@ -68,12 +80,12 @@ class MixtureUpdate(NamedTuple):
     @property
     def updated(self) -> Particles:
         """The density around the cell as weighted points."""
-        return points(self.around)
+        return weighted_points(self.around)
 
     @property
     def own(self) -> Particles:
         """The density in the cell as weighted points."""
-        return points(self.inside)
+        return weighted_points(self.inside)
 
 
 def owned_by_sender(gossip: Gossip) -> OwnedMixture:
@@ -95,7 +107,7 @@ def filter_step(density: Mixture, table: GossipTable, step: Step) -> tuple[Track
     """The estimates and the PHD one step later, after all scans of a table, background births included; in canonical order."""
     born = chain([gaussian_phd.predict(in_order(density), step), gaussian_phd.background_births(step)])
     corrected, settings = _tidied(gaussian_phd.correct(born, table.scans(), step), step), step.config.extraction
-    return estimates(corrected, settings.threshold, SHARPNESS * settings.bin)
+    return estimates(corrected, settings.threshold, PEAK_RADIUS_BINS * settings.bin)
 
 
 def _moved(mixture: Mixture, step: Step) -> Mixture:
@@ -139,7 +151,7 @@ class MixturePhd(NamedTuple):
 
     def weighted_points(self, density: GossipTable | Mixture) -> Particles:
         """See `Tracker.weighted_points`."""
-        return points(as_mixture(density))
+        return weighted_points(as_mixture(density))
 
     def catch_up(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
         """See `Tracker.catch_up`: all components become copies, and move by the missed ticks."""
@@ -208,5 +220,5 @@ def _region_of(corrected: Mixture, peaks: Tracks, region: RegionInput, step: Ste
 
 def _in_view(mixture: Mixture, region: RegionInput) -> tuple[float, float]:
     """The integrals of v and of p_d v over the footprint (10), expected targets."""
-    seen = region.sensor.probability(nodes(mixture).reshape(-1, 2), region.pose).reshape(-1, 9)
-    return total(mixture.weights * mean_of((seen > 0.0).astype(float))), total(mixture.weights * mean_of(seen))
+    seen = region.sensor.probability(quadrature_points(mixture).reshape(-1, 2), region.pose).reshape(-1, 9)
+    return total(mixture.weights * quadrature_mean((seen > 0.0).astype(float))), total(mixture.weights * quadrature_mean(seen))

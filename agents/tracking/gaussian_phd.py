@@ -14,7 +14,18 @@ from agents.config import AgentConfig
 from agents.tracking import births
 from agents.tracking.births import Scan, least_density, survival_probability
 from agents.tracking.claims import in_arena
-from agents.tracking.gaussians import EMPTY, KERNEL, SHARES, Mixture, chain, mean_of, nodes, pick, unlabelled, variances
+from agents.tracking.gaussians import (
+    EMPTY,
+    KERNEL_SHARE,
+    QUADRATURE_WEIGHTS,
+    Mixture,
+    chain,
+    largest_variances,
+    pick,
+    quadrature_mean,
+    quadrature_points,
+    unlabelled,
+)
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
 from agents.tracking.measuring import BEARING, POSE_SPREAD, model_of, noise_of
 from agents.tracking.particles import column_sums
@@ -24,13 +35,13 @@ from protocol.sensing import measurement_of
 from protocol.settings import BadSetting
 from protocol.streams import key, scramble
 
-APART = 0.7  # where the halves of a split component lie, in its standard deviations
-PACKED = 0.7  # standard deviation of a component of the prior in units of the largest one; half of their distance
+SPLIT_OFFSET = 0.7  # where the halves of a split component lie, in its standard deviations
+PRIOR_DEVIATION = 0.7  # standard deviation of a component of the prior in units of the largest one; half of their distance
 
 
 def prior(config: AgentConfig) -> Mixture:
     """The uniform PHD of density `prior_density` with which all agents start: a grid of components with unknown headings."""
-    filters, arena, deviation = config.filter, config.arena, PACKED * config.mixture.spread
+    filters, arena, deviation = config.filter, config.arena, PRIOR_DEVIATION * config.mixture.spread
     columns, rows = (max(1, math.ceil(side / (2.0 * deviation))) for side in (arena.width, arena.height))
     if filters.prior_density <= 0.0:
         return EMPTY
@@ -88,17 +99,19 @@ def _moved(mixture: Mixture, step: Step) -> Mixture:
 
 def _split(mixture: Mixture, step: Step) -> Mixture:
     """The components, each of a place wider than `mixture.spread` as two halves beside each other; mean and covariance stay."""
-    wide = np.flatnonzero(variances(mixture) > step.config.mixture.spread**2)
+    wide = np.flatnonzero(largest_variances(mixture) > step.config.mixture.spread**2)
     if not len(wide):
         return mixture
     halves = pick(mixture, wide)
     xx, xy, yy = halves.covariances[:, 0, 0], halves.covariances[:, 0, 1], halves.covariances[:, 1, 1]
-    variance = variances(halves)
+    variance = largest_variances(halves)
     east, north = np.where(xx >= yy, variance - yy, xy), np.where(xx >= yy, xy, variance - xx)
     length = np.sqrt(east * east + north * north)
     east, north = np.where(length > 0.0, east, 1.0), np.where(length > 0.0, north, 0.0)
     length = np.where(length > 0.0, length, 1.0) * np.sqrt(variance)
-    shift = APART * (halves.covariances[:, :, 0] * (east / length)[:, None] + halves.covariances[:, :, 1] * (north / length)[:, None])
+    shift = SPLIT_OFFSET * (
+        halves.covariances[:, :, 0] * (east / length)[:, None] + halves.covariances[:, :, 1] * (north / length)[:, None]
+    )
     covariances = halves.covariances - shift[:, :, None] * shift[:, None, :]
     first = halves._replace(weights=0.5 * halves.weights, means=halves.means + shift, covariances=covariances)
     again = scramble(halves.ids, key(step.config.filter.seed, "split", step.tick))
@@ -142,11 +155,11 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     """
     config = step.config
     x, y, _ = scan.pose
-    width = 3.0 * np.sqrt(variances(mixture)) + (scan.sensor.reach + POSE_SPREAD * scan.pose_noise[0])
+    width = 3.0 * np.sqrt(largest_variances(mixture)) + (scan.sensor.reach + POSE_SPREAD * scan.pose_noise[0])
     dx, dy = mixture.means[:, 0] - x, mixture.means[:, 1] - y
     close = dx * dx + dy * dy <= width * width
     near, noise = pick(mixture, close), measured_covariances(scan, config)
-    seen = scan.probability(nodes(near).reshape(-1, 2)).reshape(-1, len(SHARES))
+    seen = scan.probability(quadrature_points(near).reshape(-1, 2)).reshape(-1, len(QUADRATURE_WEIGHTS))
     rows, columns, found, likelihood = _detected(near, scan, noise, step)
     terms = np.zeros((len(near.ids), len(scan.detections)))
     terms[rows, columns] = likelihood
@@ -162,7 +175,7 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
         gained = gained + terms[:, number] / norms[number]
     left = missed(near, seen, gained, scan.detections, born.weights, config)
     stays = np.ones(len(mixture.ids), dtype=bool)
-    stays[close] = (left.weights >= config.mixture.pruned) | (mean_of(seen) < 0.5)
+    stays[close] = (left.weights >= config.mixture.pruned) | (quadrature_mean(seen) < 0.5)
     parts = [pick(_put(mixture, np.flatnonzero(close), left), stays)]
     return chain([*parts, *(pick(part, part.weights >= config.mixture.pruned) for part in (found, born))])
 
@@ -230,11 +243,11 @@ def missed(
 ) -> Mixture:
     """The components as missed ones: each node is weighed by (r / M) (1 - p_d) / (1 - p_d min(r, certainty)) in view, 1 out of view.
 
-    `seen` (N, 9) is p_d at the nodes. M is the mass in view of the components within `vicinity` m, and r is M less what they and the
-    births there gained (`phd.missed`). Mean and covariance become those of the weighed nodes; the velocity follows by regression.
+    `seen` (N, 9) is p_d at the quadrature points. M is the mass in view of the components within `vicinity` m, and r is M less what they
+    and the births there gained (`phd.missed`). Mean and covariance become those of the weighed points; the velocity follows by regression.
     """
     settings = config.filter
-    in_view = mixture.weights * mean_of((seen > 0.0).astype(float))
+    in_view = mixture.weights * quadrature_mean((seen > 0.0).astype(float))
     masses = _nearby(mixture.means, mixture.means, in_view, settings.vicinity)
     explained = _nearby(mixture.means, mixture.means, gained, settings.vicinity) + _nearby(
         mixture.means, detections, born, settings.vicinity
@@ -243,7 +256,7 @@ def missed(
     share = rest / np.where(masses > 0.0, masses, 1.0)
     odds = (1.0 - seen) / (1.0 - seen * np.minimum(rest, settings.certainty)[:, None])
     factors = np.where(seen > 0.0, share[:, None] * odds, 1.0)
-    total = mean_of(factors)
+    total = quadrature_mean(factors)
     left = mixture._replace(weights=mixture.weights * total)
     cut = np.flatnonzero((factors != factors[:, :1]).any(axis=1) & (left.weights > 0.0))
     return _put(left, cut, _reshaped(pick(left, cut), factors[cut] / total[cut, None])) if len(cut) else left
@@ -256,14 +269,14 @@ def _nearby(places: np.ndarray, others: np.ndarray, values: np.ndarray, radius: 
 
 
 def _reshaped(mixture: Mixture, factors: np.ndarray) -> Mixture:
-    """The components with the mean and covariance of their nodes weighed by factors (N, 9) of mean 1."""
-    offsets = nodes(mixture) - mixture.means[:, None, :2]
-    dx, dy = mean_of(factors * offsets[:, :, 0]), mean_of(factors * offsets[:, :, 1])
+    """The components with the mean and covariance of their quadrature points weighed by factors (N, 9) of mean 1."""
+    offsets = quadrature_points(mixture) - mixture.means[:, None, :2]
+    dx, dy = quadrature_mean(factors * offsets[:, :, 0]), quadrature_mean(factors * offsets[:, :, 1])
     ex, ey = offsets[:, :, 0] - dx[:, None], offsets[:, :, 1] - dy[:, None]
     old, place = mixture.covariances, np.empty((len(dx), 2, 2))
-    place[:, 0, 0], place[:, 1, 1] = mean_of(factors * ex * ex), mean_of(factors * ey * ey)
-    place[:, 0, 1] = place[:, 1, 0] = mean_of(factors * ex * ey)
-    place += KERNEL * old[:, :2, :2]
+    place[:, 0, 0], place[:, 1, 1] = quadrature_mean(factors * ex * ex), quadrature_mean(factors * ey * ey)
+    place[:, 0, 1] = place[:, 1, 0] = quadrature_mean(factors * ex * ey)
+    place += KERNEL_SHARE * old[:, :2, :2]
     volume = old[:, 0, 0] * old[:, 1, 1] - old[:, 0, 1] * old[:, 0, 1]
     follow = np.empty((len(dx), 2, 2))  # the regression of velocity on place
     for axis in (0, 1):

@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.config import MixtureSettings
 from agents.tracking.extraction import DETAILS, Tracks
-from agents.tracking.gaussians import Mixture, chain, factors, pick, variances
+from agents.tracking.gaussians import Mixture, chain, factors, largest_variances, pick
 from agents.tracking.labels import name_peaks, weight_by_label
 from agents.tracking.particles import total
 
@@ -32,7 +32,7 @@ def merged(mixture: Mixture, settings: MixtureSettings) -> Mixture:
             continue
         group = [other for other in partners.get(heaviest, ()) if not taken[other]]
         whole = _as_one(mixture, [heaviest, *group]) if group else None
-        if whole is None or variances(whole)[0] > settings.spread**2:
+        if whole is None or largest_variances(whole)[0] > settings.spread**2:
             alone.append(heaviest)
             taken[heaviest] = True
             continue
@@ -126,7 +126,7 @@ def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks
     those with the label are the peak. Components wider than `radius` show no place. Labels are those of `labels.name_peaks`.
     A label stands for one target: where a peak of one target finds no free label, the components of its heaviest one take a new one.
     """
-    wide = variances(mixture) > radius * radius
+    wide = largest_variances(mixture) > radius * radius
     left, found = np.where(wide, 0.0, mixture.weights), list[tuple[float, ...]]()
     members, votes = list[np.ndarray](), list[dict[int, float]]()
     for heaviest in np.lexsort((mixture.ids, -left)).tolist():

@@ -18,9 +18,10 @@ from protocol.settings import ArenaSettings
 from protocol.streams import scramble
 
 LEAST_VARIANCE = 1.0e-8  # of each axis given the ones before, m^2 or m^2/s^2
-KERNEL = 0.2  # share of the covariance that lies around each node; the nodes hold the rest
-OFFSETS = math.sqrt(3.0 * (1.0 - KERNEL)) * np.array([(i, j) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0)])  # standard deviations
-SHARES = np.array([(1.0, 4.0, 1.0)[i] * (1.0, 4.0, 1.0)[j] / 36.0 for i in range(3) for j in range(3)])
+KERNEL_SHARE = 0.2  # of the covariance, that lies around each quadrature point; these hold the rest
+_AXIS = (-1.0, 0.0, 1.0)
+QUADRATURE_OFFSETS = math.sqrt(3.0 * (1.0 - KERNEL_SHARE)) * np.array([(i, j) for i in _AXIS for j in _AXIS])  # standard deviations
+QUADRATURE_WEIGHTS = np.array([(1.0, 4.0, 1.0)[i] * (1.0, 4.0, 1.0)[j] / 36.0 for i in range(3) for j in range(3)])
 LOWER = [(row, column) for row in range(4) for column in range(row + 1)]  # the entries of a factor on the wire, in order
 
 
@@ -103,35 +104,35 @@ def unpacked(rows: np.ndarray) -> Mixture:
     return Mixture(weights, means, covariances, rows["id"].astype(np.uint64), rows["label"].astype(np.uint64))
 
 
-def nodes(mixture: Mixture) -> np.ndarray:
-    """Places (N, 9, 2) in m whose weights `SHARES` give mean and covariance of a component, but for `KERNEL`: Gauss-Hermite nodes."""
+def quadrature_points(mixture: Mixture) -> np.ndarray:
+    """Gauss-Hermite points (N, 9, 2), m: with `QUADRATURE_WEIGHTS` they give mean and covariance of a component, but for `KERNEL_SHARE`."""
     xx, xy, yy = mixture.covariances[:, 0, 0], mixture.covariances[:, 0, 1], mixture.covariances[:, 1, 1]
     east = np.sqrt(np.maximum(xx, LEAST_VARIANCE))
     north = xy / east
     rest = np.sqrt(np.maximum(yy - north * north, LEAST_VARIANCE))
-    x = mixture.means[:, 0, None] + east[:, None] * OFFSETS[None, :, 0]
-    y = mixture.means[:, 1, None] + (north[:, None] * OFFSETS[None, :, 0] + rest[:, None] * OFFSETS[None, :, 1])
+    x = mixture.means[:, 0, None] + east[:, None] * QUADRATURE_OFFSETS[None, :, 0]
+    y = mixture.means[:, 1, None] + (north[:, None] * QUADRATURE_OFFSETS[None, :, 0] + rest[:, None] * QUADRATURE_OFFSETS[None, :, 1])
     return np.stack([x, y], axis=2)
 
 
-def mean_of(values: np.ndarray) -> np.ndarray:
-    """The means (N,) of values at the nodes (N, 9)."""
-    found = values[:, 0] * SHARES[0]
-    for number in range(1, len(SHARES)):
-        found = found + values[:, number] * SHARES[number]
+def quadrature_mean(values: np.ndarray) -> np.ndarray:
+    """The means (N,) of values at the quadrature points (N, 9)."""
+    found = values[:, 0] * QUADRATURE_WEIGHTS[0]
+    for number in range(1, len(QUADRATURE_WEIGHTS)):
+        found = found + values[:, number] * QUADRATURE_WEIGHTS[number]
     return found
 
 
-def points(mixture: Mixture) -> Particles:
-    """The density as weighted points at the nodes of each component, by ascending id."""
-    count, size = len(mixture.ids), len(SHARES)
+def weighted_points(mixture: Mixture) -> Particles:
+    """The density as the weighted quadrature points of each component, by ascending id."""
+    count, size = len(mixture.ids), len(QUADRATURE_WEIGHTS)
     states = np.repeat(mixture.means, size, axis=0)
-    states[:, :2] = nodes(mixture).reshape(-1, 2)
+    states[:, :2] = quadrature_points(mixture).reshape(-1, 2)
     ids = scramble(np.repeat(mixture.ids, size), np.tile(np.arange(size, dtype=np.uint64), count)) if count else mixture.ids
-    return canonical(particles.unlabelled(states, (mixture.weights[:, None] * SHARES[None, :]).reshape(-1), ids))
+    return canonical(particles.unlabelled(states, (mixture.weights[:, None] * QUADRATURE_WEIGHTS[None, :]).reshape(-1), ids))
 
 
-def variances(mixture: Mixture) -> np.ndarray:
+def largest_variances(mixture: Mixture) -> np.ndarray:
     """The larger principal variance (N,) of each place, m^2."""
     xx, xy, yy = mixture.covariances[:, 0, 0], mixture.covariances[:, 0, 1], mixture.covariances[:, 1, 1]
     half = 0.5 * (xx - yy)

@@ -13,6 +13,6 @@ class Step(NamedTuple):
     tick: int
 
     @property
-    def reach(self) -> float:
+    def max_displacement(self) -> float:
         """An upper bound in m of the distance that a particle moves in one step."""
         return self.config.filter.speed * self.config.run.dt * 1.001 + 2.0 * NORMAL_BOUND * self.config.filter.position_noise

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from agents.membership.peer_table import MOST_STRANGERS
-from agents.tracking.gaussians import points, unpacked
+from agents.tracking.gaussians import unpacked, weighted_points
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
 from protocol.keys import order
@@ -234,7 +234,7 @@ class Picture:
             if known.alive and gossip is not None and len(gossip.states):
                 parts.append(np.column_stack([gossip.states[:, :2], np.full(len(gossip.states), gossip.weight)]))
             if known.alive and gossip is not None and len(gossip.components):
-                spread = points(unpacked(gossip.components))
+                spread = weighted_points(unpacked(gossip.components))
                 parts.append(np.column_stack([spread.states[:, :2], spread.weights]))
         return np.concatenate(parts) if parts else np.empty((0, 3))
 

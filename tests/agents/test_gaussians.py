@@ -13,7 +13,18 @@ from agents.tracking.births import Scan
 from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.gaussian_belief import MixtureBelief, MixturePhd, OwnedMixture
 from agents.tracking.gaussian_reduction import ALIKE, STRIP, _near_pairs, estimates, limited, merged
-from agents.tracking.gaussians import EMPTY, Mixture, chain, clamped, in_order, mean_of, nodes, packed, points, unpacked
+from agents.tracking.gaussians import (
+    EMPTY,
+    Mixture,
+    chain,
+    clamped,
+    in_order,
+    packed,
+    quadrature_mean,
+    quadrature_points,
+    unpacked,
+    weighted_points,
+)
 from agents.tracking.step import Step
 from protocol.fields import pack
 from protocol.messages import Gossip
@@ -324,14 +335,14 @@ def test_what_is_said_is_52_bytes_a_component_and_what_is_read_is_said_again_bit
     assert np.all(np.linalg.eigvalsh(read.covariances) >= -1e-12)
 
 
-def test_the_nodes_have_the_mean_and_but_for_the_kernel_the_covariance_of_their_component() -> None:
+def test_the_quadrature_points_have_the_mean_and_but_for_the_kernel_the_covariance_of_their_component() -> None:
     one = component(10.0, 10.0, 1.0)
     one.covariances[0, :2, :2] = [[4.0, 1.0], [1.0, 2.0]]
-    places = nodes(one)[0]
+    places = quadrature_points(one)[0]
     apart = places - [10.0, 10.0]
-    assert mean_of(places.T).tolist() == pytest.approx([10.0, 10.0])
-    assert mean_of(np.array([apart[:, 0] ** 2, apart[:, 0] * apart[:, 1], apart[:, 1] ** 2])) == pytest.approx([3.2, 0.8, 1.6])
-    assert points(one).weights.sum() == pytest.approx(1.0)
+    assert quadrature_mean(places.T).tolist() == pytest.approx([10.0, 10.0])
+    assert quadrature_mean(np.array([apart[:, 0] ** 2, apart[:, 0] * apart[:, 1], apart[:, 1] ** 2])) == pytest.approx([3.2, 0.8, 1.6])
+    assert weighted_points(one).weights.sum() == pytest.approx(1.0)
 
 
 def test_two_labels_of_a_target_each_are_two_places_however_close() -> None:
