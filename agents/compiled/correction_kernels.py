@@ -17,7 +17,7 @@ from agents.compiled.extraction_kernels import block
 from agents.compiled.label_kernels import birth_label, label_scan
 from agents.compiled.measuring_kernels import birth_place, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
-from agents.compiled.particle_kernels import blank, likely_sensors, normal, scramble, wedge
+from agents.compiled.particle_kernels import blank, normal, scramble, sigma_sensors, wedge
 from agents.gossip.table import (
     COS,
     COS_HALF,
@@ -150,7 +150,7 @@ def _missed(
 
 @cached
 def _probabilities(x: np.ndarray, y: np.ndarray, sensors: np.ndarray, probabilities: np.ndarray, seen: np.ndarray) -> int:
-    """Twin of `births.Scan.probability` for a wedge: write p_d of points into `probabilities` (N,), the mean over `likely_sensors`.
+    """Twin of `births.Scan.probability` for a wedge: write p_d of points into `probabilities` (N,), the mean over `sigma_sensors`.
 
     Writes the rows with p_d > 0 into `seen` (N,). Returns the number of these rows.
     """
@@ -181,7 +181,7 @@ def _add_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: n
 
 @njit
 def _seen(x: float, y: float, sensors: np.ndarray) -> float:
-    """p_d of one point, the mean over `likely_sensors`."""
+    """p_d of one point, the mean over `sigma_sensors`."""
     found = 0.0
     for k in range(len(sensors)):
         found += wedge(x, y, sensors[k])
@@ -339,8 +339,8 @@ def correct(
         at_columns[n], at_rows[n] = _bin(x[n], y[n], miss[1], raster[0], raster[1])
     for s in range(scans):
         sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
-        likely, has_rays = likely_sensors(sensor), _has_rays(sensor)
-        seen = in_view[: _probabilities(x[:count], y[:count], likely, probabilities, in_view)]
+        sigma_rows, has_rays = sigma_sensors(sensor), _has_rays(sensor)
+        seen = in_view[: _probabilities(x[:count], y[:count], sigma_rows, probabilities, in_view)]
         for n in seen:
             gained[n] = 0.0
         if len(points) == 0:  # nobody gains by a detection
@@ -373,7 +373,7 @@ def correct(
             else:
                 _birth_densities(points, norms, sensor[KAPPA], born, birth)
         for m in range(len(points)):
-            fresh = _seen(points[m, 0], points[m, 1], likely) * born[m]
+            fresh = _seen(points[m, 0], points[m, 1], sigma_rows) * born[m]
             norm = sensor[KAPPA] + fresh + norms[m]
             norms[m] = norm if norm > 0.0 else 1.0
             born[m] = fresh / norms[m]

@@ -158,8 +158,8 @@ def wedge(x: float, y: float, sensor: np.ndarray) -> float:
 
 
 @njit
-def likely_sensors(sensor: np.ndarray) -> np.ndarray:
-    """Twin of `measuring.likely_poses`: the rows (6 or 1, COLUMNS) of the sensor at each."""
+def sigma_sensors(sensor: np.ndarray) -> np.ndarray:
+    """Twin of `measuring.sigma_poses`: the rows (6 or 1, COLUMNS) of the sensor at each of these poses."""
     if sensor[PLACE_NOISE] == 0.0 and sensor[HEADING_NOISE] == 0.0:
         return sensor.copy().reshape(1, -1)
     rows, away = np.empty((6, len(sensor))), POSE_SPREAD * sensor[PLACE_NOISE]

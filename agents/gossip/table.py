@@ -18,7 +18,7 @@ from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, sensor_facts
 from agents.interest.tiles import Bounds, bounds_of
 from agents.tracking.births import Scan
-from agents.tracking.measuring import EXACT_POSE, kernel_variance, likely_poses, model_of, noise_of, spread_of
+from agents.tracking.measuring import EXACT_POSE, kernel_variance, model_of, noise_of, sigma_poses, spread_of
 from agents.tracking.particles import Particles
 from protocol.components import COMPONENT
 from protocol.fields import read_labels
@@ -142,7 +142,7 @@ class GossipTable:
             table[:, PLACE_NOISE:] = 0.0
             return table
         for row, gossip in zip(table, self.gossips):
-            left, right = [heading for _, _, heading in 2 * likely_poses(gossip.pose, gossip.pose_noise or EXACT_POSE)][-2:]
+            left, right = [heading for _, _, heading in 2 * sigma_poses(gossip.pose, gossip.pose_noise or EXACT_POSE)][-2:]
             row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         return table
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.labels import birth_labels
-from agents.tracking.measuring import BEARING, EXACT_POSE, birth_places, kernel_variance, likely_poses, model_of, noise_of
+from agents.tracking.measuring import BEARING, EXACT_POSE, birth_places, kernel_variance, model_of, noise_of, sigma_poses
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, select, squared_distances, unlabelled
 from agents.tracking.step import Step
 from protocol.compact import DIRECTIONS
@@ -39,7 +39,7 @@ class Scan(NamedTuple):
 
     def probability(self, points: np.ndarray) -> np.ndarray:
         """p_d of points (N, 2): (N,), the mean over the poses that the sensor may have."""
-        poses = likely_poses(self.pose, self.pose_noise)
+        poses = sigma_poses(self.pose, self.pose_noise)
         found = self.sensor.probability(points, poses[0])
         for pose in poses[1:]:
             found = found + self.sensor.probability(points, pose)

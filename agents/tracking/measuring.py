@@ -23,7 +23,7 @@ MODELS = {"range-bearing": RANGE_BEARING, "bearing": BEARING}  # by `Measurement
 LARGEST_DEVIATION = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
 TINY = 1e-12
 EXACT_POSE = (0.0, 0.0)  # the noise of a pose that is exact
-POSE_SPREAD = math.sqrt(3.0)  # deviations of `likely_poses`
+POSE_SPREAD = math.sqrt(3.0)  # deviations of `sigma_poses`
 
 
 class Noise(NamedTuple):
@@ -48,8 +48,8 @@ def kernel_variance(settings: FilterSettings) -> float:
     return width * width
 
 
-def likely_poses(pose: tuple[float, float, float], pose_noise: tuple[float, float]) -> list[tuple[float, float, float]]:
-    """Poses whose equal mixture has the mean and the variances of a pose: six, or the pose alone if it is exact.
+def sigma_poses(pose: tuple[float, float, float], pose_noise: tuple[float, float]) -> list[tuple[float, float, float]]:
+    """The sigma points of a pose, whose equal mixture has its mean and variances: six, or the pose alone if it is exact.
 
     They lie sqrt(3) standard deviations away on each axis and to each side: the third-degree cubature of Arasaratnam and Haykin (2009).
     """

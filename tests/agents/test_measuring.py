@@ -18,8 +18,8 @@ from agents.tracking.measuring import (
     birth_places,
     distances_and_peaks,
     kernel_variance,
-    likely_poses,
     noise_of,
+    sigma_poses,
 )
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
@@ -105,11 +105,11 @@ def test_a_pose_of_unknown_heading_widens_a_position_across_the_ray_and_not_alon
     assert across == pytest.approx(0.25 / (0.01 + 0.0025 * 64.0))
 
 
-def test_the_likely_poses_have_the_mean_and_the_variances_of_the_pose() -> None:
-    poses = np.array(likely_poses(POSE, (0.3, 0.05)))
+def test_the_sigma_poses_have_the_mean_and_the_variances_of_the_pose() -> None:
+    poses = np.array(sigma_poses(POSE, (0.3, 0.05)))
     assert poses.mean(axis=0) == pytest.approx(POSE)
     assert np.cov(poses.T, bias=True) == pytest.approx(np.diag([0.09, 0.09, 0.0025]))
-    assert likely_poses(POSE, EXACT_POSE) == [POSE]
+    assert sigma_poses(POSE, EXACT_POSE) == [POSE]
 
 
 def test_what_a_sensor_sees_from_an_unsure_pose_is_the_mean_over_its_poses() -> None:
