@@ -1,6 +1,6 @@
 """The endpoints of the virtual bus, and the messages on their way to them.
 
-A `BusEndpoint` is a node and the state that the bus keeps for it. A `Delivery` is one message and its receivers. A `MessageRun` is a
+A `BusEndpoint` is a node and the state that the bus keeps for it. A `Delivery` is one message and its receivers. A `MessageGroup` is a
 sequence of messages of one kind to the same receivers, put into a batch once for all of them.
 """
 
@@ -18,10 +18,10 @@ from protocol.once import once
 from protocol.reception import Decoded, in_batches, read_all
 
 Item = Decoded | Event  # a decoded message, or the event that the bytes were rejected
-BOXED_KINDS = (Gossip, Beacon, Hello, Estimate)  # kinds that wait in the receivers' boxes until the instant holds no other event
+MAILBOX_KINDS = (Gossip, Beacon, Hello, Estimate)  # kinds that wait in the receivers' mailboxes until the instant holds no other event
 
 
-class MessageRun:
+class MessageGroup:
     """Consecutive messages of one kind to the same listeners, decoded and put into batches once for all listeners."""
 
     def __init__(self, deliveries: "Sequence[Delivery]") -> None:
@@ -48,12 +48,12 @@ class Delivery:
     key: str
     payload: bytes
 
-    def with_followers(self, ready: deque[Any]) -> MessageRun:
+    def with_followers(self, ready: deque[Any]) -> MessageGroup:
         """This message and the next ones in the queue of its kind to the same listeners, decoded together; they leave the queue."""
         found = [self]
         while ready and isinstance(ready[0], Delivery) and ready[0].listeners is self.listeners and ready[0].kind is self.kind:
             found.append(ready.popleft())
-        return MessageRun(found)
+        return MessageGroup(found)
 
 
 @dataclass(eq=False, slots=True)
@@ -73,7 +73,7 @@ class BusEndpoint:
     starved: Callable[[], float] | None = None  # draws the time that its next round takes, s; None: none
     at_work: bool = False
     armed: float | None = None  # the deadline for which the timer is set
-    box: list[MessageRun] = field(default_factory=list)  # runs of messages of this instant that have not been handed over
+    mailbox: list[MessageGroup] = field(default_factory=list)  # groups of messages of this instant that have not been handed over
     handle: Callable[[Event, float], list[Effect]] = field(init=False)  # the methods of the node, looked up once
     deadline: Callable[[], float | None] = field(init=False)
 
@@ -85,14 +85,14 @@ class BusEndpoint:
         """Key of its liveliness token."""
         return token_key(self.node.run, self.node.role, self.node.name, self.node.incarnation)
 
-    def empty_box(self) -> list[Event]:
-        """The events of the box in the order of arrival; the box is empty afterwards."""
-        box, self.box = self.box, []
-        if len(box) == 1 and len(box[0].items) > 1:
-            return box[0].events
+    def empty_mailbox(self) -> list[Event]:
+        """The events of the mailbox in the order of arrival; it is empty afterwards."""
+        mailbox, self.mailbox = self.mailbox, []
+        if len(mailbox) == 1 and len(mailbox[0].items) > 1:
+            return mailbox[0].events
         items = []
-        for run in box:  # most runs hold one message, of another sender
-            items += run.without(self) if self in run.senders else run.items
+        for group in mailbox:  # most groups hold one message, of another sender
+            items += group.without(self) if self in group.senders else group.items
         return [*in_batches(items)]
 
     def catch_up(self) -> list[Event]:

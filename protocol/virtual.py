@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol import codec
-from protocol.delivery import BOXED_KINDS, BusEndpoint, Delivery, Item, MessageRun, place_of
+from protocol.delivery import MAILBOX_KINDS, BusEndpoint, Delivery, Item, MessageGroup, place_of
 from protocol.keys import is_of_tokens, message_key, tokens_of
 from protocol.message import Message
 from protocol.messages import Command, Gossip
@@ -60,7 +60,7 @@ class VirtualBus:
         self._command_delay = command_delay
         self._endpoints: dict[str, BusEndpoint] = {}
         self._ready: deque[_Entry] = deque()
-        self._boxed: list[BusEndpoint] = []  # endpoints with a box that may hold messages
+        self._with_mail: list[BusEndpoint] = []  # endpoints with a mailbox that may hold messages
         self._later: list[tuple[float, int, _Entry]] = []
         self._sequence = 0
         self._frozen_until: float | None = None  # s; None: the nodes are not frozen
@@ -179,8 +179,8 @@ class VirtualBus:
     def step(self, until: float = float("inf")) -> bool:
         """Deliver the next event that is due by `until`, a message to all its listeners; False when there is none."""
         while not self._ready:
-            if self._boxed:
-                self._empty_boxes()
+            if self._with_mail:
+                self._empty_mailboxes()
             elif not self._advance(until):
                 return False
         entry = self._ready.popleft()
@@ -196,43 +196,43 @@ class VirtualBus:
         return True
 
     def _deliver(self, delivery: Delivery) -> None:
-        """Hand a message to all its listeners; those of kinds in `BOXED_KINDS` go into their boxes."""
-        if delivery.kind not in BOXED_KINDS:
+        """Hand a message to all its listeners; those of kinds in `MAILBOX_KINDS` go into their mailboxes."""
+        if delivery.kind not in MAILBOX_KINDS:
             [item] = read_all([(delivery.key, delivery.payload)])
             event = event_of(item)
             for endpoint in delivery.listeners:
                 if endpoint is not delivery.sender:
                     self._hand(endpoint, event)
             return
-        run = delivery.with_followers(self._ready) if self.batches else MessageRun([delivery])
+        group = delivery.with_followers(self._ready) if self.batches else MessageGroup([delivery])
         for endpoint in delivery.listeners:
-            if len(run.items) > 1 or endpoint is not delivery.sender:
-                if not endpoint.box:
-                    self._boxed.append(endpoint)
-                endpoint.box.append(run)
+            if len(group.items) > 1 or endpoint is not delivery.sender:
+                if not endpoint.mailbox:
+                    self._with_mail.append(endpoint)
+                endpoint.mailbox.append(group)
 
-    def _empty_boxes(self) -> None:
-        """Hand every listener the messages of its box, one listener after the other; no other event of this instant is left.
+    def _empty_mailboxes(self) -> None:
+        """Hand every listener the messages of its mailbox, one listener after the other; no other event of this instant is left.
 
         A node that takes all its messages in a row is fetched into the processor's caches once, not for every message.
         """
-        endpoints, self._boxed = self._boxed, []
+        endpoints, self._with_mail = self._with_mail, []
         for endpoint in endpoints:
-            self._empty(endpoint)
+            self._empty_mailbox(endpoint)
 
-    def _empty(self, endpoint: BusEndpoint) -> None:
+    def _empty_mailbox(self, endpoint: BusEndpoint) -> None:
         if self.batches:
-            events = endpoint.empty_box()
+            events = endpoint.empty_mailbox()
         else:
-            events = [event for run in endpoint.box for event in in_batches(run.without(endpoint))]
-            endpoint.box = []
+            events = [event for group in endpoint.mailbox for event in in_batches(group.without(endpoint))]
+            endpoint.mailbox = []
         for event in events:
             self._hand(endpoint, event)
 
     def _hand(self, endpoint: BusEndpoint, event: Event) -> None:
         """Hand a node an event, or keep the event while the node stands still or is at work."""
-        if endpoint.box:
-            self._empty(endpoint)
+        if endpoint.mailbox:
+            self._empty_mailbox(endpoint)
         if endpoint.at_work or self._stands_still(endpoint):
             if not isinstance(event, Timer):
                 endpoint.waiting.append(event)
