@@ -53,13 +53,13 @@ class PeerPositions(PositionTable):
         """Keep the gossips of a closed round. Their positions are noted by `catch_up`, which not every round needs."""
         self._pending.update(gossips)
 
-    def catch_up(self, peers: dict[str, Peer], *, steady: bool = False) -> None:
-        """Note the positions in the gossips of closed rounds. `steady`: all their senders are live."""
+    def catch_up(self, peers: dict[str, Peer], *, all_live: bool = False) -> None:
+        """Note the positions in the gossips of closed rounds. `all_live`: all their senders are live."""
         gossips, self._pending = self._pending, {}
         found = []
         for name, gossip in gossips.items():
             peer = peers.get(name)
-            if peer is not None and peer.announced is not None and (steady or self._has_position(peer)):
+            if peer is not None and peer.announced is not None and (all_live or self._has_position(peer)):
                 found.append((name, gossip.tick, gossip_row(gossip, peer.announced, self._diagram)))
         self.put_all(found)
 

@@ -31,7 +31,7 @@ class Peer:
         self.rank = order(self.name)
 
 
-def in_order(peers: dict[str, Peer], peer: Peer) -> dict[str, Peer]:
+def with_peer(peers: dict[str, Peer], peer: Peer) -> dict[str, Peer]:
     """These peers, which are in the order of names, with another one or its new record."""
     found = {**peers, peer.name: peer}
     if peer.name in peers or not peers or peers[next(reversed(peers))].rank < peer.rank:
@@ -48,7 +48,7 @@ def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSenso
     return announced_sensor(message.sender, sensor, config.detection.clutter)
 
 
-def steady(peers: Iterable[Peer], local: bool) -> bool:
+def all_acceptable(peers: Iterable[Peer], local: bool) -> bool:
     """Whether every well-formed gossip of the next tick by these peers will be accepted. `local`: tokens are not seen of all peers."""
     return all(peer.left_at is None and not peer.missed and peer.announced is not None and (peer.token or local) for peer in peers)
 
@@ -64,7 +64,7 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) 
     return area <= announced.most_area and distance <= announced.most_distance
 
 
-def restated(gossip: Gossip, tick: int, generator: Sequence[float], diagram: str) -> Gossip:
+def with_newer_generator(gossip: Gossip, tick: int, generator: Sequence[float], diagram: str) -> Gossip:
     """A gossip with the generator x, y and radius in m of its sender at another tick, when it had a cell; the sensor moves with it."""
     (x, y, heading), (east, north), radius = gossip.pose, gossip.cod, gossip.power_radius
     (from_x, from_y), (to_x, to_y, stated) = gossip.pose[:2] if diagram == "voronoi" else gossip.cod, generator

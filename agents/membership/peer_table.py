@@ -26,7 +26,7 @@ from agents.gossip.inbox import RoundInbox
 from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
-from agents.membership.peer import Peer, announced_by, in_order, plausible, restated, steady
+from agents.membership.peer import Peer, all_acceptable, announced_by, plausible, with_newer_generator, with_peer
 from protocol.agreement import differing_settings, settings_digest
 from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
@@ -61,13 +61,13 @@ class PeerTable:
         self._paces: dict[str, int] = {}  # of the peers that need a slower pace than every tick
         self.silence_timeouts = 0  # how often a peer with its token up has been silent for too long
         self._last_known: dict[str, Gossip] = {}  # of silent peers, with the newest generators that gossips and claims have stated
-        self._steady = False  # all in the interest set are alive and missed no round, and nothing has changed since
+        self._all_acceptable = False  # all in the interest set are alive and missed no round, and nothing has changed since
         self._strangers = OrderedDict[str, None]()  # the peers that are not in the roster and have no token, the longest silent first
         self._most_strangers = MAX_NAMES if self.local else MOST_STRANGERS  # local: tokens are seen of the interest set alone
 
     def alive(self, name: str, incarnation: int) -> None:
         """A token appeared."""
-        peer = self._peer(name, incarnation, token=True)
+        peer = self._get_or_create(name, incarnation, token=True)
         if peer:
             self.selection_outdated |= peer.left_at is not None
             self._strangers.pop(name, None)
@@ -83,7 +83,7 @@ class PeerTable:
         peer = self.peers.get(name)
         if peer is None or peer.incarnation != incarnation:
             return False
-        peer.token, peer.doubted, self._steady = False, doubted, False
+        peer.token, peer.doubted, self._all_acceptable = False, doubted, False
         if not doubted:
             self._mark_left(peer, tick)
         self._limit_strangers(name)
@@ -107,7 +107,7 @@ class PeerTable:
 
         The newest Hello counts: it repairs an earlier one with wrong bits.
         """
-        peer = self._peer(hello.sender, hello.incarnation)
+        peer = self._get_or_create(hello.sender, hello.incarnation)
         if peer is None:
             return "incarnation"
         differs = () if hello.digest == self.digest else differing_settings(self.settings, hello.settings)
@@ -126,8 +126,8 @@ class PeerTable:
         """Remove a peer from the interest set when some settings differ; add it again when none does."""
         peer.differs, self.selection_outdated = differs, True
         others = {name: other for name, other in self.interest_set.items() if name != peer.name}
-        self.interest_set = others if differs else in_order(others, peer)
-        self._steady = False
+        self.interest_set = others if differs else with_peer(others, peer)
+        self._all_acceptable = False
 
     def new_announcements(self, hellos: Iterable[Hello]) -> list[Hello]:
         """The Hellos of agents that announce anything that the table does not hold, and all Hellos of other roles."""
@@ -179,7 +179,7 @@ class PeerTable:
                 return UNASKED
             if name not in self.peers:
                 return "unknown_sensor"
-            peer = self._peer(name, gossip.incarnation)
+            peer = self._get_or_create(name, gossip.incarnation)
             if peer is None:
                 return "incarnation"
         if peer.announced is None:
@@ -214,7 +214,7 @@ class PeerTable:
     def _expected(self, tick: int, *, newcomer: bool) -> set[str]:
         """The peers whose gossip of `tick` would be missing if all played every tick."""
         gossips = self.inbox.of(tick)
-        if self._steady:
+        if self._all_acceptable:
             return self.interest_set.keys() - gossips.keys()
         if self.local:  # a beacon of each has come lately
             return {
@@ -252,7 +252,7 @@ class PeerTable:
         for claim in [gossip for gossip in newest if gossip is not None and not found.keys().isdisjoint(gossip.claim_names)]:
             for row, (name, stamp) in enumerate(zip(claim.claim_names, claim.claim_ticks)):
                 if name in found and stamp > found[name].tick:
-                    moved = restated(found[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
+                    moved = with_newer_generator(found[name], stamp, claim.claim[row].tolist(), self._config.partition.kind)
                     announced = self.interest_set[name].announced
                     if announced is not None and plausible(moved, announced, self._config.arena):
                         found[name] = moved
@@ -267,13 +267,13 @@ class PeerTable:
         if responsive:
             self._responsive_rounds.append(tick)
             self._count_silent(missing)
-        if missing or not self._steady:
+        if missing or not self._all_acceptable:
             self._last_known = self._newest_known(tick, self.fresh(tick))
             self._forget_silent(tick)
         complete = self.interest_set.keys() <= self.inbox.of(tick).keys()  # a gossip of who has left the set may be there as well
-        if not self._steady:
+        if not self._all_acceptable:
             self._settle_doubts(tick, len(self.inbox.of(tick)))
-        self._steady = complete and (self._steady or steady(self.interest_set.values(), self.local))
+        self._all_acceptable = complete and (self._all_acceptable or all_acceptable(self.interest_set.values(), self.local))
         for gossips in self.inbox.close(tick, self.interest_set.keys()):
             if self.local:
                 self.positions.close(gossips)
@@ -321,7 +321,7 @@ class PeerTable:
 
     def any_missed(self) -> bool:
         """Whether some peer was silent in the last round."""
-        return not self._steady and any(peer.missed for peer in self.interest_set.values())
+        return not self._all_acceptable and any(peer.missed for peer in self.interest_set.values())
 
     def is_roster_alive(self) -> bool:
         """Whether the tokens of all others of the roster are up; local: always, as no other agent is awaited."""
@@ -340,7 +340,7 @@ class PeerTable:
         peer = known = self.peers.get(beacon.sender)
         if peer is None or peer.incarnation != beacon.incarnation:
             before = self.selection_outdated
-            peer = self._peer(beacon.sender, beacon.incarnation)
+            peer = self._get_or_create(beacon.sender, beacon.incarnation)
             if known is None:
                 self.selection_outdated = before or self.positions.matters(beacon)
         is_older = peer is not None and peer.beacon is not None and beacon.tick < peer.beacon.tick
@@ -362,7 +362,7 @@ class PeerTable:
 
     def forget_outside(self, since: int, until: int) -> bool:
         """Forget the peers without a beacon or gossip of the ticks from `since` to `until`; whether there was one."""
-        self.positions.catch_up(self.peers, steady=self._steady)
+        self.positions.catch_up(self.peers, all_live=self._all_acceptable)
         old = self.positions.forget_outside(since, until)
         if len(self.peers) - len(old) > len(self.positions):
             old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.left_at or -1) < since]
@@ -419,9 +419,9 @@ class PeerTable:
         before, self.interest_set = self.interest_set, {peer.name: peer for peer in interest_set}
         if len(interest_set) < len(before) + len(added):
             self.inbox.drop_newest_closed(before.keys() - self.interest_set.keys())
-        self._steady = steady(added if self._steady else interest_set, self.local)
+        self._all_acceptable = all_acceptable(added if self._all_acceptable else interest_set, self.local)
 
-    def _peer(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
+    def _get_or_create(self, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
         """The record of a peer's incarnation, made if it is new; None if it is not the one that counts.
 
         While a token is up, only another token shows a younger incarnation: one wrong bit in a message must not silence a peer. An
@@ -438,10 +438,10 @@ class PeerTable:
             if self.local:
                 self.peers[name] = peer
             else:
-                self.peers = in_order(self.peers, peer)
+                self.peers = with_peer(self.peers, peer)
             self.selection_outdated = True
             if not self.local or name in self.interest_set:
-                self.interest_set, self._steady = in_order(self.interest_set, peer), False
+                self.interest_set, self._all_acceptable = with_peer(self.interest_set, peer), False
                 self.inbox.forget(name)
             if is_new and not token:
                 self._limit_strangers(name)
