@@ -66,18 +66,18 @@ _IN_NUMBERS = {X: 0, Y: 1, COS: 2, SIN: 3, GENERATOR_X: 4, GENERATOR_Y: 5, POWER
 _IN_NUMBERS |= {PLACE_NOISE: 12, HEADING_NOISE: 13}
 
 
-def _sources(diagram: str) -> np.ndarray:
+def _sources(partition_kind: str) -> np.ndarray:
     """The place in `Gossip.numbers` with the columns of a sensor behind it from which each column of a table comes (COLUMNS,)."""
     sources = np.zeros(COLUMNS, np.int64)
     for column, place in _IN_NUMBERS.items():
         sources[column] = place
     sources[_SENSOR_COLUMNS] = range(GOSSIP_NUMBERS, GOSSIP_NUMBERS + len(_SENSOR_COLUMNS))
-    if diagram == "voronoi":
+    if partition_kind == "voronoi":
         sources[[GENERATOR_X, GENERATOR_Y]] = sources[[X, Y]]
     return sources
 
 
-_SOURCES = {diagram: _sources(diagram) for diagram in ("power", "voronoi-cod", "voronoi")}
+_SOURCES = {kind: _sources(kind) for kind in ("power", "voronoi-cod", "voronoi")}
 _MOST_ANNOUNCED = 20000
 TOLERANCE = 1.0 + 1e-9  # factor by which a gossip may exceed what its sender's sensor can do: rounding of another implementation
 
@@ -119,13 +119,13 @@ class GossipTable:
     """Gossips of one round in the order of names. The rows of a table never change; what follows from them is computed once and kept."""
 
     def __init__(
-        self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], diagram: str, config: AgentConfig | None = None
+        self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], partition_kind: str, config: AgentConfig | None = None
     ) -> None:
-        """`sensors`: of the senders. `diagram`: "power", "voronoi-cod" or "voronoi"; it determines the generators.
+        """`sensors`: of the senders. `partition_kind`: "power", "voronoi-cod" or "voronoi"; it determines the generators.
 
         `config` states the noise of detections and poses; without one poses are exact.
         """
-        self.gossips, self.sensors, self.diagram, self._config = gossips, sensors, diagram, config
+        self.gossips, self.sensors, self.partition_kind, self._config = gossips, sensors, partition_kind, config
         self.names = tuple([gossip.sender for gossip in gossips])
         self.shared: Any = None  # the results that all agents with this table share (`shared_round`)
 
@@ -134,9 +134,9 @@ class GossipTable:
         """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
         rows = b"".join([part for gossip, sensor in zip(self.gossips, self.sensors) for part in (gossip.numbers, sensor.columns)])
         numbers = np.frombuffer(rows).reshape(-1, GOSSIP_NUMBERS + len(_SENSOR_COLUMNS))
-        table = numbers.take(_SOURCES[self.diagram], axis=1)
+        table = numbers.take(_SOURCES[self.partition_kind], axis=1)
         table[:, KIND] *= numbers[:, _SCANNED]
-        if self.diagram != "power":
+        if self.partition_kind != "power":
             table[:, POWER_RADIUS] = 0.0
         if not self._is_unsure:
             table[:, PLACE_NOISE:] = 0.0
@@ -309,11 +309,11 @@ _RECENT: deque[GossipTable] = deque(maxlen=2)  # a pure memo: in a simulation al
 
 def gossip_table(gossips: list[Gossip], sensors: list[AnnouncedSensor], config: AgentConfig) -> GossipTable:
     """The table of some gossips and the sensors of their senders. Equal arguments give a table of one of the last two calls."""
-    diagram = config.partition.kind
+    partition_kind = config.partition.kind
     for known in reversed(_RECENT):
-        if known.diagram == diagram and known.sensors == sensors and known.gossips == gossips:
+        if known.partition_kind == partition_kind and known.sensors == sensors and known.gossips == gossips:
             return known
-    table = GossipTable(gossips, sensors, diagram, config)
+    table = GossipTable(gossips, sensors, partition_kind, config)
     _RECENT.append(table)
     return table
 

@@ -17,22 +17,22 @@ _NO_RADIUS = bytes(8)
 SENSOR_X, SENSOR_Y, SENSOR_REACH, GENERATOR_X, GENERATOR_Y, POWER_RADIUS = range(6)
 
 
-def gossip_row(gossip: Gossip, sensor: AnnouncedSensor, diagram: str) -> bytes:
+def gossip_row(gossip: Gossip, sensor: AnnouncedSensor, partition_kind: str) -> bytes:
     """The row of the sender of a gossip, whose generator is that of a diagram."""
     numbers = gossip.numbers
-    return _row(numbers[:16] + sensor.columns[:8] + numbers[32:56], diagram)  # place, reach, COD and power radius
+    return _row(numbers[:16] + sensor.columns[:8] + numbers[32:56], partition_kind)  # place, reach, COD and power radius
 
 
-def beacon_row(beacon: Beacon, diagram: str) -> bytes:
+def beacon_row(beacon: Beacon, partition_kind: str) -> bytes:
     """The row of the sender of a beacon, whose generator is that of a diagram."""
-    return _row(beacon.numbers, diagram)
+    return _row(beacon.numbers, partition_kind)
 
 
-def _row(row: bytes, diagram: str) -> bytes:
+def _row(row: bytes, partition_kind: str) -> bytes:
     """The row with the generator of a diagram in place of COD and power radius."""
-    if diagram == "power":
+    if partition_kind == "power":
         return row
-    point = row[:16] if diagram == "voronoi" else row[24:40]
+    point = row[:16] if partition_kind == "voronoi" else row[24:40]
     return row[:24] + point + _NO_RADIUS
 
 

@@ -64,14 +64,14 @@ def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) 
     return area <= announced.most_area and distance <= announced.most_distance
 
 
-def with_newer_generator(gossip: Gossip, tick: int, generator: Sequence[float], diagram: str) -> Gossip:
+def with_newer_generator(gossip: Gossip, tick: int, generator: Sequence[float], partition_kind: str) -> Gossip:
     """A gossip with the generator x, y and radius in m of its sender at another tick, when it had a cell; the sensor moves with it."""
     (x, y, heading), (east, north), radius = gossip.pose, gossip.cod, gossip.power_radius
-    (from_x, from_y), (to_x, to_y, stated) = gossip.pose[:2] if diagram == "voronoi" else gossip.cod, generator
+    (from_x, from_y), (to_x, to_y, stated) = gossip.pose[:2] if partition_kind == "voronoi" else gossip.cod, generator
     pose, cod = (x + to_x - from_x, y + to_y - from_y, heading), (east + to_x - from_x, north + to_y - from_y)
-    if diagram == "voronoi":
+    if partition_kind == "voronoi":
         pose = to_x, to_y, heading
     else:
         cod = to_x, to_y
-    radius = stated if diagram == "power" else radius
+    radius = stated if partition_kind == "power" else radius
     return msgspec.structs.replace(gossip, tick=tick, pose=pose, cod=cod, power_radius=radius, listening=False)
