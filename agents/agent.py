@@ -28,7 +28,7 @@ from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
-from agents.round_alone import holds_claim, play_alone, play_unobserved, unsent_gossip
+from agents.round_alone import is_claim_valid, play_alone, play_unobserved, unsent_gossip
 from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
@@ -186,7 +186,7 @@ class Agent(Node):
         effects: list[Effect] = []
         for observation in observations:
             own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
-            if holds_claim(self.config, self.outcome.belief, own.tick, self._pace.current):
+            if is_claim_valid(self.config, self.outcome.belief, own.tick, self._pace.current):
                 steers = self._pace.has_time and observation is observations[-1]
                 self.outcome = self._play_alone(own, observation, steers=steers)
                 effects += [*self._estimate(self.outcome, own), *([self._drive(self.outcome, own.tick)] if steers else [])]
@@ -199,7 +199,7 @@ class Agent(Node):
         """Play the tick of the open round alone, as gossips may come late: the estimate or, if it steers, the command. The belief stays."""
         own, observation = self._gossip, self._observation
         assert own is not None and observation is not None
-        if self._rounds.due != own.tick or not holds_claim(self.config, self.outcome.belief, own.tick, self._pace.current):
+        if self._rounds.due != own.tick or not is_claim_valid(self.config, self.outcome.belief, own.tick, self._pace.current):
             return []
         ahead = self._play_alone(own, observation, steers=steers)
         return [self._drive(ahead, own.tick)] if steers else self._estimate(ahead, own)
@@ -226,7 +226,7 @@ class Agent(Node):
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
         self._pace.open(self.tick, now)
         self._measure_busy_time(now)
-        self._hold_claim(observation)
+        self._keep_claim(observation)
         listening, need, lag = bool(self._listening), self._pace.need, self._rounds.lag.need
         behind = self._rounds.behind(self.tick, self.outcome.belief.stamp)
         own = self._gossip = outbox.gossip(
@@ -253,10 +253,10 @@ class Agent(Node):
         due = self._rounds.find_due(self.tick)
         self._awaited = set() if due is None else self.peer_table.missing(due, newcomer=bool(self._listening))
 
-    def _hold_claim(self, observation: Observation) -> None:
+    def _keep_claim(self, observation: Observation) -> None:
         """Keep the claim over ticks of which nothing was seen, as long as peers keep the generator of the silent agent."""
         all_played = self._health.is_measuring and not self._rounds
-        if all_played and holds_claim(self.config, self.outcome.belief, self.tick - 1, self._pace.current):
+        if all_played and is_claim_valid(self.config, self.outcome.belief, self.tick - 1, self._pace.current):
             own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             self.outcome = play_unobserved(self.context, self.outcome, own, self._pace.current)
 
@@ -373,20 +373,20 @@ class Agent(Node):
     def _close(self, now: float, *, forced: bool = False) -> list[Effect]:
         """Play the rounds that are due, and end the tick. Each waits for its gossips, unless the end of the tick is `forced`.
 
-        Even then a round that has heard hardly anybody may be left for a later tick (`_holds`).
+        Even then a round that has heard hardly anybody may be left for a later tick (`_postpones`).
         """
         while self._rounds.due is not None:
-            if self._awaited and (not forced or self._holds(self._rounds.due, now)):
+            if self._awaited and (not forced or self._postpones(self._rounds.due, now)):
                 break
             self._play(self._rounds.pop(), now)
             self._await()
         return NO_EFFECTS if self._awaited and not forced else self._end_tick(now)
 
-    def _holds(self, due: int, now: float) -> bool:
+    def _postpones(self, due: int, now: float) -> bool:
         """Whether the round that is due waits for another tick, because hardly any gossip has come."""
         if self._listening or self._pace.current > 1 or not self._was_responsive(now):
             return False
-        return self._rounds.holds(due, self.tick, self._awaited, len(self.peer_table.fresh(due)))
+        return self._rounds.postpones(due, self.tick, self._awaited, len(self.peer_table.fresh(due)))
 
     def _play(self, opened: OpenRound, now: float) -> None:
         """Play a round."""

@@ -9,7 +9,7 @@ that it needs or that a newest gossip states, its own included. It states its ne
 other's lag up for ever. When gossips come in time again, all who read the same ones find the same lag in the same tick. In lockstep the
 world waits, and the lag is 0.
 
-When hardly any gossip has come at the end of a tick, the agent *holds* the round until the next tick, and no longer than the longest lag.
+When hardly any gossip has come at the end of a tick, the agent *postpones* the round until the next tick, at most by the longest lag.
 So when a whole network gets slow no round is played with a small part of the gossips before the lag has risen: that happens once the late
 ones have come and been measured. A round from which fewer gossips are missing is played without them.
 """
@@ -21,8 +21,8 @@ from itertools import chain
 LONGEST_LAG = 12  # ticks that a round is played late at most; gossips are kept for a little more (`inbox.WINDOW_TICKS`)
 MEMORY_SECONDS = 2.0  # s for which a late gossip is remembered
 IN_TIME_SHARE = 0.95  # share of the gossips that a lag lets come in time
-HELD_SHARE = 0.9  # share of the gossips that are still to come for which a round is held
-# gossips that must be missing: one or two silent peers show nothing about the network. So swarms of up to 3 agents hold no round
+POSTPONED_SHARE = 0.9  # share of the gossips that are still to come for which a round is postponed
+# gossips that must be missing: one or two silent peers show nothing about the network. So swarms of up to 3 agents postpone no round
 LEAST_MISSING = 3
 
 
@@ -68,12 +68,12 @@ class Lag:
         self._opened.clear()
         self._late.clear()
 
-    def holds(self, expected: int, hopeful: int, late: int) -> bool:
+    def postpones(self, expected: int, still_possible: int, late: int) -> bool:
         """Whether a round that is `late` ticks late waits for another tick.
 
-        `expected`: gossips that it needs; `hopeful`: those that have not come, of peers that have not said anything later.
+        `expected`: gossips that it needs; `still_possible`: those that have not come, of peers that have not said anything later.
         """
-        return late < self.most and hopeful >= max(LEAST_MISSING, HELD_SHARE * expected)
+        return late < self.most and still_possible >= max(LEAST_MISSING, POSTPONED_SHARE * expected)
 
     def close(self, needs: Iterable[int], now: float) -> None:
         """A tick ends. `needs`: those that the newest gossips state, the own one included."""

@@ -63,14 +63,14 @@ class OpenRounds:
             if announced is not None and self.recent.put(gossip, announced):
                 self.lag.hear(gossip.tick, now)
 
-    def holds(self, due: int, tick: int, awaited: Collection[str], come: int) -> bool:
-        """Whether the round `due` waits for the tick after `tick`: hardly any gossip has come (`Lag.holds`).
+    def postpones(self, due: int, tick: int, awaited: Collection[str], come: int) -> bool:
+        """Whether the round `due` waits for the tick after `tick`: hardly any gossip has come (`Lag.postpones`).
 
         `awaited`: the peers whose gossips are missing; `come`: the number of gossips that have come. A peer that has said something later
         is not waited for.
         """
-        hopeful = [name for name in awaited if not self.recent.has_later(name, due)]
-        return self.lag.holds(len(awaited) + come, len(hopeful), tick - due)
+        still_possible = [name for name in awaited if not self.recent.has_later(name, due)]
+        return self.lag.postpones(len(awaited) + come, len(still_possible), tick - due)
 
     def replay(self, opened: OpenRound, fresh: Mapping[str, Gossip]) -> Replay | None:
         """The function that computes the density before a round, if a gossip states an older claim; None: all are of the tick before."""

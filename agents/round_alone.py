@@ -37,7 +37,7 @@ def unsent_gossip(
     )
 
 
-def holds_claim(config: AgentConfig, belief: TrackerState, tick: int, pace: int) -> bool:
+def is_claim_valid(config: AgentConfig, belief: TrackerState, tick: int, pace: int) -> bool:
     """Whether the claim of a belief still counts at a later tick: for as long as peers keep the generator of a silent agent."""
     most = max(config.ticks_of_silence, config.timing.silent_rounds * pace)
     return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
@@ -50,7 +50,7 @@ def play_unobserved(context: AgentContext, last: RoundResult, own: Gossip, pace:
     agent does. At pace 1 its peers have played them, and the agent keeps what it owned, as it does before its first round.
     """
     if pace == 1 or last.round_cell is None:
-        return dataclasses.replace(last, belief=context.tracker.hold(last.belief, Step(context.config, own.tick)))
+        return dataclasses.replace(last, belief=context.tracker.keep_claim(last.belief, Step(context.config, own.tick)))
     return play_alone(context, last, replace(own, tick=own.tick - 1, scanned=False, detections_bytes=b""), pace=0)
 
 
@@ -67,5 +67,5 @@ def play_alone(context: AgentContext, last: RoundResult, own: Gossip, pace: int)
         table, step = gossip_table([said], [context.announced], context.config), Step(context.config, tick)
         before, update = density, tracker.update(density, table, [region], step)[0]
         density = tracker.nearby(update)
-    belief = tracker.hold(last.belief, Step(context.config, own.tick + 1), update)
+    belief = tracker.keep_claim(last.belief, Step(context.config, own.tick + 1), update)
     return result_of(context, own, RoundCell(region, round_cell.generators), update, table, before, belief, min(pace, own.tick - stamp))

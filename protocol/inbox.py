@@ -179,7 +179,7 @@ class Quarantine:
         self._offences: dict[str, deque[float]] = {}
         self._until: dict[str, float] = {}
 
-    def holds(self, source: str, now: float) -> bool:
+    def is_quarantined(self, source: str, now: float) -> bool:
         """Whether messages of the source are discarded unread."""
         if source not in self._until:
             return False
@@ -188,7 +188,7 @@ class Quarantine:
         del self._until[source]
         return False
 
-    def holds_any(self, now: float) -> bool:
+    def is_any_quarantined(self, now: float) -> bool:
         """Whether messages of any source are discarded unread."""
         if self._until:
             self._until = {source: until for source, until in self._until.items() if now < until}

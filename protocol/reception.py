@@ -75,9 +75,9 @@ class Reception:
         return in_batches(self._read(arrivals, now))
 
     def _read(self, arrivals: list[Arrival], now: float) -> Iterator[Decoded | Event]:
-        holds = self._quarantine.holds
-        anybody = self._quarantine.holds_any(now)
-        shut = [anybody and arrival.token is None and holds(arrival.source or arrival.key, now) for arrival in arrivals]
+        is_quarantined = self._quarantine.is_quarantined
+        anybody = self._quarantine.is_any_quarantined(now)
+        shut = [anybody and arrival.token is None and is_quarantined(arrival.source or arrival.key, now) for arrival in arrivals]
         unread = [(key, payload) for (key, payload, _, token), out in zip(arrivals, shut) if token is None and not out]
         messages = iter(decode_all(unread))
         for arrival, out in zip(arrivals, shut):
@@ -95,7 +95,7 @@ class Reception:
     def _refuse(self, arrival: Arrival, error: Malformed | None, now: float) -> Rejected:
         """Count an arrival that is malformed or unread; too many malformed ones put their source in quarantine."""
         source = arrival.source or arrival.key
-        if error is None or self._quarantine.holds(source, now):
+        if error is None or self._quarantine.is_quarantined(source, now):
             self._counts["quarantined"] += 1
             reason = "quarantine"
         else:

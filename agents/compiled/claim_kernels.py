@@ -21,7 +21,7 @@ def _power_distance(x: float, y: float, generators: np.ndarray, place: int) -> f
 
 
 @njit
-def _hold(
+def _mark_owned(
     x: np.ndarray, y: np.ndarray, generators: np.ndarray, wins_ties: np.ndarray, start: int, end: int, own: np.ndarray, held: np.ndarray
 ) -> None:
     """Write into `held` (N,) True for the points in the cell of generator `start`, bounded by those up to `end`; `own` (N,) is scratch."""
@@ -45,7 +45,7 @@ def owned(points: np.ndarray, generators: np.ndarray, wins_ties: np.ndarray, wid
         mine[:] = False
         return mine
     x, y = points[:, 0].copy(), points[:, 1].copy()
-    _hold(x, y, generators, wins_ties, 0, len(generators), np.empty(number), mine)
+    _mark_owned(x, y, generators, wins_ties, 0, len(generators), np.empty(number), mine)
     for n in range(number):
         mine[n] &= (x[n] >= 0.0) & (x[n] <= width) & (y[n] >= 0.0) & (y[n] <= height)
     return mine
@@ -107,12 +107,12 @@ def orphaned(
     x, y, own, held = points[order, 0], points[order, 1], np.empty(len(rows)), np.empty(len(rows), np.bool_)
     for k in range(len(owners)):
         part, owner = slice(begins[k], begins[k + 1]), owners[k]
-        _hold(x[part], y[part], generators, wins_ties, starts[owner], ends[owner], own[part], held[part])
+        _mark_owned(x[part], y[part], generators, wins_ties, starts[owner], ends[owner], own[part], held[part])
     free[order[held]] = False
     left = order[~held]
     x, y, taken = points[left, 0], points[left, 1], np.zeros(len(left), np.bool_)
     for owner in owners:
-        _hold(x, y, generators, wins_ties, starts[owner], ends[owner], own[: len(left)], held[: len(left)])
+        _mark_owned(x, y, generators, wins_ties, starts[owner], ends[owner], own[: len(left)], held[: len(left)])
         taken |= held[: len(left)]
     free[left] = ~taken
     return free

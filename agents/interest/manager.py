@@ -102,7 +102,7 @@ class InterestManager:
             block = self._tiling.block(soon)
             self.known_area = self._tiling.rectangle_of(self._block) if self._block else None
             self._questions += 1
-            if not self._tiling.rectangle_of(self._block or block).holds(soon) and self._questions < MOST_QUESTIONS:
+            if not self._tiling.rectangle_of(self._block or block).contains(soon) and self._questions < MOST_QUESTIONS:
                 return self._subscribe_tiles(_union(block, self._block), own)
             self._asking = False
             self.due = max(now + settle, self._join_at)
@@ -248,11 +248,11 @@ class InterestManager:
 
     def _covers_beacons(self, place: tuple[float, float]) -> bool:
         """Whether all agents that were lately at a place are known."""
-        return self.known_area is None or self.known_area.holds(Rectangle(*place, *place).wider(self._ground.drift))
+        return self.known_area is None or self.known_area.contains(Rectangle(*place, *place).wider(self._ground.drift))
 
     def _covers_generator(self, place: tuple[float, float]) -> bool:
         """Whether all agents with a generator at a place are known."""
-        return self.known_area is not None and self.known_area.holds(
+        return self.known_area is not None and self.known_area.contains(
             Rectangle(*place, *place).wider(self._ground.bounds.offset + BEACON_JUMP)
         )
 
@@ -273,7 +273,7 @@ class InterestManager:
         self._peer_table.choose(table, choice)
         while self._known_areas_from and tick >= self._known_areas_from[0][0]:
             self.known_area = self._known_areas_from.pop(0)[1]
-        self._peer_table.certified = self.known_area is not None and self.known_area.holds(choice.needed) and tick >= self._unknown_until
+        self._peer_table.certified = self.known_area is not None and self.known_area.contains(choice.needed) and tick >= self._unknown_until
         before, self._chosen_at = self._chosen_at, tick
         return self._subscribe_peers(before, tick)
 

@@ -47,7 +47,7 @@ class PeerPositions(PositionTable):
     def matters(self, beacon: Beacon) -> bool:
         """Whether a new peer with this beacon could change the selection before the next one is due."""
         x, y = beacon.position
-        return self.needed is None or self.needed.holds(Rectangle(x, y, x, y))
+        return self.needed is None or self.needed.contains(Rectangle(x, y, x, y))
 
     def close(self, gossips: dict[str, Gossip]) -> None:
         """Keep the gossips of a closed round. Their positions are noted by `catch_up`, which not every round needs."""

@@ -18,7 +18,7 @@ class Rectangle(NamedTuple):
     east: float
     north: float
 
-    def holds(self, other: "Rectangle") -> bool:
+    def contains(self, other: "Rectangle") -> bool:
         """Whether another rectangle lies in this one."""
         return self.west <= other.west and self.south <= other.south and self.east >= other.east and self.north >= other.north
 

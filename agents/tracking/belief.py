@@ -96,12 +96,12 @@ class Belief:
     copies: Copies
     generator_names: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
     known_names: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
-    held_since: int | None = None  # the claim was cut in this round and held over skipped ones; None: it was cut at `stamp`
+    kept_since: int | None = None  # the claim was cut in this round and kept over skipped ones; None: it was cut at `stamp`
 
     @property
     def claim_tick(self) -> int:
         """The tick of the round in which the claim was cut."""
-        return self.stamp if self.held_since is None else self.held_since
+        return self.stamp if self.kept_since is None else self.kept_since
 
 
 def start(prior: Particles, name: str) -> Belief:
@@ -163,10 +163,10 @@ class ParticlePhd(NamedTuple):
             particles = predict(particles, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=Copies(particles))
 
-    def hold(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
-        """See `Tracker.hold`: all particles move by the keyed noise of the missed ticks; the owned ones are rounded as on the wire.
+    def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
+        """See `Tracker.keep_claim`: all particles move by the keyed noise of the missed ticks; the owned ones are rounded as on the wire.
 
-        Particles may leave the cell meanwhile, so a held claim counts only where all hold the claims of one diagram (`merge`).
+        Particles may leave the cell meanwhile, so a kept claim counts only where all state claims of one diagram (`merge`).
         """
         missed = tuple([step._replace(tick=tick) for tick in range(belief.stamp + 1, step.tick)])
         if alone is not None:
@@ -179,7 +179,7 @@ class ParticlePhd(NamedTuple):
             particles = particles._replace(states=particles.states.astype(WIRE_TYPE).astype(float))
         mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
         copies = Copies(belief.copies.near, belief.copies.inputs, (*belief.copies.skipped_steps, *missed))
-        return Belief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, held_since=belief.claim_tick)
+        return Belief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, kept_since=belief.claim_tick)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Particles:
         """The particles that count at `belief.stamp`, or the table itself when only its particles count; there an id may occur twice.

@@ -57,12 +57,12 @@ class MixtureBelief:
     copies: Mixture
     generator_names: frozenset[str] = frozenset()
     known_names: frozenset[str] | None = None
-    held_since: int | None = None
+    kept_since: int | None = None
 
     @property
     def claim_tick(self) -> int:
         """The tick of the round in which the claim was cut."""
-        return self.stamp if self.held_since is None else self.held_since
+        return self.stamp if self.kept_since is None else self.kept_since
 
 
 class MixtureUpdate(NamedTuple):
@@ -163,14 +163,14 @@ class MixturePhd(NamedTuple):
             copies = _moved(copies, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=copies)
 
-    def hold(self, belief: MixtureBelief, step: Step, alone: MixtureUpdate | None = None) -> MixtureBelief:
-        """See `Tracker.hold`: all components move by the missed ticks, and those in the held claim are owned."""
+    def keep_claim(self, belief: MixtureBelief, step: Step, alone: MixtureUpdate | None = None) -> MixtureBelief:
+        """See `Tracker.keep_claim`: all components move by the missed ticks, and those in the kept claim are owned."""
         moved = _released(belief).copies
         for tick in range(belief.stamp + 1, step.tick):
             moved = _moved(moved, step._replace(tick=tick))
         mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step) if alone is None else alone.inside)
         copies = pick(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
-        return MixtureBelief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, held_since=belief.claim_tick)
+        return MixtureBelief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, kept_since=belief.claim_tick)
 
     def merge(self, belief: MixtureBelief, table: GossipTable, step: Step) -> GossipTable | Mixture:
         """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""

@@ -148,8 +148,8 @@ class Tracker(Protocol[B, R, U]):
     def catch_up(self, belief: B, step: Step) -> B:
         """The belief at the tick before `step.tick`, without a claim if that round was missed. `update` predicts the rest."""
 
-    def hold(self, belief: B, step: Step, alone: U | None = None) -> B:
-        """The belief at the tick before `step.tick`, of an agent that skipped rounds: it holds its claim.
+    def keep_claim(self, belief: B, step: Step, alone: U | None = None) -> B:
+        """The belief at the tick before `step.tick`, of an agent that skipped rounds: it keeps its claim.
 
         `alone`: its own update of that tick, if there was one; what that left in the cell is owned.
         """

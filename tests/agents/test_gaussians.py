@@ -279,7 +279,7 @@ def test_an_agent_that_skipped_rounds_moves_its_components_and_its_copies_as_one
     step, tracker, held = Step(config(), 6), MixturePhd(PLAIN), []
     for number, claim in enumerate(halves(20.1)):
         mine = OwnedMixture(claim.names[0], claim, close[number], 1)
-        held.append(tracker.hold(MixtureBelief(3, mine, close[1 - number], frozenset("ab")), step))
+        held.append(tracker.keep_claim(MixtureBelief(3, mine, close[1 - number], frozenset("ab")), step))
     assert [len(one.mine.mixture.ids) for one in held] == [1, 0] and [len(one.copies.ids) for one in held] == [0, 1]
     assert all(np.array_equal(one, other) for one, other in zip(held[0].mine.mixture, held[1].copies))
     assert held[0].mine.mixture.weights == pytest.approx([0.5]) and held[0].claim_tick == 3

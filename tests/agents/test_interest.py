@@ -73,7 +73,7 @@ def test_nobody_from_outside_the_needed_ground_can_own_or_see_what_matters() -> 
         needed = select_peers(cell, eye, 8.0, 6.0, table(places, generators), ground).needed
         for _ in range(20):
             x, y, turn = rng.random(3) * [200.0, 200.0, 6.3]
-            if needed.holds(Rectangle(x, y, x, y)):
+            if needed.contains(Rectangle(x, y, x, y)):
                 continue
             outside += 1
             stranger = [x + 4.0 * np.cos(turn), y + 4.0 * np.sin(turn), 9.0]

@@ -60,10 +60,10 @@ def test_the_lag_falls_two_seconds_after_the_last_late_gossip() -> None:
     assert set(after[:fall]) == {1} and set(after[fall:]) == {0} and fall == 3  # the last late one is that of tick 18, in tick 19
 
 
-def test_a_round_is_held_only_when_nearly_nothing_has_come_and_not_for_ever() -> None:
+def test_a_round_is_postponed_only_when_nearly_nothing_has_come_and_not_for_ever() -> None:
     lag = fresh()
-    assert lag.holds(10, 9, 0) and lag.holds(3, 3, 4)
-    assert not lag.holds(10, 8, 0) and not lag.holds(2, 2, 0) and not lag.holds(10, 10, 5)
+    assert lag.postpones(10, 9, 0) and lag.postpones(3, 3, 4)
+    assert not lag.postpones(10, 8, 0) and not lag.postpones(2, 2, 0) and not lag.postpones(10, 10, 5)
 
 
 def test_what_was_measured_before_a_stall_is_forgotten() -> None:

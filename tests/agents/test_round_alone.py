@@ -185,7 +185,7 @@ def test_an_old_observation_is_not_played() -> None:
     assert not said(swarm.see(1, TARGET), Command) and swarm.agent.outcome.belief is belief
 
 
-def test_a_claim_is_held_no_longer_than_peers_keep_the_generator() -> None:
+def test_a_claim_is_kept_no_longer_than_peers_keep_the_generator() -> None:
     """Peers keep the generator of a silent agent for 4 rounds of this pace, or a second: 16 ticks."""
     swarm = Swarm(4)
     assert said(swarm.see(15, TARGET), Command) == [15]
@@ -200,7 +200,7 @@ def test_particles_stay_in_the_cell_of_the_last_round() -> None:
     belief, round_cell = swarm.agent.outcome.belief, swarm.agent.outcome.round_cell
     assert round_cell is not None and belief.mine.claim is round_cell.region.claim
     assert (belief.mine.particles.states[:, 0] <= round_cell.region.polygon[:, 0].max() + 1e-6).all()
-    moved = swarm.agent.context.tracker.hold(belief, Step(swarm.agent.config, 5))
+    moved = swarm.agent.context.tracker.keep_claim(belief, Step(swarm.agent.config, 5))
     assert moved.stamp == 4 and moved.claim_tick == 0
 
 

@@ -25,7 +25,9 @@ def test_the_ground_of_a_box_has_no_end_where_the_arena_ends() -> None:
 def test_the_box_of_a_rectangle_holds_it() -> None:
     asked = Rectangle(30.0, -20.0, 51.0, 20.0)
     assert TILING.block(asked) == TileBlock(1, 0, 2, 0)
-    assert TILING.rectangle_of(TILING.block(asked)).holds(asked) and not TILING.rectangle_of(TILING.block(asked)).holds(asked.wider(30.0))
+    assert TILING.rectangle_of(TILING.block(asked)).contains(asked) and not TILING.rectangle_of(TILING.block(asked)).contains(
+        asked.wider(30.0)
+    )
     assert TILING.around((0, 2), 1).tiles() == [(0, 1), (0, 2), (1, 1), (1, 2)]
 
 

@@ -62,26 +62,26 @@ def test_twenty_bad_messages_in_ten_seconds_shut_a_source_out_for_ten_seconds() 
     quarantine = Quarantine(most=20, window=10.0)
     for number in range(19):
         quarantine.offend("x", 0.1 * number)
-    assert not quarantine.holds("x", 2.0)
+    assert not quarantine.is_quarantined("x", 2.0)
     quarantine.offend("x", 2.0)
-    assert quarantine.holds("x", 11.9)
-    assert not quarantine.holds("y", 11.9)
-    assert not quarantine.holds("x", 12.0)
+    assert quarantine.is_quarantined("x", 11.9)
+    assert not quarantine.is_quarantined("y", 11.9)
+    assert not quarantine.is_quarantined("x", 12.0)
 
 
 def test_rare_bad_messages_never_shut_a_source_out() -> None:
     quarantine = Quarantine(most=20, window=10.0)
     for number in range(100):
         quarantine.offend("x", float(number))
-        assert not quarantine.holds("x", float(number))
+        assert not quarantine.is_quarantined("x", float(number))
 
 
 def test_the_quarantine_remembers_a_bounded_number_of_sources() -> None:
     quarantine = Quarantine(most=1, window=10.0)
     for number in range(Quarantine.MOST_SOURCES + 5):
         quarantine.offend(f"x{number}", 0.0)
-    assert not quarantine.holds("x0", 1.0)
-    assert quarantine.holds("x5", 1.0)
+    assert not quarantine.is_quarantined("x0", 1.0)
+    assert quarantine.is_quarantined("x5", 1.0)
 
 
 def test_of_keys_of_which_only_the_newest_counts_nothing_older_is_handed_out() -> None:
