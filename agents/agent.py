@@ -191,8 +191,8 @@ class Agent(Node):
                 self.outcome = self._play_alone(own, observation, steers=steers)
                 effects += [*self._estimate(self.outcome, own), *([self._drive(self.outcome, own.tick)] if steers else [])]
             else:
-                moved = forecast(self.outcome.tracks, (own.tick - self.outcome.belief.stamp) * self.config.run.dt)
-                effects += self._estimate(replace(self.outcome, tracks=moved), own)
+                moved = forecast(self.outcome.estimates, (own.tick - self.outcome.belief.stamp) * self.config.run.dt)
+                effects += self._estimate(replace(self.outcome, estimates=moved), own)
         return effects
 
     def _play_ahead(self, *, steers: bool) -> list[Effect]:

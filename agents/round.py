@@ -25,7 +25,7 @@ from agents.membership.peer_table import LOCAL_DIAGRAM, PeerTable
 from agents.shared_round import claim_of, shared_round
 from agents.tracking.belief import ParticlePhd
 from agents.tracking.claims import Claim, make_claim
-from agents.tracking.extraction import NO_TRACKS, Tracks
+from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates
 from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.step import Step
 from agents.tracking.tracker import AnyTracker, Diagram, RegionInput, TrackerState, Update
@@ -83,7 +83,7 @@ class RoundResult:
     load: float = 0.0  # expected targets in the footprint
     mass: float = 0.0  # expected targets in the cell
     cell: np.ndarray = field(default_factory=lambda: EMPTY)
-    tracks: Tracks = NO_TRACKS  # estimates in the cell
+    estimates: TargetEstimates = NO_ESTIMATES  # estimates in the cell
     command: ControlInput = STAND
     intent: Intent | None = None  # for the next gossip
     round_cell: RoundCell | None = None  # of the round; None: none was played
@@ -155,7 +155,7 @@ def result_of(
         load=update.load,
         mass=update.mass,
         cell=round_cell.region.polygon,
-        tracks=update.tracks,
+        estimates=update.estimates,
         command=command,
         intent=context.law.intent if isinstance(context.law, SearchAndTrack) else None,
         round_cell=round_cell,

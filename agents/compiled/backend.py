@@ -25,7 +25,7 @@ from agents.interest.tiles import Rectangle
 from agents.tracking import phd, regions
 from agents.tracking.births import inflow, starting_on_border, survival_probability
 from agents.tracking.claims import Claim, Claims
-from agents.tracking.extraction import Tracks
+from agents.tracking.extraction import TargetEstimates
 from agents.tracking.measuring import kernel_variance
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.regions import RegionUpdate
@@ -186,7 +186,7 @@ def _update_wedges(
     else:
         stated = stated_near(density, regions_[0], step)
     corners = _end_to_end([region.polygon for region in regions_])
-    updated, own, drawn, tracks, names, results = region_kernels.update_regions(
+    updated, own, drawn, estimates, names, results = region_kernels.update_regions(
         settings,
         keys,
         step.tick,
@@ -208,7 +208,15 @@ def _update_wedges(
         _, _, _, _, mass, moment_x, moment_y, load, detected = results[0].tolist()
         return [
             RegionUpdate(
-                Particles(*updated), Particles(*own), Particles(*drawn), mass, moment_x, moment_y, load, detected, _tracks(tracks, names)
+                Particles(*updated),
+                Particles(*own),
+                Particles(*drawn),
+                mass,
+                moment_x,
+                moment_y,
+                load,
+                detected,
+                _estimates(estimates, names),
             )
         ]
     ends, found = np.cumsum(results[:, : region_kernels.SIZES], axis=0, dtype=np.int64).tolist(), []
@@ -216,7 +224,7 @@ def _update_wedges(
         near, mine, new = [_rows(*part) for part in zip((updated, own, drawn), before, after)]
         mass, moment_x, moment_y, load, detected = result[region_kernels.SIZES :]
         rows = slice(before[3], after[3])
-        found.append(RegionUpdate(near, mine, new, mass, moment_x, moment_y, load, detected, _tracks(tracks[rows], names[rows])))
+        found.append(RegionUpdate(near, mine, new, mass, moment_x, moment_y, load, detected, _estimates(estimates[rows], names[rows])))
     return found
 
 
@@ -226,9 +234,9 @@ def _draws(seed: int, names: tuple[str, ...]) -> np.ndarray:
     return np.array([key(seed, "resample", name) for name in names], dtype=np.uint64)
 
 
-def _tracks(tracks: np.ndarray, names: np.ndarray) -> Tracks:
+def _estimates(estimates: np.ndarray, names: np.ndarray) -> TargetEstimates:
     """Estimates from the columns of agents/compiled/extraction_kernels.py."""
-    return Tracks(tracks[:, :2].copy(), tracks[:, 2:].copy(), names)
+    return TargetEstimates(estimates[:, :2].copy(), estimates[:, 2:].copy(), names)
 
 
 def _rows(whole: tuple[np.ndarray, ...], start: int, end: int) -> Particles:

@@ -10,7 +10,7 @@ import numpy as np
 from agents.compiled.cache import cached
 from agents.compiled.label_kernels import name_peaks, number_labels
 
-TRACK = 8  # columns of an estimate: x, y in m, then those of `extraction.Tracks.details`
+ESTIMATE = 8  # columns of an estimate: x, y in m, then those of `extraction.TargetEstimates.details`
 
 
 @cached
@@ -58,10 +58,10 @@ def _window(grid: np.ndarray, row: int, column: int, half: int) -> float:
 
 
 @cached
-def estimate_tracks(
+def estimate_targets(
     states: np.ndarray, weights: np.ndarray, labels: np.ndarray, size: float, threshold: float, beside: float, stamp: np.uint64
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `extraction.estimate_tracks`: estimates (M, TRACK), heaviest first, and their labels.
+    """Twin of `extraction.estimate_targets`: estimates (M, ESTIMATE), heaviest first, and their labels.
 
     Bins have the side `size` m. `stamp` holds the bits of the tick (`label_kernels.stamp_of`).
     """
@@ -81,7 +81,7 @@ def estimate_tracks(
         east[row, column] += weights[n] * states[n, 0]
         north[row, column] += weights[n] * states[n, 1]
     rows, columns, blocks, number = _peaks(masses, threshold)
-    found, targets = np.empty((len(weights) + 1, TRACK)), 0
+    found, targets = np.empty((len(weights) + 1, ESTIMATE)), 0
     cores = np.empty((len(found), 2), np.int64)
     while number > 0:
         peak = np.argmax(blocks[:number])

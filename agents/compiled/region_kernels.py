@@ -15,7 +15,7 @@ from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import around, near
 from agents.compiled.claim_kernels import owned
 from agents.compiled.correction_kernels import correct
-from agents.compiled.extraction_kernels import TRACK, estimate_tracks
+from agents.compiled.extraction_kernels import ESTIMATE, estimate_targets
 from agents.compiled.label_kernels import rename, stamp_of
 from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take
 from agents.gossip.table import PARTICLES, REACH, WEIGHT, X, Y
@@ -237,9 +237,9 @@ def _update_region(
     near = near_states, near_weights, near_ids, near_labels
     states, weights, ids, labels = correct(near, table, salts, detections, rays, polygon, halo, noise, miss, birth)
     mine = owned(states, generators, wins_ties, settings[WIDTH], settings[HEIGHT])
-    targets, names = np.empty((0, TRACK)), np.empty(0, np.uint64)
+    targets, names = np.empty((0, ESTIMATE)), np.empty(0, np.uint64)
     if len(generators) > 0 and len(weights) > 0:
-        targets, names = estimate_tracks(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE], stamp_of(now))
+        targets, names = estimate_targets(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE], stamp_of(now))
         inside = owned(targets, generators, wins_ties, settings[WIDTH], settings[HEIGHT])
         targets, names = targets[inside], names[inside]
         labels = rename((states, weights, labels), mine, (near_weights, near_labels), targets, settings[BIN])
@@ -298,9 +298,9 @@ def update_regions(
     draws: np.ndarray,
     directions: np.ndarray,
 ) -> tuple:
-    """Twin of `regions.update_regions`: updated, own and resampled particles, tracks and their labels, owner after owner, and results.
+    """Twin of `regions.update_regions`: updated, own and resampled particles, estimates and their labels, owner after owner, and results.
 
-    A track (TRACK columns) is x, y in m and the columns of `extraction.Tracks.details`.
+    An estimate (ESTIMATE columns) is x, y in m and the columns of `extraction.TargetEstimates.details`.
 
     The results (K, SIZES + SUMS) hold the sizes and sums of K owners. `spans` (K, 3) are the row of each owner in the table, its number of
     corners and its number of generators. `draws` (K,) are the keys of the resampling of each owner.
@@ -310,7 +310,7 @@ def update_regions(
     predicted = _predict(stated, others, births, box, disc, _motion(settings, keys, now))
     size = len(predicted[0])
     scratch = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
-    updated, own, drawn, targets, names = blank(0), blank(0), blank(0), np.empty((0, TRACK)), np.empty(0, np.uint64)
+    updated, own, drawn, targets, names = blank(0), blank(0), blank(0), np.empty((0, ESTIMATE)), np.empty(0, np.uint64)
     results, start = np.empty((number, SIZES + SUMS)), np.zeros(SIZES, np.int64)
     corner = bound = 0
     for k in range(number):

@@ -84,12 +84,12 @@ def _wait_for(other: subprocess.Popen[bytes]) -> None:
 def main() -> None:
     """Be the second process: compile a part of the first half, and then everything else."""
     from agents.compiled.backend import FAST
-    from agents.compiled.extraction_kernels import estimate_tracks
+    from agents.compiled.extraction_kernels import estimate_targets
     from protocol.process import die_with_parent
 
     die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the first process, and thereby this one
-    estimate_tracks(np.zeros((1, 4)), np.ones(1), np.zeros(1, np.uint64), 1.0, 0.5, 0.5, np.uint64(0))
+    estimate_targets(np.zeros((1, 4)), np.ones(1), np.zeros(1, np.uint64), 1.0, 0.5, 0.5, np.uint64(0))
     _play_all(FAST._replace(**{name: getattr(PLAIN, name) for name in SLOWEST_TO_COMPILE}))
 
 

@@ -1,7 +1,7 @@
 """Target extraction: estimated targets from particles.
 
-Data types: `Tracks` are estimated targets. Grids (rows, columns) of bins of side `bin` m hold the mass in each, and the mass-weighted sums
-of x and y.
+Data types: `TargetEstimates` are estimated targets of one tick. Grids (rows, columns) of bins of side `bin` m hold the mass in each, and
+the mass-weighted sums of x and y.
 
 Rules. Sums run in a fixed order, the same as in agents/compiled/extraction_kernels.py.
 """
@@ -15,7 +15,7 @@ from agents.tracking.labels import middles, name_peaks, weight_by_label
 from agents.tracking.particles import Particles, total
 
 
-class Tracks(NamedTuple):
+class TargetEstimates(NamedTuple):
     """Estimated targets: positions (M, 2) m, details (M, 6), and labels (M,) uint64, 0 for none.
 
     The details are the velocity vx, vy in m/s, the covariance xx, xy, yy of the position in m^2, and the existence: the mass of the peak,
@@ -28,15 +28,15 @@ class Tracks(NamedTuple):
 
 
 DETAILS = 6
-NO_TRACKS = Tracks(np.empty((0, 2)), np.empty((0, DETAILS)), np.empty(0, dtype=np.uint64))
+NO_ESTIMATES = TargetEstimates(np.empty((0, 2)), np.empty((0, DETAILS)), np.empty(0, dtype=np.uint64))
 
 
-def select_tracks(tracks: Tracks, chosen: np.ndarray) -> Tracks:
-    """The tracks chosen by a mask (M,) bool."""
-    return Tracks(*(part[chosen] for part in tracks))
+def select_estimates(estimates: TargetEstimates, chosen: np.ndarray) -> TargetEstimates:
+    """The estimates chosen by a mask (M,) bool."""
+    return TargetEstimates(*(part[chosen] for part in estimates))
 
 
-def estimate_tracks(particles: Particles, settings: ExtractionSettings = ExtractionSettings(), tick: int = 0) -> Tracks:
+def estimate_targets(particles: Particles, settings: ExtractionSettings = ExtractionSettings(), tick: int = 0) -> TargetEstimates:
     """Estimated targets of a tick, heaviest first.
 
     Masses are binned. The heaviest 5 x 5 block is a peak while it holds at least `threshold` expected targets. Its estimate is the
@@ -45,7 +45,7 @@ def estimate_tracks(particles: Particles, settings: ExtractionSettings = Extract
     come from the particles in the core. `labels.name_peaks` makes one label of them.
     """
     if not len(particles.weights):
-        return NO_TRACKS
+        return NO_ESTIMATES
     columns = np.floor(particles.states[:, 0] / settings.bin).astype(np.int64)
     rows = np.floor(particles.states[:, 1] / settings.bin).astype(np.int64)
     left, low = int(columns.min()) - 4, int(rows.min()) - 4
@@ -86,7 +86,7 @@ def _described(
     bins: tuple[np.ndarray, np.ndarray],
     tick: int,
     size: float,
-) -> Tracks:
+) -> TargetEstimates:
     """Estimates with velocity, covariance and label; `bins` are the rows and columns (N,) of the particles, `size` their side in m."""
     rows, columns = bins
     details, peaks = np.empty((len(cores), DETAILS)), list[dict[int, float]]()
@@ -99,12 +99,12 @@ def _described(
         details[number] = (*(total(weights * term) / mass + 0.0 for term in terms), existence[number])  # no zero is negative
         peaks.append(weight_by_label(labels, weights))
     names = name_peaks(peaks, positions, middles(particles), tick, size)
-    return Tracks(positions, details, np.array(names, dtype=np.uint64))
+    return TargetEstimates(positions, details, np.array(names, dtype=np.uint64))
 
 
-def forecast(tracks: Tracks, seconds: float) -> Tracks:
-    """The tracks some seconds later: each target moves on by its velocity."""
-    return tracks._replace(positions=tracks.positions + tracks.details[:, :2] * seconds)
+def forecast(estimates: TargetEstimates, seconds: float) -> TargetEstimates:
+    """The estimates some seconds later: each target moves on by its velocity."""
+    return estimates._replace(positions=estimates.positions + estimates.details[:, :2] * seconds)
 
 
 def block_sums(masses: np.ndarray) -> np.ndarray:

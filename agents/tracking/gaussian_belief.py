@@ -15,8 +15,8 @@ from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
 from agents.tracking import claims, gaussian_phd
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
-from agents.tracking.extraction import Tracks, select_tracks
-from agents.tracking.gaussian_reduction import estimates, limited, merged
+from agents.tracking.extraction import TargetEstimates, select_estimates
+from agents.tracking.gaussian_reduction import estimate_and_label, limited, merged
 from agents.tracking.gaussians import (
     EMPTY,
     Mixture,
@@ -75,7 +75,7 @@ class MixtureUpdate(NamedTuple):
     moment_y: float
     load: float
     detected: float
-    tracks: Tracks
+    estimates: TargetEstimates
 
     @property
     def updated(self) -> Particles:
@@ -103,11 +103,11 @@ def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
     return limited(pick(mixture, claims.owned(mixture.means, claim, step.config.arena)), step.config.mixture.most_components)
 
 
-def filter_step(density: Mixture, table: GossipTable, step: Step) -> tuple[Tracks, Mixture]:
+def filter_step(density: Mixture, table: GossipTable, step: Step) -> tuple[TargetEstimates, Mixture]:
     """The estimates and the PHD one step later, after all scans of a table, background births included; in canonical order."""
     born = chain([gaussian_phd.predict(in_order(density), step), gaussian_phd.background_births(step)])
     corrected, settings = _tidied(gaussian_phd.correct(born, table.scans(), step), step), step.config.extraction
-    return estimates(corrected, settings.threshold, PEAK_RADIUS_BINS * settings.bin)
+    return estimate_and_label(corrected, settings.threshold, PEAK_RADIUS_BINS * settings.bin)
 
 
 def _moved(mixture: Mixture, step: Step) -> Mixture:
@@ -209,13 +209,13 @@ class MixturePhd(NamedTuple):
         return MixtureBelief(step.tick, mine, pick(update.around, others), diagram.generator_names, diagram.known_names)
 
 
-def _region_of(corrected: Mixture, peaks: Tracks, region: RegionInput, step: Step) -> MixtureUpdate:
+def _region_of(corrected: Mixture, peaks: TargetEstimates, region: RegionInput, step: Step) -> MixtureUpdate:
     """The part of the corrected mixture, and of the estimates, that falls to an owner."""
     inside = take(corrected, region.claim, step)
     load, detected = _in_view(corrected, region)
-    tracks = select_tracks(peaks, claims.owned(peaks.positions, region.claim, step.config.arena))
+    estimates = select_estimates(peaks, claims.owned(peaks.positions, region.claim, step.config.arena))
     mass, moment_x, moment_y = (total(inside.weights * column) for column in (1.0, inside.means[:, 0], inside.means[:, 1]))
-    return MixtureUpdate(corrected, inside, mass, moment_x, moment_y, load, detected, tracks)
+    return MixtureUpdate(corrected, inside, mass, moment_x, moment_y, load, detected, estimates)
 
 
 def _in_view(mixture: Mixture, region: RegionInput) -> tuple[float, float]:

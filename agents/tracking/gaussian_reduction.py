@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from agents.config import MixtureSettings
-from agents.tracking.extraction import DETAILS, Tracks
+from agents.tracking.extraction import DETAILS, TargetEstimates
 from agents.tracking.gaussians import Mixture, chain, factors, largest_variances, pick
 from agents.tracking.labels import name_peaks, weight_by_label
 from agents.tracking.particles import total
@@ -118,7 +118,7 @@ def limited(mixture: Mixture, most: int) -> Mixture:
     return found._replace(weights=found.weights * (total(mixture.weights) / total(found.weights)))
 
 
-def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks, Mixture]:
+def estimate_and_label(mixture: Mixture, threshold: float, radius: float) -> tuple[TargetEstimates, Mixture]:
     """Estimated targets, heaviest first, and the mixture with the labels that they found.
 
     The heaviest component and those within `radius` m of it are a peak while they hold at least `threshold` expected targets; a peak
@@ -153,4 +153,4 @@ def estimates(mixture: Mixture, threshold: float, radius: float) -> tuple[Tracks
     for near, vote, label in zip(members, votes, given):
         if vote and label not in vote:
             labels[near[labels[near] == max(vote, key=lambda one: (vote[one], -one))]] = label
-    return Tracks(rows[:, :2], rows[:, 2:], np.array(given, dtype=np.uint64)), mixture._replace(labels=labels)
+    return TargetEstimates(rows[:, :2], rows[:, 2:], np.array(given, dtype=np.uint64)), mixture._replace(labels=labels)

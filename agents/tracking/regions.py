@@ -15,7 +15,7 @@ import numpy as np
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking import claims, phd
 from agents.tracking.births import near_part
-from agents.tracking.extraction import NO_TRACKS, Tracks, estimate_tracks, select_tracks
+from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates, estimate_targets, select_estimates
 from agents.tracking.labels import renamed
 from agents.tracking.measuring import BEARING, model_of
 from agents.tracking.particles import Particles, canonical, join, select, total
@@ -36,7 +36,7 @@ class RegionUpdate(NamedTuple):
     moment_y: float
     load: float  # the integrals of v and of p_d v over the footprint (10), expected targets
     detected: float
-    tracks: Tracks  # estimates in the cell
+    estimates: TargetEstimates  # estimates in the cell
 
 
 def update_regions(
@@ -55,17 +55,17 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     near, far = split_by_halo(predicted, births, region, step)
     updated = correct(near, table, region.polygon, step)
     owned = claims.owned(updated.states, claim, config.arena)
-    tracks = NO_TRACKS
+    estimates = NO_ESTIMATES
     if claim.names:
-        tracks = estimate_tracks(updated, config.extraction, step.tick)
-        tracks = select_tracks(tracks, claims.owned(tracks.positions, claim, config.arena))
-        updated = updated._replace(labels=renamed(updated, owned, near, tracks.positions, config.extraction.bin))
+        estimates = estimate_targets(updated, config.extraction, step.tick)
+        estimates = select_estimates(estimates, claims.owned(estimates.positions, claim, config.arena))
+        updated = updated._replace(labels=renamed(updated, owned, near, estimates.positions, config.extraction.bin))
     own = canonical(select(updated, owned))
     mass, moment_x, moment_y = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)
     far_load, far_detected = in_view(far, region.sensor, region.pose)
     resampled = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
-    return RegionUpdate(updated, own, resampled, mass, moment_x, moment_y, near_load + far_load, near_detected + far_detected, tracks)
+    return RegionUpdate(updated, own, resampled, mass, moment_x, moment_y, near_load + far_load, near_detected + far_detected, estimates)
 
 
 def predict(particles: Particles, step: Step) -> Particles:

@@ -15,7 +15,7 @@ import numpy as np
 from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
 from agents.tracking.claims import Claim
-from agents.tracking.extraction import Tracks
+from agents.tracking.extraction import TargetEstimates
 from agents.tracking.particles import Particles
 from agents.tracking.step import Step
 from protocol.sensing import Pose, SensorModel
@@ -73,7 +73,7 @@ class Update(Protocol):
         """The integral of p_d times the density over the footprint (10), expected targets."""
 
     @property
-    def tracks(self) -> Tracks:
+    def estimates(self) -> TargetEstimates:
         """Estimates in the cell, with identities."""
 
 

@@ -80,7 +80,7 @@ class Central:
             self._unused[index] = self._capacity(member, updated, words.table[index])
         self._particles = join(owned) if owned else NO_PARTICLES
         settings = scenario.extraction
-        estimates = extraction_kernels.estimate_tracks(
+        estimates = extraction_kernels.estimate_targets(
             updated.states,
             updated.weights,
             updated.labels,

@@ -16,7 +16,7 @@ from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, Replay, RoundResult
 from agents.tracking.belief import Belief, Copies
 from agents.tracking.claims import make_claim
-from agents.tracking.extraction import Tracks
+from agents.tracking.extraction import TargetEstimates
 from agents.tracking.particles import NO_PARTICLES, unlabelled
 from agents.tracking.tracker import OwnedState
 from deploy import __main__ as command_line
@@ -66,7 +66,7 @@ def play(
         unused=last.unused,
         mass=1.0,
         cell=rectangle(side, side) + mine.cod - 0.5 * side,
-        tracks=Tracks(np.array([mine.cod]), np.zeros((1, 6)), np.ones(1, dtype=np.uint64)),
+        estimates=TargetEstimates(np.array([mine.cod]), np.zeros((1, 6)), np.ones(1, dtype=np.uint64)),
         command=((SPEED * math.cos(angle), SPEED * math.sin(angle)), TURN_RATE),
     )
 

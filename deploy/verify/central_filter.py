@@ -18,7 +18,7 @@ from agents.tracking import gaussian_belief, phd
 from agents.tracking.belief import as_stated
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, Claim, owned
-from agents.tracking.extraction import estimate_tracks
+from agents.tracking.extraction import estimate_targets
 from agents.tracking.gaussians import Mixture, chain, in_order
 from agents.tracking.labels import renamed
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, select
@@ -80,7 +80,7 @@ def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: Agen
 def drawn(updated: Particles, predicted: Particles, claims: Mapping[str, Claim], step: Step) -> Particles:
     """What the owners draw of the particles in their claims, some of which they rename before; `predicted` is before the scans."""
     arena, filters = step.config.arena, step.config.filter
-    places, parts = estimate_tracks(updated, step.config.extraction).positions, list[Particles]()
+    places, parts = estimate_targets(updated, step.config.extraction).positions, list[Particles]()
     for owner, claim in claims.items():
         mine = owned(updated.states, claim, arena)
         labels = renamed(updated, mine, predicted, places[owned(places, claim, arena)], step.config.extraction.bin)

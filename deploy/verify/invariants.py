@@ -276,7 +276,7 @@ def check_round(agent: Agent, is_first: bool) -> None:
     need(math.isfinite(outcome.mass) and outcome.mass >= 0.0, f"{name}: a mass of {outcome.mass}")
     need(math.isfinite(outcome.load) and outcome.load >= 0.0, f"{name}: a load of {outcome.load}")
     need(0.0 <= outcome.unused <= agent.context.facts.capability * SLACK, f"{name}: an unused capacity of {outcome.unused}")
-    need(bool(np.all(np.isfinite(outcome.tracks.positions))), f"{name}: a target that is nowhere")
+    need(bool(np.all(np.isfinite(outcome.estimates.positions))), f"{name}: a target that is nowhere")
     arena = agent.config.arena
     need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
     need(not (is_first and outcome.belief.stamp > 0 and belief.mine.claim.names), f"{name}: a newcomer with a cell before it has listened")

@@ -16,7 +16,7 @@ from agents.gossip.table import GossipTable
 from agents.interest.selection import Ground
 from agents.interest.tiles import Bounds
 from agents.tracking.claims import end_to_end, make_claim, owned
-from agents.tracking.extraction import NO_TRACKS, estimate_tracks
+from agents.tracking.extraction import NO_ESTIMATES, estimate_targets
 from agents.tracking.particles import NO_PARTICLES, Particles, join, select
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
@@ -223,13 +223,13 @@ def test_estimate_targets(seed: int, count: int, weight: float, size: float, thr
     if crowded:
         particles.states[:, :2] *= 0.1
     for beside in (0.0, 1.5 * threshold):
-        plain = estimate_tracks(particles, ExtractionSettings(bin=size, threshold=threshold, beside=beside), tick=7)
+        plain = estimate_targets(particles, ExtractionSettings(bin=size, threshold=threshold, beside=beside), tick=7)
         if not count:
-            assert bits(plain) == bits(NO_TRACKS)
+            assert bits(plain) == bits(NO_ESTIMATES)
             continue
         states, weights, _, labels = particles
         stamp = np.uint64(stamp_of(np.uint64(7)))  # a Python number is another signature: everything would be compiled again
-        found, names = extraction_kernels.estimate_tracks(states, weights, labels, size, threshold, beside, stamp)
+        found, names = extraction_kernels.estimate_targets(states, weights, labels, size, threshold, beside, stamp)
         assert bits(plain) == bits((found[:, :2], found[:, 2:], names))
 
 
@@ -350,7 +350,7 @@ def test_a_thousand_detections_of_one_place_are_named_in_a_moment() -> None:
     table = table_of([said])
     region = RegionInput("s0", 0, table.sensors[0].sensor, said.pose, BOX, make_claim(("0",), np.array([[*place, 0.0]])))
     cloud = Particles(states, np.full(12 * count, 1.0 / 12.0), ids, labels)
-    named = FAST.update_regions(table, cloud, NO_PARTICLES, [region], step())[0].tracks.labels
+    named = FAST.update_regions(table, cloud, NO_PARTICLES, [region], step())[0].estimates.labels
     assert len(named) == len(set(named.tolist())) == count
 
 

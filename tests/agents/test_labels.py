@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from agents.compiled import label_kernels
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, founded_labels
-from agents.tracking.extraction import estimate_tracks
+from agents.tracking.extraction import estimate_targets
 from agents.tracking.labels import birth_labels, derived_label, heaviest, middles, name_peaks, renamed
 from agents.tracking.particles import NO_PARTICLES, Particles, join
 from agents.tracking.phd import correct, resample
@@ -83,7 +83,7 @@ def test_all_copies_of_a_drawn_particle_keep_its_label() -> None:
 def test_an_estimate_reports_the_label_the_velocity_the_covariance_and_the_existence_of_its_peak() -> None:
     peak = cloud(10.5, 10.5, 0.8, 9)
     peak.states[:, 2:] = 1.5, -0.5
-    found = estimate_tracks(peak)
+    found = estimate_targets(peak)
     spread = float((peak.weights * (peak.states[:, 0] - found.positions[0, 0]) ** 2).sum() / 0.8)
     assert found.labels.tolist() == [9]
     assert found.details[0, [0, 1, 5]] == pytest.approx([1.5, -0.5, 0.8], abs=1e-12)

@@ -65,7 +65,7 @@ def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=880, check=False)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 5.0  # s of the second process
-    assert len(list(tmp_path.rglob("*.estimate_tracks-*.nbc"))) == 1  # for one kind of arguments: what one compiles the other loads
+    assert len(list(tmp_path.rglob("*.estimate_targets-*.nbc"))) == 1  # for one kind of arguments: what one compiles the other loads
     program = "from agents.compiled.backend import FAST; from agents.compiled import warmup; warmup.warm(); print(warmup.compiled_before())"
     program += "; from agents.compiled.region_kernels import update_regions; print(sum(update_regions.stats.cache_misses.values()))"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=env, capture_output=True, text=True, timeout=110, check=False)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from agents.agent import Agent
 from agents.backend import PLAIN, Backend
 from agents.tracking.claims import Claim
-from agents.tracking.extraction import estimate_tracks
+from agents.tracking.extraction import estimate_targets
 from agents.tracking.particles import Particles
 from deploy.scenario import Scenario
 from deploy.simulation import Simulation
@@ -71,7 +71,7 @@ class Beside:
             particles, claims = owned_by_all(agents, truth.tick)
             oracle.play(ear.gossips.pop(truth.tick), claims)
             self.distances.append(particle_difference(united(particles), oracle.particles))
-            estimates = estimate_tracks(oracle.updated, self.scenario.extraction).positions
+            estimates = estimate_targets(oracle.updated, self.scenario.extraction).positions
             self.central.append(ospa(truth.targets, estimates))
 
         def on_truth(truth: Truth) -> None:

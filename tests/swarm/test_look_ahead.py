@@ -15,7 +15,7 @@ from agents.round import context_of
 from agents.tracking.belief import owned_by_sender
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, in_arena
-from agents.tracking.extraction import estimate_tracks
+from agents.tracking.extraction import estimate_targets
 from agents.tracking.particles import Particles, canonical, join, select
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
@@ -146,7 +146,7 @@ def test_a_density_that_was_moved_on_shows_weak_targets_and_none_twice() -> None
     def found(mass: float, settings: ExtractionSettings) -> int:
         places = np.tile([10.5, 10.5, 0.0, 0.0], (10, 1))
         particles = Particles(places, np.full(10, mass / 10.0), np.arange(10, dtype=np.uint64), np.zeros(10, np.uint64))
-        return len(estimate_tracks(particles, settings).positions)
+        return len(estimate_targets(particles, settings).positions)
 
     assert [found(0.25, now), found(0.25, later)] == [0, 1]
     assert [found(1.3, msgspec.structs.replace(now, threshold=later.threshold)), found(1.3, later)] == [2, 1]
