@@ -28,7 +28,7 @@ from agents.open_rounds import OpenRounds
 from agents.own_pose import OwnPose
 from agents.pace import Pace
 from agents.round import RoundResult, context_of, run_round
-from agents.round_alone import is_claim_valid, play_alone, play_unobserved, unsent_gossip
+from agents.round_alone import is_claim_valid, local_gossip, predict_missed_ticks, update_without_gossips
 from agents.tracking.extraction import forecast
 from agents.tracking.step import Step
 from protocol.keys import all_of, one_of, tokens_of
@@ -164,7 +164,7 @@ class Agent(Node):
             self._listening.start(is_late=observation.tick > 0)
         elif observation.tick > self.tick + 1:
             self.counters["skipped"] += max(0, observation.tick - self.tick - 1 - self._gossip_free_count)
-        self._gossip_free_count, observation = 0, self._own_pose.take(observation)
+        self._gossip_free_count, observation = 0, self._own_pose.correct(observation)
         self.tick, self._observation, self._opened_at = observation.tick, observation, now
         self.membership.announcements.observation_arrived(now)
         if self._interest is not None and not self._interest.settled:
@@ -176,7 +176,7 @@ class Agent(Node):
         self._gossip_free_count += 1
         self.counters["spared"] += 1
         if self.outcome.round_cell is not None:  # else no round has been played yet
-            self._gossip_free.append(self._own_pose.take(observation))
+            self._gossip_free.append(self._own_pose.correct(observation))
 
     def _play_gossip_free(self) -> list[Effect]:
         """Play the gossip-free ticks alone, unless a shared round is still open: their estimates, and the command of the last."""
@@ -185,11 +185,11 @@ class Agent(Node):
         observations, self._gossip_free = self._gossip_free, []
         effects: list[Effect] = []
         for observation in observations:
-            own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            own = local_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             if is_claim_valid(self.config, self.outcome.belief, own.tick, self._pace.current):
                 steers = self._pace.has_time and observation is observations[-1]
-                self.outcome = self._play_alone(own, observation, steers=steers)
-                effects += [*self._estimate(self.outcome, own), *([self._drive(self.outcome, own.tick)] if steers else [])]
+                self.outcome = self._update_without_gossips(own, observation, steers=steers)
+                effects += [*self._estimate(self.outcome, own), *([self._steer(self.outcome, own.tick)] if steers else [])]
             else:
                 moved = forecast(self.outcome.estimates, (own.tick - self.outcome.belief.stamp) * self.config.run.dt)
                 effects += self._estimate(replace(self.outcome, estimates=moved), own)
@@ -201,12 +201,12 @@ class Agent(Node):
         assert own is not None and observation is not None
         if self._rounds.due != own.tick or not is_claim_valid(self.config, self.outcome.belief, own.tick, self._pace.current):
             return []
-        ahead = self._play_alone(own, observation, steers=steers)
-        return [self._drive(ahead, own.tick)] if steers else self._estimate(ahead, own)
+        ahead = self._update_without_gossips(own, observation, steers=steers)
+        return [self._steer(ahead, own.tick)] if steers else self._estimate(ahead, own)
 
-    def _play_alone(self, own: Gossip, observation: Observation, *, steers: bool) -> RoundResult:
+    def _update_without_gossips(self, own: Gossip, observation: Observation, *, steers: bool) -> RoundResult:
         """The result of a tick that the agent plays alone; with a command if it steers."""
-        played = play_alone(self.context, self.outcome, own, self._pace.current if steers else 0)
+        played = update_without_gossips(self.context, self.outcome, own, self._pace.current if steers else 0)
         return self._keep_apart(played, observation) if steers else played
 
     def _estimate(self, outcome: RoundResult, own: Gossip) -> list[Effect]:
@@ -217,9 +217,9 @@ class Agent(Node):
         work = outbox.RoundCost(self.counters, self._round_seconds, self._pace.current)
         return [outbox.estimate(self.context, self.incarnation, outcome, own, work)]
 
-    def _drive(self, outcome: RoundResult, tick: int) -> Effect:
+    def _steer(self, outcome: RoundResult, tick: int) -> Effect:
         """The command of a result to the own body."""
-        self._own_pose.drive(outcome.command)
+        self._own_pose.note_command(outcome.command)
         return outbox.command(self.context, self.incarnation, outcome, tick)
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
@@ -257,8 +257,8 @@ class Agent(Node):
         """Keep the claim over ticks of which nothing was seen, as long as peers keep the generator of the silent agent."""
         all_played = self._health.is_measuring and not self._rounds
         if all_played and is_claim_valid(self.config, self.outcome.belief, self.tick - 1, self._pace.current):
-            own = unsent_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
-            self.outcome = play_unobserved(self.context, self.outcome, own, self._pace.current)
+            own = local_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
+            self.outcome = predict_missed_ticks(self.context, self.outcome, own, self._pace.current)
 
     def _join(self, now: float) -> list[Effect]:
         """Ask for peers until the interest manager is settled. Then start the filter around the expected cell and open the first round."""
@@ -413,7 +413,7 @@ class Agent(Node):
         self._awaited = set()
         self._measure_busy_time(now)
         self._round_seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
-        command = self._drive(self.outcome, self.tick)
+        command = self._steer(self.outcome, self.tick)
         effects = self._update_interest(self._interest, gossip, now) if self._interest else []
         return [*effects, *self._estimate(self.outcome, gossip), command, *self._play_gossip_free()]
 

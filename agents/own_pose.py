@@ -1,6 +1,6 @@
 """The pose that an agent states of its own body, and how exactly it knows that pose.
 
-Data types: `OwnPose` holds what one agent has averaged; an `Average` is the weight and the variance of one mean.
+Data types: `OwnPose` holds what one agent has averaged; an `AveragingWeight` is the weight and the variance of one mean.
 
 Rules. A report errs by `pose.position_noise` and `pose.heading_noise`, and by the motion of `pose.time_noise` seconds. With `pose.memory`
 the agent moves its last pose on as it has commanded and averages it with the report. Weights are inverse variances, and fade by 1/e in
@@ -26,7 +26,7 @@ LEAST_VARIANCE = 1.0e-8  # m^2 or rad^2: no report weighs more than one of this 
 
 
 @dataclass
-class Average:
+class AveragingWeight:
     """A mean of reports: the sum of their weights, and its own variance if their errors are independent."""
 
     weight: float = 0.0
@@ -53,14 +53,14 @@ class OwnPose:
         self._config, self._sees_places = config, measurement_of(sensor) is None
         self._command: ControlInput = STAND
         self._last: Observation | None = None  # from the pose that was stated
-        self._place, self._turn = Average(), Average()
+        self._place, self._turn = AveragingWeight(), AveragingWeight()
 
-    def drive(self, command: ControlInput) -> None:
+    def note_command(self, command: ControlInput) -> None:
         """Take the command that moves the body until the next one."""
         self._command = command
 
-    def take(self, observation: Observation) -> Observation:
-        """The observation from the pose that the agent believes in; its detections and obstacles are moved with the pose."""
+    def correct(self, observation: Observation) -> Observation:
+        """The observation, which is taken in, from the pose that the agent believes in; detections and obstacles move with it."""
         if self._config.pose.is_exact:
             return observation
         place, turn = self._variances()
@@ -88,7 +88,7 @@ class OwnPose:
         moved = integrate(last.pose, *self._command, seconds, self._config.limits)
         x, y, heading = reported[0] - moved[0], reported[1] - moved[1], wrap_angle(reported[2] - moved[2])
         if self._place.contradicts(math.hypot(x, y), place) or self._turn.contradicts(heading, turn):
-            self._place, self._turn = Average(), Average()
+            self._place, self._turn = AveragingWeight(), AveragingWeight()
         kept = math.exp(-seconds / self._config.pose.memory)
         share, turned = self._place.add(place, kept), self._turn.add(turn, kept)
         pose = moved[0] + share * x, moved[1] + share * y, wrap_angle(moved[2] + turned * heading)

@@ -20,9 +20,7 @@ from protocol.message import Vector
 from protocol.messages import Gossip, Observation
 
 
-def unsent_gossip(
-    context: AgentContext, incarnation: int, last: RoundResult, observation: Observation, pose_noise: Vector | None
-) -> Gossip:
+def local_gossip(context: AgentContext, incarnation: int, last: RoundResult, observation: Observation, pose_noise: Vector | None) -> Gossip:
     """A gossip with the pose and the scan of an observation alone, which nobody is sent."""
     return Gossip(
         sender=context.name,
@@ -43,7 +41,7 @@ def is_claim_valid(config: AgentConfig, belief: TrackerState, tick: int, pace: i
     return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
 
 
-def play_unobserved(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
+def predict_missed_ticks(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
     """The result of the ticks since `last` and before that of `own`, of which the agent saw nothing; it has no command.
 
     At a slower pace its peers left these ticks out as well, so nobody else has moved the particles that come into the cell meanwhile: the
@@ -51,10 +49,10 @@ def play_unobserved(context: AgentContext, last: RoundResult, own: Gossip, pace:
     """
     if pace == 1 or last.round_cell is None:
         return dataclasses.replace(last, belief=context.tracker.keep_claim(last.belief, Step(context.config, own.tick)))
-    return play_alone(context, last, replace(own, tick=own.tick - 1, scanned=False, detections_bytes=b""), pace=0)
+    return update_without_gossips(context, last, replace(own, tick=own.tick - 1, scanned=False, detections_bytes=b""), pace=0)
 
 
-def play_alone(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
+def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
     """The result of the tick of `own`, a later one than that of `last`, in the cell of `last`.
 
     `pace`: the ticks that the command is to last at most; it lasts as many as have passed since `last`. 0: the result has no command.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.config import AgentConfig, PoseSettings
-from agents.own_pose import SURPRISE, Average, OwnPose
+from agents.own_pose import SURPRISE, AveragingWeight, OwnPose
 from protocol.fields import pack
 from protocol.geometry import wrap_angle
 from protocol.measuring import Measurement
@@ -34,7 +34,7 @@ def report(pose: Pose, tick: int, points: list[tuple[float, float]] | None = Non
 def test_an_agent_of_exact_poses_states_no_noise_and_takes_every_report_as_it_is() -> None:
     pose = own_pose(memory=2.0)
     seen = report((1.0, 2.0, 0.5), 0, [(3.0, 3.0)])
-    assert pose.take(seen) is seen
+    assert pose.correct(seen) is seen
     assert pose.noise is None
 
 
@@ -42,9 +42,9 @@ def test_without_memory_a_report_is_taken_as_it_is_and_its_noise_is_that_of_the_
     pose = own_pose(position_noise=0.3, heading_noise=0.05)
     for tick in range(3):
         seen = report((1.0, 2.0, 0.5), tick)
-        assert pose.take(seen) is seen
+        assert pose.correct(seen) is seen
         assert pose.noise == (0.3, 0.05)
-        pose.drive(((2.0, 0.0), 1.0))
+        pose.note_command(((2.0, 0.0), 1.0))
 
 
 @pytest.mark.parametrize(("command", "limited"), [(((1.2, -1.6), -3.0), ((1.2, -1.6), -3.0)), (((30.0, 40.0), 9.0), ((1.2, 1.6), 5.0))])
@@ -55,15 +55,15 @@ def test_an_error_in_time_widens_the_noise_by_the_motion_within_the_limits(comma
     places = rng.normal(0.0, 0.2, (100_000, 2)) + late[:, None] * np.array(velocity)
     headings = rng.normal(0.0, 0.04, 100_000) + late * turn_rate
     pose = own_pose(position_noise=0.2, heading_noise=0.04, time_noise=0.1)
-    pose.drive(command)
-    pose.take(report((1.0, 2.0, 0.5), 0))
+    pose.note_command(command)
+    pose.correct(report((1.0, 2.0, 0.5), 0))
     assert pose.noise is not None
     assert pose.noise == pytest.approx((math.sqrt(np.var(places, axis=0).mean()), np.std(headings)), rel=0.01)
 
 
 def test_a_body_that_stands_has_no_error_in_time() -> None:
     pose = own_pose(time_noise=0.1)
-    pose.take(report((1.0, 2.0, 0.5), 0))
+    pose.correct(report((1.0, 2.0, 0.5), 0))
     assert pose.noise == (0.0, 0.0)
 
 
@@ -74,11 +74,11 @@ def test_the_mean_of_reports_is_as_exact_as_it_says() -> None:
         pose, true = own_pose(position_noise=0.3, heading_noise=0.05, memory=1.0), (5.0, 5.0, 3.0)
         for tick in range(30):
             east, north, turn = rng.normal(0.0, (0.3, 0.3, 0.05)).tolist()
-            stated = pose.take(report((true[0] + east, true[1] + north, wrap_angle(true[2] + turn)), tick)).pose
+            stated = pose.correct(report((true[0] + east, true[1] + north, wrap_angle(true[2] + turn)), tick)).pose
             if tick >= 10:
                 found.append((stated[0] - true[0], stated[1] - true[1], wrap_angle(stated[2] - true[2])))
             velocity, turn_rate = (2.0 * math.cos(0.3 * tick), 2.0 * math.sin(0.3 * tick)), 1.5 * math.sin(tick)
-            pose.drive((velocity, turn_rate))
+            pose.note_command((velocity, turn_rate))
             true = (true[0] + velocity[0] * DT, true[1] + velocity[1] * DT, wrap_angle(true[2] + turn_rate * DT))
     share = 1.0 - math.exp(-DT)
     expected = math.sqrt(share / (2.0 - share))  # of the deviation of one report: closed form of an exponential average
@@ -87,7 +87,7 @@ def test_the_mean_of_reports_is_as_exact_as_it_says() -> None:
 
 
 def test_reports_weigh_by_their_variances_and_fade() -> None:
-    average = Average()
+    average = AveragingWeight()
     assert average.add(0.04, 0.5) == 1.0
     assert average.add(0.01, 0.5) == pytest.approx(100.0 / (100.0 + 12.5))
     assert average.variance == pytest.approx((12.5**2 * 0.04 + 100.0**2 * 0.01) / 112.5**2)
@@ -96,7 +96,7 @@ def test_reports_weigh_by_their_variances_and_fade() -> None:
 
 
 def test_an_exact_report_counts_nearly_alone_and_later_ones_count_again() -> None:
-    average = Average()
+    average = AveragingWeight()
     average.add(0.04, 1.0)
     assert average.add(0.0, 1.0) == pytest.approx(1.0, abs=1e-6)
     for _ in range(100):
@@ -108,8 +108,8 @@ def test_an_exact_report_counts_nearly_alone_and_later_ones_count_again() -> Non
 def test_a_body_that_is_carried_away_is_believed_at_once(carried: float) -> None:
     pose = own_pose(position_noise=0.3, heading_noise=0.05, memory=5.0)
     for tick in range(20):
-        pose.take(report((5.0, 5.0, 1.0), tick))
-    assert pose.take(report((5.0 + carried, 5.0, 1.0), 20)).pose == (5.0 + carried, 5.0, 1.0)
+        pose.correct(report((5.0, 5.0, 1.0), tick))
+    assert pose.correct(report((5.0 + carried, 5.0, 1.0), 20)).pose == (5.0 + carried, 5.0, 1.0)
     assert pose.noise == (0.3, 0.05)
 
 
@@ -117,8 +117,8 @@ def test_a_body_that_does_not_turn_as_it_should_is_believed_soon() -> None:
     pose = own_pose(position_noise=0.3, heading_noise=0.05, memory=5.0)
     worst = 0.0
     for tick in range(40):
-        worst = max(worst, abs(pose.take(report((5.0, 5.0, 1.0), tick)).pose[2] - 1.0))
-        pose.drive(((0.0, 0.0), 0.4))
+        worst = max(worst, abs(pose.correct(report((5.0, 5.0, 1.0), tick)).pose[2] - 1.0))
+        pose.note_command(((0.0, 0.0), 0.4))
     assert worst < SURPRISE * 0.1
 
 
@@ -126,8 +126,8 @@ def test_detections_and_obstacles_move_with_the_pose_and_ranges_and_bearings_do_
     camera = WedgeSensor(2.0, 8.0, 0.9, Measurement("range-bearing", 0.01, 0.1))
     for sensor, moves in ((WEDGE, True), (camera, False)):
         pose = own_pose(sensor, position_noise=0.3, heading_noise=0.05, memory=60.0)
-        pose.take(report((0.0, 0.0, 0.0), 0))
-        seen = pose.take(report((0.2, -0.1, 0.08), 1, [(5.2, -0.1)]))
+        pose.correct(report((0.0, 0.0, 0.0), 0))
+        seen = pose.correct(report((0.2, -0.1, 0.08), 1, [(5.2, -0.1)]))
         assert seen.pose == pytest.approx((0.1, -0.05, 0.04), abs=1e-3)
         turned = (seen.pose[0] + 5.0 * math.cos(seen.pose[2] - 0.08), seen.pose[1] + 5.0 * math.sin(seen.pose[2] - 0.08))
         assert seen.detections[0] == pytest.approx(turned if moves else (5.2, -0.1), abs=1e-6)
@@ -137,6 +137,6 @@ def test_detections_and_obstacles_move_with_the_pose_and_ranges_and_bearings_do_
 def test_skipped_ticks_count_as_time_in_which_the_last_command_held() -> None:
     pose = own_pose(position_noise=0.3, memory=10.0)
     for tick in (0, 1, 2, 3):
-        pose.take(report((5.0, 5.0, 0.0), tick))
-    pose.drive(((2.0, 0.0), 0.0))
-    assert pose.take(report((6.5, 5.0, 0.0), 6)).pose == pytest.approx((6.5, 5.0, 0.0))
+        pose.correct(report((5.0, 5.0, 0.0), tick))
+    pose.note_command(((2.0, 0.0), 0.0))
+    assert pose.correct(report((6.5, 5.0, 0.0), 6)).pose == pytest.approx((6.5, 5.0, 0.0))
