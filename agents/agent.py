@@ -214,8 +214,8 @@ class Agent(Node):
         if own.tick % self.config.timing.estimate_every or own.tick <= self._estimated:
             return []
         self._estimated = own.tick
-        work = outbox.RoundCost(self.counters, self._round_seconds, self._pace.current)
-        return [outbox.estimate(self.context, self.incarnation, outcome, own, work)]
+        stats = outbox.RoundStats(self.counters, self._round_seconds, self._pace.current)
+        return [outbox.estimate(self.context, self.incarnation, outcome, own, stats)]
 
     def _steer(self, outcome: RoundResult, tick: int) -> Effect:
         """The command of a result to the own body."""

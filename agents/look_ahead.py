@@ -178,4 +178,4 @@ def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, ow
     density = tracker.merge(belief, table, step)
     now = region._replace(row=table.names.index(context.name), pose=own.pose)
     update = tracker.update(density, table, [now], step)[0]
-    return result_of(context, own, RoundCell(now, round_cell.generators), update, table, density, last.belief, peer_table.pace)
+    return result_of(context, own, RoundCell(now, round_cell.generator_table), update, table, density, last.belief, peer_table.pace)

@@ -68,7 +68,7 @@ class RoundCell(NamedTuple):
     """The own cell of a round and the gossips whose generators it was cut from."""
 
     region: RegionInput
-    generators: GossipTable
+    generator_table: GossipTable
 
 
 Replay = Callable[[GossipTable, np.ndarray], Any]  # see `look_ahead.replayed_density`
@@ -145,9 +145,9 @@ def result_of(
     """The result of an `update` of the own cell at the pose of `own`; `ticks`: until the next command, 0: there is none."""
     command = STAND
     if ticks:
-        situation = _situation(context, own, round_cell.region.polygon, update, round_cell.generators, table, ticks)
+        situation = _situation(context, own, round_cell.region.polygon, update, round_cell.generator_table, table, ticks)
         if isinstance(context.law, SearchAndTrack):
-            situation = situation._replace(known=_surroundings(context, own, density, update, table, round_cell.generators))
+            situation = situation._replace(surroundings=_surroundings(context, own, density, update, table, round_cell.generator_table))
         command = context.law.command(situation)
     return RoundResult(
         belief=belief,
@@ -206,7 +206,7 @@ def _generator_table(
     """The gossips that give the generators of the tick. The own one is among them unless the agent listens."""
     if len(fresh) == len(peer_table.interest_set) and not table.listening:
         return table
-    latest = peer_table.generators(own.tick, fresh)
+    latest = peer_table.generator_gossips(own.tick, fresh)
     if not own.listening:
         return _with_own(context, peer_table, latest, own)
     return gossip_table([*latest.values()], _sensors(peer_table, latest), context.config)
@@ -267,7 +267,7 @@ def _situation(
         tick=own.tick,
         dt=config.run.dt,
         pose=own.pose,
-        driven=own.pose[:2] if config.partition.kind == "voronoi" else own.cod,
+        control_point=own.pose[:2] if config.partition.kind == "voronoi" else own.cod,
         cell=cell,
         centroid=_centroid(update, cell),
         particles=update.own,
@@ -275,14 +275,14 @@ def _situation(
         limits=config.limits,
         heading=config.control.heading,
         arena=(config.arena.width, config.arena.height),
-        fields=_fields(context, cell, table) if getattr(context.law, "uses_fields", False) else (),
+        nearby_sensors=_nearby_sensors(context, cell, table) if getattr(context.law, "uses_nearby_sensors", False) else (),
         generators=generator_table.points,
         own_generator=generator_table.names.index(context.name) if context.name in generator_table.names else -1,
         ticks=ticks,
     )
 
 
-def _fields(context: AgentContext, cell: np.ndarray, table: GossipTable) -> tuple[tuple[SensorModel, Pose], ...]:
+def _nearby_sensors(context: AgentContext, cell: np.ndarray, table: GossipTable) -> tuple[tuple[SensorModel, Pose], ...]:
     """Sensor and pose of each agent that scanned in this tick and reaches the surroundings of the cell."""
     scanned = [(each.sensor, gossip.pose) for each, gossip in zip(table.sensors, table.gossips) if gossip.scanned]
     apart = distances(cell, np.array([pose for _, pose in scanned]).reshape(-1, 3)).tolist()

@@ -66,4 +66,6 @@ def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip
         before, update = density, tracker.update(density, table, [region], step)[0]
         density = tracker.nearby(update)
     belief = tracker.keep_claim(last.belief, Step(context.config, own.tick + 1), update)
-    return result_of(context, own, RoundCell(region, round_cell.generators), update, table, before, belief, min(pace, own.tick - stamp))
+    return result_of(
+        context, own, RoundCell(region, round_cell.generator_table), update, table, before, belief, min(pace, own.tick - stamp)
+    )

@@ -60,10 +60,10 @@ def owners_by_cells(points: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return np.array([distances(power_cell(index, points, radii, ARENA), GRID) for index in range(len(points))]).argmin(axis=0)
 
 
-def situation(pose: tuple[float, float, float], driven: tuple[float, float], centroid: tuple[float, float] | None) -> Situation:
+def situation(pose: tuple[float, float, float], control_point: tuple[float, float], centroid: tuple[float, float] | None) -> Situation:
     """An agent with a step of 0.25 s."""
     arena, sensor = (100.0, 100.0), SENSOR_CLASSES["A"]
-    return Situation("s1", 1, 0, 0.25, pose, driven, EMPTY, centroid, NO_PARTICLES, sensor, LIMITS, "centroid", arena)
+    return Situation("s1", 1, 0, 0.25, pose, control_point, EMPTY, centroid, NO_PARTICLES, sensor, LIMITS, "centroid", arena)
 
 
 def team(name: str, triple: str = "ACD") -> list[float]:

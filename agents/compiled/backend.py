@@ -255,7 +255,7 @@ def select_peers(
 ) -> selection.Choice:
     """See `selection.select_peers`."""
     home, bounds = cell if len(cell) else _NO_CORNERS, (ground.bounds.reach, ground.bounds.offset, ground.bounds.radius)
-    chosen, needed = selection_kernels.wanted(home, position, reach, halo, table, ground.arena, bounds, ground.drift)
+    chosen, needed = selection_kernels.select_peers(home, position, reach, halo, table, ground.arena, bounds, ground.drift)
     return selection.Choice(chosen, Rectangle(*needed))
 
 

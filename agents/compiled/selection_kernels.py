@@ -110,8 +110,10 @@ def _owners(points: np.ndarray, ends: np.ndarray, table: np.ndarray) -> tuple[np
 
 
 @njit
-def _region(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, arena: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `selection.region`: points (N, 2) in m, block after block of neighbouring points, and the end of each block."""
+def _search_grid(
+    cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, arena: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `selection.search_grid`: points (N, 2) in m, block after block of neighbouring points, and the end of each block."""
     west, south, east, north = _limits(cell)
     width = max(halo, reach) + SELECTION_MARGIN + GRID_SPACING
     first, bottom, last, top = _limits(arena)
@@ -176,7 +178,7 @@ def _likeliest_cell(table: np.ndarray, arena: np.ndarray) -> np.ndarray:
 
 
 @cached
-def wanted(
+def select_peers(
     cell: np.ndarray,
     position: tuple[float, float],
     reach: float,
@@ -193,7 +195,7 @@ def wanted(
     number, home = len(table) - 1, cell
     if len(cell) == 0:
         home, halo = _likeliest_cell(table, arena), halo + APPEARANCE_MARGIN
-    points, ends = _region(home, position, halo, reach, arena)
+    points, ends = _search_grid(home, position, halo, reach, arena)
     owning, least = _owners(points, ends, table)
     west, south, east, north = _limits(home)
     chosen = owning[:number]

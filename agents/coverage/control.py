@@ -3,7 +3,7 @@
 Data types: a `Situation` is the input of a control law; a `ControlInput` is its output ((vx, vy), turn rate).
 
 Rules. A control law has a method `command(situation)`. `laws.control_law` makes the one that a scenario names.
-Only `search_and_track.SearchAndTrack` announces a goal and reads `Situation.known`.
+Only `search_and_track.SearchAndTrack` announces a goal and reads `Situation.surroundings`.
 """
 
 import math
@@ -48,7 +48,7 @@ class Situation(NamedTuple):
     tick: int  # of the round
     dt: float  # length of a tick, s
     pose: Pose  # x, y, heading of the own body, m, rad
-    driven: tuple[float, float]  # the point to drive to the centroid, m: the COD, or the position for plain Voronoi cells
+    control_point: tuple[float, float]  # the point to drive to the centroid, m: the COD, or the position for plain Voronoi cells
     cell: np.ndarray  # (V, 2) m, empty when the agent has no cell
     centroid: tuple[float, float] | None  # m (17): of the PHD in the cell, of its area without mass, None without a cell
     particles: Particles  # in the cell
@@ -56,10 +56,10 @@ class Situation(NamedTuple):
     limits: LimitSettings  # `speed` in m/s, `turn_rate` in rad/s
     heading: str  # "centroid" or "literal", the setting `control.heading`
     arena: tuple[float, float]  # width, height, m
-    fields: tuple[tuple[SensorModel, Pose], ...] = ()  # sensors around the cell that scanned; for laws with `uses_fields = True`
+    nearby_sensors: tuple[tuple[SensorModel, Pose], ...] = ()  # that scanned; if a law has `uses_nearby_sensors = True`
     generators: np.ndarray = EMPTY  # (N, 2) m, of the diagram
     own_generator: int = -1  # the row of the agent's generator; -1 without one
-    known: Surroundings | None = None  # for search and track
+    surroundings: Surroundings | None = None  # for search and track
     ticks: int = 1  # until the next command
 
 
@@ -105,13 +105,13 @@ class RandomWalk:
 
 
 def approach(situation: Situation, goal: tuple[float, float]) -> ControlInput:
-    """The command towards a goal, m: the driven point reaches it by the next command and the body faces it, within the limits (18)."""
+    """The command towards a goal, m: the control point reaches it by the next command and the body faces it, within the limits (18)."""
     limits, dt = situation.limits, situation.dt * situation.ticks
-    vx, vy = (goal[0] - situation.driven[0]) / dt, (goal[1] - situation.driven[1]) / dt
+    vx, vy = (goal[0] - situation.control_point[0]) / dt, (goal[1] - situation.control_point[1]) / dt
     speed = math.sqrt(vx * vx + vy * vy)
     if speed > limits.speed:
         vx, vy = vx * limits.speed / speed, vy * limits.speed / speed
-    seen_from = situation.driven if situation.heading == "literal" else situation.pose
+    seen_from = situation.control_point if situation.heading == "literal" else situation.pose
     dx, dy = goal[0] - seen_from[0], goal[1] - seen_from[1]
     turn = wrap_angle(math.atan2(dy, dx) - situation.pose[2]) / dt if dx or dy else 0.0
     return (vx, vy), max(-limits.turn_rate, min(limits.turn_rate, turn))

@@ -46,7 +46,7 @@ class CheckedLaw:
 
     def __init__(self, law: ControlLaw, name: str) -> None:
         self._law, self._name = law, name
-        self.uses_fields = bool(getattr(law, "uses_fields", False))
+        self.uses_nearby_sensors = bool(getattr(law, "uses_nearby_sensors", False))
 
     def command(self, situation: Situation) -> ControlInput:
         """The command of the law, checked; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""

@@ -29,7 +29,7 @@ NEW_PARTICLE_AGE = 2.5  # s: the time out of sight assumed for a particle new in
 class Pursuit:
     """The pursuit law, with the time when each particle of the own cell was last in a field of view, by particle id."""
 
-    uses_fields = True
+    uses_nearby_sensors = True
 
     def __init__(self) -> None:
         self._ids = np.empty(0, dtype=np.uint64)  # ascending
@@ -61,7 +61,7 @@ class Pursuit:
         if len(self._ids):
             places = np.minimum(np.searchsorted(self._ids, particles.ids), len(self._ids) - 1)
             seen = np.where(self._ids[places] == particles.ids, self._seen[places], seen)
-        for sensor, pose in situation.fields:
+        for sensor, pose in situation.nearby_sensors:
             seen[sensor.probability(particles.states[:, :2], pose) > 0.0] = now
         self._ids, self._seen = particles.ids, seen
         return now - seen

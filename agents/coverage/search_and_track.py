@@ -26,8 +26,8 @@ class SearchAndTrack:
 
     def command(self, situation: Situation) -> ControlInput:
         """Velocity and turn rate until the next tick; stands without the surroundings that only a round knows."""
-        known, sensor, limits = situation.known, situation.sensor, situation.limits
-        if known is None:
+        surroundings, sensor, limits = situation.surroundings, situation.sensor, situation.limits
+        if surroundings is None:
             return STAND
         if self._shape is None:
             offset = math.hypot(*sensor_facts(sensor).cod_offset)
@@ -35,8 +35,12 @@ class SearchAndTrack:
         (x, y, heading), (width, height) = situation.pose, situation.arena
         now, cos, sin = situation.tick * situation.dt, math.cos(heading), math.sin(heading)
         shape, bounds = (sensor.reach, *self._shape), (width, height, limits.speed, limits.turn_rate)
-        body = PlanInput(now, situation.dt * situation.ticks, x, y, cos, sin, *shape, *bounds, float(known.is_open), *known.goal)
-        task = Task(body, self._settings, sensor, heading, known.density, known.around, known.table, known.partners)
+        body = PlanInput(
+            now, situation.dt * situation.ticks, x, y, cos, sin, *shape, *bounds, float(surroundings.is_open), *surroundings.goal
+        )
+        task = Task(
+            body, self._settings, sensor, heading, surroundings.density, surroundings.around, surroundings.table, surroundings.partners
+        )
         velocity, turn_rate, goal, utilisation, self._memory = self._backend.decide(
             task, self._memory or no_memory(width, height, self._settings.bin)
         )

@@ -78,9 +78,9 @@ def gossip(
 def _claim_ages(outcome: RoundResult) -> bytes:
     """By how many ticks each generator of the claim is older than the round in which it was cut; empty: all are of that round."""
     names, round_cell = outcome.belief.mine.claim.names, outcome.round_cell
-    if round_cell is None or (not round_cell.generators.ages and round_cell.generators.name_set.issuperset(names)):
+    if round_cell is None or (not round_cell.generator_table.ages and round_cell.generator_table.name_set.issuperset(names)):
         return b""
-    ages, known = round_cell.generators.ages, round_cell.generators.name_set
+    ages, known = round_cell.generator_table.ages, round_cell.generator_table.name_set
     found = bytes([min(UNKNOWN_AGE, ages.get(name, 0)) if name in known else UNKNOWN_AGE for name in names])
     return found if any(found) else b""
 
@@ -91,7 +91,7 @@ def command(context: AgentContext, incarnation: int, outcome: RoundResult, tick:
     return Command(sender=context.name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
 
 
-class RoundCost(NamedTuple):
+class RoundStats(NamedTuple):
     """What a round cost, for observers."""
 
     counters: Mapping[str, int]
@@ -99,7 +99,7 @@ class RoundCost(NamedTuple):
     pace: int  # the agent shares the ticks that this number divides
 
 
-def estimate(context: AgentContext, incarnation: int, outcome: RoundResult, sent: Gossip, work: RoundCost) -> Estimate:
+def estimate(context: AgentContext, incarnation: int, outcome: RoundResult, sent: Gossip, stats: RoundStats) -> Estimate:
     """The estimate for observers: a result for the tick of the own gossip `sent`, and what the last shared round cost."""
     return Estimate(
         sender=context.name,
@@ -117,7 +117,7 @@ def estimate(context: AgentContext, incarnation: int, outcome: RoundResult, sent
         labels_bytes=pack(outcome.estimates.labels, "<u8"),
         diagram_hash=outcome.belief.mine.diagram_hash,
         neighbours=outcome.belief.mine.claim.names[1:],
-        counters=dict(work.counters),
-        round_seconds=work.seconds,
-        pace=work.pace,
+        counters=dict(stats.counters),
+        round_seconds=stats.seconds,
+        pace=stats.pace,
     )

@@ -80,7 +80,7 @@ def _axis(low: float, high: float, step: float) -> np.ndarray:
     return low + step * np.arange(2 + int(max(high - low, 0.0) / step))
 
 
-def region(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, ground: Ground) -> np.ndarray:
+def search_grid(cell: np.ndarray, position: tuple[float, float], halo: float, reach: float, ground: Ground) -> np.ndarray:
     """Points (P, 2) of a grid over the arena within the halo of a cell or within `reach` m of the sensor, `SELECTION_MARGIN` m wider."""
     around, arena = np.vstack([cell, [position]]), ground.arena
     width = max(halo, reach) + SELECTION_MARGIN + GRID_SPACING
@@ -104,7 +104,7 @@ def select_peers(cell: np.ndarray, position: tuple[float, float], reach: float, 
     else:
         home, halo = _likeliest_cell(generators, ground.arena), halo + APPEARANCE_MARGIN
     observing = distances(home, table[:-1, SENSOR_X:SENSOR_REACH]) <= halo + SELECTION_MARGIN + table[:-1, SENSOR_REACH]
-    points = region(home, position, halo, reach, ground)
+    points = search_grid(home, position, halo, reach, ground)
     owning, least = owners(points, generators)
     return Choice(observing | owning[:-1], _needed(home, points, least, halo, ground))
 

@@ -226,7 +226,7 @@ class PeerTable:
         others = [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.doubted)]
         return {peer.name for peer in others if (peer.missed < limit if self.inbox.knows(peer.name) else newcomer or tick == 0)}
 
-    def generators(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
+    def generator_gossips(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """For each generator of the diagram of `tick` the gossip that states it.
 
         It is a fresh gossip, or the newest one of a peer that has been silent for a short time: since its newest gossip, or since the
@@ -314,7 +314,7 @@ class PeerTable:
     def _forget_silent(self, tick: int) -> None:
         """local: forget the positions of silent peers that are no generators of the round after `tick`."""
         silent = [name for name in self.unheard() if name in self.positions]
-        generators = self.generators(tick + 1, self.fresh(tick + 1)) if silent else {}
+        generators = self.generator_gossips(tick + 1, self.fresh(tick + 1)) if silent else {}
         for name in silent:
             if name not in generators:
                 self.positions.remove(name)

@@ -129,7 +129,7 @@ class Central:
                 tick=self._tick,
                 dt=scenario.run.dt,
                 pose=pose,
-                driven=to_world(member.facts.cod_offset, pose),
+                control_point=to_world(member.facts.cod_offset, pose),
                 cell=cell.polygon,
                 centroid=(east / mass, north / mass) if mass > 0.0 else None,
                 particles=own,

@@ -192,7 +192,7 @@ def _try_law(scenario: Scenario) -> None:
             tick=0,
             dt=scenario.run.dt,
             pose=(*middle, 0.0),
-            driven=middle,
+            control_point=middle,
             cell=rectangle(scenario.arena.width, scenario.arena.height),
             centroid=middle,
             particles=unlabelled(np.array([[*middle, 1.0, 0.0]]), np.array([0.5]), np.array([1], dtype=np.uint64)),
@@ -200,7 +200,7 @@ def _try_law(scenario: Scenario) -> None:
             limits=scenario.limits,
             heading=scenario.control.heading,
             arena=(scenario.arena.width, scenario.arena.height),
-            fields=((sensor, (*middle, 0.0)),) if law.uses_fields else (),
+            nearby_sensors=((sensor, (*middle, 0.0)),) if law.uses_nearby_sensors else (),
             generators=np.array([middle]),
             own_generator=0,
         )

@@ -1,4 +1,4 @@
-"""Control laws: where the driven point goes, what the limits leave of it, both readings of the heading, and the baselines."""
+"""Control laws: where the control point goes, what the limits leave of it, both readings of the heading, and the baselines."""
 
 import math
 
@@ -32,7 +32,7 @@ places = st.tuples(st.floats(-50.0, 150.0), st.floats(-50.0, 150.0))
 def situation(
     centroid: tuple[float, float] | None = (50.0, 50.0),
     pose: Pose = (50.0, 50.0, 0.0),
-    driven: tuple[float, float] | None = None,
+    control_point: tuple[float, float] | None = None,
     cell: np.ndarray = EMPTY,
     heading: str = "centroid",
     name: str = "s1",
@@ -46,7 +46,7 @@ def situation(
         tick=tick,
         dt=0.5,
         pose=pose,
-        driven=driven or cod,
+        control_point=control_point or cod,
         cell=cell,
         centroid=centroid,
         particles=NO_PARTICLES,
@@ -68,24 +68,24 @@ class NoLaw:
     """It has no method command."""
 
 
-def test_a_goal_within_one_step_is_reached_by_the_driven_point() -> None:
-    velocity, _ = approach(situation(driven=(10.0, 20.0)), (10.6, 19.2))
+def test_a_goal_within_one_step_is_reached_by_the_control_point() -> None:
+    velocity, _ = approach(situation(control_point=(10.0, 20.0)), (10.6, 19.2))
     assert velocity == pytest.approx((1.2, -1.6))  # 1 m in 0.5 s is the limit of 2 m/s
 
 
 @pytest.mark.parametrize("law", [Lloyd(), UniformDensity()])
 def test_who_commands_every_fourth_tick_is_there_and_turned_at_the_fourth(law: ControlLaw) -> None:
-    """The goal lies .3 m north of the driven point and of the sensor: to be reached in 4 steps of .5 s, and no sooner."""
+    """The goal lies .3 m north of the control point and of the sensor: to be reached in 4 steps of .5 s, and no sooner."""
     goal = (50.0, 30.0)
     start = (goal[0], goal[1] - 0.3)
-    here = situation(centroid=goal, pose=(*start, 0.0), driven=start, cell=rectangle(100.0, 60.0))._replace(ticks=4)
+    here = situation(centroid=goal, pose=(*start, 0.0), control_point=start, cell=rectangle(100.0, 60.0))._replace(ticks=4)
     velocity, turn = law.command(here)
     assert velocity == pytest.approx((0.0, 0.3 / (4 * 0.5)))
     assert turn == pytest.approx(0.5 * math.pi / (4 * 0.5))
 
 
 def test_a_goal_farther_away_is_approached_at_the_limit() -> None:
-    velocity, _ = approach(situation(driven=(10.0, 20.0)), (40.0, 60.0))
+    velocity, _ = approach(situation(control_point=(10.0, 20.0)), (40.0, 60.0))
     assert velocity == pytest.approx((1.2, 1.6))
 
 
@@ -107,7 +107,7 @@ def test_the_heading_turns_the_short_way_to_the_goal(goal: tuple[float, float], 
 
 def test_both_readings_of_the_heading() -> None:
     """The sensor stands 3 m west of the goal, its COD 1 m north of the goal: from the sensor it lies east, from the COD south."""
-    facing = situation(pose=(47.0, 50.0, 0.5), driven=(50.0, 51.0))
+    facing = situation(pose=(47.0, 50.0, 0.5), control_point=(50.0, 51.0))
     assert approach(facing, (50.0, 50.0))[1] == pytest.approx(-0.5 / 0.5)
     assert approach(facing._replace(heading="literal"), (50.0, 50.0))[1] == pytest.approx((-math.pi / 2.0 - 0.5) / 0.5)
 
@@ -117,13 +117,13 @@ def test_a_goal_under_the_sensor_turns_nothing() -> None:
 
 
 def test_lloyd_drives_to_the_centroid_and_stands_without_one() -> None:
-    here = situation(centroid=(50.0, 50.0), driven=(49.5, 50.0))
+    here = situation(centroid=(50.0, 50.0), control_point=(49.5, 50.0))
     assert Lloyd().command(here)[0] == pytest.approx((1.0, 0.0))
     assert Lloyd().command(here._replace(centroid=None)) == STAND
 
 
 def test_uniform_density_drives_to_the_centroid_of_the_area_whatever_the_targets_do() -> None:
-    here = situation(centroid=(0.0, 0.0), driven=(50.0, 29.5), cell=rectangle(100.0, 60.0))
+    here = situation(centroid=(0.0, 0.0), control_point=(50.0, 29.5), cell=rectangle(100.0, 60.0))
     assert UniformDensity().command(here)[0] == pytest.approx((0.0, 1.0))
     assert UniformDensity().command(here._replace(cell=EMPTY)) == STAND
 
@@ -136,10 +136,10 @@ def test_the_random_walk_keeps_a_goal_for_twenty_seconds_and_its_goals_fill_the_
     law = RandomWalk()
 
     def goal(name: str, tick: int) -> tuple[float, float]:
-        """Two bearings meet at the goal: the command from two driven points."""
+        """Two bearings meet at the goal: the command from two control points."""
         lines = []
         for x in (-1000.0, 1e-9):
-            (vx, vy), _ = law.command(situation(name=name, tick=tick, driven=(x, -1000.0)))
+            (vx, vy), _ = law.command(situation(name=name, tick=tick, control_point=(x, -1000.0)))
             lines.append((x, vx / vy))
         (x1, m1), (x2, m2) = lines
         height = (x2 - x1) / (m1 - m2)

@@ -85,11 +85,11 @@ def test_the_first_load_is_what_an_empty_scan_leaves_of_the_prior() -> None:
     assert last(said, Estimate).load == pytest.approx(1e-4 * HALF * RADIUS**2 * left, rel=0.05)
 
 
-@pytest.mark.parametrize(("kind", "driven"), [("power", COD), ("voronoi-cod", COD), ("voronoi", POSE[:2])])
-def test_without_any_mass_the_driven_point_goes_to_the_middle_of_the_cell(kind: Any, driven: tuple[float, float]) -> None:
+@pytest.mark.parametrize(("kind", "control_point"), [("power", COD), ("voronoi-cod", COD), ("voronoi", POSE[:2])])
+def test_without_any_mass_the_control_point_goes_to_the_middle_of_the_cell(kind: Any, control_point: tuple[float, float]) -> None:
     """(17), (18), at 2 m/s; plain Voronoi drives the sensor itself, the others its COD."""
     command = last(play(partition=PartitionSettings(kind=kind), **EMPTY), Command)
-    dx, dy = 0.5 * WIDTH - driven[0], 0.5 * HEIGHT - driven[1]
+    dx, dy = 0.5 * WIDTH - control_point[0], 0.5 * HEIGHT - control_point[1]
     assert command.velocity == pytest.approx((2.0 * dx / math.hypot(dx, dy), 2.0 * dy / math.hypot(dx, dy)), abs=1e-9)
 
 

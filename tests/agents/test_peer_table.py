@@ -52,7 +52,7 @@ def hear(peers: PeerTable, said: Gossip) -> str | None:
 
 def generators(peers: PeerTable, tick: int) -> list[str]:
     """Names of the generators of a tick."""
-    return list(peers.generators(tick, peers.fresh(tick)))
+    return list(peers.generator_gossips(tick, peers.fresh(tick)))
 
 
 def test_a_peer_that_says_ticks_far_ahead_pushes_out_nobody_elses_gossips() -> None:

@@ -35,7 +35,7 @@ def situation(held: Particles, tick: int = 0, pose: Pose = (50.0, 50.0, 0.0), fi
         tick=tick,
         dt=0.5,
         pose=pose,
-        driven=(pose[0], pose[1]),
+        control_point=(pose[0], pose[1]),
         cell=rectangle(100.0, 100.0),
         centroid=(50.0, 50.0),
         particles=held,
@@ -43,7 +43,7 @@ def situation(held: Particles, tick: int = 0, pose: Pose = (50.0, 50.0, 0.0), fi
         limits=LimitSettings(),
         heading="centroid",
         arena=(100.0, 100.0),
-        fields=tuple((NARROW, field) for field in fields),
+        nearby_sensors=tuple((NARROW, field) for field in fields),
     )
 
 

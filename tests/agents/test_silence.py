@@ -83,7 +83,7 @@ def test_the_generator_is_that_of_the_claim_and_the_sensor_moves_with_it(diagram
     """s2 was last heard at (10, 20) m, with its COD 3 m east of that. A claim of Voronoi cells states the position."""
     peers = table(diagram)
     hear(peers, claim(3))
-    found = peers.generators(3, peers.fresh(3))["s2"]
+    found = peers.generator_gossips(3, peers.fresh(3))["s2"]
     assert (found.tick, found.cod, found.power_radius) == (2, place, radius)
     assert found.pose[:2] == (place[0] - 3.0, place[1])
 
@@ -94,10 +94,10 @@ def test_of_a_word_of_its_own_and_a_claim_the_newer_one_counts() -> None:
     hear(peers, gossip("s2", 2))
     peers.close(2)
     hear(peers, claim(3, 2))  # in tick 0
-    assert peers.generators(3, peers.fresh(3))["s2"].cod == (13.0, 20.0)
+    assert peers.generator_gossips(3, peers.fresh(3))["s2"].cod == (13.0, 20.0)
     peers.close(3)
     hear(peers, claim(4))
-    assert peers.generators(4, peers.fresh(4))["s2"].cod == (40.0, 30.0)
+    assert peers.generator_gossips(4, peers.fresh(4))["s2"].cod == (40.0, 30.0)
 
 
 def test_a_generator_that_the_sensor_cannot_have_does_not_count() -> None:

@@ -14,7 +14,7 @@ from agents.coverage.control import Lloyd
 from agents.gossip.table import GossipTable, announced_sensor
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer import plausible
-from agents.round import AgentContext, _claim, _fields, _own_cell
+from agents.round import AgentContext, _claim, _nearby_sensors, _own_cell
 from agents.tracking.belief import Belief, Copies, ParticlePhd
 from agents.tracking.particles import NO_PARTICLES
 from protocol.fields import pack
@@ -55,7 +55,7 @@ def test_only_sensors_that_reach_the_region_around_the_cell_are_fields() -> None
     for x, number in ((53.9, 2), (54.1, 1)):
         words = table([said("s1", 20.0, 50.0), said("s2", x, 50.0)])
         cell = cut(0, np.array([[20.0, 50.0], [60.0, 50.0]]), np.zeros(2), ARENA)
-        assert len(_fields(ME, cell.polygon, words)) == number
+        assert len(_nearby_sensors(ME, cell.polygon, words)) == number
 
 
 def test_the_claim_of_a_stranger_never_agrees_with_mine_whatever_view_it_states() -> None:

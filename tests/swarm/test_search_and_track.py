@@ -56,8 +56,8 @@ def test_a_dead_agent_is_no_partner_from_its_round_on(monkeypatch: pytest.Monkey
     command = SearchAndTrack.command
 
     def counted(law: SearchAndTrack, situation: Situation) -> ControlInput:
-        assert situation.known is not None
-        partners.setdefault(situation.tick, set()).add(len(situation.known.partners))
+        assert situation.surroundings is not None
+        partners.setdefault(situation.tick, set()).add(len(situation.surroundings.partners))
         return command(law, situation)
 
     monkeypatch.setattr(SearchAndTrack, "command", counted)
