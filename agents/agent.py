@@ -85,7 +85,7 @@ class Agent(Node):
         if self._busy_since is not None:
             self._pace.note_busy(now - self._busy_since)
             self._busy_since = None
-        if self._health.stall_ended(now):
+        if self._health.note_event(now):
             self._pace.forget()
             self._rounds.lag.forget()
         if type(event) is Received:

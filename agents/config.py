@@ -10,7 +10,7 @@ import msgspec
 
 from protocol.agreement import common_sections, shared_settings
 from protocol.message import SharedSettings
-from protocol.settings import Common, Fraction, NotNegative, Positive, Section, Seed
+from protocol.settings import CommonSettings, Fraction, NotNegative, Positive, Section, Seed
 
 ParticleCount = Annotated[int, msgspec.Meta(ge=1, le=8000)]
 Certainty = Annotated[float, msgspec.Meta(ge=0.0, le=0.999999)]
@@ -141,7 +141,7 @@ class TimingSettings(Section, frozen=True, kw_only=True):
     tile: Annotated[float, msgspec.Meta(ge=10.0, le=1.0e9)] = 35.0  # side of the squares in which beacons are said, m
 
 
-class AgentConfig(Common, frozen=True, kw_only=True):
+class AgentConfig(CommonSettings, frozen=True, kw_only=True):
     """The settings of an agent process."""
 
     filter: FilterSettings = FilterSettings()

@@ -11,10 +11,10 @@ from typing import Any
 import msgspec
 
 from protocol.message import Setting, SharedSettings
-from protocol.settings import Common
+from protocol.settings import CommonSettings
 
 
-def common_sections(config: Common) -> dict[str, Any]:
+def common_sections(config: CommonSettings) -> dict[str, Any]:
     """The sections on which world and agents must agree, and the sensors that a message announces by their class alone."""
     models = {
         f"sensors.{name}": {"model": sensor.model, "parameters": sensor.parameters}

@@ -16,7 +16,7 @@ from protocol.settings import Fraction, NotNegative, Section, convert
 from protocol.streams import key, stream
 
 
-class Condition(Section, frozen=True, kw_only=True):
+class LinkCondition(Section, frozen=True, kw_only=True):
     """The condition of one direction of a link; the default is a clear one."""
 
     drop: Fraction = 0.0  # share of the messages that are lost
@@ -32,7 +32,7 @@ class Condition(Section, frozen=True, kw_only=True):
 
 
 DRAWS_AT_ONCE = 8  # messages: numpy takes as long for the draws of one as of so many
-CLEAR = Condition()
+CLEAR = LinkCondition()
 LOST: list[tuple[float, bytes]] = []
 
 
@@ -45,7 +45,7 @@ class Channel:
         self._bad = False  # Gilbert-Elliott: every message is lost while the channel is bad
         self._free_at = -math.inf  # s, when a link of little bandwidth has carried all that it was given
 
-    def copies(self, payload: bytes, condition: Condition, now: float) -> list[tuple[float, bytes]]:
+    def copies(self, payload: bytes, condition: LinkCondition, now: float) -> list[tuple[float, bytes]]:
         """(delay s, payload) of every copy that arrives of what is sent at `now` s; the very object unless the copy is corrupt."""
         if condition == CLEAR:
             return [(0.0, payload)]
@@ -58,7 +58,7 @@ class Channel:
         arrivals = [(delay, arrived)]
         return [*arrivals, (delay + later * condition.spread, arrived)] if twice < condition.duplicate else arrivals
 
-    def _carry(self, size: int, condition: Condition, now: float) -> float:
+    def _carry(self, size: int, condition: LinkCondition, now: float) -> float:
         """The time in s until a link of little bandwidth has carried `size` bytes; infinite if the queue is full."""
         if not condition.throttle:
             return 0.0
@@ -74,7 +74,7 @@ class Channel:
             self._draws = self._rng.random((DRAWS_AT_ONCE, 8)).tolist()[::-1]
         return self._draws.pop()
 
-    def _loses(self, draw: float, condition: Condition) -> bool:
+    def _loses(self, draw: float, condition: LinkCondition) -> bool:
         """Whether this message is lost; with bursts the channel alternates so that the share `drop` is lost in the long run.
 
         A share too large for bursts of that length has longer ones.
@@ -105,7 +105,7 @@ class LinkConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """The links towards one node: the senders that are cut off, and the conditions of the links that are not clear."""
 
     cut: tuple[str, ...] = ()
-    conditions: dict[str, Condition] = {}
+    conditions: dict[str, LinkCondition] = {}
 
 
 class IncomingLinks:
@@ -120,7 +120,7 @@ class IncomingLinks:
     def set(self, conditions: LinkConditions) -> None:
         """Set the conditions of all links towards this node."""
         self._faults, plain = conditions, conditions.conditions.items()
-        self._lossy = {name: condition.drop for name, condition in plain if condition == Condition(drop=condition.drop) != CLEAR}
+        self._lossy = {name: condition.drop for name, condition in plain if condition == LinkCondition(drop=condition.drop) != CLEAR}
 
     def hear(self, sender: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
         """(delay s, payload) of every copy that arrives of a message that is sent at `now` s."""

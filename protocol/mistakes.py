@@ -22,7 +22,7 @@ def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str
             msgspec.convert(rest, into)
             return found, paths, rest
         except msgspec.ValidationError as error:
-            kind, path, hint = _what(str(error), rest, into)
+            kind, path, hint = _mistake(str(error), rest, into)
             if not any(path[: len(known)] == known for known in paths):  # else it follows from a mistake that is reported
                 found.append(explain(str(error), rest, into))
                 paths.append(path)
@@ -32,7 +32,7 @@ def mistakes(data: dict[str, Any], into: type) -> tuple[list[str], list[list[str
     return [*found, "and more"], paths, {}
 
 
-def _what(text: str, data: dict[str, Any], into: type) -> tuple[str, list[str | int], Any]:
+def _mistake(text: str, data: dict[str, Any], into: type) -> tuple[str, list[str | int], Any]:
     """The kind of a mistake, the names that lead to it, and its type: an unknown field, a wrong key, a missing field, a wrong value."""
     complaint, _, where = text.partition(" - at ")
     path, value, hint = locate(data, into, where)
@@ -55,12 +55,12 @@ def _mend(data: dict[str, Any], kind: str, path: list[str | int], hint: Any) -> 
     if kind != "missing" and isinstance(holder, dict):
         holder.pop(path[-1])
         return
-    holder[path[-1]] = _some(hint)
+    holder[path[-1]] = _valid_value(hint)
 
 
-def _some(hint: Any) -> Any:
+def _valid_value(hint: Any) -> Any:
     """A valid value of a type."""
     if hasattr(hint, "__struct_fields__"):
         hints = get_type_hints(hint, include_extras=True)
-        return {field.encode_name: _some(hints[field.name]) for field in msgspec.structs.fields(hint) if field.required}
+        return {field.encode_name: _valid_value(hints[field.name]) for field in msgspec.structs.fields(hint) if field.required}
     return next((copy.copy(value) for value in (*SAMPLE_VALUES, *get_args(hint)) if fits(value, hint)), None)

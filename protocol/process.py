@@ -20,12 +20,12 @@ import msgspec
 from protocol import live
 from protocol.links import LiveLink
 from protocol.node import Node
-from protocol.settings import BadSetting, Common, NetworkSettings, load
+from protocol.settings import BadSetting, CommonSettings, NetworkSettings, load
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 STANDARD_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
-Config = TypeVar("Config", bound=Common)
+Config = TypeVar("Config", bound=CommonSettings)
 Role = TypeVar("Role", bound=Node)
 
 
@@ -107,7 +107,7 @@ def arguments(role: str, words: list[str] | None = None) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def network_of(config: Common, options: argparse.Namespace) -> NetworkSettings:
+def network_of(config: CommonSettings, options: argparse.Namespace) -> NetworkSettings:
     """The network settings, overridden by the endpoints of the command line; by default the members are admitted."""
     listen = tuple(options.listen) if options.listen else config.network.listen
     seeds = tuple(options.seed_endpoint) if options.seed_endpoint else config.network.seeds

@@ -159,7 +159,7 @@ class NetworkSettings(Section, frozen=True, kw_only=True):
         return {field: getattr(self, field).replace("{name}", name) for field in ("ca", "certificate", "key")}
 
 
-class Common(msgspec.Struct, frozen=True, kw_only=True):
+class CommonSettings(msgspec.Struct, frozen=True, kw_only=True):
     """The sections that every process of a run needs."""
 
     run: RunSettings = RunSettings()
@@ -212,7 +212,7 @@ _BUILT: dict[int, tuple[SensorSettings, SensorModel]] = {}  # settings by their 
 _MOST_BUILT = 256
 
 
-def sensor_of(settings: Common, sensor_class: str) -> SensorModel:
+def sensor_of(settings: CommonSettings, sensor_class: str) -> SensorModel:
     """The sensor model of a class: the scenario's own, or one of Table I; raises BadSetting naming the class."""
     own = settings.sensors.get(sensor_class)
     if own is None and sensor_class in SENSOR_CLASSES:
@@ -276,7 +276,7 @@ def explain(text: str, data: Any, into: Any) -> str:
     missing = re.search(r"missing required field `(.*)`", complaint)
     if missing:
         return f"{field_path(path)} = {value!r}: the field {missing[1]} is missing"
-    return f"{field_path(path)} = {value!r}: {_right(complaint, hint)}"
+    return f"{field_path(path)} = {value!r}: {_expectation(complaint, hint)}"
 
 
 def field_path(path: Sequence[str | int]) -> str:
@@ -294,7 +294,7 @@ PLAIN_WORDS = {
 }
 
 
-def _right(complaint: str, hint: Any) -> str:
+def _expectation(complaint: str, hint: Any) -> str:
     """What would be right, from a msgspec complaint and the type that it is about."""
     if get_origin(hint) is Literal:
         return f"should be one of {', '.join(str(choice) for choice in get_args(hint))}"

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from protocol.settings import Common, NotNegative, Positive, RunSettings, Section, Seed
+from protocol.settings import CommonSettings, NotNegative, Positive, RunSettings, Section, Seed
 
 
 class WorldRun(RunSettings, frozen=True, kw_only=True):
@@ -51,7 +51,7 @@ class RecordedSettings(Section, frozen=True, kw_only=True):
     longest_hole: Positive = 5.0  # s in which the file may hold no line at all
 
 
-class WorldConfig(Common, frozen=True, kw_only=True):
+class WorldConfig(CommonSettings, frozen=True, kw_only=True):
     """Everything the world process needs."""
 
     run: WorldRun = WorldRun()

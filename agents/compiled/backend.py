@@ -128,7 +128,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     filters, birth, noise = config.filter, config.birth, config.detection.noise
     step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
     numbers = [*motion(step)[3:], filters.halo, step.max_displacement, noise, width, (filters.gate * width) ** 2]
-    numbers += [filters.certainty, filters.vicinity / phd.BINS]
+    numbers += [filters.certainty, filters.vicinity / phd.BINS_IN_VICINITY]
     numbers += [birth.measurement, birth.measurement_particles, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold, config.extraction.beside]
@@ -266,13 +266,13 @@ def decide(task: search_plan.Task, memory: search_plan.Memory) -> search_plan.De
     settings = np.array(msgspec.structs.astuple(task.settings), dtype=float)
     density, around, rows = task.density, tuple(task.around), task.table.table
     answer = search_kernels.decide(
-        np.array(task.body), settings, density.states, density.weights, around, rows, task.partners, tuple(memory), *_RAYS
+        np.array(task.body), settings, density.states, density.weights, around, rows, task.partners, tuple(memory), *_DIRECTIONS_AND_EDGES
     )
     vx, vy, turn_rate, goal_x, goal_y, load = [float(number) for number in answer[:6]]  # loops run as plain Python give numpy's
     return search_plan.Decision((vx, vy), turn_rate, (goal_x, goal_y), load, search_plan.Memory(*answer[6]))
 
 
-_RAYS = search_plan.DIRECTIONS, search_plan.SECTOR_EDGES
+_DIRECTIONS_AND_EDGES = search_plan.DIRECTIONS, search_plan.SECTOR_EDGES
 
 
 FAST = Backend(

@@ -137,8 +137,8 @@ def _name_by_weight(shares: tuple, known: np.ndarray, given: np.ndarray) -> np.n
 
 
 @njit
-def _middles(particles: tuple, taken: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twin of `labels.middles` for the labels that are not taken (K,): their numbers (L,) and their mean positions (L, 2)."""
+def _mean_positions(particles: tuple, taken: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twin of `labels.mean_positions` for the labels that are not taken (K,): their numbers (L,) and their mean positions (L, 2)."""
     states, weights, numbers = particles
     sums = np.zeros((len(taken), 3))
     for n in range(len(numbers)):
@@ -152,11 +152,11 @@ def _middles(particles: tuple, taken: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 @njit
-def _beside(x: float, y: float, labels: np.ndarray, middles: np.ndarray, free: np.ndarray, reach: float) -> int:
+def _beside(x: float, y: float, labels: np.ndarray, mean_positions: np.ndarray, free: np.ndarray, reach: float) -> int:
     """Twin of `labels._beside` for the labels (L,) that are `free`: the place of the label in `labels`, or -1."""
     found, least = -1, reach * reach
     for k in range(len(labels)):
-        dx, dy = middles[k, 0] - x, middles[k, 1] - y
+        dx, dy = mean_positions[k, 0] - x, mean_positions[k, 1] - y
         apart = dx * dx + dy * dy
         if free[k] and (apart < least or (apart == least and found >= 0 and labels[k] < labels[found])):
             found, least = k, apart
@@ -179,11 +179,11 @@ def name_peaks(shares: tuple, known: np.ndarray, places: np.ndarray, particles: 
         age = ((stamp >> _HASH_BITS) + (_ONE << _TICK_BITS) - (given[m] >> _HASH_BITS)) % (_ONE << _TICK_BITS)
         open_to[m] = given[m] == NO_LABEL or age <= np.uint64(YOUNG_TICKS)
     if open_to.any():
-        rows, middles = _middles(particles, taken)
+        rows, mean_positions = _mean_positions(particles, taken)
         labels, free = known[rows], np.ones(len(rows), np.bool_)
         for m in range(len(cores)):
             if open_to[m]:
-                k = _beside(places[m, 0], places[m, 1], labels, middles, free, ADOPTION_RADIUS * size)
+                k = _beside(places[m, 0], places[m, 1], labels, mean_positions, free, ADOPTION_RADIUS * size)
                 if k >= 0 and (given[m] == NO_LABEL or labels[k] < given[m]):
                     given[m], free[k] = labels[k], False
     derived = np.zeros(len(known), np.uint64)  # how many labels have been derived from each: all of them are taken

@@ -26,7 +26,7 @@ SUMS = 5  # next columns: mass, its sums of x and y, load and detected
 
 # Columns of the settings; and of the keys, each without the tick.
 DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, LIKELIHOOD_NOISE, GATE2 = range(13)
-CERTAINTY, MISS_BIN, BIRTHS, COPIES, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
+CERTAINTY, MISS_BIN, BIRTHS, BIRTHS_PER_DETECTION, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
 PER_TARGET, LEAST, MOST, BIN, THRESHOLD, BESIDE, GATE, KERNEL = range(21, 29)
 TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
 
@@ -216,7 +216,7 @@ def _update_region(
     halo = settings[HALO]
     birth = (
         settings[BIRTHS] != 0.0,
-        np.int64(settings[COPIES]),
+        np.int64(settings[BIRTHS_PER_DETECTION]),
         settings[BIRTH_RADIUS],
         settings[LEAST_DENSITY],
         settings[LEAST_SHARE],

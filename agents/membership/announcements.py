@@ -44,8 +44,8 @@ class AnnouncementSchedule:
         if self.due is not None:
             self.due = min(self.due, now + LONGEST_PERIOD)  # `due` lies later only if the clock has jumped back
 
-    def is_due(self, peers: int, early: bool, now: float) -> bool:
-        """Whether a Hello is due now; if so the next one is planned. `early`: a sensor is unknown, or nothing has been observed."""
+    def take_due(self, peers: int, early: bool, now: float) -> bool:
+        """Whether a Hello is due now; then the next one is planned. `early`: a sensor is unknown, or nothing has been observed."""
         if self.due is None or now < self.due:
             return False
         late = min(LATER_PERIOD * max(1.0, peers / LATER_CROWD), LONGEST_PERIOD)

@@ -29,7 +29,7 @@ class LocalHealth:
         """Whether beats are planned: in real time, from the first observation on."""
         return self.due is not None
 
-    def stall_ended(self, now: float) -> bool:
+    def note_event(self, now: float) -> bool:
         """Note that the agent takes an event; whether a stall has just ended."""
         if self.due is None:
             return False

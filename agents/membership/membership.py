@@ -99,7 +99,7 @@ class Membership:
     def announce_if_due(self, now: float, *, has_observed: bool) -> list[Effect]:
         """A Hello of this agent, if one is due. `has_observed`: an observation has come."""
         is_early = not has_observed or self._peer_table.lacks_announcements()
-        if not self.announcements.is_due(len(self._peer_table.peers), is_early, now):
+        if not self.announcements.take_due(len(self._peer_table.peers), is_early, now):
             return []
         return [self._hello(now if has_observed else None)]
 

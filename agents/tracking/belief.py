@@ -29,7 +29,7 @@ from protocol.fields import pack, pack_labels
 from protocol.messages import Gossip
 
 MOST_COPIES = 6000  # limit against growth without bound: this number of copies,
-MOST_TIMES = 4.0  # or this many times the number in a fresh draw of the same mass, if that is more
+MOST_COPIES_PER_DRAWN = 4.0  # or this many times the number in a fresh draw of the same mass, if that is more
 
 
 @lru_cache(maxsize=256)
@@ -77,10 +77,10 @@ class Copies:
 def worth_keeping(copies: Particles, per_target: int) -> Particles:
     """The copies, or only the heaviest of them if they exceed both limits.
 
-    The limits are `MOST_COPIES`, and `MOST_TIMES` the size of a fresh draw of their mass with `per_target` particles for an expected
-    target. Only copies much lighter than a drawn particle are dropped, for any number of targets.
+    The limits are `MOST_COPIES`, and `MOST_COPIES_PER_DRAWN` times the size of a fresh draw of their mass with `per_target` particles for
+    an expected target. Only copies much lighter than a drawn particle are dropped, for any number of targets.
     """
-    most = max(MOST_COPIES, math.ceil(MOST_TIMES * per_target * float(copies.weights.sum())))
+    most = max(MOST_COPIES, math.ceil(MOST_COPIES_PER_DRAWN * per_target * float(copies.weights.sum())))
     if len(copies.weights) <= most:
         return copies
     heaviest = np.argsort(-copies.weights, kind="stable")[:most]
@@ -109,7 +109,7 @@ def start(prior: Particles, name: str) -> Belief:
     return Belief(stamp=-1, mine=OwnedState(name, NO_CLAIM, NO_PARTICLES, 0), copies=Copies(prior))
 
 
-def _released(belief: Belief) -> Belief:
+def _without_claim(belief: Belief) -> Belief:
     """The belief without a claim: all particles are copies."""
     particles = canonical(join([belief.mine.particles, belief.copies.compute()]))
     return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, NO_PARTICLES, 0), Copies(particles))
@@ -157,7 +157,7 @@ class ParticlePhd(NamedTuple):
         """See `Tracker.catch_up`: all particles become copies, and move by the keyed noise of the missed ticks."""
         if belief.stamp >= step.tick - 1:
             return belief
-        released = _released(belief)
+        released = _without_claim(belief)
         particles = released.copies.near
         for missed in range(belief.stamp + 1, step.tick):
             particles = predict(particles, step._replace(tick=missed))
@@ -193,7 +193,7 @@ class ParticlePhd(NamedTuple):
             return table
         last, config, unknown = step.tick - 1, step.config, unknown_senders(belief, table)
         if belief.claim_tick < last:
-            belief = _released(belief)
+            belief = _without_claim(belief)
         owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
         owned.insert(0, belief.mine)
         claims = end_to_end([each.claim for each in owned])

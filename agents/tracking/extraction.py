@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.config import ExtractionSettings
-from agents.tracking.labels import middles, name_peaks, weight_by_label
+from agents.tracking.labels import mean_positions, name_peaks, weight_by_label
 from agents.tracking.particles import Particles, total
 
 
@@ -98,7 +98,7 @@ def _described(
         terms = states[:, 2], states[:, 3], dx * dx, dx * dy, dy * dy
         details[number] = (*(total(weights * term) / mass + 0.0 for term in terms), existence[number])  # no zero is negative
         peaks.append(weight_by_label(labels, weights))
-    names = name_peaks(peaks, positions, middles(particles), tick, size)
+    names = name_peaks(peaks, positions, mean_positions(particles), tick, size)
     return TargetEstimates(positions, details, np.array(names, dtype=np.uint64))
 
 

@@ -126,7 +126,7 @@ def _tidied(mixture: Mixture, step: Step) -> Mixture:
     return unpacked(packed(pick(whole, whole.weights >= step.config.mixture.pruned)))
 
 
-def _released(belief: MixtureBelief) -> MixtureBelief:
+def _without_claim(belief: MixtureBelief) -> MixtureBelief:
     """The belief without a claim: all components are copies."""
     everything = in_order(chain([belief.mine.mixture, belief.copies]))
     return MixtureBelief(belief.stamp, OwnedMixture(belief.mine.owner, NO_CLAIM, EMPTY, 0), everything)
@@ -157,7 +157,7 @@ class MixturePhd(NamedTuple):
         """See `Tracker.catch_up`: all components become copies, and move by the missed ticks."""
         if belief.stamp >= step.tick - 1:
             return belief
-        released = _released(belief)
+        released = _without_claim(belief)
         copies = released.copies
         for missed in range(belief.stamp + 1, step.tick):
             copies = _moved(copies, step._replace(tick=missed))
@@ -165,7 +165,7 @@ class MixturePhd(NamedTuple):
 
     def keep_claim(self, belief: MixtureBelief, step: Step, alone: MixtureUpdate | None = None) -> MixtureBelief:
         """See `Tracker.keep_claim`: all components move by the missed ticks, and those in the kept claim are owned."""
-        moved = _released(belief).copies
+        moved = _without_claim(belief).copies
         for tick in range(belief.stamp + 1, step.tick):
             moved = _moved(moved, step._replace(tick=tick))
         mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step) if alone is None else alone.inside)
@@ -178,7 +178,7 @@ class MixturePhd(NamedTuple):
             return table
         last, config, unknown = step.tick - 1, step.config, unknown_senders(belief, table)
         if belief.claim_tick < last:
-            belief = _released(belief)
+            belief = _without_claim(belief)
         owned = [owned_by_sender(gossip) for gossip in table.gossips if gossip.claim_tick == last and gossip.sender != belief.mine.owner]
         owned.insert(0, belief.mine)
         stated = end_to_end([each.claim for each in owned])

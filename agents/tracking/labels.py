@@ -70,7 +70,7 @@ def heaviest(labels: np.ndarray, weights: np.ndarray) -> tuple[int, float]:
     return int(known[first]), float(sums[first])
 
 
-def middles(particles: Particles) -> dict[int, tuple[float, float]]:
+def mean_positions(particles: Particles) -> dict[int, tuple[float, float]]:
     """The mean position in m of the particles of each label that has a mass of at least `FAINT_MASS`."""
     known, places = np.unique(particles.labels, return_inverse=True)
     masses, east, north = (
@@ -99,7 +99,7 @@ def name_peaks(
 ) -> list[int]:
     """One label for each peak, no label twice; a peak is the weight of each label in it, 0 left out.
 
-    `places` (M, 2) are the peaks and `known` the `middles` of the labels around, m; bins have the side `size` m. The pair of a peak and a
+    `places` (M, 2) are the peaks and `known` the `mean_positions` of labels around, m; bins have the side `size` m. The pair of peak and
     label with the largest weight comes first, then the next of the peaks and labels that are left; of equals the older label, then the
     first peak. A peak that is left then takes the nearest label without a peak within `ADOPTION_RADIUS`. So does a peak whose label is
     young, if the other label is older: most peaks of young labels are clutter beside a target that was missed. A peak that is still left

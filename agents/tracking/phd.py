@@ -21,7 +21,7 @@ from protocol.sensing import measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble
 
-BINS = 3.0  # bins in the length `vicinity`; two bins to each side of its own bin are near a particle
+BINS_IN_VICINITY = 3.0  # bins in the length `vicinity`; two bins to each side of its own bin are near a particle
 
 
 def predict(particles: Particles, tick: int, seed: int, dt: float, settings: FilterSettings, arena: ArenaSettings) -> Particles:
@@ -171,7 +171,7 @@ def missed(
     By Bayes' rule for one target of probability r, a missed target has probability r (1 - p_d) / (1 - r p_d). The PHD filter has
     r (1 - p_d), the rule for a Poisson number of targets. Both agree for small r.
     """
-    side, seen = settings.vicinity / BINS, probability > 0.0
+    side, seen = settings.vicinity / BINS_IN_VICINITY, probability > 0.0
     places = np.floor(np.vstack([particles.states[:, :2], detections]) / side).astype(np.int64)
     if not len(particles.weights):
         return np.ones(0)

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from deploy.faults.faults import Action
-from protocol.links import CLEAR, Condition, IncomingLinks, LinkConditions
+from protocol.links import CLEAR, IncomingLinks, LinkCondition, LinkConditions
 
 OWN = {"drop": ("burst",), "delay": ("jitter",), "throttle": ("queue",)}  # options of one verb alone, which end with it
 SPREADING = {"duplicate", "reorder"}  # verbs that share the option `spread`, which ends with the last of them
@@ -26,7 +26,7 @@ class Links:
         self._names = list(names)
         self._cut: set[Direction] = set()
         self._torn: set[Direction] = set()  # cut, and the session goes with it
-        self._conditions: dict[Direction, Condition] = {}
+        self._conditions: dict[Direction, LinkCondition] = {}
         self._ears: dict[str, IncomingLinks] = {}
 
     def add(self, name: str) -> None:

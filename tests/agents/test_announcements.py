@@ -14,7 +14,7 @@ def moments(peers: int, early: bool, until: float) -> list[float]:
     greetings.start(0.0)
     while greetings.due is not None and greetings.due <= until:
         now = greetings.due
-        assert greetings.is_due(peers, early, now) and not greetings.is_due(peers, early, now)
+        assert greetings.take_due(peers, early, now) and not greetings.take_due(peers, early, now)
         said.append(now)
     return said
 
@@ -34,7 +34,7 @@ def test_while_somebody_is_unknown_greetings_are_more_frequent() -> None:
 def test_all_who_come_within_a_moment_get_one_greeting() -> None:
     greetings = AnnouncementSchedule(3, lambda: True)
     greetings.start(0.0)
-    greetings.is_due(3, False, 0.25)
+    greetings.take_due(3, False, 0.25)
     for now in (1.0, 1.01, 1.02):
         greetings.peer_appeared(3, now)
     assert greetings.due == pytest.approx(1.0 + REPLY_DELAY)

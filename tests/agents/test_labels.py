@@ -10,7 +10,7 @@ from agents.compiled import label_kernels
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_targets
-from agents.tracking.labels import birth_labels, derived_label, heaviest, middles, name_peaks, renamed
+from agents.tracking.labels import birth_labels, derived_label, heaviest, mean_positions, name_peaks, renamed
 from agents.tracking.particles import NO_PARTICLES, Particles, join
 from agents.tracking.phd import correct, resample
 from deploy.scoring.tracks import UniqueLabels
@@ -127,7 +127,11 @@ def test_a_peak_whose_label_was_founded_within_4_ticks_takes_an_older_one_beside
 
 def test_the_middle_of_a_label_is_the_mean_of_its_particles_and_a_faint_label_has_none() -> None:
     two = join([cloud(4.0, 5.0, 0.6, 5), cloud(8.0, 5.0, 0.2, 5, first=100), cloud(9.0, 9.0, 0.019, 7), cloud(3.0, 3.0, 0.5, 0)])
-    assert list(middles(two)) == [5] and middles(two)[5] == pytest.approx((5.0, 5.0), abs=0.01) and not middles(NO_PARTICLES)
+    assert (
+        list(mean_positions(two)) == [5]
+        and mean_positions(two)[5] == pytest.approx((5.0, 5.0), abs=0.01)
+        and not mean_positions(NO_PARTICLES)
+    )
 
 
 def after(*clouds: Particles, estimates: list[tuple[float, float]], outside: Particles = NO_PARTICLES, size: float = 1.0) -> list[int]:
@@ -187,7 +191,7 @@ def test_the_compiled_rules_give_the_same_labels() -> None:
             np.append(np.arange(len(peaks)), rng.integers(0, len(peaks), 2) if peaks else []).astype(int)
         )  # some hold more peaks
         peaks, spots = [peaks[core] for core in cores], places[cores]
-        plain = name_peaks(peaks, spots, middles(every), tick, size)
+        plain = name_peaks(peaks, spots, mean_positions(every), tick, size)
         around = states, every.weights, every.labels
         numbers, numbered = label_kernels.number_labels(np.concatenate((every.labels, labels)))
         shares, particles = (numbers[number:], weights, starts, cores), (states, every.weights, numbers[:number])

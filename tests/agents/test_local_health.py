@@ -13,9 +13,9 @@ from tests.agents.test_agent import hello, met, see, word
 def test_a_beat_that_comes_late_is_a_stall_and_one_in_time_is_none() -> None:
     health = LocalHealth(measured=True)
     health.start(10.0)
-    health.stall_ended(10.0 + BEAT_PERIOD + STALL_THRESHOLD)
+    health.note_event(10.0 + BEAT_PERIOD + STALL_THRESHOLD)
     assert health.stalled == 0.0 and not health.is_doubtful(11.0)
-    health.stall_ended(20.0)
+    health.note_event(20.0)
     assert (
         health.stalled == pytest.approx(10.0 - 2 * BEAT_PERIOD - STALL_THRESHOLD)
         and health.is_doubtful(20.0)
@@ -27,16 +27,16 @@ def test_a_beat_that_comes_late_is_a_stall_and_one_in_time_is_none() -> None:
 def test_a_clock_that_jumps_back_goes_on_measuring() -> None:
     health = LocalHealth(measured=True)
     health.start(1000.0)
-    health.stall_ended(500.0)
+    health.note_event(500.0)
     assert health.due == 500.0 + BEAT_PERIOD
-    health.stall_ended(503.0)
+    health.note_event(503.0)
     assert health.stalled > 2.0
 
 
 def test_in_lockstep_nothing_is_measured() -> None:
     health = LocalHealth(measured=False)
     health.start(0.0)
-    health.stall_ended(100.0)
+    health.note_event(100.0)
     assert health.due is None and health.stalled == 0.0
 
 

@@ -268,7 +268,7 @@ def test_a_listener_is_heard_but_has_no_cell() -> None:
     assert list(peers.fresh(3)) == ["s2"] and generators(peers, 3) == []
 
 
-def test_a_gossip_of_a_closed_round_is_stale() -> None:
+def test_a_gossip_is_refused_if_not_newer_than_one_of_the_same_peer_in_a_closed_round() -> None:
     peers = neighbours("s2")
     hear(peers, gossip("s2", 3))
     peers.close(3)

@@ -3,7 +3,7 @@
 from deploy.faults.faults import Action, Schedule
 from deploy.faults.links import Links
 from deploy.scenario import FaultSettings
-from protocol.links import Condition
+from protocol.links import LinkCondition
 
 TEAM = ["s1", "s2", "s3", "s4"]
 
@@ -87,13 +87,13 @@ def test_bursts_end_with_the_losses_though_another_fault_goes_on() -> None:
     links.act(Action("drop", ["a"], 0.3, {"burst": 8.0}))
     links.act(Action("delay", ["a"], 0.1))
     links.act(Action("drop", ["a"], 0.0))
-    assert links.reception("b").conditions["a"] == Condition(delay=0.1)
+    assert links.reception("b").conditions["a"] == LinkCondition(delay=0.1)
 
 
 def test_a_jitter_without_a_delay_is_a_fault_too() -> None:
     links = Links(1, ["a", "b"])
     links.act(Action("delay", ["a"], 0.0, {"jitter": 0.2}))
-    assert links.reception("b").conditions["a"] == Condition(jitter=0.2)
+    assert links.reception("b").conditions["a"] == LinkCondition(jitter=0.2)
 
 
 def test_the_spread_of_copies_ends_with_them_and_is_not_that_of_a_later_reordering() -> None:
@@ -102,11 +102,11 @@ def test_the_spread_of_copies_ends_with_them_and_is_not_that_of_a_later_reorderi
     links.act(Action("duplicate", ["a"], 0.5, {"spread": 8.0}))
     links.act(Action("duplicate", ["a"], 0.0))
     links.act(Action("reorder", ["a"], 0.3))
-    assert links.reception("b").conditions["a"] == Condition(drop=0.1, reorder=0.3)
+    assert links.reception("b").conditions["a"] == LinkCondition(drop=0.1, reorder=0.3)
     links.act(Action("reorder", ["a"], 0.3, {"spread": 0.4}))
     links.act(Action("duplicate", ["a"], 0.5))
     links.act(Action("duplicate", ["a"], 0.0))
-    assert links.reception("b").conditions["a"] == Condition(drop=0.1, reorder=0.3, spread=0.4)
+    assert links.reception("b").conditions["a"] == LinkCondition(drop=0.1, reorder=0.3, spread=0.4)
 
 
 def test_a_newcomer_is_cut_off_like_all_others() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from agents.config import AgentConfig
 from deploy.scenario import FOLDER, TeamSettings, find, parse_set, resolve, team_counts, toml_text
-from protocol.settings import BadSetting, Common, convert
+from protocol.settings import BadSetting, CommonSettings, convert
 from world.config import WorldConfig
 
 SHIPPED = ["anisotropic", "convergence", "efficacy", "heterogeneity", "mrclam", "quick", "solent", "students03"]
@@ -115,7 +115,7 @@ def test_agents_and_world_read_the_same_file_each_its_own_sections() -> None:
     data = {"run": {"dt": 0.5}, "targets": {"count": 3}, "filter": {"gate": 5.0}, "team": {"composition": "2"}}
     assert convert(data, AgentConfig, "x").filter.gate == 5.0
     assert convert(data, WorldConfig, "x").targets.count == 3
-    assert convert(data, Common, "x").run.dt == 0.5
+    assert convert(data, CommonSettings, "x").run.dt == 0.5
 
 
 def test_options_are_laid_over_the_file() -> None:

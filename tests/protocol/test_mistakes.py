@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.mistakes import MOST_MISTAKES, mistakes
-from protocol.settings import Common, NetworkSettings, RunSettings, Section
+from protocol.settings import CommonSettings, NetworkSettings, RunSettings, Section
 
 
 class Fault(Section, frozen=True, kw_only=True):
@@ -24,7 +24,7 @@ class Run(RunSettings, frozen=True, kw_only=True):
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
 
 
-class Whole(Common, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Whole(CommonSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All sections of these tests."""
 
     run: Run = Run()

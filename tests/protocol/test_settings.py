@@ -14,7 +14,7 @@ from protocol.sensing import SENSOR_CLASSES, SensorModel, WedgeSensor
 from protocol.settings import (
     ArenaSettings,
     BadSetting,
-    Common,
+    CommonSettings,
     RunSettings,
     Section,
     SensorSettings,
@@ -33,7 +33,7 @@ class Listed(Section, frozen=True, kw_only=True):
     corner: tuple[float, float] = (0.0, 0.0)
 
 
-class Whole(Common, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Whole(CommonSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All sections of these tests."""
 
     listed: Listed = Listed()
@@ -116,11 +116,11 @@ def test_a_missing_field_is_named() -> None:
 
 
 def test_no_settings_at_all_give_the_defaults() -> None:
-    assert convert({}, Common, "nothing") == Common()
+    assert convert({}, CommonSettings, "nothing") == CommonSettings()
 
 
 def test_a_process_passes_over_the_sections_of_others() -> None:
-    assert convert({"somebody": {"elses": 1}, "arena": {"width": 5}}, Common, "x").arena == ArenaSettings(width=5.0)
+    assert convert({"somebody": {"elses": 1}, "arena": {"width": 5}}, CommonSettings, "x").arena == ArenaSettings(width=5.0)
 
 
 def test_the_number_of_ticks_is_the_rounded_quotient_and_never_zero() -> None:
@@ -132,7 +132,7 @@ def test_the_number_of_ticks_is_the_rounded_quotient_and_never_zero() -> None:
 def test_a_file_is_loaded(tmp_path: Path) -> None:
     path = tmp_path / "run.toml"
     path.write_text('[run]\nrate = 7\n[members]\ns1 = "A"\n', encoding="utf-8")
-    settings = load(path, Common)
+    settings = load(path, CommonSettings)
     assert (settings.run.rate, settings.members) == (7.0, {"s1": "A"})
 
 
@@ -156,11 +156,11 @@ def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: bytes) -> None
 
 
 def test_the_sensors_of_the_paper_are_there_without_being_declared() -> None:
-    assert sensor_of(Common(), "D") is SENSOR_CLASSES["D"]
+    assert sensor_of(CommonSettings(), "D") is SENSOR_CLASSES["D"]
 
 
 def test_a_sensor_of_the_scenario_comes_before_one_of_the_paper() -> None:
-    settings = convert({"sensors": {"A": {"angle": 90.0, "radius": 3.0, "prob_detection": 0.5}}}, Common, "x")
+    settings = convert({"sensors": {"A": {"angle": 90.0, "radius": 3.0, "prob_detection": 0.5}}}, CommonSettings, "x")
     assert sensor_of(settings, "A") == WedgeSensor(math.pi / 2.0, 3.0, 0.5)
 
 
@@ -174,13 +174,13 @@ def test_a_sensor_of_the_scenario_comes_before_one_of_the_paper() -> None:
     ],
 )
 def test_what_a_class_of_the_paper_is_not_given_is_that_of_the_paper(given: dict[str, float], sensor: WedgeSensor) -> None:
-    assert sensor_of(convert({"sensors": {"A": given}}, Common, "x"), "A") == sensor
+    assert sensor_of(convert({"sensors": {"A": given}}, CommonSettings, "x"), "A") == sensor
 
 
 @pytest.mark.parametrize("smallest", [{"angle": 1.0e-4, "radius": 5.0}, {"angle": 90.0, "radius": 1.0e-3}], ids=["angle", "radius"])
 def test_every_wedge_that_a_scenario_may_name_is_taken_from_the_wire_too(smallest: dict[str, float]) -> None:
     """A class that loads here and is refused in every Hello would leave its agents without a sensor in the eyes of all others."""
-    sensor = sensor_of(convert({"sensors": {"X": smallest}}, Common, "x"), "X")
+    sensor = sensor_of(convert({"sensors": {"X": smallest}}, CommonSettings, "x"), "X")
     assert isinstance(sensor, WedgeSensor)
     hello = Hello(sender="s1", incarnation=1, sensor=sensor)
     assert decode(message_key("run", hello), encode(hello)) == hello
@@ -189,15 +189,15 @@ def test_every_wedge_that_a_scenario_may_name_is_taken_from_the_wire_too(smalles
 @pytest.mark.parametrize(("field", "value", "least"), [("angle", 9.9e-5, "0.0001"), ("radius", 9.9e-4, "0.001")])
 def test_a_smaller_wedge_is_refused_at_load(field: str, value: float, least: str) -> None:
     with pytest.raises(BadSetting, match=rf"x: sensors\.X\.{field} = {value}: should be a number >= {least}"):
-        convert({"sensors": {"X": {"angle": 90.0, "radius": 5.0, field: value}}}, Common, "x")
+        convert({"sensors": {"X": {"angle": 90.0, "radius": 5.0, field: value}}}, CommonSettings, "x")
 
 
 def test_360_degrees_is_a_full_disc() -> None:
-    assert sensor_of(Common(sensors={"X": SensorSettings(angle=360.0, radius=3.0)}), "X") == WedgeSensor(2.0 * math.pi, 3.0, 1.0)
+    assert sensor_of(CommonSettings(sensors={"X": SensorSettings(angle=360.0, radius=3.0)}), "X") == WedgeSensor(2.0 * math.pi, 3.0, 1.0)
 
 
 def test_a_sensor_model_of_the_users_own_is_built_with_its_parameters() -> None:
-    camera = sensor_of(Common(sensors={"X": SensorSettings(model=f"{__name__}:Camera", parameters={"reach": 9.0})}), "X")
+    camera = sensor_of(CommonSettings(sensors={"X": SensorSettings(model=f"{__name__}:Camera", parameters={"reach": 9.0})}), "X")
     assert isinstance(camera, SensorModel) and (camera.reach, camera.area) == (9.0, 81.0)
 
 
@@ -217,12 +217,12 @@ def test_a_sensor_model_of_the_users_own_is_built_with_its_parameters() -> None:
 )
 def test_a_sensor_that_cannot_be_built_names_its_section_and_the_reason(sensor: SensorSettings, complaint: str) -> None:
     with pytest.raises(BadSetting, match=complaint):
-        sensor_of(Common(sensors={"X": sensor}), "X")
+        sensor_of(CommonSettings(sensors={"X": sensor}), "X")
 
 
 def test_an_unknown_sensor_class_lists_the_known_ones() -> None:
     with pytest.raises(BadSetting, match="sensor class 'Z' does not exist; known are X, A, B, C, D, E, F, G, H"):
-        sensor_of(Common(sensors={"X": SensorSettings()}), "Z")
+        sensor_of(CommonSettings(sensors={"X": SensorSettings()}), "Z")
 
 
 def test_a_named_object_is_loaded() -> None:
