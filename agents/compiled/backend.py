@@ -266,13 +266,13 @@ def decide(task: search_plan.Task, memory: search_plan.Memory) -> search_plan.De
     settings = np.array(msgspec.structs.astuple(task.settings), dtype=float)
     density, around, rows = task.density, tuple(task.around), task.table.table
     answer = search_kernels.decide(
-        np.array(task.body), settings, density.states, density.weights, around, rows, task.partners, tuple(memory), *_DIRECTIONS_AND_EDGES
+        np.array(task.numbers), settings, density.states, density.weights, around, rows, task.partners, tuple(memory), *_UNIT_VECTORS
     )
-    vx, vy, turn_rate, goal_x, goal_y, load = [float(number) for number in answer[:6]]  # loops run as plain Python give numpy's
-    return search_plan.Decision((vx, vy), turn_rate, (goal_x, goal_y), load, search_plan.Memory(*answer[6]))
+    vx, vy, turn_rate, goal_x, goal_y, utilisation = [float(number) for number in answer[:6]]  # loops run as plain Python give numpy's
+    return search_plan.Decision((vx, vy), turn_rate, (goal_x, goal_y), utilisation, search_plan.Memory(*answer[6]))
 
 
-_DIRECTIONS_AND_EDGES = search_plan.DIRECTIONS, search_plan.SECTOR_EDGES
+_UNIT_VECTORS = search_plan.DIRECTIONS, search_plan.SECTOR_EDGES
 
 
 FAST = Backend(

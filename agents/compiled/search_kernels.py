@@ -48,8 +48,8 @@ GOAL_EAST, GOAL_NORTH, UTILISATION, PARTNER_REACH, FIRST = range(5)  # columns o
 
 
 @njit
-def _circle(reach: float, side: float) -> float:
-    """Twin of `search_plan.circle`."""
+def _service_radius(reach: float, side: float) -> float:
+    """Twin of `search_plan.service_radius`."""
     return max(reach - REACH_MARGIN * side, LEAST_RADIUS * side)
 
 
@@ -84,17 +84,17 @@ def _seen_at(seen: np.ndarray, x: float, y: float, side: float) -> float:
 
 @njit
 def _bin_values(
-    states: np.ndarray, weights: np.ndarray, seen: np.ndarray, body: np.ndarray, search: np.ndarray, box: tuple[int, int, int, int]
+    states: np.ndarray, weights: np.ndarray, seen: np.ndarray, numbers: np.ndarray, search: np.ndarray, box: tuple[int, int, int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Twin of `search_plan.bin_values` for the bins of a box: first and last row, first and last column."""
     south, north, west, east = box
-    tracks, search_values = np.zeros((north - south + 1, east - west + 1)), np.zeros((north - south + 1, east - west + 1))
-    ahead, stale, now, width, height = search[HORIZON] + body[DT], search[STALE], body[NOW], body[WIDTH], body[HEIGHT]
+    watched_mass, search_values = np.zeros((north - south + 1, east - west + 1)), np.zeros((north - south + 1, east - west + 1))
+    ahead, stale, now, width, height = search[HORIZON] + numbers[DT], search[STALE], numbers[NOW], numbers[WIDTH], numbers[HEIGHT]
     side = search[BIN]
     for n in range(len(weights)):
         x, y, vx, vy = states[n, 0], states[n, 1], states[n, 2], states[n, 3]
         px, py = x + vx * ahead, y + vy * ahead
-        if body[OPEN] == 0.0:
+        if numbers[OPEN] == 0.0:
             px = -px if px < 0.0 else 2.0 * width - px if px > width else px
             py = -py if py < 0.0 else 2.0 * height - py if py > height else py
         row, column = int(np.floor(py / side)), int(np.floor(px / side))
@@ -107,16 +107,16 @@ def _bin_values(
         if now - last > stale:
             last = max(last, _seen_at(seen, x - vx * stale, y - vy * stale, side))
         if now - last <= stale:
-            tracks[row - south, column - west] += weights[n]
+            watched_mass[row - south, column - west] += weights[n]
         else:
             search_values[row - south, column - west] += search[WEIGHT] * weights[n]
-    if body[OPEN] != 0.0:
+    if numbers[OPEN] != 0.0:
         rows, columns = seen.shape
         for row in range(south, north + 1):
             for column in range(west, east + 1):
                 if row == 0 or column == 0 or row == rows - 1 or column == columns - 1:
                     search_values[row - south, column - west] += search[INFLOW]
-    return tracks, search_values
+    return watched_mass, search_values
 
 
 @njit
@@ -132,20 +132,20 @@ def _partners_near(partners: np.ndarray, x: float, y: float, width: float, side:
     for k in range(len(partners)):
         dx, dy = partners[k, GOAL_EAST] - x, partners[k, GOAL_NORTH] - y
         near[number] = k
-        number += math.sqrt(dx * dx + dy * dy) <= width + _circle(partners[k, PARTNER_REACH], side) + PARTNER_MARGIN * side + 1e-6
+        number += math.sqrt(dx * dx + dy * dy) <= width + _service_radius(partners[k, PARTNER_REACH], side) + PARTNER_MARGIN * side + 1e-6
     return near[:number]
 
 
 @njit
-def _left_over(
-    x: float, y: float, body: np.ndarray, partners: np.ndarray, near: np.ndarray, sharing: float, side: float
+def _unserved_shares(
+    x: float, y: float, numbers: np.ndarray, partners: np.ndarray, near: np.ndarray, sharing: float, side: float
 ) -> tuple[float, float]:
-    """Twin of `search_plan.left_over` for one place; `near` are the rows of partners that may serve it."""
-    dx, dy, radius = x - body[GOAL_X], y - body[GOAL_Y], _circle(body[REACH], side)
+    """Twin of `search_plan.unserved_shares` for one place; `near` are the rows of partners that may serve it."""
+    dx, dy, radius = x - numbers[GOAL_X], y - numbers[GOAL_Y], _service_radius(numbers[REACH], side)
     own, tracks, values = _cost(math.sqrt(dx * dx + dy * dy), radius), 1.0, 1.0
     for i in range(len(near)):
         k = near[i]
-        other = _circle(partners[k, PARTNER_REACH], side)
+        other = _service_radius(partners[k, PARTNER_REACH], side)
         dx, dy = x - partners[k, GOAL_EAST], y - partners[k, GOAL_NORTH]
         apart = math.sqrt(dx * dx + dy * dy)
         if apart > other + PARTNER_MARGIN * side:
@@ -187,7 +187,7 @@ def _worth_at(
 
 @njit
 def _best_goal(
-    body: np.ndarray,
+    numbers: np.ndarray,
     search: np.ndarray,
     states: np.ndarray,
     weights: np.ndarray,
@@ -197,9 +197,9 @@ def _best_goal(
 ) -> tuple[float, float, float]:
     """Twin of `search_plan.best_goal`: x, y in m, and the utilisation around the goal that was announced."""
     rows, columns = seen.shape
-    gx, gy = body[GOAL_X], body[GOAL_Y]
+    gx, gy = numbers[GOAL_X], numbers[GOAL_Y]
     side = search[BIN]
-    radius = _circle(body[REACH], side)
+    radius = _service_radius(numbers[REACH], side)
     wide = radius + PLAN_MARGIN * side
     box = (
         max(int(np.floor((gy - wide) / side)), 0),
@@ -207,34 +207,34 @@ def _best_goal(
         max(int(np.floor((gx - wide) / side)), 0),
         min(int(np.floor((gx + wide) / side)), columns - 1),
     )
-    tracks, values = _bin_values(states, weights, seen, body, search, box)
+    watched_mass, values = _bin_values(states, weights, seen, numbers, search, box)
     near = _partners_near(partners, gx, gy, wide, side)
-    size = tracks.size
+    size = watched_mass.size
     xs, ys, ts, ds, count, utilisation = np.empty(size), np.empty(size), np.empty(size), np.empty(size), 0, 0.0
-    for row in range(tracks.shape[0]):
+    for row in range(watched_mass.shape[0]):
         y = (box[0] + row + 0.5) * side
-        for column in range(tracks.shape[1]):
-            if tracks[row, column] + values[row, column] <= 0.0:
+        for column in range(watched_mass.shape[1]):
+            if watched_mass[row, column] + values[row, column] <= 0.0:
                 continue
             x = (box[2] + column + 0.5) * side
             apart2 = (x - gx) * (x - gx) + (y - gy) * (y - gy)
             if apart2 > wide * wide:
                 continue
-            left_track, left_value = _left_over(x, y, body, partners, near, search[SHARING], side)
-            track, value = tracks[row, column] * left_track, values[row, column] * left_value
+            track_share, value_share = _unserved_shares(x, y, numbers, partners, near, search[SHARING], side)
+            track, value = watched_mass[row, column] * track_share, values[row, column] * value_share
             if apart2 <= radius * radius:
                 utilisation += track
             xs[count], ys[count], ts[count], ds[count] = x, y, track, value
             count += 1
-    x, y = body[X], body[Y]
-    step = search[HORIZON] * body[SPEED] * 0.5
-    best_at = min(max(body[OFFSET], LEAST_OFFSET * side), 0.9 * radius)
+    x, y = numbers[X], numbers[Y]
+    step = search[HORIZON] * numbers[SPEED] * 0.5
+    best_at = min(max(numbers[OFFSET], LEAST_OFFSET * side), 0.9 * radius)
     best, best_x, best_y, terms = -np.inf, x, y, np.empty(count)
     for candidate in range(2 * len(directions) + 1):
         far = 0.0 if candidate == 0 else 2.0 * step if candidate % 2 else step
         d = (candidate - 1) // 2
-        qx = min(max(x + far * directions[d, 0], 0.0), body[WIDTH])
-        qy = min(max(y + far * directions[d, 1], 0.0), body[HEIGHT])
+        qx = min(max(x + far * directions[d, 0], 0.0), numbers[WIDTH])
+        qy = min(max(y + far * directions[d, 1], 0.0), numbers[HEIGHT])
         _worth_at(qx, qy, xs[:count], ys[:count], ts[:count], ds[:count], radius, best_at, search[FALLOFF], DECAY_LENGTH * side, terms)
         total = 0.0
         for n in range(count):
@@ -243,7 +243,7 @@ def _best_goal(
             total -= search[STEP_COST] * math.sqrt((qx - gx) * (qx - gx) + (qy - gy) * (qy - gy)) / (2.0 * step)
         if total > best:
             best, best_x, best_y = total, qx, qy
-    held = search[CAPACITY] * body[ANGLE] / CAPACITY_ANGLE
+    held = search[CAPACITY] * numbers[ANGLE] / CAPACITY_ANGLE
     return best_x, best_y, utilisation / held if held > 0.0 else 0.0
 
 
@@ -302,20 +302,20 @@ def _sector(ahead: float, left: float, edges: np.ndarray) -> int:
 
 @njit
 def _best_turn(
-    body: np.ndarray,
+    numbers: np.ndarray,
     search: np.ndarray,
     x: float,
     y: float,
     states: np.ndarray,
     weights: np.ndarray,
     last: np.ndarray,
-    left: np.ndarray,
+    unserved: np.ndarray,
     edges: np.ndarray,
 ) -> float:
     """Twin of `search_plan.best_turn` for a wedge at x, y."""
     side, forgotten = search[BIN], REGAIN_TIME * search[STALE]
-    now, reach = body[NOW], max(body[REACH] - HEADING_MARGIN * side, 0.0)
-    held, some = np.zeros(SECTORS), False
+    now, reach = numbers[NOW], max(numbers[REACH] - HEADING_MARGIN * side, 0.0)
+    held, any_worth = np.zeros(SECTORS), False
     west, south = int(np.floor((x - reach) / side)), int(np.floor((y - reach) / side))
     bins = int(2.0 * reach / side) + 2  # along a side of the box
     masses = np.zeros((bins, bins))
@@ -327,21 +327,21 @@ def _best_turn(
         dx, dy = states[n, 0] - x, states[n, 1] - y
         if dx * dx + dy * dy > reach * reach:
             continue
-        age = (now - last[n] + body[DT]) / forgotten
+        age = (now - last[n] + numbers[DT]) / forgotten
         value = VALUE_IN_VIEW + 1.0 - exp_minus(min(age * age, 18.0))
         mass = masses[int(np.floor(states[n, 1] / side)) - south, int(np.floor(states[n, 0] / side)) - west]
         if UNSURE_MASSES[0] < mass and mass < UNSURE_MASSES[1]:
             value += search[CONFIRMATION] * (1.0 - mass)
-        worth = weights[n] * value * left[n]
-        held[_sector(dx * body[COS] + dy * body[SIN], dy * body[COS] - dx * body[SIN], edges)] += worth
-        some = some or worth > 0.0
-    most = min(body[TURN_RATE] * body[DT], math.pi)
+        worth = weights[n] * value * unserved[n]
+        held[_sector(dx * numbers[COS] + dy * numbers[SIN], dy * numbers[COS] - dx * numbers[SIN], edges)] += worth
+        any_worth = any_worth or worth > 0.0
+    most = min(numbers[TURN_RATE] * numbers[DT], math.pi)
     width = 2.0 * math.pi / SECTORS
-    if body[ANGLE] > 2.0 * math.pi - width:
+    if numbers[ANGLE] > 2.0 * math.pi - width:
         return 0.0
-    if not some:
-        return min(most, FIRST_TURN * body[ANGLE])
-    half = min(int(np.floor(0.5 * WINDOW_SHARE * body[ANGLE] / width)), SECTORS // 2 - 1)
+    if not any_worth:
+        return min(most, FIRST_TURN * numbers[ANGLE])
+    half = min(int(np.floor(0.5 * WINDOW_SHARE * numbers[ANGLE] / width)), SECTORS // 2 - 1)
     reachable = min(int(np.floor(most / width)), SECTORS // 2 - 1)
     sums = np.zeros(4 * SECTORS + 1)
     for k in range(3 * SECTORS):
@@ -363,25 +363,26 @@ def _best_turn(
 
 
 @njit
-def _left_to_sensor(body: np.ndarray, x: float, y: float, states: np.ndarray, partners: np.ndarray, side: float) -> np.ndarray:
-    """Twin of `search_plan.left_to_sensor` for the particles within reach of x, y; each bin is computed once."""
-    reach = body[REACH]
+def _unserved_particle_shares(numbers: np.ndarray, x: float, y: float, states: np.ndarray, partners: np.ndarray, side: float) -> np.ndarray:
+    """Twin of `search_plan.unserved_particle_shares` for the particles within reach of x, y; each bin is computed once."""
+    reach = numbers[REACH]
     near = _partners_near(partners, x, y, reach + 2.0 * side, side)
     west, south, bins = int(np.floor((x - reach) / side)) - 1, int(np.floor((y - reach) / side)) - 1, int(2.0 * reach / side) + 4
-    left, found = np.full((bins, bins), -1.0), np.zeros(len(states))
+    unserved, found = np.full((bins, bins), -1.0), np.zeros(len(states))
     for n in range(len(states)):
         row, column = int(np.floor(states[n, 1] / side)) - south, int(np.floor(states[n, 0] / side)) - west
         if row < 0 or column < 0 or row >= bins or column >= bins:
             continue
-        if left[row, column] < 0.0:
-            left[row, column] = _left_over((column + west + 0.5) * side, (row + south + 0.5) * side, body, partners, near, 1.0, side)[0]
-        found[n] = left[row, column]
+        if unserved[row, column] < 0.0:
+            centre_x, centre_y = (column + west + 0.5) * side, (row + south + 0.5) * side
+            unserved[row, column] = _unserved_shares(centre_x, centre_y, numbers, partners, near, 1.0, side)[0]
+        found[n] = unserved[row, column]
     return found
 
 
 @cached
 def decide(
-    body: np.ndarray,
+    numbers: np.ndarray,
     search: np.ndarray,
     states: np.ndarray,
     weights: np.ndarray,
@@ -393,17 +394,16 @@ def decide(
     edges: np.ndarray,
 ) -> tuple:
     """Twin of `search_plan.decide` for wedges: vx, vy, turn rate, goal x, y, utilisation, and the memory."""
-    now, dt, horizon = body[NOW], body[DT], max(search[HORIZON], body[DT])
+    now, dt, horizon = numbers[NOW], numbers[DT], max(search[HORIZON], numbers[DT])
     seen, ids, last = memory
     seen = seen.copy()
     _mark_view(seen, table, now, search[BIN])
-    goal_x, goal_y, utilisation = _best_goal(body, search, states, weights, seen, partners, directions)
-    vx, vy = (goal_x - body[X]) / horizon, (goal_y - body[Y]) / horizon
+    goal_x, goal_y, utilisation = _best_goal(numbers, search, states, weights, seen, partners, directions)
+    vx, vy = (goal_x - numbers[X]) / horizon, (goal_y - numbers[Y]) / horizon
     order = sort_by_id(around[2], np.arange(len(around[2])))
     near_states, near_weights, near_ids = around[0][order], around[1][order], around[2][order]
     near_last = _last_sight(near_states, near_ids, ids, last, table, seen, now, search)
-    x, y = body[X] + vx * dt, body[Y] + vy * dt
-    turn = _best_turn(
-        body, search, x, y, near_states, near_weights, near_last, _left_to_sensor(body, x, y, near_states, partners, search[BIN]), edges
-    )
+    x, y = numbers[X] + vx * dt, numbers[Y] + vy * dt
+    unserved = _unserved_particle_shares(numbers, x, y, near_states, partners, search[BIN])
+    turn = _best_turn(numbers, search, x, y, near_states, near_weights, near_last, unserved, edges)
     return vx, vy, turn / dt, goal_x, goal_y, utilisation, (seen, near_ids, near_last)

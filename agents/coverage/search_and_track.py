@@ -35,11 +35,11 @@ class SearchAndTrack:
         (x, y, heading), (width, height) = situation.pose, situation.arena
         now, cos, sin = situation.tick * situation.dt, math.cos(heading), math.sin(heading)
         shape, bounds = (sensor.reach, *self._shape), (width, height, limits.speed, limits.turn_rate)
-        body = PlanInput(
+        numbers = PlanInput(
             now, situation.dt * situation.ticks, x, y, cos, sin, *shape, *bounds, float(surroundings.is_open), *surroundings.goal
         )
         task = Task(
-            body, self._settings, sensor, heading, surroundings.density, surroundings.around, surroundings.table, surroundings.partners
+            numbers, self._settings, sensor, heading, surroundings.density, surroundings.around, surroundings.table, surroundings.partners
         )
         velocity, turn_rate, goal, utilisation, self._memory = self._backend.decide(
             task, self._memory or no_memory(width, height, self._settings.bin)

@@ -66,7 +66,7 @@ class PlanInput(NamedTuple):
     goal_y: float
 
 
-def circle(reach: float, side: float) -> float:
+def service_radius(reach: float, side: float) -> float:
     """Radius in m of the circle that a sensor serves, by its reach and the side of a bin, both in m."""
     return max(reach - REACH_MARGIN * side, LEAST_RADIUS * side)
 
@@ -82,7 +82,7 @@ class Memory(NamedTuple):
 class Task(NamedTuple):
     """What one agent knows in a round."""
 
-    body: PlanInput
+    numbers: PlanInput
     settings: SearchSettings
     sensor: SensorModel
     heading: float  # rad
@@ -110,15 +110,16 @@ def no_memory(width: float, height: float, side: float) -> Memory:
 
 def decide(task: Task, memory: Memory) -> Decision:
     """The decision of a round: choose a goal, move towards it, and turn to what is worth seeing from there."""
-    body, horizon = task.body, max(task.settings.horizon, task.body.dt)  # a command of a slower pace may last longer than the horizon
-    seen = mark_view(memory.seen, task.table, body.now, task.settings.bin)
+    numbers = task.numbers
+    horizon = max(task.settings.horizon, numbers.dt)  # a command of a slower pace may last longer than the horizon
+    seen = mark_view(memory.seen, task.table, numbers.now, task.settings.bin)
     goal, utilisation = best_goal(task, seen)
-    vx, vy = (goal[0] - body.x) / horizon, (goal[1] - body.y) / horizon
+    vx, vy = (goal[0] - numbers.x) / horizon, (goal[1] - numbers.y) / horizon
     around = select(task.around, np.argsort(task.around.ids, kind="stable"))
     last = last_sight(around, task, memory, seen)
-    place = body.x + vx * body.dt, body.y + vy * body.dt
-    turn = best_turn(task, place, around, last, left_to_sensor(task, around))
-    return Decision((vx, vy), turn / body.dt, goal, utilisation, Memory(seen, around.ids, last))
+    place = numbers.x + vx * numbers.dt, numbers.y + vy * numbers.dt
+    turn = best_turn(task, place, around, last, unserved_particle_shares(task, around))
+    return Decision((vx, vy), turn / numbers.dt, goal, utilisation, Memory(seen, around.ids, last))
 
 
 def mark_view(seen: np.ndarray, table: GossipTable, now: float, side: float) -> np.ndarray:
@@ -149,30 +150,30 @@ def bin_values(task: Task, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     A particle is of a track if its bin was in view within `stale` s, or the place where it came from was. Targets enter at open borders.
     """
-    body, settings, side = task.body, task.settings, task.settings.bin
+    numbers, settings, side = task.numbers, task.settings, task.settings.bin
     x, y, vx, vy = task.density.states.T
-    ahead, now, stale = settings.horizon + body.dt, body.now, settings.stale
+    ahead, now, stale = settings.horizon + numbers.dt, numbers.now, settings.stale
     px, py = x + vx * ahead, y + vy * ahead
-    if not body.is_open:
-        px = np.where(px < 0.0, -px, np.where(px > body.width, 2.0 * body.width - px, px))
-        py = np.where(py < 0.0, -py, np.where(py > body.height, 2.0 * body.height - py, py))
+    if not numbers.is_open:
+        px = np.where(px < 0.0, -px, np.where(px > numbers.width, 2.0 * numbers.width - px, px))
+        py = np.where(py < 0.0, -py, np.where(py > numbers.height, 2.0 * numbers.height - py, py))
     last = _seen_at(seen, x, y, side)
     for before in (0.5 * stale, stale):
         last = np.where(now - last > stale, np.maximum(last, _seen_at(seen, x - vx * before, y - vy * before, side)), last)
-    inside = (px >= 0.0) & (py >= 0.0) & (px <= body.width) & (py <= body.height)
+    inside = (px >= 0.0) & (py >= 0.0) & (px <= numbers.width) & (py <= numbers.height)
     rows, columns = np.floor(py / side).astype(np.int64), np.floor(px / side).astype(np.int64)
     inside &= (rows < seen.shape[0]) & (columns < seen.shape[1])
     track = now - last <= stale
     flat = rows * seen.shape[1] + columns
-    tracks, values = (
+    watched_mass, values = (
         np.bincount(flat[some], weights[some], seen.size).astype(float).reshape(seen.shape)
         for some, weights in ((inside & track, task.density.weights), (inside & ~track, settings.weight * task.density.weights))
     )
-    if body.is_open:
+    if numbers.is_open:
         border = np.ones(seen.shape, dtype=bool)
         border[1:-1, 1:-1] = False
         values[border] += settings.inflow
-    return tracks, values
+    return watched_mass, values
 
 
 def _costs(apart: np.ndarray, radius: float) -> np.ndarray:
@@ -180,13 +181,14 @@ def _costs(apart: np.ndarray, radius: float) -> np.ndarray:
     return np.where(apart <= radius, apart / radius - 1.0, apart - radius)
 
 
-def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple[np.ndarray, np.ndarray]:
+def unserved_shares(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple[np.ndarray, np.ndarray]:
     """The shares at some places (N,) that partners with smaller cost leave to the own sensor: of tracks, and of what is to be found."""
-    body, side = task.body, task.settings.bin
-    own = _costs(np.sqrt((x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)), circle(body.reach, side))
+    numbers, side = task.numbers, task.settings.bin
+    dx, dy = x - numbers.goal_x, y - numbers.goal_y
+    own = _costs(np.sqrt(dx * dx + dy * dy), service_radius(numbers.reach, side))
     tracks, values = np.ones(len(x)), np.ones(len(x))
     for goal_x, goal_y, utilisation, reach, first in task.partners.tolist():
-        radius = circle(reach, side)
+        radius = service_radius(reach, side)
         dx, dy = x - goal_x, y - goal_y
         apart = np.sqrt(dx * dx + dy * dy)
         cost = _costs(apart, radius)
@@ -200,29 +202,29 @@ def left_over(task: Task, x: np.ndarray, y: np.ndarray, sharing: float) -> tuple
 
 def best_goal(task: Task, seen: np.ndarray) -> tuple[tuple[float, float], float]:
     """The goal in m, and the utilisation around the one that was announced: stay, or go one or half a horizon in one of 16 directions."""
-    body, settings, side = task.body, task.settings, task.settings.bin
-    radius = circle(body.reach, side)
-    tracks, values = bin_values(task, seen)
+    numbers, settings, side = task.numbers, task.settings, task.settings.bin
+    radius = service_radius(numbers.reach, side)
+    watched_mass, values = bin_values(task, seen)
     rows, columns = np.indices(seen.shape)
     x, y = (columns.ravel() + 0.5) * side, (rows.ravel() + 0.5) * side
-    apart2 = (x - body.goal_x) * (x - body.goal_x) + (y - body.goal_y) * (y - body.goal_y)
+    apart2 = (x - numbers.goal_x) * (x - numbers.goal_x) + (y - numbers.goal_y) * (y - numbers.goal_y)
     wide = radius + PLAN_MARGIN * side
-    near = (tracks.ravel() + values.ravel() > 0.0) & (apart2 <= wide * wide)
+    near = (watched_mass.ravel() + values.ravel() > 0.0) & (apart2 <= wide * wide)
     x, y, apart2 = x[near], y[near], apart2[near]
-    left_tracks, left_values = left_over(task, x, y, settings.sharing)
-    track, value = tracks.ravel()[near] * left_tracks, values.ravel()[near] * left_values
+    track_shares, value_shares = unserved_shares(task, x, y, settings.sharing)
+    track, value = watched_mass.ravel()[near] * track_shares, values.ravel()[near] * value_shares
     utilisation = total(np.where(apart2 <= radius * radius, track, 0.0))
-    step, best, goal = 0.5 * settings.horizon * body.speed, -math.inf, (body.x, body.y)
+    step, best, goal = 0.5 * settings.horizon * numbers.speed, -math.inf, (numbers.x, numbers.y)
     places = [(0.0, (1.0, 0.0)), *((distance, way) for way in DIRECTIONS.tolist() for distance in (2.0 * step, step))]
     for distance, (east, north) in places:
-        place = min(max(body.x + distance * east, 0.0), body.width), min(max(body.y + distance * north, 0.0), body.height)
-        dx, dy = place[0] - body.goal_x, place[1] - body.goal_y
+        place = min(max(numbers.x + distance * east, 0.0), numbers.width), min(max(numbers.y + distance * north, 0.0), numbers.height)
+        dx, dy = place[0] - numbers.goal_x, place[1] - numbers.goal_y
         worth = worth_at(task, place, x, y, track, value)
         if step > 0.0:
             worth -= settings.step_cost * math.sqrt(dx * dx + dy * dy) / (2.0 * step)
         if worth > best:
             best, goal = worth, place
-    held = settings.capacity * body.angle / CAPACITY_ANGLE
+    held = settings.capacity * numbers.angle / CAPACITY_ANGLE
     return goal, utilisation / held if held > 0.0 else 0.0
 
 
@@ -232,10 +234,10 @@ def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarra
     A track is worth most at the distance of the COD. A sensor on top of a target sees it come and go.
     """
     settings, side = task.settings, task.settings.bin
-    radius = circle(task.body.reach, side)
+    radius = service_radius(task.numbers.reach, side)
     dx, dy = x - place[0], y - place[1]
     apart2 = dx * dx + dy * dy
-    apart, best = np.sqrt(apart2), min(max(task.body.offset, LEAST_OFFSET * side), 0.9 * radius)
+    apart, best = np.sqrt(apart2), min(max(task.numbers.offset, LEAST_OFFSET * side), 0.9 * radius)
     away = (apart - best) * np.where(apart > best, 1.0 / (radius - best), 1.0 / best)
     inside = track * (1.0 - settings.falloff * away * away) + value
     outside = (OUTSIDE_VALUE * track + value) * exp_minus(
@@ -247,7 +249,7 @@ def worth_at(task: Task, place: tuple[float, float], x: np.ndarray, y: np.ndarra
 def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) -> np.ndarray:
     """When each of the particles around the cell was last in view, s (N,). A new one counts as seen when its bin was, at most
     `NEW_PARTICLE_AGE` of `stale` ago."""
-    now, settings, (x, y) = task.body.now, task.settings, around.states[:, :2].T
+    now, settings, (x, y) = task.numbers.now, task.settings, around.states[:, :2].T
     last = np.maximum(_seen_at(seen, x, y, settings.bin), now - NEW_PARTICLE_AGE * settings.stale)
     if len(memory.ids):
         places = np.minimum(np.searchsorted(memory.ids, around.ids), len(memory.ids) - 1)
@@ -257,44 +259,44 @@ def last_sight(around: Particles, task: Task, memory: Memory, seen: np.ndarray) 
     return last
 
 
-def left_to_sensor(task: Task, around: Particles) -> np.ndarray:
+def unserved_particle_shares(task: Task, around: Particles) -> np.ndarray:
     """The share of each particle that the sensor looks after (N,): what partners leave of its bin."""
     side = task.settings.bin
     x, y = np.floor(around.states[:, 0] / side), np.floor(around.states[:, 1] / side)
-    return left_over(task, (x + 0.5) * side, (y + 0.5) * side, 1.0)[0]
+    return unserved_shares(task, (x + 0.5) * side, (y + 0.5) * side, 1.0)[0]
 
 
-def best_turn(task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, left: np.ndarray) -> float:
+def best_turn(task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, unserved: np.ndarray) -> float:
     """The turn in rad until the next tick: to the heading whose window holds most. Of a wedge the best window of the tick after
     counts in part."""
-    body, width = task.body, 2.0 * math.pi / SECTORS
-    if isinstance(task.sensor, WedgeSensor) and body.angle > 2.0 * math.pi - width:
+    numbers, width = task.numbers, 2.0 * math.pi / SECTORS
+    if isinstance(task.sensor, WedgeSensor) and numbers.angle > 2.0 * math.pi - width:
         return 0.0
-    most = min(body.turn_rate * body.dt, math.pi)
-    points, worth = worth_around(task, place, around, last, left)
+    most = min(numbers.turn_rate * numbers.dt, math.pi)
+    points, worth = worth_around(task, place, around, last, unserved)
     if not (worth > 0.0).any():
-        return min(most, FIRST_TURN * body.angle)
+        return min(most, FIRST_TURN * numbers.angle)
     reachable = min(math.floor(most / width), SECTORS // 2 - 1)
     order = sorted(range(-reachable, reachable + 1), key=lambda k: (abs(k), -k))
     if not isinstance(task.sensor, WedgeSensor):
         held = [total(task.sensor.probability(points, (*place, task.heading + k * width)) * worth) for k in order]
         return order[held.index(max(held))] * width
     dx, dy = points[:, 0] - place[0], points[:, 1] - place[1]
-    sectors = sector_of(dx * body.cos + dy * body.sin, dy * body.cos - dx * body.sin)
-    half = min(math.floor(0.5 * WINDOW_SHARE * body.angle / width), SECTORS // 2 - 1)
+    sectors = sector_of(dx * numbers.cos + dy * numbers.sin, dy * numbers.cos - dx * numbers.sin)
+    half = min(math.floor(0.5 * WINDOW_SHARE * numbers.angle / width), SECTORS // 2 - 1)
     values = window_values(np.bincount(sectors, worth, SECTORS), half, order, task.settings.second_heading)
     return order[values.index(max(values))] * width
 
 
 def worth_around(
-    task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, left: np.ndarray
+    task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, unserved: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The particles within reach of `place` (N, 2) and what it is worth to see each of them now (N,).
 
     Mass out of view gains value with time. A bin that may hold no target is worth another look.
     """
-    body, settings, x, y = task.body, task.settings, around.states[:, 0], around.states[:, 1]
-    dx, dy, reach = x - place[0], y - place[1], max(body.reach - HEADING_MARGIN * settings.bin, 0.0)
+    numbers, settings, x, y = task.numbers, task.settings, around.states[:, 0], around.states[:, 1]
+    dx, dy, reach = x - place[0], y - place[1], max(numbers.reach - HEADING_MARGIN * settings.bin, 0.0)
     near = dx * dx + dy * dy <= reach * reach
     rows, columns = np.floor(y / settings.bin), np.floor(x / settings.bin)
     south, west = math.floor((place[1] - reach) / settings.bin), math.floor((place[0] - reach) / settings.bin)
@@ -303,11 +305,11 @@ def worth_around(
     flat = ((rows - south) * bins + columns - west)[boxed].astype(np.int64)
     masses = np.zeros(len(x))
     masses[boxed] = np.bincount(flat, around.weights[boxed], bins * bins).astype(float)[flat]
-    age = (body.now - last + body.dt) / (REGAIN_TIME * settings.stale)
+    age = (numbers.now - last + numbers.dt) / (REGAIN_TIME * settings.stale)
     value = VALUE_IN_VIEW + 1.0 - exp_minus(np.minimum(age * age, 18.0))
     unsure = (masses > UNSURE_MASSES[0]) & (masses < UNSURE_MASSES[1])
     value = np.where(unsure, value + settings.confirmation * (1.0 - masses), value)
-    return around.states[near, :2], (around.weights * value * left)[near]
+    return around.states[near, :2], (around.weights * value * unserved)[near]
 
 
 def sector_of(ahead: np.ndarray, left: np.ndarray) -> np.ndarray:

@@ -17,10 +17,10 @@ from agents.coverage.search_plan import (
     Task,
     bin_values,
     decide,
-    left_over,
     mark_view,
     no_memory,
     sector_of,
+    unserved_shares,
     window_values,
     worth_at,
 )
@@ -59,10 +59,10 @@ def task(
     arena: tuple[float, float] = (100.0, 100.0),
 ) -> Task:
     """What an agent at (50, 50) knows that faces east, in an arena of 100 x 100 m or another, with a step of 0.25 s."""
-    body = PlanInput(
+    numbers = PlanInput(
         now, 0.25, 50.0, 50.0, 1.0, 0.0, sensor.reach, sensor.angle, 5.0, *arena, 2.0, 5.0, 1.0 if is_open else 0.0, goal[0], goal[1]
     )
-    return Task(body, settings, sensor, 0.0, density, around, table([gossip("s1", (50.0, 50.0, 0.0))], NARROW), partners)
+    return Task(numbers, settings, sensor, 0.0, density, around, table([gossip("s1", (50.0, 50.0, 0.0))], NARROW), partners)
 
 
 def seen(at: float) -> np.ndarray:
@@ -85,19 +85,19 @@ def test_bins_with_their_centre_in_a_field_of_view_are_seen_now() -> None:
 def test_mass_in_bins_seen_lately_is_a_track_and_older_mass_counts_twentyfold() -> None:
     """Standing particles; bins seen 5 s ago, then 5.25 s ago."""
     held = task(particles((21.0, 31.0, 0.5)), now=10.0)
-    tracks, values = bin_values(held, seen(5.0))
-    assert (tracks[15, 10], values[15, 10]) == (0.5, 0.0)
-    tracks, values = bin_values(held, seen(4.75))
-    assert (tracks[15, 10], values[15, 10]) == (0.0, 10.0)
+    watched_mass, values = bin_values(held, seen(5.0))
+    assert (watched_mass[15, 10], values[15, 10]) == (0.5, 0.0)
+    watched_mass, values = bin_values(held, seen(4.75))
+    assert (watched_mass[15, 10], values[15, 10]) == (0.0, 10.0)
 
 
 def test_mass_is_expected_where_it_will_be_and_what_leaves_counts_only_in_a_closed_arena() -> None:
     """2 m/s for 2.25 s: from 21 to 25.5 m; from 98 m to 102.5 m, or back at 97.5 m."""
     moving = particles((21.0, 31.0, 0.5, 2.0, 0.0), (98.0, 51.0, 1.0, 2.0, 0.0))
-    tracks, _ = bin_values(task(moving), seen(1.0))
-    assert (tracks[15, 12], tracks[25, 48], tracks.sum()) == (0.5, 1.0, 1.5)
-    tracks, values = bin_values(task(moving, is_open=True), seen(1.0))
-    assert tracks.sum() == 0.5
+    watched_mass, _ = bin_values(task(moving), seen(1.0))
+    assert (watched_mass[15, 12], watched_mass[25, 48], watched_mass.sum()) == (0.5, 1.0, 1.5)
+    watched_mass, values = bin_values(task(moving, is_open=True), seen(1.0))
+    assert watched_mass.sum() == 0.5
     assert values.sum() == pytest.approx(196 * 0.06)  # the bins of the border
 
 
@@ -110,28 +110,28 @@ def test_what_meets_a_wall_of_an_oblong_arena_comes_back(
 ) -> None:
     """40 x 20 m: 4.5 m on from 1 m before a wall is 3.5 m before it."""
     moving = task(particles((*place, 1.0, *velocity)), arena=(40.0, 20.0))
-    tracks, _ = bin_values(moving, np.full((10, 20), 1.0))
-    assert tracks[bin] == tracks.sum() == 1.0
+    watched_mass, _ = bin_values(moving, np.full((10, 20), 1.0))
+    assert watched_mass[bin] == watched_mass.sum() == 1.0
 
 
 def test_a_particle_whose_way_was_in_view_is_a_track() -> None:
     """It left the last bins in view 2.5 s ago, at 31 m."""
     view = seen(-100.0)
     view[15, 15] = 0.0
-    tracks, _ = bin_values(task(particles((36.0, 31.0, 1.0, 2.0, 0.0))), view)
-    assert tracks.sum() == 1.0
+    watched_mass, _ = bin_values(task(particles((36.0, 31.0, 1.0, 2.0, 0.0))), view)
+    assert watched_mass.sum() == 1.0
 
 
 def test_a_partner_with_a_smaller_cost_leaves_what_it_cannot_serve() -> None:
     """Radius 6.5 m. At the partner's goal its cost is -1, the own one 13.5; it serves all that is to be found there.
 
-    Load 2 means that it holds half of the tracks. A place 12.5 m from it and 10 m from here is nearer here.
+    Utilisation 2 means that it holds half of the tracks. A place 12.5 m from it and 10 m from here is nearer here.
     """
     partner = np.array([[70.0, 50.0, 2.0, 8.0, 0.0]])
-    tracks, values = left_over(task(partners=partner), np.array([70.0, 57.5]), np.array([50.0, 50.0]), 1.0)
+    tracks, values = unserved_shares(task(partners=partner), np.array([70.0, 57.5]), np.array([50.0, 50.0]), 1.0)
     assert tracks.tolist() == [0.5, 1.0]
     assert values.tolist() == [0.0, 1.0]
-    outside, _ = left_over(task(partners=partner), np.array([70.0]), np.array([62.5]), 1.0)  # 6 m outside of its circle
+    outside, _ = unserved_shares(task(partners=partner), np.array([70.0]), np.array([62.5]), 1.0)  # 6 m outside of its circle
     assert outside[0] == pytest.approx(1.0 - 0.5 * 0.4 * math.exp(-1.0))
 
 
@@ -139,7 +139,7 @@ def test_the_earlier_name_serves_a_place_where_the_costs_are_equal() -> None:
     both = np.array([50.0]), np.array([56.0])
     for first, left in ((1.0, 0.0), (0.0, 1.0)):
         partner = np.array([[50.0, 62.0, 0.0, 8.0, first]])
-        assert left_over(task(partners=partner), *both, 1.0)[0].tolist() == [left]
+        assert unserved_shares(task(partners=partner), *both, 1.0)[0].tolist() == [left]
 
 
 def test_a_track_is_worth_most_at_the_distance_of_the_cod() -> None:
@@ -226,14 +226,14 @@ def test_a_world_of_another_size_and_pace_is_searched_alike() -> None:
         small_task = task(particles(*rows), particles(*rows), partners, is_open=bool(seed % 2), goal=(51.0, 49.0))
         one = decide(small_task, Memory(times, np.empty(0, dtype=np.uint64), np.empty(0)))
         wide = [(x * far, y * far, weight, vx * far / long, vy * far / long) for x, y, weight, vx, vy in rows]
-        body = small_task.body
-        lengths = {name: getattr(body, name) * far for name in ("x", "y", "reach", "offset", "width", "height", "goal_x", "goal_y")}
-        rates = {"speed": body.speed * far / long, "turn_rate": body.turn_rate / long}
-        large_body = body._replace(**lengths, **rates, now=body.now * long, dt=body.dt * long)
+        numbers = small_task.numbers
+        lengths = {name: getattr(numbers, name) * far for name in ("x", "y", "reach", "offset", "width", "height", "goal_x", "goal_y")}
+        rates = {"speed": numbers.speed * far / long, "turn_rate": numbers.turn_rate / long}
+        large_numbers = numbers._replace(**lengths, **rates, now=numbers.now * long, dt=numbers.dt * long)
         own = table([gossip("s1", (50.0 * far, 50.0 * far, 0.0))], large)
         farther = partners * [far, far, 1.0, far, 1.0]
         other = decide(
-            Task(large_body, slow, large, 0.0, particles(*wide), particles(*wide), own, farther),
+            Task(large_numbers, slow, large, 0.0, particles(*wide), particles(*wide), own, farther),
             Memory(times * long, np.empty(0, dtype=np.uint64), np.empty(0)),
         )
         assert (other.goal[0] / far, other.goal[1] / far, other.utilisation) == (*one.goal, one.utilisation)
@@ -252,7 +252,7 @@ def test_a_wide_window_and_a_wide_turn_are_worth_the_same_to_the_left_and_to_the
 
 def test_a_command_that_lasts_longer_than_the_horizon_ends_at_the_goal() -> None:
     known = task(particles((58.0, 50.0, 2.0)), settings=SearchSettings(horizon=1.0))
-    known = known._replace(body=known.body._replace(dt=2.0))
+    known = known._replace(numbers=known.numbers._replace(dt=2.0))
     found = decide(known, no_memory(100.0, 100.0, 2.0))
     assert found.goal != (50.0, 50.0)
     assert (50.0 + 2.0 * found.velocity[0], 50.0 + 2.0 * found.velocity[1]) == pytest.approx(found.goal)
@@ -273,7 +273,7 @@ def test_plain_and_compiled_decisions_agree_when_a_tick_is_long(speed: float, tu
         partners = np.column_stack([rng.uniform(35.0, 65.0, (3, 2)), rng.uniform(0.5, 2.0, 3), [8.0, 8.0, 20.0], [1.0, 0.0, 1.0]])
         short = SearchSettings(horizon=1.0)
         known = task(particles(*rows), particles(*rows), partners, goal=(51.0, 49.0), sensor=SENSOR_CLASSES[name], settings=short)
-        known = known._replace(body=known.body._replace(dt=2.0, turn_rate=turn_rate, speed=speed))
+        known = known._replace(numbers=known.numbers._replace(dt=2.0, turn_rate=turn_rate, speed=speed))
         memory = Memory(rng.uniform(-9.0, 1.0, (50, 50)), np.empty(0, dtype=np.uint64), np.empty(0))
         plain, compiled = decide(known, memory), fast.decide(known, memory)
         assert plain[:4] == compiled[:4]
