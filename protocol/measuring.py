@@ -12,7 +12,7 @@ import numpy as np
 
 from protocol.geometry import wrap_angle
 
-MIDDLE = math.sqrt(0.5)  # of the radius of a wedge: half of its area lies nearer
+MEDIAN_RANGE = math.sqrt(0.5)  # of the radius of a wedge: half of its area lies nearer
 
 
 class Measurement(msgspec.Struct, frozen=True):
@@ -29,7 +29,7 @@ class Measurement(msgspec.Struct, frozen=True):
             raise ValueError(f"range_noise = {self.range_noise}: should lie in [1e-4, 1e6] m")
 
 
-def measured(measurement: Measurement | None, pose: tuple[float, float, float], points: np.ndarray) -> np.ndarray:
+def to_measurements(measurement: Measurement | None, pose: tuple[float, float, float], points: np.ndarray) -> np.ndarray:
     """The detections (N, 2) without noise of points (N, 2) in the plane."""
     if measurement is None:
         return points
@@ -39,12 +39,12 @@ def measured(measurement: Measurement | None, pose: tuple[float, float, float], 
     return np.column_stack([ranges if measurement.kind == "range-bearing" else np.zeros(len(points)), bearings])
 
 
-def places_of(measurement: Measurement | None, radius: float, pose: tuple[float, float, float], detections: np.ndarray) -> np.ndarray:
+def to_places(measurement: Measurement | None, radius: float, pose: tuple[float, float, float], detections: np.ndarray) -> np.ndarray:
     """The places (N, 2) in m of detections (N, 2); of a bearing alone the middle of the beam of a sensor of that radius, m."""
     if measurement is None or not len(detections):
         return detections
     rows = np.asarray(detections, dtype=float).tolist()
-    ranges = [first if measurement.kind == "range-bearing" else MIDDLE * radius for first, _ in rows]
+    ranges = [first if measurement.kind == "range-bearing" else MEDIAN_RANGE * radius for first, _ in rows]
     angles = [pose[2] + bearing for _, bearing in rows]
     return np.array(
         [(pose[0] + distance * math.cos(angle), pose[1] + distance * math.sin(angle)) for distance, angle in zip(ranges, angles)]

@@ -13,7 +13,7 @@ import math
 
 from protocol.fields import pack
 from protocol.keys import all_of, one_of
-from protocol.measuring import measured
+from protocol.measuring import to_measurements
 from protocol.messages import BodyPose, Command, Gossip, Halt, Hello, Observation
 from protocol.node import Alive, Batch, Effect, Event, Gone, Node, Received, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.observer_messages import Truth
@@ -251,7 +251,7 @@ class Body(Node):
         if detections is None:
             [detections], _ = self._scene.scans({self.name: self.pose})
         else:
-            detections = measured(measurement_of(self._scene.sensors[self.name]), self.pose, detections)
+            detections = to_measurements(measurement_of(self._scene.sensors[self.name]), self.pose, detections)
         has_size = self._config.limits.radius > 0.0
         obstacles = around(self.pose, [(x, y) for x, y, _ in self._others.values()], self._config) if has_size else None
         seen = Observation(

@@ -13,7 +13,7 @@ import numpy as np
 
 from protocol.arithmetic import elementwise
 from protocol.fields import MAX_DETECTIONS
-from protocol.measuring import Measurement, measured
+from protocol.measuring import Measurement, to_measurements
 from protocol.sensing import Pose, SensorModel, WedgeSensor, measurement_of, wedge_probabilities
 from protocol.settings import DetectionSettings
 from protocol.streams import key, scramble, uniform
@@ -116,7 +116,7 @@ class Detector:
         for index, sensor in enumerate(sensors):
             if (measurement := measurement_of(sensor)) is not None:
                 own = clutter_owners == index
-                clutter_points[own] = measured(measurement, poses[index], clutter_points[own])
+                clutter_points[own] = to_measurements(measurement, poses[index], clutter_points[own])
         owners = np.concatenate([true_owners, clutter_owners])
         points = np.vstack([true_points, clutter_points]).astype(np.float32)
         order = np.lexsort((points[:, 1], points[:, 0], owners))
@@ -145,7 +145,7 @@ class Detector:
         for index, sensor in enumerate(sensors):
             if (measurement := measurement_of(sensor)) is not None:
                 own = owners == index
-                found[own] = with_noise(measurement, measured(measurement, poses[index], points[own]), noise[own] / self._noise)
+                found[own] = with_noise(measurement, to_measurements(measurement, poses[index], points[own]), noise[own] / self._noise)
         return owners, found
 
     def _clutter(self, words: np.ndarray, sensors: Sequence[SensorModel], poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:

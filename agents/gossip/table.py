@@ -22,7 +22,7 @@ from agents.tracking.measuring import EXACT_POSE, kernel_variance, model_of, noi
 from agents.tracking.particles import Particles
 from protocol.components import COMPONENT
 from protocol.fields import read_labels
-from protocol.measuring import places_of
+from protocol.measuring import to_places
 from protocol.messages import GOSSIP_NUMBERS, Gossip
 from protocol.once import once
 from protocol.sensing import SensorModel, WedgeSensor, measurement_of
@@ -197,7 +197,7 @@ class GossipTable:
         if not self.table[:, MODEL].any():
             return rows
         parts = [
-            places_of(measurement_of(each.sensor), each.sensor.reach, gossip.pose, gossip.detections)
+            to_places(measurement_of(each.sensor), each.sensor.reach, gossip.pose, gossip.detections)
             for gossip, each in zip(self.gossips, self.sensors)
         ]
         return np.concatenate(parts).astype(float)

@@ -23,7 +23,7 @@ from agents.coverage.capacity import detecting_capability
 from deploy.cli.errors import guarded
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import Simulation, rare_collections
-from protocol.measuring import places_of
+from protocol.measuring import to_places
 from protocol.messages import Observation
 from protocol.node import Event, messages_of
 from protocol.observer_messages import Truth
@@ -160,7 +160,7 @@ class GaussianMixturePhd:
         spread = np.diag([BIRTH_NOISE**2] * 2)
         self._newborn[scan.name] = [
             TaggedWeightedGaussianStatePrediction(StateVector(place.tolist()), spread, timestamp=now, weight=BIRTH_WEIGHT, tag="birth")
-            for place in places_of(self._sensor.measures, self._sensor.radius, scan.pose, scan.detections)
+            for place in to_places(self._sensor.measures, self._sensor.radius, scan.pose, scan.detections)
         ]
 
     @property

@@ -14,7 +14,7 @@ import numpy as np
 
 from deploy.cli.errors import guarded
 from deploy.scenario import resolve, world_config
-from protocol.measuring import measured, places_of
+from protocol.measuring import to_measurements, to_places
 from protocol.sensing import WedgeSensor
 from protocol.settings import sensor_of
 from world.sources import sources_of
@@ -38,12 +38,12 @@ def residuals(folder: str) -> dict[str, float]:
         scans = scene.detector.scans([sensor] * len(names), poses, names, nothing, np.empty(0), tick, None)  # type: ignore[arg-type]
         for number, (pose, scan) in enumerate(zip(poses, scans), start=1):
             others = scene.targets.positions[scene.targets.ids != number]
-            for row, place in zip(scan.astype(float), places_of(sensor.measures, sensor.radius, pose, scan)):
+            for row, place in zip(scan.astype(float), to_places(sensor.measures, sensor.radius, pose, scan)):
                 apart = np.hypot(*(others - place).T)
                 if apart.min() > NEAREST:
                     lost += 1
                     continue
-                exact = measured(sensor.measures, pose, others[apart.argmin()][None])[0]
+                exact = to_measurements(sensor.measures, pose, others[apart.argmin()][None])[0]
                 found.append(np.array([row[0] - exact[0], math.remainder(row[1] - exact[1], 2.0 * math.pi)]))
         scene.targets.step()
         scene.bodies.move({})

@@ -17,7 +17,7 @@ from agents.tracking.gaussians import unpacked, weighted_points
 from deploy.scenario import Scenario
 from deploy.scoring.result import Fault
 from protocol.keys import order
-from protocol.measuring import places_of
+from protocol.measuring import to_places
 from protocol.messages import Gossip, Hello, Observation
 from protocol.node import Alive, Event, Gone, Received, Rejected
 from protocol.observer_messages import Estimate, Truth
@@ -73,7 +73,7 @@ class KnownAgent:
         """The places of the detections in one of its gossips (M, 2), m."""
         if self.sensor is None:
             return gossip.detections
-        return places_of(measurement_of(self.sensor), self.sensor.reach, gossip.pose, gossip.detections)
+        return to_places(measurement_of(self.sensor), self.sensor.reach, gossip.pose, gossip.detections)
 
     def forget(self) -> None:
         """Forget what it has said."""

@@ -18,7 +18,7 @@ from deploy.scenario import Scenario
 from deploy.scoring.scorer import Scorer
 from deploy.scoring.scores import COLUMNS
 from protocol.geometry import polygon_area
-from protocol.measuring import places_of
+from protocol.measuring import to_places
 from protocol.messages import Gossip, Hello
 from protocol.node import Event, messages_of
 from protocol.observer_messages import Estimate, Truth
@@ -95,7 +95,7 @@ def _places(gossip: Gossip, sensor: SensorModel | None) -> np.ndarray:
     """The places of the detections of a gossip (M, 2), m; as they came where the sensor is not known."""
     if sensor is None:
         return gossip.detections
-    return places_of(measurement_of(sensor), sensor.reach, gossip.pose, gossip.detections)
+    return to_places(measurement_of(sensor), sensor.reach, gossip.pose, gossip.detections)
 
 
 def _agent_row(one: Estimate, dt: float) -> TableRow:
