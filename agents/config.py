@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from protocol.agreement import common_sections, shared_settings
 from protocol.message import SharedSettings
 from protocol.settings import CommonSettings, Fraction, NotNegative, Positive, Section, Seed
+from protocol.settings_digest import common_sections, shared_settings
 
 ParticleCount = Annotated[int, msgspec.Meta(ge=1, le=8000)]
 Certainty = Annotated[float, msgspec.Meta(ge=0.0, le=0.999999)]

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from protocol.compact import unpacked
+from protocol.compact_particles import unpacked
 from protocol.fields import Malformed
 from protocol.keys import NAME, RUN_WIDE_KINDS, Key, parse_message_key
 from protocol.message import WIRE_VERSION, Message

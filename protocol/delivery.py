@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from protocol.cached_attribute import cached_attribute
 from protocol.keys import token_key
 from protocol.message import Message
 from protocol.messages import Beacon, Gossip, Hello, Observation
 from protocol.node import Effect, Event, Node, Received
 from protocol.observer_messages import Estimate
-from protocol.once import once
 from protocol.reception import Decoded, in_batches, read_all
 
 Item = Decoded | Event  # a decoded message, or the event that the bytes were rejected
@@ -28,7 +28,7 @@ class MessageGroup:
         self.senders = [delivery.sender for delivery in deliveries]
         self.items: list[Item] = [*read_all([(delivery.key, delivery.payload) for delivery in deliveries])]
 
-    @once
+    @cached_attribute
     def events(self) -> list[Event]:
         """The events of all messages, the listener's own messages included."""
         return [*in_batches(self.items)]

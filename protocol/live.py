@@ -27,14 +27,14 @@ from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, endpoint_error, on_any_port
 from protocol.inbox import Arrival, Inbox, RateLimiter
-from protocol.links import LiveLink
+from protocol.link_faults import LiveLink
+from protocol.liveliness_tokens import ALONE_SECONDS, Tokens
 from protocol.message import Message
 from protocol.node import NO_EFFECTS, Effect, Event, Node, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, Warn
 from protocol.reception import Reception
 from protocol.settings import BadSetting, NetworkSettings
 from protocol.so_linger import Sockets
 from protocol.stdin import follow_stdin
-from protocol.tokens import ALONE_SECONDS, Tokens
 from protocol.zenoh_settings import session_values
 
 CLOSE_SECONDS = 2.0

@@ -11,8 +11,7 @@ import struct
 import msgspec
 import numpy as np
 
-from protocol.agreement import settings_digest
-from protocol.components import check_components, check_mass, read_components
+from protocol.cached_attribute import cached_attribute
 from protocol.fields import (
     CLAIM,
     DETECTIONS,
@@ -35,6 +34,7 @@ from protocol.fields import (
     pack,
     read_labels,
 )
+from protocol.gaussian_components import check_components, check_mass, read_components
 from protocol.message import (
     Area,
     LagNumber,
@@ -55,8 +55,8 @@ from protocol.message import (
     Vector,
 )
 from protocol.observer_messages import Estimate, Truth
-from protocol.once import once
 from protocol.sensing import WedgeSensor
+from protocol.settings_digest import settings_digest
 
 
 def check_settings(settings: SharedSettings) -> None:
@@ -83,7 +83,7 @@ class Hello(Message, frozen=True, kw_only=True, dict=True, tag="hello"):
     local: bool = False  # True: the sender receives the world's Hello alone and knows its peers by their beacons
     settings: SharedSettings = {}  # those on which all agree; a setting that is missing is not compared
 
-    @once
+    @cached_attribute
     def digest(self) -> int:
         """The hash of the settings, as in a Beacon."""
         return settings_digest(self.settings)
@@ -111,7 +111,7 @@ class Beacon(Message, frozen=True, kw_only=True, dict=True, tag="beacon"):
     widest_offset: Magnitude = 0.0
     widest_radius: Magnitude = 0.0
 
-    @once
+    @cached_attribute
     def numbers(self) -> bytes:
         """Position, reach, COD and power radius, as float64; a table of positions joins those of many beacons."""
         return _pack_position(*self.position, self.reach, *self.cod, self.power_radius)
@@ -153,7 +153,9 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     components_bytes: bytes = msgspec.field(name="components", default=b"")  # (N,) of `COMPONENT`, from a tracker of Gaussian mixtures
     labels_bytes: RowsOf8Bytes = msgspec.field(name="labels", default=b"")  # (K,) uint64: a table of labels, strictly ascending
     label_numbers_bytes: bytes = msgspec.field(name="label_numbers", default=b"")  # (N,) uint8, uint16 if K > 256: places in the table
-    particles: bytes = b""  # in place of states and ids, which are empty on the wire then: the same in few bytes (protocol/compact.py)
+    particles: bytes = (
+        b""  # in place of states and ids, which are empty on the wire then: the same in few bytes (protocol/compact_particles.py)
+    )
     goal: Vector | None = None  # the place that the sensor goes to; None: it stays
     goal_utilisation: Magnitude = 0.0  # expected targets there, as a multiple of the number that the sensor can hold
     pace: PaceNumber = 1  # the sender has the time for the ticks that this number divides
@@ -166,38 +168,38 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         """A hash that reads no arrays, for pure memos."""
         return hash((self.sender, self.incarnation, self.tick, self.pose))
 
-    @once
+    @cached_attribute
     def detections(self) -> np.ndarray:
         """(M, 2) float32."""
         return DETECTIONS.read(self.detections_bytes)
 
-    @once
+    @cached_attribute
     def claim(self) -> np.ndarray:
         """(G, 3) float64."""
         return CLAIM.read(self.claim_bytes)
 
-    @once
+    @cached_attribute
     def claim_ticks(self) -> list[int]:
         """The tick of each generator of the claim; -1: it is unknown."""
         ages = self.claim_ages or bytes(len(self.claim_names))
         return [-1 if age == UNKNOWN_AGE else self.claim_tick - age for age in ages]
 
-    @once
+    @cached_attribute
     def states(self) -> np.ndarray:
         """(N, 4) float32."""
         return STATES.read(self.states_bytes)
 
-    @once
+    @cached_attribute
     def ids(self) -> np.ndarray:
         """(N,) uint64, ascending."""
         return IDS.read(self.ids_bytes)
 
-    @once
+    @cached_attribute
     def components(self) -> np.ndarray:
         """(N,) of `COMPONENT`, by ascending id."""
         return read_components(self.components_bytes)
 
-    @once
+    @cached_attribute
     def labels(self) -> np.ndarray:
         """The label of each particle (N,) uint64; 0: none."""
         return read_labels([self.label_part])
@@ -207,7 +209,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         """The table of labels, the numbers in it, and the number of particles (`fields.read_labels`)."""
         return self.labels_bytes, self.label_numbers_bytes, len(self.ids_bytes) // 8
 
-    @once
+    @cached_attribute
     def numbers(self) -> bytes:
         """The single numbers of the message, `GOSSIP_NUMBERS` of float64; a gossip table joins those of many gossips."""
         (x, y, heading), (east, north) = self.pose, self.cod
@@ -216,7 +218,7 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         noise = self.pose_noise or (0.0, 0.0)
         return _pack_numbers(x, y, *ahead, east, north, self.power_radius, self.unused, self.weight, *counts, self.scanned, *noise)
 
-    @once
+    @cached_attribute
     def extent(self) -> tuple[float, float]:
         """What the announced sensor must allow: an area in m^2, and the distance of the COD from the sensor in m.
 
@@ -226,13 +228,13 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
         radius = max(self.power_radius, abs(claimed))
         return max(self.unused, math.pi * radius**2), math.dist(self.cod, self.pose[:2])
 
-    @once
+    @cached_attribute
     def plan(self) -> bytes:
         """The goal, or the place of the sensor without one, and its utilisation, as float64."""
         x, y = self.goal if self.goal is not None else self.pose[:2]
         return _pack_plan(x, y, self.goal_utilisation)
 
-    @once
+    @cached_attribute
     def box(self) -> bytes:
         """West, south, east and north of the particles as float64, m; infinite and inverted without particles."""
         if not self.states_bytes:
@@ -303,12 +305,12 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
     detections_bytes: RowsOf8Bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
     obstacles_bytes: RowsOf16Bytes = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
 
-    @once
+    @cached_attribute
     def detections(self) -> np.ndarray:
         """(M, 2) float32."""
         return DETECTIONS.read(self.detections_bytes)
 
-    @once
+    @cached_attribute
     def obstacles(self) -> np.ndarray:
         """(K, 2) float64."""
         return OBSTACLES.read(self.obstacles_bytes)

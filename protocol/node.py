@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from protocol.cached_attribute import cached_attribute
 from protocol.message import Message
-from protocol.once import once
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Batch:
         kind: type[Message] = type(self.messages[0])
         return kind
 
-    @once
+    @cached_attribute
     def senders(self) -> tuple[str, ...]:
         """The sender of each message."""
         return tuple([message.sender for message in self.messages])

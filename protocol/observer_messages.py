@@ -6,6 +6,7 @@ Arrays are raw little-endian bytes on the wire, as in `protocol.messages`. All l
 import msgspec
 import numpy as np
 
+from protocol.cached_attribute import cached_attribute
 from protocol.fields import (
     CELL,
     DETAILS,
@@ -33,7 +34,6 @@ from protocol.message import (
     Time,
     Vector,
 )
-from protocol.once import once
 
 
 class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
@@ -56,12 +56,12 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     round_seconds: Duration = 0.0  # from the opening of the last shared round to its end, waiting included; 0 in virtual time
     pace: PaceNumber = 1  # the sender shares with its peers the ticks that this number divides
 
-    @once
+    @cached_attribute
     def cell(self) -> np.ndarray:
         """(V, 2) float64."""
         return CELL.read(self.cell_bytes)
 
-    @once
+    @cached_attribute
     def targets(self) -> np.ndarray:
         """(M, 2) float64."""
         return TARGETS.read(self.targets_bytes)
@@ -72,12 +72,12 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
             return self.targets
         return self.targets + self.details[:, :2] * ((tick - self.tick) * dt)
 
-    @once
+    @cached_attribute
     def details(self) -> np.ndarray:
         """(M, 6) float32: velocity vx, vy in m/s, covariance xx, xy, yy of the position in m^2, existence; zeros if not stated."""
         return DETAILS.read(self.details_bytes) if self.details_bytes else np.zeros((len(self.targets), DETAILS.columns))
 
-    @once
+    @cached_attribute
     def labels(self) -> np.ndarray:
         """(M,) uint64; 0: none, or not stated."""
         return LABELS.read(self.labels_bytes) if self.labels_bytes else np.zeros(len(self.targets), U8)
@@ -105,17 +105,17 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
     in_view: int = 0  # targets inside the field of view of some live agent's body
     alive: tuple[str, ...] = ()  # the agents with a token that the world sees
 
-    @once
+    @cached_attribute
     def targets(self) -> np.ndarray:
         """(T, 2) float64."""
         return TARGETS.read(self.targets_bytes)
 
-    @once
+    @cached_attribute
     def ids(self) -> np.ndarray:
         """(T,) uint64."""
         return IDS.read(self.ids_bytes)
 
-    @once
+    @cached_attribute
     def poses(self) -> np.ndarray:
         """(B, 3) float64."""
         return POSES.read(self.poses_bytes)

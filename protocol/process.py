@@ -18,7 +18,7 @@ from typing import NoReturn, TypeVar
 import msgspec
 
 from protocol import live
-from protocol.links import LiveLink
+from protocol.link_faults import LiveLink
 from protocol.node import Node
 from protocol.settings import BadSetting, CommonSettings, NetworkSettings, load
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from protocol.codec import decode_all
 from protocol.fields import Malformed
 from protocol.inbox import Arrival, Quarantine
+from protocol.liveliness_tokens import Tokens
 from protocol.message import Message
 from protocol.node import Batch, Event, Received, Rejected
-from protocol.tokens import Tokens
 
 
 class Decoded(NamedTuple):

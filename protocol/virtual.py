@@ -19,7 +19,7 @@ from protocol.message import Message
 from protocol.messages import Command, Gossip
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Node, Started, Stop, Subscribe, Timer, Unsubscribe
 from protocol.reception import event_of, in_batches, read_all
-from protocol.routes import Routes
+from protocol.subscription_index import SubscriptionIndex
 
 
 class Link(Protocol):
@@ -64,10 +64,10 @@ class VirtualBus:
         self._later: list[tuple[float, int, _Entry]] = []
         self._sequence = 0
         self._frozen_until: float | None = None  # s; None: the nodes are not frozen
-        self._routes: Routes[BusEndpoint] = Routes(place_of)  # of messages
+        self._subscriptions: SubscriptionIndex[BusEndpoint] = SubscriptionIndex(place_of)  # of messages
         self._all_seeing: dict[BusEndpoint, None] = {}  # endpoints that see every token
         self._holders: dict[str, dict[BusEndpoint, None]] = {}  # endpoints by role and name, as part of the token key
-        self._watchers: Routes[BusEndpoint] = Routes(place_of)  # of tokens, for endpoints that do not see all of them
+        self._watchers: SubscriptionIndex[BusEndpoint] = SubscriptionIndex(place_of)  # of tokens, for endpoints that do not see all of them
 
     def nodes(self) -> list[str]:
         """Labels of the nodes on the bus, paused ones included."""
@@ -102,7 +102,7 @@ class VirtualBus:
         self._all_seeing.pop(endpoint, None)
         del self._holders[_parent(endpoint.token)][endpoint]
         for expression in endpoint.expressions:
-            (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, endpoint)
+            (self._watchers if is_of_tokens(expression) else self._subscriptions).remove(expression, endpoint)
         if notice_after is not None:
             self.announce(Gone(endpoint.node.role, endpoint.node.name, endpoint.node.incarnation), notice_after)
         return endpoint.node
@@ -321,7 +321,7 @@ class VirtualBus:
         if endpoint.expressions[expression] > 1:
             return
         if not is_of_tokens(expression):
-            self._routes.add(expression, endpoint)
+            self._subscriptions.add(expression, endpoint)
             return
         self._watchers.add(expression, endpoint)
         for other in self._holders.get(_parent(expression), {}):
@@ -332,7 +332,7 @@ class VirtualBus:
         endpoint.expressions[expression] -= 1
         if endpoint.expressions[expression] == 0:
             del endpoint.expressions[expression]
-            (self._watchers if is_of_tokens(expression) else self._routes).remove(expression, endpoint)
+            (self._watchers if is_of_tokens(expression) else self._subscriptions).remove(expression, endpoint)
 
     def _watching(self, token: str) -> dict[BusEndpoint, None]:
         """The endpoints that see a token, in the order in which they were added."""
@@ -341,7 +341,7 @@ class VirtualBus:
 
     def _publish(self, endpoint: BusEndpoint, message: Message) -> None:
         key = message_key(endpoint.node.run, message)
-        listeners = self._routes.listeners(key)
+        listeners = self._subscriptions.listeners(key)
         payload = codec.encode(message)
         self.messages += 1
         self.bytes += len(payload)

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from protocol.agreement import common_sections, shared_settings
 from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, order
 from protocol.message import Message
@@ -21,6 +20,7 @@ from protocol.pose import from_other_frame
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.session_watchdog import SessionWatchdog
 from protocol.settings import BadSetting, sensor_of
+from protocol.settings_digest import common_sections, shared_settings
 from world.bodies import check_given, free_pose, pose_with_error
 from world.commands import CommandBook
 from world.config import WorldConfig

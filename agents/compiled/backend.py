@@ -32,7 +32,7 @@ from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol import geometry
-from protocol.compact import DIRECTIONS
+from protocol.compact_particles import DIRECTIONS
 from protocol.sensing import WedgeSensor
 from protocol.settings import ArenaSettings
 from protocol.streams import key

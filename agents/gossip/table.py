@@ -20,11 +20,11 @@ from agents.interest.tiles import Bounds, bounds_of
 from agents.tracking.births import Scan
 from agents.tracking.measuring import EXACT_POSE, kernel_variance, model_of, noise_of, sigma_poses, spread_of
 from agents.tracking.particles import Particles
-from protocol.components import COMPONENT
+from protocol.cached_attribute import cached_attribute
 from protocol.fields import read_labels
+from protocol.gaussian_components import COMPONENT
 from protocol.measuring import to_places
 from protocol.messages import GOSSIP_NUMBERS, Gossip
-from protocol.once import once
 from protocol.sensing import SensorModel, WedgeSensor, measurement_of
 from protocol.streams import key
 
@@ -129,7 +129,7 @@ class GossipTable:
         self.names = tuple([gossip.sender for gossip in gossips])
         self.shared: Any = None  # the results that all agents with this table share (`shared_round`)
 
-    @once
+    @cached_attribute
     def table(self) -> np.ndarray:
         """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
         rows = b"".join([part for gossip, sensor in zip(self.gossips, self.sensors) for part in (gossip.numbers, sensor.columns)])
@@ -146,50 +146,50 @@ class GossipTable:
             row[COS_LEFT:] = math.cos(left), math.sin(left), math.cos(right), math.sin(right)
         return table
 
-    @once
+    @cached_attribute
     def plans(self) -> np.ndarray:
         """The goal x, y in m and its utilisation of each sender (N, 3); the place of a sender without a goal."""
         return np.frombuffer(b"".join([gossip.plan for gossip in self.gossips])).reshape(-1, 3)
 
-    @once
+    @cached_attribute
     def salts(self) -> np.ndarray:
         """Keys of the sensors' names (N,) uint64."""
         return self.table[:, SALT].copy().view(np.uint64)
 
-    @once
+    @cached_attribute
     def ages(self) -> dict[str, int]:
         """By how many ticks a generator is older than the newest one, for those that are older."""
         newest = max([gossip.tick for gossip in self.gossips], default=0)
         return {gossip.sender: newest - gossip.tick for gossip in self.gossips if gossip.tick < newest}
 
-    @once
+    @cached_attribute
     def name_set(self) -> frozenset[str]:
         """The names as a set."""
         return frozenset(self.names)
 
-    @once
+    @cached_attribute
     def generators(self) -> np.ndarray:
         """The generators (N, 3): point x, y and power radius, m."""
         return self.table[:, GENERATOR_X : POWER_RADIUS + 1].copy()
 
-    @once
+    @cached_attribute
     def points(self) -> np.ndarray:
         """The points of the generators (N, 2), m."""
         return self.generators[:, :2].copy()
 
-    @once
+    @cached_attribute
     def radii(self) -> np.ndarray:
         """The power radii of the generators (N,), m."""
         return self.generators[:, 2].copy()
 
-    @once
+    @cached_attribute
     def diagram_hash(self) -> int:
         """The hash of all generators; never 0. Agents with equal hashes cut the same diagram."""
         digest = hashlib.blake2b("\n".join(self.names).encode(), digest_size=7)
         digest.update(self.generators.tobytes())
         return int.from_bytes(digest.digest(), "little") | 1
 
-    @once
+    @cached_attribute
     def detections(self) -> np.ndarray:
         """The places of all detections (D, 2) float64, scan after scan, m; of a bearing alone the middle of its beam."""
         joined = bytearray().join([gossip.detections_bytes for gossip in self.gossips])
@@ -207,12 +207,12 @@ class GossipTable:
         """Whether poses may err; a noise that a gossip states counts only then."""
         return self._config is not None and not self._config.pose.is_exact
 
-    @once
+    @cached_attribute
     def has_rays(self) -> bool:
         """Whether a sensor measures anything but positions, or poses are not exact."""
         return bool(self.table[:, MODEL].any()) or self._is_unsure
 
-    @once
+    @cached_attribute
     def rays(self) -> np.ndarray:
         """The rays of all detections (D, 4) of agents/tracking/measuring.py; (D, 0) if all are exact positions."""
         if not self.has_rays or self._config is None:
@@ -230,17 +230,17 @@ class GossipTable:
                 number += 1
         return rays
 
-    @once
+    @cached_attribute
     def listening(self) -> bool:
         """Whether a sender listens, and has no cell yet."""
         return True in [gossip.listening for gossip in self.gossips]
 
-    @once
+    @cached_attribute
     def all_wedges(self) -> bool:
         """Whether every scan is that of a wedge sensor."""
         return OTHER not in self.table[:, KIND].tolist()
 
-    @once
+    @cached_attribute
     def claimed(self) -> tuple[int, int] | None:
         """The tick and the hash of the diagram that all claims share; None when they differ."""
         shared = {(gossip.claim_tick, gossip.diagram_hash) for gossip in self.gossips}
@@ -268,20 +268,20 @@ class GossipTable:
         ids = np.frombuffer(bytearray().join([gossips[row].ids_bytes for row in rows]), dtype=np.uint64)
         return states.reshape(-1, 4), ids, read_labels([gossips[row].label_part for row in rows])
 
-    @once
+    @cached_attribute
     def boxes(self) -> np.ndarray:
         """The bounding box of each gossip's particles (N, 4): west, south, east and north, m."""
         return np.frombuffer(b"".join([gossip.box for gossip in self.gossips])).reshape(-1, 4)
 
-    @once
+    @cached_attribute
     def particles(self) -> Particles:
         """The particles of `stated` with their weights."""
         states, ids, labels = self.stated
         return Particles(states.astype(float), self.table[:, WEIGHT].repeat(self.table[:, PARTICLES].astype(np.int64)), ids, labels)
 
-    @once
+    @cached_attribute
     def components(self) -> np.ndarray:
-        """The components of all Gaussian mixtures (N,), gossip after gossip (protocol/components.py)."""
+        """The components of all Gaussian mixtures (N,), gossip after gossip (protocol/gaussian_components.py)."""
         return np.concatenate([np.empty(0, COMPONENT), *(gossip.components for gossip in self.gossips)])
 
     def scans(self) -> list[Scan]:

@@ -3,10 +3,10 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from protocol.agreement import differing_settings, settings_digest
 from protocol.message import SharedSettings
 from protocol.messages import Beacon, Hello
 from protocol.node import Effect, Warn
+from protocol.settings_digest import differing_settings, settings_digest
 
 MOST_WARNINGS = 64  # of one agent. More help nobody: all are counted, and anybody can make up names
 

@@ -27,10 +27,10 @@ from agents.interest.peer_positions import PeerPositions
 from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, UnsubscribedGenerators
 from agents.interest.selection import Choice
 from agents.membership.peer import Peer, all_acceptable, announced_by, plausible, with_newer_generator, with_peer
-from protocol.agreement import differing_settings, settings_digest
 from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Gossip, Hello
 from protocol.node import Batch
+from protocol.settings_digest import differing_settings, settings_digest
 
 LOCAL_DIAGRAM = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
 ACCEPTED = ""

@@ -24,7 +24,7 @@ from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canoni
 from agents.tracking.regions import RegionUpdate, predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import Diagram, GossipFields, OwnedState, RegionInput, claims_tile_arena, unknown_senders
-from protocol.compact import packed, quantised
+from protocol.compact_particles import packed, quantised
 from protocol.fields import pack, pack_labels
 from protocol.messages import Gossip
 

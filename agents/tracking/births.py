@@ -17,7 +17,7 @@ from agents.tracking.labels import birth_labels
 from agents.tracking.measuring import BEARING, EXACT_POSE, birth_places, kernel_variance, model_of, noise_of, sigma_poses
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, select, squared_distances, unlabelled
 from agents.tracking.step import Step
-from protocol.compact import DIRECTIONS
+from protocol.compact_particles import DIRECTIONS
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import ArenaSettings
 from protocol.streams import key, normal, scramble, uniform

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.tracking import particles
 from agents.tracking.particles import Particles, canonical
-from protocol.components import COMPONENT
+from protocol.gaussian_components import COMPONENT
 from protocol.settings import ArenaSettings
 from protocol.streams import scramble
 

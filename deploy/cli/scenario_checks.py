@@ -25,11 +25,11 @@ from deploy.scenario import (
     world_config,
     world_names,
 )
-from protocol.components import MOST_MASS
 from protocol.endpoints import check_endpoints
+from protocol.gaussian_components import MOST_MASS
 from protocol.geometry import rectangle
-from protocol.mistakes import mistakes
 from protocol.sensing import WedgeSensor, measurement_of
+from protocol.setting_errors import mistakes
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given, start_poses
 from world.config import TargetSettings

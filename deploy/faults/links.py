@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from deploy.faults.faults import Action
-from protocol.links import CLEAR, IncomingLinks, LinkCondition, LinkConditions
+from protocol.link_faults import CLEAR, IncomingLinks, LinkCondition, LinkConditions
 
 OWN = {"drop": ("burst",), "delay": ("jitter",), "throttle": ("queue",)}  # options of one verb alone, which end with it
 SPREADING = {"duplicate", "reorder"}  # verbs that share the option `spread`, which ends with the last of them

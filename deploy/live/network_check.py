@@ -24,13 +24,13 @@ from cryptography.exceptions import InvalidSignature
 from deploy.scenario import Scenario, agent_config
 from protocol import codec, live
 from protocol.access import WATCHER, common_name
-from protocol.agreement import differing_settings
 from protocol.endpoints import check_endpoints, check_files
 from protocol.fields import Malformed
 from protocol.keys import ROOT, Token, order, parse_token
 from protocol.message import WIRE_VERSION, SharedSettings
 from protocol.messages import Hello
 from protocol.settings import BadSetting, NetworkSettings
+from protocol.settings_digest import differing_settings
 
 REACH_SECONDS = 3.0  # for a connection to one seed
 ALERT_SECONDS = 0.5  # in which a peer that refuses a certificate says so

@@ -29,7 +29,7 @@ from deploy.storage.kept_runs import link_latest
 from deploy.storage.run_directory import RunDirectory
 from protocol.codec import encode
 from protocol.endpoints import check_endpoints, check_files
-from protocol.links import as_line
+from protocol.link_faults import as_line
 from protocol.live import Driver
 from protocol.observer_messages import Truth
 from protocol.settings import BadSetting, NetworkSettings

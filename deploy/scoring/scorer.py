@@ -20,7 +20,6 @@ from deploy.scoring.scores import NO_SCORE, Coverage, Score, hole_and_overlap, m
 from deploy.scoring.status import AgentStatus, Status
 from deploy.scoring.tick_rate import TickRateMeter
 from deploy.scoring.tracks import TrackLog
-from protocol.agreement import differing_settings
 from protocol.codec import encode
 from protocol.geometry import polygon_area
 from protocol.keys import all_of, order
@@ -28,6 +27,7 @@ from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Effect, Event, Gone, Node, Received, Rejected, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
 from protocol.session_watchdog import ListenerWatchdog
+from protocol.settings_digest import differing_settings
 from world.newest_tick import NewestTick
 from world.score import errors
 from world.witness import Witness

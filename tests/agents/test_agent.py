@@ -10,13 +10,13 @@ from agents.config import AgentConfig, ControlSettings, TimingSettings
 from agents.coverage.control import ControlInput, Situation
 from agents.membership.announcements import EARLY_CROWD, EARLY_PERIOD, REPLY_DELAY
 from agents.membership.membership import EXIT_FENCED
-from protocol.agreement import settings_digest
 from protocol.message import Message
 from protocol.messages import Beacon, Command, Gossip, Hello, Observation
 from protocol.node import NO_EFFECTS, Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
 from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings, RunSettings
+from protocol.settings_digest import settings_digest
 
 CONFIG = AgentConfig(
     run=RunSettings(dt=0.5, rate=2.0),

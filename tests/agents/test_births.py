@@ -12,7 +12,7 @@ from agents.config import AgentConfig, BirthSettings, FilterSettings
 from agents.tracking.births import Scan, background_births, birth_density, measurement_births, prior
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.step import Step
-from protocol.compact import DIRECTIONS
+from protocol.compact_particles import DIRECTIONS
 from protocol.sensing import WedgeSensor
 from protocol.settings import ArenaSettings, RunSettings
 

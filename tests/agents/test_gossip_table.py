@@ -5,8 +5,8 @@ import pytest
 
 from agents.config import AgentConfig, PartitionSettings
 from agents.gossip.table import COS_HALF, REACH, GossipTable
-from protocol.components import COMPONENT
 from protocol.fields import pack
+from protocol.gaussian_components import COMPONENT
 from protocol.messages import Gossip
 from protocol.sensing import SENSOR_CLASSES
 from protocol.streams import key

@@ -3,7 +3,7 @@
 from deploy.faults.faults import Action, Schedule
 from deploy.faults.links import Links
 from deploy.scenario import FaultSettings
-from protocol.links import LinkCondition
+from protocol.link_faults import LinkCondition
 
 TEAM = ["s1", "s2", "s3", "s4"]
 

@@ -8,7 +8,7 @@ from deploy.scenario import Scenario, resolve
 from deploy.scoring.scorer import Scorer
 from deploy.scoring.tracks import TrackLog
 from deploy.simulation import Simulation
-from protocol.components import COMPONENT
+from protocol.gaussian_components import COMPONENT
 from protocol.messages import Gossip
 from protocol.node import Alive, Gone, received
 from protocol.observer_messages import Estimate

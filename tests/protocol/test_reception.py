@@ -5,10 +5,10 @@ from collections import Counter
 from protocol import codec
 from protocol.inbox import Arrival
 from protocol.keys import Token, message_key, token_key
+from protocol.liveliness_tokens import Tokens
 from protocol.messages import Command
 from protocol.node import Alive, Event, Gone, Received, Rejected, messages_of
 from protocol.reception import Reception
-from protocol.tokens import Tokens
 
 OWN = Token("t", "agent", "me", 1)
 

@@ -23,7 +23,7 @@ from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config, resolve
 from deploy.simulation import Simulation, compiled
 from deploy.verify.central_filter import _widely, drawn, particle_difference
-from protocol.compact import quantised
+from protocol.compact_particles import quantised
 from protocol.keys import order
 from protocol.messages import Gossip
 from protocol.settings import sensor_of

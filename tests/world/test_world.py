@@ -4,12 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from protocol.agreement import common_sections, shared_settings
 from protocol.messages import Hello, Observation
 from protocol.node import Alive, Gone, Received, Rejected, Reopen, Started, Stop, Subscribe, Timer, received
 from protocol.observer_messages import Truth
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import BadSetting, LimitSettings
+from protocol.settings_digest import common_sections, shared_settings
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started
 from world.config import BodySettings, WorldConfig
 from world.world import EXIT_INCOMPLETE, HELLO_PERIOD, World

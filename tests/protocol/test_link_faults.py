@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from protocol.links import CLEAR, Channel, IncomingLinks, LinkCondition, LinkConditions, LiveLink, as_line, corrupted, sender_of
+from protocol.link_faults import CLEAR, Channel, IncomingLinks, LinkCondition, LinkConditions, LiveLink, as_line, corrupted, sender_of
 
 
 def arrivals(condition: LinkCondition, number: int = 20000, seed: int = 1) -> list[list[tuple[float, bytes]]]:

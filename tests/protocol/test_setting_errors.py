@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.mistakes import MOST_MISTAKES, mistakes
+from protocol.setting_errors import MOST_MISTAKES, mistakes
 from protocol.settings import CommonSettings, NetworkSettings, RunSettings, Section
 
 

@@ -12,12 +12,12 @@ import msgspec
 import pytest
 
 from agents.config import AgentConfig, BirthSettings, CapacitySettings, FilterSettings, TimingSettings
-from protocol.agreement import differing_settings, settings_digest
 from protocol.codec import decode, encode
 from protocol.fields import MAX_SETTINGS, Malformed
 from protocol.message import Setting
 from protocol.messages import Hello
 from protocol.settings import ArenaSettings, DetectionSettings, LimitSettings, RunSettings, SensorSettings
+from protocol.settings_digest import differing_settings, settings_digest
 
 MODEL = {"R": SensorSettings(model="deploy.examples.sensors:RangeFalling")}
 OTHERS = {

@@ -9,7 +9,7 @@ from protocol.keys import matches
 T = TypeVar("T")
 
 
-class Routes(Generic[T]):
+class SubscriptionIndex(Generic[T]):
     """Listeners by key expression; `order` sorts the listeners of one key.
 
     Most expressions are a key, or a parent with one `*` behind it: these are looked up. The others are compared with every new key.

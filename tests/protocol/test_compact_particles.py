@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from protocol import codec
-from protocol.compact import packed, quantised, unpacked
+from protocol.compact_particles import packed, quantised, unpacked
 from protocol.fields import Malformed
 from protocol.messages import Gossip
 

@@ -6,7 +6,7 @@ from typing import Any, Generic, TypeVar, overload
 T = TypeVar("T")
 
 
-class once(Generic[T]):
+class cached_attribute(Generic[T]):
     """Decorator of a method without arguments; the result replaces the method in the instance."""
 
     def __init__(self, method: Callable[[Any], T]) -> None:
@@ -14,12 +14,12 @@ class once(Generic[T]):
         self.__doc__ = method.__doc__
 
     @overload
-    def __get__(self, instance: None, owner: type) -> "once[T]": ...
+    def __get__(self, instance: None, owner: type) -> "cached_attribute[T]": ...
 
     @overload
     def __get__(self, instance: object, owner: type) -> T: ...
 
-    def __get__(self, instance: object | None, owner: type) -> "T | once[T]":
+    def __get__(self, instance: object | None, owner: type) -> "T | cached_attribute[T]":
         if instance is None:
             return self
         value = instance.__dict__[self._name] = self._method(instance)

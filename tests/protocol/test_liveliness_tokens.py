@@ -7,10 +7,10 @@ import pytest
 from protocol import codec
 from protocol.inbox import Arrival
 from protocol.keys import Token, token_key
+from protocol.liveliness_tokens import MOST_TOKENS, Tokens
 from protocol.messages import Hello
 from protocol.node import Alive, Gone
 from protocol.reception import Reception
-from protocol.tokens import MOST_TOKENS, Tokens
 
 OWN = Token("t", "agent", "s1", 1)
 ALL = ["covey/t/alive/**"]
