@@ -16,7 +16,7 @@ from itertools import chain
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.coverage.keep_apart import keep_apart
-from agents.gossip import outbox
+from agents.gossip import message_builders
 from agents.interest.manager import InterestManager
 from agents.look_ahead import OpenRound, look_ahead
 from agents.membership.announcements import REPLY_DELAY
@@ -214,13 +214,13 @@ class Agent(Node):
         if own.tick % self.config.timing.estimate_every or own.tick <= self._estimated:
             return []
         self._estimated = own.tick
-        stats = outbox.RoundStats(self.counters, self._round_seconds, self._pace.current)
-        return [outbox.estimate(self.context, self.incarnation, outcome, own, stats)]
+        stats = message_builders.RoundStats(self.counters, self._round_seconds, self._pace.current)
+        return [message_builders.estimate(self.context, self.incarnation, outcome, own, stats)]
 
     def _steer(self, outcome: RoundResult, tick: int) -> Effect:
         """The command of a result to the own body."""
         self._own_pose.note_command(outcome.command)
-        return outbox.command(self.context, self.incarnation, outcome, tick)
+        return message_builders.command(self.context, self.incarnation, outcome, tick)
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
@@ -229,7 +229,7 @@ class Agent(Node):
         self._keep_claim(observation)
         listening, need, lag = bool(self._listening), self._pace.need, self._rounds.lag.need
         behind = self._rounds.behind(self.tick, self.outcome.belief.stamp)
-        own = self._gossip = outbox.gossip(
+        own = self._gossip = message_builders.gossip(
             self.context,
             self.incarnation,
             self.outcome,

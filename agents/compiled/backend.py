@@ -26,7 +26,7 @@ from agents.tracking import phd, regions
 from agents.tracking.births import inflow, starting_on_border, survival_probability
 from agents.tracking.claims import Claim, Claims
 from agents.tracking.extraction import TargetEstimates
-from agents.tracking.measuring import kernel_variance
+from agents.tracking.measurement_likelihood import kernel_variance
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step

@@ -31,7 +31,7 @@ SOURCES = (
     "agents/interest/position_table.py",
     "agents/interest/selection.py",
     "agents/tracking/labels.py",
-    "agents/tracking/measuring.py",
+    "agents/tracking/measurement_likelihood.py",
 )
 COMPLETE = "complete"  # the file in that folder which says that all loops have been compiled
 MOST_FOLDERS = 4  # one for each state of sources and versions, this one included; a recent state needs no compilation

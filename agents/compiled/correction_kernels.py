@@ -35,7 +35,7 @@ from agents.gossip.table import (
     X,
     Y,
 )
-from agents.tracking.measuring import BEARING, LARGEST_DEVIATION, POSITION
+from agents.tracking.measurement_likelihood import BEARING, LARGEST_DEVIATION, POSITION
 
 _S52 = np.uint64(52)
 _TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)

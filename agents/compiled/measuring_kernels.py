@@ -1,6 +1,6 @@
-"""Compiled likelihoods and births of other measurements than positions: the bit-for-bit twin of agents/tracking/measuring.py.
+"""Compiled likelihoods and births of other measurements than positions: the bit-for-bit twin of agents/tracking/measurement_likelihood.py.
 
-Data types: `noise` is the tuple of `measuring.Noise`; a ray is a row as there.
+Data types: `noise` is the tuple of `measurement_likelihood.Noise`; a ray is a row as there.
 
 Rules as in agents/compiled/particle_kernels.py.
 """
@@ -14,12 +14,12 @@ from agents.compiled.birth_kernels import uniform
 from agents.compiled.cache import cached
 from agents.compiled.particle_kernels import normal, scramble
 from agents.gossip.table import BEARING_NOISE, HEADING_NOISE, MODEL, PLACE_NOISE, RANGE_NOISE, REACH, X, Y
-from agents.tracking.measuring import BEARING, POSITION, TINY
+from agents.tracking.measurement_likelihood import BEARING, POSITION, TINY
 
 
 @njit
 def noise_of(sensor: np.ndarray, position_noise: float, kernel: float) -> tuple[float, float, float, float]:
-    """Twin of `measuring.noise_of`; `sensor` is a row of the gossip table."""
+    """Twin of `measurement_likelihood.noise_of`; `sensor` is a row of the gossip table."""
     place = kernel + sensor[PLACE_NOISE] * sensor[PLACE_NOISE]
     turn = sensor[BEARING_NOISE] * sensor[BEARING_NOISE] + sensor[HEADING_NOISE] * sensor[HEADING_NOISE]
     if sensor[MODEL] == POSITION:
@@ -30,7 +30,7 @@ def noise_of(sensor: np.ndarray, position_noise: float, kernel: float) -> tuple[
 
 @njit
 def _density(x: float, y: float, sensor: np.ndarray, point: np.ndarray, ray: np.ndarray, noise: tuple) -> tuple[float, float]:
-    """Twin of `measuring.distances_and_peaks` for one particle and one detection: squared Mahalanobis distance, and peak per m^2."""
+    """Twin of `measurement_likelihood.distances_and_peaks` for a particle and a detection: squared Mahalanobis distance, peak per m^2."""
     model, along_variance, across_variance, bearing_variance = noise
     east, north, far = ray[0], ray[1], ray[2]
     if model == POSITION:
@@ -84,7 +84,7 @@ def pairs(
 
 @njit
 def birth_place(new_id: np.uint64, sensor: np.ndarray, point: np.ndarray, ray: np.ndarray, noise: tuple) -> tuple[float, float]:
-    """Twin of `measuring.birth_places` for one birth."""
+    """Twin of `measurement_likelihood.birth_places` for one birth."""
     model, along_variance, across_variance, bearing_variance = noise
     east, north, far = ray[0], ray[1], ray[2]
     first, second = normal(scramble(new_id, np.uint64(1))), normal(scramble(new_id, np.uint64(2)))

@@ -32,7 +32,7 @@ from agents.gossip.table import (
     X,
     Y,
 )
-from agents.tracking.measuring import POSE_SPREAD
+from agents.tracking.measurement_likelihood import POSE_SPREAD
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -159,7 +159,7 @@ def wedge(x: float, y: float, sensor: np.ndarray) -> float:
 
 @njit
 def sigma_sensors(sensor: np.ndarray) -> np.ndarray:
-    """Twin of `measuring.sigma_poses`: the rows (6 or 1, COLUMNS) of the sensor at each of these poses."""
+    """Twin of `measurement_likelihood.sigma_poses`: the rows (6 or 1, COLUMNS) of the sensor at each of these poses."""
     if sensor[PLACE_NOISE] == 0.0 and sensor[HEADING_NOISE] == 0.0:
         return sensor.copy().reshape(1, -1)
     rows, away = np.empty((6, len(sensor))), POSE_SPREAD * sensor[PLACE_NOISE]

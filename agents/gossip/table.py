@@ -18,7 +18,7 @@ from agents.config import AgentConfig
 from agents.coverage.capacity import SensorFacts, sensor_facts
 from agents.interest.tiles import Bounds, bounds_of
 from agents.tracking.births import Scan
-from agents.tracking.measuring import EXACT_POSE, kernel_variance, model_of, noise_of, sigma_poses, spread_of
+from agents.tracking.measurement_likelihood import EXACT_POSE, kernel_variance, model_of, noise_of, sigma_poses, spread_of
 from agents.tracking.particles import Particles
 from protocol.cached_attribute import cached_attribute
 from protocol.fields import read_labels
@@ -214,7 +214,7 @@ class GossipTable:
 
     @cached_attribute
     def rays(self) -> np.ndarray:
-        """The rays of all detections (D, 4) of agents/tracking/measuring.py; (D, 0) if all are exact positions."""
+        """The rays of all detections (D, 4) of agents/tracking/measurement_likelihood.py; (D, 0) if all are exact positions."""
         if not self.has_rays or self._config is None:
             return np.empty((len(self.detections), 0))
         rays, places, settings = np.empty((len(self.detections), 4)), self.detections.tolist(), self._config

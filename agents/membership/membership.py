@@ -6,7 +6,7 @@ agent when a younger incarnation of its name appears.
 
 from collections import Counter
 
-from agents.gossip import outbox
+from agents.gossip import message_builders
 from agents.membership.agreement import SettingsAgreement
 from agents.membership.announcements import AnnouncementSchedule
 from agents.membership.body_tokens import BodyTokens
@@ -112,4 +112,4 @@ class Membership:
     def _hello(self, now: float | None) -> Hello:
         """The Hello of this agent at `now`; None, before the first observation: it lists all peers that ever sent a Hello and are alive."""
         self.session_watchdog.keep(self._peer_table.peers)
-        return outbox.hello(self._context, self._incarnation, self.session_watchdog.heard(now), self._peer_table.settings)
+        return message_builders.hello(self._context, self._incarnation, self.session_watchdog.heard(now), self._peer_table.settings)

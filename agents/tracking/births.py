@@ -14,7 +14,7 @@ import numpy as np
 
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.labels import birth_labels
-from agents.tracking.measuring import BEARING, EXACT_POSE, birth_places, kernel_variance, model_of, noise_of, sigma_poses
+from agents.tracking.measurement_likelihood import BEARING, EXACT_POSE, birth_places, kernel_variance, model_of, noise_of, sigma_poses
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, select, squared_distances, unlabelled
 from agents.tracking.step import Step
 from protocol.compact_particles import DIRECTIONS
@@ -34,7 +34,7 @@ class Scan(NamedTuple):
     detections: np.ndarray  # (M, 2) float64: their places, m
     numbers: np.ndarray  # (M,) uint64: the index of each detection in the whole scan
     clutter_density: float  # kappa, per m^2
-    rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measuring.py; None if these are positions from an exact pose
+    rays: np.ndarray | None = None  # (M, 4) of agents/tracking/measurement_likelihood.py; None if these are positions from an exact pose
     pose_noise: tuple[float, float] = EXACT_POSE  # standard deviations of the pose, m on each axis and rad
 
     def probability(self, points: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ from agents.tracking.gaussians import (
     unlabelled,
 )
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
-from agents.tracking.measuring import BEARING, POSE_SPREAD, model_of, noise_of
+from agents.tracking.measurement_likelihood import BEARING, POSE_SPREAD, model_of, noise_of
 from agents.tracking.particles import column_sums
 from agents.tracking.phd import exp_minus
 from agents.tracking.step import Step

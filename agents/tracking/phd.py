@@ -15,7 +15,7 @@ from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, birth_density, founded_labels, measurement_births, survival_probability
 from agents.tracking.extraction import block_sums
 from agents.tracking.labels import ADOPTED_SHARE, NO_LABEL, given_labels
-from agents.tracking.measuring import distances_and_peaks, kernel_variance, model_of, noise_of
+from agents.tracking.measurement_likelihood import distances_and_peaks, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, join, squared_distances
 from protocol.sensing import measurement_of
 from protocol.settings import ArenaSettings

@@ -17,7 +17,7 @@ from agents.tracking import claims, phd
 from agents.tracking.births import near_part
 from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates, estimate_targets, select_estimates
 from agents.tracking.labels import renamed
-from agents.tracking.measuring import BEARING, model_of
+from agents.tracking.measurement_likelihood import BEARING, model_of
 from agents.tracking.particles import Particles, canonical, join, select, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput

@@ -12,7 +12,7 @@ import pytest
 
 from agents import round as rounds
 from agents.backend import PLAIN
-from agents.gossip import outbox
+from agents.gossip import message_builders
 from agents.gossip.inbox import RoundInbox
 from agents.gossip.table import WEIGHT, GossipTable
 from agents.membership.membership import Membership
@@ -117,13 +117,13 @@ def no_overlap_rule(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def stale_claim_wins(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    right = outbox.gossip
+    right = message_builders.gossip
 
     def gossip(me: AgentContext, incarnation: int, outcome: RoundResult, observation: Observation, **words: Any) -> Gossip:
         outcome.belief.stamp = observation.tick - 1
         return right(me, incarnation, outcome, observation, **words)
 
-    patch.setattr(outbox, "gossip", gossip)
+    patch.setattr(message_builders, "gossip", gossip)
     return fuzz.play(case)
 
 

@@ -9,7 +9,7 @@ import pytest
 from agents.backend import PLAIN
 from agents.config import FilterSettings
 from agents.tracking.births import Scan
-from agents.tracking.measuring import (
+from agents.tracking.measurement_likelihood import (
     BEARING,
     EXACT_POSE,
     POSITION,
