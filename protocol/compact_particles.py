@@ -12,7 +12,7 @@ import numpy as np
 
 from protocol.arithmetic import elementwise
 from protocol.fields import MAX_ROWS, Malformed
-from protocol.streams import key, scramble
+from protocol.random_streams import random_key, scramble
 
 STEP = 1.0 / 256.0  # m, of the grid; doubled until the cell fits into 16 bits
 DIRECTIONS = np.array([(math.cos(2.0 * math.pi * n / 4096), math.sin(2.0 * math.pi * n / 4096)) for n in range(4096)])
@@ -48,7 +48,7 @@ def unpacked(data: bytes, sender: str, stamp: int) -> tuple[np.ndarray, np.ndarr
     with np.errstate(all="ignore"):  # wrong bits give numbers that the check of the message refuses
         velocities = DIRECTIONS[turns % 4096] * speed
         states = np.column_stack([west + columns * step, south + rows * step, velocities]).astype("<f4")
-    return states, np.sort(scramble(np.arange(count, dtype=np.uint64), key("compact", sender, stamp)))
+    return states, np.sort(scramble(np.arange(count, dtype=np.uint64), random_key("compact", sender, stamp)))
 
 
 def quantised(states: np.ndarray, speed: float, sender: str, stamp: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import msgspec
 
 from protocol.keys import parse_message_key
+from protocol.random_streams import random_key, stream
 from protocol.settings import Fraction, NotNegative, Section, convert
-from protocol.streams import key, stream
 
 
 class LinkCondition(Section, frozen=True, kw_only=True):
@@ -40,7 +40,7 @@ class Channel:
     """One direction of a link."""
 
     def __init__(self, seed: int, sender: str, receiver: str) -> None:
-        self._rng = stream(seed, "link", key(sender), key(receiver))
+        self._rng = stream(seed, "link", random_key(sender), random_key(receiver))
         self._draws: list[list[float]] = []  # the draws of the next messages, the last message first
         self._bad = False  # Gilbert-Elliott: every message is lost while the channel is bad
         self._free_at = -math.inf  # s, when a link of little bandwidth has carried all that it was given

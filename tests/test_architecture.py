@@ -345,7 +345,7 @@ def test_an_agent_loads_little_and_numba_only_when_compiled_kernels_are_asked_fo
 
 def test_the_world_process_loads_no_agent_and_the_protocol_room_loads_nobody() -> None:
     assert not loaded_by("world.config") & {"agents", "deploy"}
-    assert loaded_by("protocol.codec, protocol.node, protocol.settings, protocol.streams, protocol.geometry") <= {
+    assert loaded_by("protocol.codec, protocol.node, protocol.settings, protocol.random_streams, protocol.geometry") <= {
         "protocol",
         "numpy",
         "msgspec",

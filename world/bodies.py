@@ -13,9 +13,9 @@ from protocol.fields import LARGEST_NUMBER
 from protocol.geometry import wrap_angle
 from protocol.messages import Command
 from protocol.pose import integrate
+from protocol.random_streams import random_key, stream
 from protocol.sensing import Pose
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings
-from protocol.streams import key, stream
 from world.config import BodySettings, WorldConfig
 
 ROOM = 0.1  # m around each body at the start
@@ -28,7 +28,7 @@ def start_pose(name: str, settings: BodySettings, arena: ArenaSettings, seed: in
     given = settings.poses.get(name) if settings.start == "given" else None
     if given is not None:
         return given[0], given[1], wrap_angle(given[2])
-    return _random_pose(arena, stream(seed, "start", key(name)))
+    return _random_pose(arena, stream(seed, "start", random_key(name)))
 
 
 def _random_pose(arena: ArenaSettings, numbers: np.random.Generator) -> Pose:
@@ -42,7 +42,7 @@ def free_pose(name: str, config: WorldConfig, taken: Iterable[Pose]) -> Pose:
     apart, others = 2.0 * (config.limits.radius + ROOM), list(taken)
     for attempt in range(ATTEMPTS):
         if attempt:
-            pose = _random_pose(config.arena, stream(config.run.seed, "start", key(name), attempt))
+            pose = _random_pose(config.arena, stream(config.run.seed, "start", random_key(name), attempt))
         else:
             pose = start_pose(name, config.bodies, config.arena, config.run.seed)
         if config.limits.radius == 0.0 or all(math.dist(pose[:2], other[:2]) >= apart for other in others):
@@ -66,7 +66,7 @@ def pose_with_error(pose: Pose, before: Pose, config: WorldConfig, name: str, ti
     settings = config.bodies
     if not any(getattr(settings, field) for field in ERRORS):
         return pose
-    east, north, turn, ahead = stream(config.run.seed, "pose", key(name), tick).standard_normal(4).tolist()
+    east, north, turn, ahead = stream(config.run.seed, "pose", random_key(name), tick).standard_normal(4).tolist()
     ticks = ahead * settings.time_error / config.run.dt
     x = pose[0] + settings.position_error * east + ticks * (pose[0] - before[0])
     y = pose[1] + settings.position_error * north + ticks * (pose[1] - before[1])

@@ -14,9 +14,9 @@ import numpy as np
 from protocol.arithmetic import elementwise
 from protocol.fields import MAX_DETECTIONS
 from protocol.measuring import Measurement, to_measurements
+from protocol.random_streams import random_key, scramble, uniform
 from protocol.sensing import Pose, SensorModel, WedgeSensor, measurement_of, wedge_probabilities
 from protocol.settings import DetectionSettings
-from protocol.streams import key, scramble, uniform
 from world.targets import wrap
 
 _MISS, _RADIUS, _ANGLE, _COUNT, _EAST, _NORTH = range(1, 7)  # one salt per use of a word, so that its draws are independent
@@ -110,7 +110,7 @@ class Detector:
 
         `positions` (T, 2) and `ids` (T,) are the targets, `seen` their sightings. Detections may lie a little outside arena or footprint.
         """
-        words = scramble(np.array([key("scan", name) for name in names], dtype=np.uint64), key(self._seed, "scans", tick))
+        words = scramble(np.array([random_key("scan", name) for name in names], dtype=np.uint64), random_key(self._seed, "scans", tick))
         true_owners, true_points = self._detections(words, positions, ids, seen, sensors, poses)
         clutter_owners, clutter_points = self._clutter(words, sensors, poses)
         for index, sensor in enumerate(sensors):
@@ -134,7 +134,7 @@ class Detector:
         poses: Sequence[Pose],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Sensor indices (M,) and noisy detections (M, 2) of the sightings that are not missed."""
-        bits = scramble(ids, key("target"))[seen.targets] ^ words[seen.sensors]
+        bits = scramble(ids, random_key("target"))[seen.targets] ^ words[seen.sensors]
         hit = uniform(scramble(bits, _MISS)) < seen.probabilities
         bits, owners, points = bits[hit], seen.sensors[hit], positions[seen.targets[hit]]
         # Box and Muller: two normal variates from two uniform ones.

@@ -11,8 +11,8 @@ import numpy as np
 
 from protocol.arithmetic import elementwise
 from protocol.fields import MAX_DETECTIONS
+from protocol.random_streams import normal, random_key, scramble, stream
 from protocol.settings import ArenaSettings, BadSetting, load_named
-from protocol.streams import key, normal, scramble, stream
 from protocol.user_classes import as_bad_setting, real_array, shown
 from world.config import TargetSettings
 
@@ -35,7 +35,7 @@ class ConstantSpeed:
     def move(self, positions: np.ndarray, headings: np.ndarray, ids: np.ndarray, tick: int) -> tuple[np.ndarray, np.ndarray]:
         """Turn by a keyed normal variate, then go straight for one tick."""
         if self._turn > 0.0:
-            headings = headings + self._turn * normal(scramble(ids, key(self._seed, "heading", tick)))
+            headings = headings + self._turn * normal(scramble(ids, random_key(self._seed, "heading", tick)))
         return positions + self._step * _directions(headings), headings
 
 

@@ -33,9 +33,9 @@ from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol import geometry
 from protocol.compact_particles import DIRECTIONS
+from protocol.random_streams import random_key
 from protocol.sensing import WedgeSensor
 from protocol.settings import ArenaSettings
-from protocol.streams import key
 
 
 def cut_cells(indices: Sequence[int], points: np.ndarray, radii: np.ndarray, arena: np.ndarray) -> list[Cell]:
@@ -66,9 +66,9 @@ def motion(step: Step) -> MotionArguments:
     config, tick = step.config, step.tick
     run, settings, arena = config.run, config.filter, config.arena
     return (
-        np.uint64(key(settings.seed, "turn", tick)),
-        np.uint64(key(settings.seed, "east", tick)),
-        np.uint64(key(settings.seed, "north", tick)),
+        np.uint64(random_key(settings.seed, "turn", tick)),
+        np.uint64(random_key(settings.seed, "east", tick)),
+        np.uint64(random_key(settings.seed, "north", tick)),
         run.dt,
         0.5 * settings.heading_noise * math.sqrt(run.dt),
         settings.speed,
@@ -91,7 +91,7 @@ def background_births(step: Step) -> Particles:
         if at == tick and known is config:
             return found
     birth, arena, mass = config.birth, config.arena, inflow(config.run.dt, config.filter, config.arena)
-    count, salt = birth.background_particles, np.uint64(key(config.filter.seed, "background", tick))
+    count, salt = birth.background_particles, np.uint64(random_key(config.filter.seed, "background", tick))
     if not birth.background or mass <= 0.0:
         return NO_PARTICLES
     on_border = starting_on_border(config.filter, birth)
@@ -133,7 +133,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]
     numbers += [config.extraction.bin, config.extraction.threshold, config.extraction.beside]
     numbers += [filters.gate, kernel_variance(filters)]
-    salts = [key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
+    salts = [random_key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
     settings, keys = np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
     _PREPARED.append((config, settings, keys))
     return settings, keys
@@ -231,7 +231,7 @@ def _update_wedges(
 @lru_cache(maxsize=1024)
 def _draws(seed: int, names: tuple[str, ...]) -> np.ndarray:
     """Keys of the resampling of each owner (K,), a pure memo of the last 1024 groups."""
-    return np.array([key(seed, "resample", name) for name in names], dtype=np.uint64)
+    return np.array([random_key(seed, "resample", name) for name in names], dtype=np.uint64)
 
 
 def _estimates(estimates: np.ndarray, names: np.ndarray) -> TargetEstimates:

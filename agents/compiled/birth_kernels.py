@@ -16,7 +16,7 @@ _S11, _S52 = np.uint64(11), np.uint64(52)
 
 @njit
 def uniform(bits: np.uint64) -> float:
-    """Twin of `protocol.streams.uniform`."""
+    """Twin of `protocol.random_streams.uniform`."""
     return np.float64(bits >> _S11) * 2.0**-53
 
 

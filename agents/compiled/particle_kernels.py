@@ -44,7 +44,7 @@ _MOST_BITS, _FULLEST = 14, 64  # most bits of an id that choose its bucket, and 
 
 @njit
 def scramble(word: np.uint64, salt: np.uint64) -> np.uint64:
-    """Twin of `protocol.streams.scramble`."""
+    """Twin of `protocol.random_streams.scramble`."""
     word = (word ^ salt) + _GOLDEN
     word = (word ^ (word >> _S30)) * _MIX1
     word = (word ^ (word >> _S27)) * _MIX2
@@ -53,7 +53,7 @@ def scramble(word: np.uint64, salt: np.uint64) -> np.uint64:
 
 @njit
 def normal(bits: np.uint64) -> float:
-    """Twin of `protocol.streams.normal`."""
+    """Twin of `protocol.random_streams.normal`."""
     total = (bits & _LOW) + ((bits >> _S16) & _LOW) + ((bits >> _S32) & _LOW) + (bits >> _S48)
     return (np.float64(total) - 131070.0) * _NORMAL_SCALE
 

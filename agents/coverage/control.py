@@ -14,9 +14,9 @@ import numpy as np
 from agents.gossip.table import GossipTable
 from agents.tracking.particles import Particles
 from protocol.geometry import EMPTY, polygon_centroid, wrap_angle
+from protocol.random_streams import random_key
 from protocol.sensing import Pose, SensorModel
 from protocol.settings import LimitSettings
-from protocol.streams import key
 
 ControlInput = tuple[tuple[float, float], float]
 STAND: ControlInput = ((0.0, 0.0), 0.0)
@@ -99,7 +99,7 @@ class RandomWalk:
 
     def command(self, situation: Situation) -> ControlInput:
         leg = int(situation.tick * situation.dt // 20.0)
-        bits = key(situation.seed, "waypoint", situation.name, leg)
+        bits = random_key(situation.seed, "waypoint", situation.name, leg)
         goal = ((bits >> 32) * 2.0**-32 * situation.arena[0], (bits & 0xFFFFFFFF) * 2.0**-32 * situation.arena[1])
         return approach(situation, goal)
 

@@ -25,8 +25,8 @@ from protocol.fields import read_labels
 from protocol.gaussian_components import COMPONENT
 from protocol.measuring import to_places
 from protocol.messages import GOSSIP_NUMBERS, Gossip
+from protocol.random_streams import random_key
 from protocol.sensing import SensorModel, WedgeSensor, measurement_of
-from protocol.streams import key
 
 COLUMNS = 26
 (
@@ -100,7 +100,7 @@ def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> Announce
     if isinstance(sensor, WedgeSensor):
         half, near, far, kind = sensor.cos_half_angle, sensor.prob_detection, sensor.far_probability, WEDGE
     measures = model_of(measurement_of(sensor))
-    packed = _SENSOR.pack(sensor.reach, half, near, clutter / sensor.area, kind, key("sensor", name), *measures, far)
+    packed = _SENSOR.pack(sensor.reach, half, near, clutter / sensor.area, kind, random_key("sensor", name), *measures, far)
     facts = _facts(sensor)
     bounds = bounds_of(sensor, facts)
     return AnnouncedSensor(sensor, facts, packed, facts.capability * TOLERANCE, sensor.reach * TOLERANCE, bounds)
@@ -290,7 +290,7 @@ class GossipTable:
         for gossip, announced, numbers, end in zip(self.gossips, self.sensors, self.table, ends):
             if numbers[KIND] != NO_SCAN:
                 rows = slice(end - np.int64(numbers[DETECTIONS]), end)
-                order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), key("sensor", gossip.sender)
+                order, salt = np.arange(numbers[DETECTIONS], dtype=np.uint64), random_key("sensor", gossip.sender)
                 noise, kappa = (float(numbers[PLACE_NOISE]), float(numbers[HEADING_NOISE])), float(numbers[KAPPA])
                 rays = self.rays[rows] if numbers[MODEL] or noise != EXACT_POSE else None  # whatever other sensors in the table measure
                 scan = Scan(salt, announced.sensor, gossip.pose, self.detections[rows], order, kappa, rays, noise)

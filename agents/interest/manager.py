@@ -27,8 +27,8 @@ from agents.round import COPY_HORIZON, AgentContext, RoundResult
 from protocol.keys import beacons_in, one_of, order, tokens_of
 from protocol.messages import Beacon, Gossip, Observation
 from protocol.node import Effect, Reopen, Subscribe, Unsubscribe
+from protocol.random_streams import random_key
 from protocol.sensing import Pose, WedgeSensor
-from protocol.streams import key
 
 ANSWER_SECONDS = 0.25  # s of the clock for a question to reach all agents and for the answers to come back
 JOIN_PERIODS = 4  # times `ANSWER_SECONDS` before the first gossip, so that agents that must ask again have subscribed as well
@@ -58,7 +58,7 @@ class InterestManager:
         self._ground = Ground(context.arena, own_bounds, drift)
         periods = BEACON_PERIOD, SELECTION_PERIOD, LINGER_SECONDS
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in periods)
-        self._phase, self._turn = key("beacon", context.name) % self._period, 0  # of the beacon that each period brings; its number
+        self._phase, self._turn = random_key("beacon", context.name) % self._period, 0  # of the beacon that each period brings; its number
         self._unknown_until = 0  # until this tick the others may not know this agent
         self._questions, self._join_at = 0, 0.0
         self._asking = True

@@ -18,9 +18,9 @@ from agents.tracking.measurement_likelihood import BEARING, EXACT_POSE, birth_pl
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, select, squared_distances, unlabelled
 from agents.tracking.step import Step
 from protocol.compact_particles import DIRECTIONS
+from protocol.random_streams import normal, random_key, scramble, uniform
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import ArenaSettings
-from protocol.streams import key, normal, scramble, uniform
 
 SQUARE = 25.0  # m, side of the squares by which the prior is sorted
 
@@ -66,7 +66,7 @@ def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings)
     mass = settings.prior_density * arena.width * arena.height
     if count == 0 or mass == 0.0:
         return NO_PARTICLES
-    ids = _numbered(key(seed, "prior"), count)
+    ids = _numbered(random_key(seed, "prior"), count)
     x = uniform(scramble(ids, 1)) * arena.width
     y = uniform(scramble(ids, 2)) * arena.height
     states = np.column_stack([x, y, _directions(scramble(ids, 3)) * settings.speed])
@@ -118,7 +118,7 @@ def _background_births(seed: int, tick: int, dt: float, settings: FilterSettings
     if not birth.background or mass <= 0.0:
         return NO_PARTICLES
     width, height = arena.width, arena.height
-    ids = _numbered(key(seed, "background", tick), count)
+    ids = _numbered(random_key(seed, "background", tick), count)
     on_border = np.arange(count) < starting_on_border(settings, birth)
     along = uniform(scramble(ids, 1)) * (2.0 * (width + height))
     sideways = 2.0 * uniform(scramble(ids, 2)) - 1.0  # the sine of a cosine-law heading is uniform
@@ -204,7 +204,7 @@ def measurement_births(
     """
     count = birth.measurement_particles
     numbers = np.repeat(scan.numbers * np.uint64(count), count) + np.tile(np.arange(count, dtype=np.uint64), len(scan.numbers))
-    ids = scramble(numbers, key(seed, "birth", tick, scan.salt))
+    ids = scramble(numbers, random_key(seed, "birth", tick, scan.salt))
     places = np.repeat(scan.detections, count, axis=0)
     if scan.rays is not None:
         scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
@@ -218,4 +218,4 @@ def measurement_births(
 
 def founded_labels(scan: Scan, tick: int, seed: int, birth: BirthSettings) -> np.ndarray:
     """The labels (M,) that the detections of a scan found, each from the id of the first of its births."""
-    return birth_labels(scramble(scan.numbers * np.uint64(birth.measurement_particles), key(seed, "birth", tick, scan.salt)), tick)
+    return birth_labels(scramble(scan.numbers * np.uint64(birth.measurement_particles), random_key(seed, "birth", tick, scan.salt)), tick)

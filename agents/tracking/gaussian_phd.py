@@ -31,9 +31,9 @@ from agents.tracking.measurement_likelihood import BEARING, POSE_SPREAD, model_o
 from agents.tracking.particles import column_sums
 from agents.tracking.phd import exp_minus
 from agents.tracking.step import Step
+from protocol.random_streams import random_key, scramble
 from protocol.sensing import measurement_of
 from protocol.settings import BadSetting
-from protocol.streams import key, scramble
 
 SPLIT_OFFSET = 0.7  # where the halves of a split component lie, in its standard deviations
 PRIOR_DEVIATION = 0.7  # standard deviation of a component of the prior in units of the largest one; half of their distance
@@ -47,7 +47,7 @@ def prior(config: AgentConfig) -> Mixture:
         return EMPTY
     places = np.array([((c + 0.5) / columns * arena.width, (r + 0.5) / rows * arena.height) for r in range(rows) for c in range(columns)])
     weights = np.full(len(places), filters.prior_density * arena.width * arena.height / len(places))
-    ids = scramble(np.arange(len(places), dtype=np.uint64), key(filters.seed, "prior"))
+    ids = scramble(np.arange(len(places), dtype=np.uint64), random_key(filters.seed, "prior"))
     order = np.argsort(ids, kind="stable")
     covariances = _covariances(len(ids), deviation**2, 0.5 * filters.speed**2)
     return unlabelled(weights, np.column_stack([places, np.zeros_like(places)])[order], covariances, ids[order])
@@ -114,7 +114,7 @@ def _split(mixture: Mixture, step: Step) -> Mixture:
     )
     covariances = halves.covariances - shift[:, :, None] * shift[:, None, :]
     first = halves._replace(weights=0.5 * halves.weights, means=halves.means + shift, covariances=covariances)
-    again = scramble(halves.ids, key(step.config.filter.seed, "split", step.tick))
+    again = scramble(halves.ids, random_key(step.config.filter.seed, "split", step.tick))
     return chain([_put(mixture, wide, first), first._replace(means=halves.means - shift, ids=again)])
 
 
@@ -218,7 +218,7 @@ def _detected(mixture: Mixture, scan: Scan, noise: np.ndarray, step: Step) -> tu
     covariances = before - 0.5 * (taken + taken.transpose(0, 2, 1))
     probability = scan.probability(means[:, :2])
     likelihood = exp_minus(0.5 * squared) / (2.0 * math.pi * np.sqrt(volume))
-    salt = scramble(scan.numbers[columns], key(filters.seed, "detected", step.tick, scan.salt))
+    salt = scramble(scan.numbers[columns], random_key(filters.seed, "detected", step.tick, scan.salt))
     found = Mixture(mixture.weights[rows], means, covariances, scramble(mixture.ids[rows], salt), mixture.labels[rows])
     return rows, columns, found, mixture.weights[rows] * probability * likelihood
 
@@ -233,7 +233,7 @@ def _births(scan: Scan, noise: np.ndarray, weights: np.ndarray, step: Step) -> M
     covariances = _covariances(len(weights), 0.0, 0.5 * step.config.filter.speed**2)
     covariances[:, :2, :2] = noise
     means = np.concatenate([scan.detections, np.zeros_like(scan.detections)], axis=1)
-    ids = scramble(scan.numbers, key(step.config.filter.seed, "birth", step.tick, scan.salt))
+    ids = scramble(scan.numbers, random_key(step.config.filter.seed, "birth", step.tick, scan.salt))
     founds = step.config.birth.measurement
     return Mixture(weights, means, covariances, ids, birth_labels(ids, step.tick) if founds else np.zeros_like(ids))
 

@@ -14,8 +14,8 @@ import numpy as np
 from agents.tracking import particles
 from agents.tracking.particles import Particles, canonical
 from protocol.gaussian_components import COMPONENT
+from protocol.random_streams import scramble
 from protocol.settings import ArenaSettings
-from protocol.streams import scramble
 
 LEAST_VARIANCE = 1.0e-8  # of each axis given the ones before, m^2 or m^2/s^2
 KERNEL_SHARE = 0.2  # of the covariance, that lies around each quadrature point; these hold the rest

@@ -19,7 +19,7 @@ from collections import Counter
 import numpy as np
 
 from agents.tracking.particles import Particles, squared_distances, total
-from protocol.streams import scramble
+from protocol.random_streams import scramble
 
 NO_LABEL = 0
 HASH_BITS, TICK_BITS = 29, 24  # of a label: a hash in the low bits, the tick plus one above; 2^24 ticks are 48 days at 4 Hz

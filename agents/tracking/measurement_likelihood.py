@@ -16,11 +16,11 @@ import numpy as np
 
 from agents.config import FilterSettings
 from protocol.measuring import Measurement
-from protocol.streams import normal, scramble, uniform
+from protocol.random_streams import normal, scramble, uniform
 
 POSITION, RANGE_BEARING, BEARING = 0.0, 1.0, 2.0  # models of a scan, a column of the gossip table
 MODELS = {"range-bearing": RANGE_BEARING, "bearing": BEARING}  # by `Measurement.kind`
-LARGEST_DEVIATION = 3.47  # deviations: above all keyed normal numbers (`protocol.streams.NORMAL_BOUND`)
+LARGEST_DEVIATION = 3.47  # deviations: above all keyed normal numbers (`protocol.random_streams.NORMAL_BOUND`)
 TINY = 1e-12
 EXACT_POSE = (0.0, 0.0)  # the noise of a pose that is exact
 POSE_SPREAD = math.sqrt(3.0)  # deviations of `sigma_poses`

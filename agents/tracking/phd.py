@@ -3,8 +3,8 @@
 Data types: a PHD is a set of weighted particles; the sum of the weights in a place is the expected number of targets there.
 
 Rules. Each random number is a pure function of (`filter.seed`, particle id, tick), so that all copies of a particle move to the same place
-(protocol/streams.py). Sums run one after the other in the order of the particles, and a particle that contributes zero changes no bit.
-A filter of one cell and a filter of the whole arena therefore agree to the last bit where they overlap.
+(protocol/random_streams.py). Sums run one after the other in the order of the particles, and a particle that contributes zero changes no
+bit. A filter of one cell and a filter of the whole arena therefore agree to the last bit where they overlap.
 """
 
 import math
@@ -17,9 +17,9 @@ from agents.tracking.extraction import block_sums
 from agents.tracking.labels import ADOPTED_SHARE, NO_LABEL, given_labels
 from agents.tracking.measurement_likelihood import distances_and_peaks, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, join, squared_distances
+from protocol.random_streams import normal, random_key, scramble
 from protocol.sensing import measurement_of
 from protocol.settings import ArenaSettings
-from protocol.streams import key, normal, scramble
 
 BINS_IN_VICINITY = 3.0  # bins in the length `vicinity`; two bins to each side of its own bin are near a particle
 
@@ -31,13 +31,13 @@ def predict(particles: Particles, tick: int, seed: int, dt: float, settings: Fil
     arena stay in the array with weight 0, unless the border reflects.
     """
     states = particles.states
-    turn = normal(scramble(particles.ids, key(seed, "turn", tick))) * (0.5 * settings.heading_noise * math.sqrt(dt))
+    turn = normal(scramble(particles.ids, random_key(seed, "turn", tick))) * (0.5 * settings.heading_noise * math.sqrt(dt))
     scale = settings.speed / np.maximum(np.sqrt(states[:, 2] * states[:, 2] + states[:, 3] * states[:, 3]), 1e-12)
     cos, sin = (1.0 - turn * turn) / (1.0 + turn * turn), 2.0 * turn / (1.0 + turn * turn)
     vx = (cos * states[:, 2] - sin * states[:, 3]) * scale
     vy = (sin * states[:, 2] + cos * states[:, 3]) * scale
-    x = states[:, 0] + vx * dt + normal(scramble(particles.ids, key(seed, "east", tick))) * settings.position_noise
-    y = states[:, 1] + vy * dt + normal(scramble(particles.ids, key(seed, "north", tick))) * settings.position_noise
+    x = states[:, 0] + vx * dt + normal(scramble(particles.ids, random_key(seed, "east", tick))) * settings.position_noise
+    y = states[:, 1] + vy * dt + normal(scramble(particles.ids, random_key(seed, "north", tick))) * settings.position_noise
     if settings.border == "reflect":
         x, vx = _reflect(x, vx, arena.width)
         y, vy = _reflect(y, vy, arena.height)
@@ -193,7 +193,7 @@ def sample_size(mass: float, settings: FilterSettings) -> int:
 
 def sample_offset(seed: int, owner: str, tick: int) -> float:
     """The one uniform number of a systematic resampling, in [0, 1)."""
-    return (key(seed, "resample", owner, tick) >> 11) * 2.0**-53
+    return (random_key(seed, "resample", owner, tick) >> 11) * 2.0**-53
 
 
 def resample(particles: Particles, owner: str, tick: int, seed: int, settings: FilterSettings) -> Particles:
@@ -212,6 +212,6 @@ def resample(particles: Particles, owner: str, tick: int, seed: int, settings: F
     repeats = np.arange(count) - np.searchsorted(parents, parents, side="left")
     ids = particles.ids[parents]
     again = repeats > 0
-    ids[again] = scramble(ids[again] + repeats[again].astype(np.uint64), key(seed, "split", tick))
+    ids[again] = scramble(ids[again] + repeats[again].astype(np.uint64), random_key(seed, "split", tick))
     states = particles.states[parents].astype(WIRE_TYPE).astype(float)
     return canonical(Particles(states, np.full(count, mass / count), ids, particles.labels[parents]))

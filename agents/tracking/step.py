@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from agents.config import AgentConfig
-from protocol.streams import NORMAL_BOUND
+from protocol.random_streams import NORMAL_BOUND
 
 
 class Step(NamedTuple):

@@ -23,9 +23,9 @@ from deploy.scenario import Scenario, agent_config, world_config
 from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.messages import Command, Gossip
+from protocol.random_streams import random_key
 from protocol.sensing import SensorModel
 from protocol.settings import sensor_of
-from protocol.streams import key
 from world.bodies import Bodies, start_pose
 from world.detector import Detector, sightings
 from world.score import errors
@@ -154,7 +154,7 @@ def _drawn(own: Particles, owner: str, step: Step) -> Particles:
     mass = particle_kernels.first_moments(own.states, own.weights)[0]
     if mass <= 0.0:
         return NO_PARTICLES
-    count, salt = phd.sample_size(mass, filters), np.uint64(key(filters.seed, "split", tick))
+    count, salt = phd.sample_size(mass, filters), np.uint64(random_key(filters.seed, "split", tick))
     states, ids, labels = particle_kernels.resample(*own, mass, count, phd.sample_offset(filters.seed, owner, tick), salt)  # type: ignore[arg-type]
     return Particles(states, np.full(len(ids), mass / count), ids, labels)
 

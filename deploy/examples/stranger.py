@@ -40,7 +40,7 @@ def scramble(word: int, salt: int) -> int:
     return word ^ (word >> 31)
 
 
-def key(seed: int, purpose: str, tick: int) -> int:
+def random_key(seed: int, purpose: str, tick: int) -> int:
     """The salt of one kind of noise in one tick."""
     return scramble(scramble(scramble(GOLDEN, seed), zlib.crc32(purpose.encode()) | len(purpose) << 32), tick)
 
@@ -91,7 +91,7 @@ def power_cell(own: Entry, others: list[Entry], corners: list[Entry]) -> tuple[l
 def move(particles: list[Entry], tick: int, settings: Map) -> list[Entry]:
     """The particles one tick later, at `tick`; those that leave the arena are dropped."""
     model, dt, sides = settings["filter"], settings["run"]["dt"], (settings["arena"]["width"], settings["arena"]["height"])
-    turn, *axes = (key(model["seed"], purpose, tick) for purpose in ("turn", "east", "north"))
+    turn, *axes = (random_key(model["seed"], purpose, tick) for purpose in ("turn", "east", "north"))
     survival, moved = math.exp(-dt / model["lifetime"]) if model["lifetime"] else 1.0, []
     for x, y, vx, vy, weight, number in particles:
         half = normal(scramble(number, turn)) * (0.5 * model["heading_noise"] * math.sqrt(dt))

@@ -29,8 +29,8 @@ import numpy as np
 
 from deploy.scenario import RESERVED, FaultSettings
 from protocol.keys import NAME
+from protocol.random_streams import stream
 from protocol.settings import BadSetting
-from protocol.streams import stream
 
 MOST = 1e9  # of any value: s, kbit/s
 MOST_NAMED = 12  # processes that an error names; more are counted

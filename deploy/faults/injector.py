@@ -16,7 +16,7 @@ from deploy.faults.faults import LINK_VERBS, Action
 from deploy.faults.links import Links
 from deploy.scenario import Scenario, agent_config
 from protocol.node import Alive, Gone
-from protocol.streams import stream
+from protocol.random_streams import stream
 from protocol.virtual import VirtualBus
 
 RECONNECT = 0.5  # s from the end of a cut to the new session

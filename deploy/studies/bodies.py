@@ -18,8 +18,8 @@ from deploy.scenario import FaultSettings, Scenario, find, resolve
 from deploy.simulation import Simulation
 from deploy.studies.trials import CORE, Row, key_of, source_hash
 from protocol.observer_messages import Truth
+from protocol.random_streams import stream
 from protocol.settings import BadSetting
-from protocol.streams import stream
 from world.physical_bodies import PhysicalBodies
 
 SCENARIO = "efficacy"

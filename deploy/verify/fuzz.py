@@ -23,7 +23,7 @@ from deploy.faults.injector import Build
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
 from deploy.verify.invariants import LOADS, InvariantBroken, InvariantChecker
-from protocol.streams import stream
+from protocol.random_streams import stream
 
 CALM_START, CHAOS, SETTLE = 2.0, 20.0, 5.0  # s
 CALM_END = 8  # ticks; the central filter starts in the first, and is compared in all others but the last two, which are not complete

@@ -23,9 +23,9 @@ from agents.tracking.tracker import RegionInput
 from protocol.fields import pack, pack_labels
 from protocol.geometry import EMPTY, rectangle
 from protocol.messages import Gossip
+from protocol.random_streams import scramble
 from protocol.sensing import SENSOR_CLASSES, Pose, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
-from protocol.streams import scramble
 from tests.agents.gossip_table import table as table_of
 
 fast = pytest.importorskip("agents.compiled.backend")

@@ -8,8 +8,8 @@ from agents.gossip.table import COS_HALF, REACH, GossipTable
 from protocol.fields import pack
 from protocol.gaussian_components import COMPONENT
 from protocol.messages import Gossip
+from protocol.random_streams import random_key
 from protocol.sensing import SENSOR_CLASSES
-from protocol.streams import key
 from tests.agents.gossip_table import table
 
 DOTS = np.array([[1.5, 2.5], [3.5, 4.5]])
@@ -48,8 +48,11 @@ def test_the_view_depends_on_every_generator_and_every_name() -> None:
 
 def test_scans_keep_their_order_and_the_silent_are_left_out() -> None:
     said = words(gossip("s2", detections_bytes=pack(DOTS, "<f4")), gossip("s3", scanned=False), gossip("s4"))
-    assert [(len(scan.detections), scan.salt) for scan in said.scans()] == [(2, key("sensor", "s2")), (0, key("sensor", "s4"))]
-    assert said.detections.tolist() == DOTS.tolist() and said.salts.tolist() == [key("sensor", name) for name in said.names]
+    assert [(len(scan.detections), scan.salt) for scan in said.scans()] == [
+        (2, random_key("sensor", "s2")),
+        (0, random_key("sensor", "s4")),
+    ]
+    assert said.detections.tolist() == DOTS.tolist() and said.salts.tolist() == [random_key("sensor", name) for name in said.names]
 
 
 def test_particles_stand_end_to_end_with_their_senders_weights() -> None:

@@ -11,9 +11,9 @@ from agents.config import BirthSettings, FilterSettings
 from agents.tracking.births import Scan, survival_probability
 from agents.tracking.particles import NO_PARTICLES, Particles, select, total, unlabelled
 from agents.tracking.phd import correct, exp_minus, likelihood_noise, predict, resample, sample_size
+from protocol.random_streams import scramble
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import ArenaSettings
-from protocol.streams import scramble
 
 ARENA = ArenaSettings(width=40.0, height=40.0)
 FILTER = FilterSettings()

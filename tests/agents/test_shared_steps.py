@@ -23,9 +23,9 @@ from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
+from protocol.random_streams import random_key
 from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings
-from protocol.streams import key
 from tests.agents.gossip_table import table
 
 BOTH = pytest.mark.parametrize("backend", [PLAIN, compiled()], ids=["plain", "compiled"])
@@ -209,7 +209,7 @@ def test_background_births_have_the_speed_of_all_particles(backend: Backend) -> 
 def test_measurement_births_are_spread_by_the_noise_in_east_and_north() -> None:
     """4000 copies: a standard error of 1.1 % of a standard deviation."""
     places = np.random.default_rng(1).random((400, 2)) * 60.0
-    scan = Scan(key("sensor", "s1"), SENSOR, POSE, places, np.arange(400, dtype=np.uint64), 0.01)
+    scan = Scan(random_key("sensor", "s1"), SENSOR, POSE, places, np.arange(400, dtype=np.uint64), 0.01)
     born = measurement_births(scan, np.full(400, 0.1), np.full(400, 9, np.uint64), 5, 1, 0.5, CONFIG.filter, CONFIG.birth)
     offsets = born.states[:, :2] - np.repeat(places, CONFIG.birth.measurement_particles, axis=0)
     assert offsets.std(axis=0) == pytest.approx([0.5, 0.5], rel=0.05)

@@ -8,8 +8,8 @@ import pytest
 from deploy.cli.scenario_checks import faults_beyond_a_simulation, faults_on_links, faults_without_effect
 from deploy.faults.faults import REFUSED, Action, Schedule, check_fault, check_faults, choose
 from deploy.scenario import FaultSettings, resolve
+from protocol.random_streams import stream
 from protocol.settings import BadSetting
-from protocol.streams import stream
 
 TEAM = [f"s{number}" for number in range(1, 17)]
 

@@ -13,8 +13,8 @@ from agents.tracking import phd
 from agents.tracking.claims import make_claim, owned
 from agents.tracking.particles import Particles, unlabelled
 from protocol.geometry import polygon_area, rectangle
+from protocol.random_streams import random_key
 from protocol.settings import ArenaSettings
-from protocol.streams import key
 
 FILE = Path(__file__).parents[2] / "deploy" / "examples" / "stranger.py"
 
@@ -50,7 +50,7 @@ def test_its_particles_move_as_ours_do(stranger: ModuleType, border: str) -> Non
 
 
 def test_its_keys_are_ours(stranger: ModuleType) -> None:
-    assert stranger.key(2**63 - 1, "north", 12345) == key(2**63 - 1, "north", 12345)
+    assert stranger.random_key(2**63 - 1, "north", 12345) == random_key(2**63 - 1, "north", 12345)
 
 
 def test_its_cells_and_claims_are_ours(stranger: ModuleType) -> None:

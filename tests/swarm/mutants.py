@@ -26,7 +26,7 @@ from agents.tracking.tracker import RegionInput
 from deploy.verify import fuzz
 from deploy.verify.fuzz import Case
 from protocol.messages import Gossip, Observation
-from protocol.streams import key, scramble
+from protocol.random_streams import random_key, scramble
 
 Mutant = Callable[[Case, pytest.MonkeyPatch], str | None]  # plays a case with the rule left out
 
@@ -58,7 +58,7 @@ def births_by_the_owner_only(case: Case, patch: pytest.MonkeyPatch) -> str | Non
 
     def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step: Step) -> Particles:
         updated = right(particles, table, polygon, step)
-        salt = key(step.config.filter.seed, "birth", step.tick, key("sensor", owners[-1]))
+        salt = random_key(step.config.filter.seed, "birth", step.tick, random_key("sensor", owners[-1]))
         mine = scramble(np.arange(10000, dtype=np.uint64), salt)
         return select(updated, np.isin(updated.ids, particles.ids) | np.isin(updated.ids, mine))
 

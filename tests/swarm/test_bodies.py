@@ -13,7 +13,7 @@ from deploy.simulation import Simulation
 from protocol.message import Message
 from protocol.messages import Command, Gossip, Halt, Hello, Observation
 from protocol.node import Alive, Effect, Event, Node, Started, Stop, Timer, received
-from protocol.streams import key
+from protocol.random_streams import random_key
 from tests.swarm.scene import fault, ledger
 from world.body import Body
 
@@ -121,7 +121,7 @@ def test_after_the_deaths_of_two_bodies_and_an_agent_the_rest_cover_the_arena_wi
 
 
 PROCESSES = [f"s{number}{kind}" for number in range(1, 9) for kind in ("", ".body")]
-TRIPLES = sorted(itertools.combinations(PROCESSES, 3), key=lambda names: key(27, "triple", *names))  # all 560 of them, shuffled
+TRIPLES = sorted(itertools.combinations(PROCESSES, 3), key=lambda names: random_key(27, "triple", *names))  # all 560 of them, shuffled
 
 
 @pytest.mark.slow

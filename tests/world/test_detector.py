@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from protocol.fields import MAX_DETECTIONS
+from protocol.random_streams import scramble, uniform
 from protocol.sensing import SENSOR_CLASSES, Pose, SensorModel, WedgeSensor
 from protocol.settings import DetectionSettings
-from protocol.streams import scramble, uniform
 from world import detector as detector_module
 from world.detector import Detector, clutter_points, count_in_view, poisson_table, sightings
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from protocol.fields import MAX_DETECTIONS
+from protocol.random_streams import stream
 from protocol.settings import ArenaSettings, BadSetting
-from protocol.streams import stream
 from world.config import TargetSettings
 from world.targets import Targets, arrival_rate, arrivals, inside, reflect
 

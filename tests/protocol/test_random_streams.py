@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.streams import NORMAL_BOUND, key, normal, scramble, stream, uniform
+from protocol.random_streams import NORMAL_BOUND, normal, random_key, scramble, stream, uniform
 
 words64 = st.integers(0, 2**64 - 1)
 COUNTER = np.arange(200_000, dtype=np.uint64)
@@ -42,9 +42,9 @@ def test_nothing_scrambles_to_nothing() -> None:
 
 def test_keys_do_not_change_between_releases() -> None:
     """A recorded run can be replayed only while these stay what they are."""
-    assert key() == 0x9E3779B97F4A7C15
-    assert key(0) == 0x6E789E6AA1B965F4  # the second output of splitmix64 from 0: one golden step, then the finaliser
-    assert key(1, "noise", 7) == 5169545593936622748
+    assert random_key() == 0x9E3779B97F4A7C15
+    assert random_key(0) == 0x6E789E6AA1B965F4  # the second output of splitmix64 from 0: one golden step, then the finaliser
+    assert random_key(1, "noise", 7) == 5169545593936622748
     assert stream(1, "targets", 0).integers(0, 2**62, 2).tolist() == [2216023258362977889, 399713934593078357]
 
 
@@ -66,16 +66,16 @@ def test_keys_differ_by_part_by_order_and_by_number_of_parts() -> None:
         (0,),
         (0, 0),
     ]
-    assert len({key(*parts) for parts in tuples}) == len(tuples)
+    assert len({random_key(*parts) for parts in tuples}) == len(tuples)
 
 
 @given(st.integers(0, 2**63 - 1), st.integers(0, 2**63 - 1))
 def test_numpy_integers_make_the_same_key_as_plain_ones(first: int, second: int) -> None:
-    assert key(np.int64(first), "x", np.uint64(second)) == key(first, "x", second)
+    assert random_key(np.int64(first), "x", np.uint64(second)) == random_key(first, "x", second)
 
 
 def test_keys_and_hashes_do_not_depend_on_pythonhashseed() -> None:
-    program = "from protocol.streams import key, stream; print(key(3, 'births', 4), stream(3, 'births', 4).random())"
+    program = "from protocol.random_streams import random_key, stream; print(random_key(3, 'births', 4), stream(3, 'births', 4).random())"
     found = {
         subprocess.run(
             [sys.executable, "-c", program],
@@ -86,7 +86,7 @@ def test_keys_and_hashes_do_not_depend_on_pythonhashseed() -> None:
         ).stdout
         for seed in ("0", "1", "4242")
     }
-    assert found == {f"{key(3, 'births', 4)} {stream(3, 'births', 4).random()}\n".encode()}
+    assert found == {f"{random_key(3, 'births', 4)} {stream(3, 'births', 4).random()}\n".encode()}
 
 
 def test_a_stream_is_the_same_whatever_was_drawn_before_and_differs_by_purpose_and_index() -> None:
@@ -104,7 +104,7 @@ def test_uniform_maps_the_ends_of_the_words_into_the_half_open_interval() -> Non
 
 
 def test_uniform_variates_fill_the_interval_evenly() -> None:
-    draws = uniform(scramble(COUNTER, key(1, "test")))
+    draws = uniform(scramble(COUNTER, random_key(1, "test")))
     counts = np.histogram(draws, bins=100, range=(0.0, 1.0))[0]
     chi_squared = float(np.sum((counts - 2000.0) ** 2 / 2000.0))
     assert 45.0 < chi_squared < 175.0  # 99 degrees of freedom: mean 99, standard deviation 14
@@ -113,12 +113,12 @@ def test_uniform_variates_fill_the_interval_evenly() -> None:
 
 
 def test_two_salts_give_uncorrelated_variates() -> None:
-    one, two = uniform(scramble(COUNTER, key(1, 10))), uniform(scramble(COUNTER, key(1, 11)))
+    one, two = uniform(scramble(COUNTER, random_key(1, 10))), uniform(scramble(COUNTER, random_key(1, 11)))
     assert abs(np.corrcoef(one, two)[0, 1]) < 5.0 / math.sqrt(len(COUNTER))
 
 
 def test_normal_variates_have_mean_0_variance_1_no_skew_and_kurtosis_2_7() -> None:
-    draws = normal(scramble(COUNTER, key(2, "test")))
+    draws = normal(scramble(COUNTER, random_key(2, "test")))
     error = 5.0 / math.sqrt(len(draws))
     assert abs(np.mean(draws)) < error
     assert abs(np.mean(draws**2) - 1.0) < error * math.sqrt(1.7)  # variance of z^2 is the kurtosis minus 1

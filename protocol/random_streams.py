@@ -1,8 +1,8 @@
 """Random streams by purpose: every draw is keyed by (run seed, purpose, indices), never by the order of calls.
 
 There are two kinds. `stream` returns a numpy Generator for values that are drawn in sequence (target tracks, start poses).
-`key`, `scramble`, `uniform` and `normal` are counter-based: pure functions of integers, vectorised. They consist of integer operations
-and exact floating-point steps only, so every process and every machine computes the same bits.
+`random_key`, `scramble`, `uniform` and `normal` are counter-based: pure functions of integers, vectorised. They consist of integer
+operations and exact floating-point steps only, so every process and every machine computes the same bits.
 """
 
 import math
@@ -24,7 +24,7 @@ def _mix(word: int) -> int:
 
 
 @lru_cache(maxsize=128)  # in a simulation all agents use the keys of the same tick; older keys are not needed
-def key(*parts: int | str) -> int:
+def random_key(*parts: int | str) -> int:
     """The 64-bit key of a tuple of integers and words: the same tuple, the same key, on every machine."""
     word = _GOLDEN
     for part in parts:
@@ -35,7 +35,7 @@ def key(*parts: int | str) -> int:
 
 def stream(seed: int, purpose: str, *indices: int) -> np.random.Generator:
     """A numpy Generator that depends on (seed, purpose, indices) alone."""
-    return np.random.Generator(np.random.PCG64(key(seed, purpose, *indices)))
+    return np.random.Generator(np.random.PCG64(random_key(seed, purpose, *indices)))
 
 
 def scramble(words: np.ndarray, salt: int | np.ndarray) -> np.ndarray:
