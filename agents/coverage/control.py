@@ -56,7 +56,7 @@ class Situation(NamedTuple):
     limits: LimitSettings  # `speed` in m/s, `turn_rate` in rad/s
     heading: str  # "centroid" or "literal", the setting `control.heading`
     arena: tuple[float, float]  # width, height, m
-    nearby_sensors: tuple[tuple[SensorModel, Pose], ...] = ()  # that scanned; if a law has `uses_nearby_sensors = True`
+    nearby_sensors: tuple[tuple[SensorModel, Pose], ...] = ()  # around the cell, that scanned; if a law `uses_nearby_sensors`
     generators: np.ndarray = EMPTY  # (N, 2) m, of the diagram
     own_generator: int = -1  # the row of the agent's generator; -1 without one
     surroundings: Surroundings | None = None  # for search and track
