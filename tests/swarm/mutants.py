@@ -100,12 +100,12 @@ def nan_let_through(case: Case, patch: pytest.MonkeyPatch) -> str | None:
 
 
 def old_incarnation_kept(case: Case, patch: pytest.MonkeyPatch) -> str | None:
-    right = PeerTable._peer
+    right = PeerTable._get_or_create
 
     def lenient(self: PeerTable, name: str, incarnation: int, *, token: bool = False) -> Peer | None:
         return right(self, name, incarnation, token=token) or self.peers.get(name)
 
-    patch.setattr(PeerTable, "_peer", lenient)
+    patch.setattr(PeerTable, "_get_or_create", lenient)
     return fuzz.play(case)
 
 
