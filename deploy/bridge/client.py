@@ -88,9 +88,12 @@ class Participant:
         with contextlib.suppress(zenoh.ZError):
             session.close()
         declared.clear()
-        for token in self._up:
+        gone, self._up = (
+            [*self._up],
+            set(),
+        )  # the next session tells of those that are there; threads of the old one may still add to its set
+        for token in gone:
             self.events.put(Heard(token[0], token[1], {}, token[2], up=False))
-        self._up.clear()  # the next session tells of those that are there
         while self._session is None:
             try:
                 self._join()

@@ -47,7 +47,8 @@ class BridgeWatchdog:
         """The first sign that has lasted, upon a Hello."""
         if self._tokens.get(sender) == set():
             self._tokenless.setdefault(sender, now)
-        missed = [name for name in sorted(self._agents) if self._is_missed(name, now)]
+        voters = [listed for voter, (listed, when) in self._hellos.items() if self._is_heard(voter, now) and now - when <= PATIENCE]
+        missed = [name for name in sorted(self._agents & frozenset().union(*voters)) if self._is_missed(name, voters, now)]
         self._missed = {name: self._missed.get(name, now) for name in missed}
         signs = [(since, f"the others hear {name}, this session does not") for name, since in self._missed.items()]
         if sender in self._tokenless:
@@ -60,13 +61,9 @@ class BridgeWatchdog:
         self._tokenless.clear()
         return lasting[0]
 
-    def _is_missed(self, name: str, now: float) -> bool:
+    def _is_missed(self, name: str, voters: list[frozenset[str]], now: float) -> bool:
         """Whether nothing comes of a name that at least half of the heard agents list."""
-        if self._is_heard(name, now):
-            return False
-        voters = [listed for voter, (listed, when) in self._hellos.items() if self._is_heard(voter, now) and now - when <= PATIENCE]
-        lists = sum(name in listed for listed in voters)
-        return lists > 0 and 2 * lists >= len(voters)
+        return not self._is_heard(name, now) and 2 * sum(name in listed for listed in voters) >= len(voters)
 
     def _is_heard(self, name: str, now: float) -> bool:
         return now - self._words.get(name, NEVER) <= HEARD_LATELY

@@ -263,18 +263,18 @@ def test_a_sensor_that_sees_all_around_need_not_turn() -> None:
     assert decide(task(sensor=around), no_memory(100.0, 100.0, 2.0)).turn_rate == 0.0
 
 
-@pytest.mark.parametrize(("speed", "turn_rate", "name"), [(0.0, 1.0, "C"), (2.0, 1.0, "C"), (2.0, 5.0, "A")])
+@pytest.mark.parametrize(("speed", "turn_rate", "name"), [(0.0, 1.0, "C"), (2.0, 1.0, "C"), (4.0, 5.0, "A")])
 def test_plain_and_compiled_decisions_agree_when_a_tick_is_long(speed: float, turn_rate: float, name: str) -> None:
-    """Up to 4 m in a tick of 2 s, which is two bins; a body may also stand, and only turn. A has 240 degrees."""
+    """Up to 8 m in a tick of 2 s, which is eight bins; a body may also stand, and only turn. A has 240 degrees."""
     fast = pytest.importorskip("agents.compiled.backend").FAST
     rng = np.random.default_rng(5)
     for _ in range(60):
         rows = [(*rng.uniform(35.0, 65.0, 2), rng.uniform(0.0, 0.3), *rng.normal(0.0, 1.0, 2)) for _ in range(80)]
         partners = np.column_stack([rng.uniform(35.0, 65.0, (3, 2)), rng.uniform(0.5, 2.0, 3), [8.0, 8.0, 20.0], [1.0, 0.0, 1.0]])
-        short = SearchSettings(horizon=1.0)
+        short = SearchSettings(horizon=1.0, bin=1.0)
         known = task(particles(*rows), particles(*rows), partners, goal=(51.0, 49.0), sensor=SENSOR_CLASSES[name], settings=short)
         known = known._replace(numbers=known.numbers._replace(dt=2.0, turn_rate=turn_rate, speed=speed))
-        memory = Memory(rng.uniform(-9.0, 1.0, (50, 50)), np.empty(0, dtype=np.uint64), np.empty(0))
+        memory = Memory(rng.uniform(-9.0, 1.0, (100, 100)), np.empty(0, dtype=np.uint64), np.empty(0))
         plain, compiled = decide(known, memory), fast.decide(known, memory)
         assert plain[:4] == compiled[:4]
         assert all(np.array_equal(one, other) for one, other in zip(plain.memory, compiled.memory))
