@@ -389,10 +389,11 @@ class Agent(Node):
         return self._rounds.postpones(due, self.tick, self._awaited, len(self.peer_table.fresh(due)))
 
     def _play(self, opened: OpenRound, now: float) -> None:
-        """Play a round."""
+        """Play a round. It steers if it is that of the open tick; after an older one the look-ahead does."""
         gossip, newcomer = opened.gossip, bool(self._listening)
         fresh = self.peer_table.fresh(gossip.tick)
-        self.outcome = run_round(self.context, self.outcome, self.peer_table, gossip, fresh, self._rounds.replay(opened, fresh))
+        replay, steers = self._rounds.replay(opened, fresh), gossip.tick == self.tick
+        self.outcome = run_round(self.context, self.outcome, self.peer_table, gossip, fresh, replay, steers=steers)
         self._rounds.recent.keep(self.outcome.belief)
         missing = self.peer_table.close(gossip.tick, newcomer=newcomer, responsive=self._was_responsive(now))
         self._listening.count(len(fresh), missing)

@@ -105,7 +105,7 @@ class RecentTicks:
     def blurred_config(self, ticks: int) -> AgentConfig:
         """The settings to read targets off a density that was moved on by some ticks: a target is spread wider, and its peak is lower.
 
-        Of particles, what is left when one expected target has been taken from a peak must be more than that to be another one.
+        What is left when one expected target has been taken from a peak must be more than that to be another one.
         """
         if ticks not in self._blurred:
             config, now = self._context.config, self._context.config.extraction

@@ -96,9 +96,16 @@ class RoundResult:
 
 
 def run_round(
-    context: AgentContext, last: RoundResult, peer_table: PeerTable, own: Gossip, fresh: dict[str, Gossip], replay: Replay | None = None
+    context: AgentContext,
+    last: RoundResult,
+    peer_table: PeerTable,
+    own: Gossip,
+    fresh: dict[str, Gossip],
+    replay: Replay | None = None,
+    *,
+    steers: bool = True,
 ) -> RoundResult:
-    """The result of the round of `own.tick`.
+    """The result of the round of `own.tick`, with a command if it steers.
 
     `fresh` holds the gossips of that tick by name, in the order of names. `own` is the gossip of this agent. `replay` computes the
     density of the tick before where gossips state older ones.
@@ -127,9 +134,8 @@ def run_round(
         horizon=COPY_HORIZON if peer_table.local else math.inf,
     )
     belief = context.tracker.belief_after(density, region, update, diagram, step)
-    return result_of(
-        context, own, RoundCell(region, generator_table), update, table, density, belief, min(peer_table.pace, own.tick - last.belief.stamp)
-    )
+    ticks = min(peer_table.pace, own.tick - last.belief.stamp) if steers else 0
+    return result_of(context, own, RoundCell(region, generator_table), update, table, density, belief, ticks)
 
 
 def result_of(

@@ -107,7 +107,7 @@ def filter_step(density: Mixture, table: GossipTable, step: Step) -> tuple[Targe
     """The estimates and the PHD one step later, after all scans of a table, background births included; in canonical order."""
     born = chain([gaussian_phd.predict(in_order(density), step), gaussian_phd.background_births(step)])
     corrected, settings = _tidied(gaussian_phd.correct(born, table.scans(), step), step), step.config.extraction
-    return estimate_and_label(corrected, settings.threshold, PEAK_RADIUS_BINS * settings.bin)
+    return estimate_and_label(corrected, settings.threshold, settings.beside, PEAK_RADIUS_BINS * settings.bin)
 
 
 def _moved(mixture: Mixture, step: Step) -> Mixture:

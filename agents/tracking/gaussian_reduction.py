@@ -118,14 +118,16 @@ def limited(mixture: Mixture, most: int) -> Mixture:
     return found._replace(weights=found.weights * (total(mixture.weights) / total(found.weights)))
 
 
-def estimate_and_label(mixture: Mixture, threshold: float, radius: float) -> tuple[TargetEstimates, Mixture]:
+def estimate_and_label(mixture: Mixture, threshold: float, beside: float, radius: float) -> tuple[TargetEstimates, Mixture]:
     """Estimated targets, heaviest first, and the mixture with the labels that they found.
 
-    The heaviest component and those within `radius` m of it are a peak while they hold at least `threshold` expected targets; a peak
-    of more is that number of targets, rounded. If those with the label of the heaviest one hold `threshold`, and the others too, only
-    those with the label are the peak. Components wider than `radius` show no place. Labels are those of `labels.name_peaks`.
-    A label stands for one target: where a peak of one target finds no free label, the components of its heaviest one take a new one.
+    The heaviest component and those within `radius` m of it are a peak while they hold at least `threshold` expected targets. A peak of
+    more is several targets: each further one must hold `beside`, if that is more. If those with the label of the heaviest one hold as
+    much, and the others too, only those with the label are the peak. Components wider than `radius` show no place. Labels are those of
+    `labels.name_peaks`. A label stands for one target: where a peak of one target finds no free label, the components of its heaviest
+    one take a new one.
     """
+    further = max(threshold, beside)
     wide = largest_variances(mixture) > radius * radius
     left, found = np.where(wide, 0.0, mixture.weights), list[tuple[float, ...]]()
     members, votes = list[np.ndarray](), list[dict[int, float]]()
@@ -135,14 +137,14 @@ def estimate_and_label(mixture: Mixture, threshold: float, radius: float) -> tup
         apart = mixture.means[:, :2] - mixture.means[heaviest, :2]
         near = np.flatnonzero((apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] <= radius * radius) & (left > 0.0))
         mine = near[mixture.labels[near] == mixture.labels[heaviest]]
-        if min(total(left[mine]), total(left[near]) - total(left[mine])) >= threshold:
+        if min(total(left[mine]), total(left[near]) - total(left[mine])) >= further:
             near = mine
         mass = total(left[near])
         if mass < threshold:
             continue
         peak = pick(mixture, near)
         mean, covariance = _moments(peak, mass)
-        number = max(1, math.floor(mass + 1.0 - threshold))
+        number = max(1, math.floor(mass + 1.0 - further))
         found += [(*mean.tolist(), covariance[0, 0], covariance[0, 1], covariance[1, 1], min(1.0, mass / number))] * number
         votes += [weight_by_label(peak.labels, peak.weights)] * number
         members += [near if number == 1 else near[:0]] * number

@@ -48,7 +48,14 @@ def main() -> None:
 
 
 def play(
-    me: AgentContext, last: RoundResult, peer_table: PeerTable, mine: Gossip, heard: dict[str, Gossip], replay: Replay | None = None
+    me: AgentContext,
+    last: RoundResult,
+    peer_table: PeerTable,
+    mine: Gossip,
+    heard: dict[str, Gossip],
+    replay: Replay | None = None,
+    *,
+    steers: bool = True,
 ) -> RoundResult:
     """The outcome of a round in which nothing was computed; what `agents.round.run_round` takes."""
     config = me.config

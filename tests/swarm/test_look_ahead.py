@@ -1,6 +1,7 @@
 """A swarm whose messages come late: its cells tile the arena, it is still one filter, and it is on time again when they are."""
 
 import statistics
+from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from agents.agent import Agent
 from agents.backend import PLAIN
 from agents.config import ExtractionSettings
+from agents.coverage.control import ControlInput, ControlLaw, Situation
 from agents.gossip.table import announced_sensor, gossip_table
 from agents.look_ahead import RecentTicks
 from agents.round import context_of
@@ -16,6 +18,8 @@ from agents.tracking.belief import owned_by_sender
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, in_arena
 from agents.tracking.extraction import estimate_targets
+from agents.tracking.gaussian_reduction import estimate_and_label
+from agents.tracking.gaussians import Mixture
 from agents.tracking.particles import Particles, canonical, join, select
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
@@ -151,3 +155,49 @@ def test_a_density_that_was_moved_on_shows_weak_targets_and_none_twice() -> None
     assert [found(0.25, now), found(0.25, later)] == [0, 1]
     assert [found(1.3, msgspec.structs.replace(now, threshold=later.threshold)), found(1.3, later)] == [2, 1]
     assert found(1.7, later) == 2
+
+
+def test_a_mixture_that_was_moved_on_shows_weak_targets_and_none_twice() -> None:
+    """The same of one component; and what has another label within a peak is a target of its own only if it holds as much."""
+    scenario = resolve("efficacy", {"run.dt": DT})
+    now = scenario.extraction
+    later = RecentTicks(context_of(agent_config(scenario), "s1", "A", PLAIN), 4).blurred_config(4).extraction
+
+    def found(settings: ExtractionSettings, *masses: float) -> int:
+        numbers = np.arange(1, 1 + len(masses), dtype=np.uint64)
+        mixture = Mixture(np.array(masses), np.full((len(masses), 4), 10.0), np.tile(np.eye(4), (len(masses), 1, 1)), numbers, numbers)
+        return len(estimate_and_label(mixture, settings.threshold, settings.beside, 2.0)[0].positions)
+
+    lower = msgspec.structs.replace(now, threshold=later.threshold)
+    assert [found(now, 0.25), found(later, 0.25)] == [0, 1]
+    assert [found(lower, 1.3), found(later, 1.3)] == [2, 1]
+    assert [found(lower, 0.8, 0.3), found(later, 0.8, 0.3)] == [2, 1]
+    assert [found(later, 1.7), found(later, 0.8, 0.7)] == [2, 2]
+
+
+@dataclass
+class Noted:
+    """A control law, and the ticks of its commands."""
+
+    law: ControlLaw
+    ticks: list[int] = field(default_factory=list)
+
+    def command(self, situation: Situation) -> ControlInput:
+        self.ticks.append(situation.tick)
+        return self.law.command(situation)
+
+
+def test_a_law_is_asked_for_one_command_in_a_tick_also_where_rounds_are_played_late() -> None:
+    """A law with a memory would else see a tick again that it has left."""
+    laws: dict[str, Noted] = {}
+
+    def look(tick: int, simulation: Simulation) -> None:
+        for agent in simulation.agents.values():
+            if agent.name not in laws:
+                laws[agent.name] = Noted(agent.context.law)
+                agent.context = agent.context._replace(law=laws[agent.name])
+
+    late = fault(START, "delay", "100%", 1.0)
+    seen = watch(tracking(late, run__dt=DT, run__seconds=12.0, timing__look_ahead=2.5), clock="realtime", at_tick=look)
+    assert len(laws) == len(seen.agents) and all(agent.counters["looked_ahead"] > 5 for agent in seen.agents.values())
+    assert all(np.diff(noted.ticks).tolist() == [1] * (len(noted.ticks) - 1) for noted in laws.values())
