@@ -216,7 +216,7 @@ def test_of_too_many_components_the_heaviest_are_kept_with_the_mass_of_all() -> 
 def test_an_estimate_is_a_peak_of_at_least_the_threshold_and_two_targets_are_two() -> None:
     parts = [(10.0, 0.3, 1), (10.5, 0.3, 2), (20.0, 0.4, 3), (30.0, 1.8, 4)]
     mixture = chain([component(x, 5.0, 0.1, weight=weight, id=number) for x, weight, number in parts])
-    assert estimate_and_label(mixture, 0.5, 2.0)[0].positions == pytest.approx(np.array([[30.0, 5.0], [30.0, 5.0], [10.25, 5.0]]))
+    assert estimate_and_label(mixture, 0.5, 0.0, 2.0)[0].positions == pytest.approx(np.array([[30.0, 5.0], [30.0, 5.0], [10.25, 5.0]]))
 
 
 # ---------------------------------------------------------------------- labels
@@ -248,7 +248,7 @@ def test_moving_and_splitting_keep_labels_and_a_merged_component_has_that_of_the
 def test_no_two_estimates_have_one_label_and_the_components_of_the_second_take_the_new_one() -> None:
     places = [(10.0, 0.9, 1), (20.0, 0.8, 2), (20.4, 0.1, 3), (30.0, 0.7, 4)]
     parts = [component(x, 5.0, 0.1, weight=weight, id=number, label=9 if x < 25.0 else 0) for x, weight, number in places]
-    estimates, mixture = estimate_and_label(chain(parts), 0.5, 2.0)
+    estimates, mixture = estimate_and_label(chain(parts), 0.5, 0.0, 2.0)
     first, second, third = estimates.labels.tolist()
     assert first == 9 and second not in (0, 9) and third == 0
     assert mixture.labels.tolist() == [9, second, second, 0]
@@ -347,10 +347,10 @@ def test_the_quadrature_points_have_the_mean_and_but_for_the_kernel_the_covarian
 
 def test_two_labels_of_a_target_each_are_two_places_however_close() -> None:
     close = chain([component(10.0, 5.0, 0.1, weight=0.9, label=7), component(11.0, 5.0, 0.1, weight=0.8, id=2, label=8)])
-    estimates, mixture = estimate_and_label(close, 0.5, 2.0)
+    estimates, mixture = estimate_and_label(close, 0.5, 0.0, 2.0)
     assert estimates.positions[:, 0].tolist() == [10.0, 11.0] and estimates.labels.tolist() == [7, 8] and mixture.labels.tolist() == [7, 8]
     heavy = chain([component(10.0, 5.0, 0.1, weight=1.8, label=7)])
-    estimates, mixture = estimate_and_label(heavy, 0.5, 2.0)
+    estimates, mixture = estimate_and_label(heavy, 0.5, 0.0, 2.0)
     assert estimates.labels[0] == 7 and estimates.labels[1] not in (0, 7) and mixture.labels.tolist() == [7]
 
 
