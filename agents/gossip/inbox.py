@@ -1,9 +1,12 @@
 """The gossips that one agent has accepted: those of open rounds, and the newest of each peer in closed rounds."""
 
 from collections.abc import Iterable, Set
+from itertools import groupby
+from operator import attrgetter
 
 from protocol.messages import Gossip
 
+TICK = attrgetter("tick")
 WINDOW_TICKS = 16  # of so many ticks after the last closed round all gossips are kept, and of later ticks this many of each peer
 
 
@@ -24,16 +27,18 @@ class RoundInbox:
         """Whether a tick is one of the next ones to be closed."""
         return tick > self._closed and not self.is_far_ahead(tick)
 
+    def is_closed(self, name: str, tick: int) -> bool:
+        """Whether a round with a gossip of a peer, of this tick or a later one, is closed."""
+        return tick <= self._closed and name in self.newest_closed and tick <= self.newest_closed[name].tick
+
     def put(self, gossips: Iterable[Gossip]) -> None:
         """Keep accepted gossips: wrong ticks push out no right ones, neither of their sender nor of anybody else."""
-        rounds = self.rounds
-        for gossip in gossips:
-            kept = rounds.get(gossip.tick)
-            if kept is None:
-                kept = rounds[gossip.tick] = {}
-            kept[gossip.sender] = gossip
-            if not self._is_near(gossip.tick):
-                self._note_far(gossip.sender, gossip.tick)
+        for tick, together in groupby(gossips, TICK):
+            said = {gossip.sender: gossip for gossip in together}
+            self.rounds.setdefault(tick, {}).update(said)
+            if not self._is_near(tick):
+                for name in said:
+                    self._note_far(name, tick)
 
     def _note_far(self, name: str, tick: int) -> None:
         """Of the gossips of a peer that are not near keep `WINDOW_TICKS`, those that came last: an agent that was stalled needs these."""

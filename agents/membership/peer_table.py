@@ -184,18 +184,16 @@ class PeerTable:
                 return "incarnation"
         if peer.announced is None:
             return "settings" if peer.differs else "unknown_sensor"
-        last = self.inbox.newest_closed.get(name)
-        if last is not None and tick <= last.tick:
+        if self.inbox.is_closed(name, tick):
             return "closed"
         if peer.left_at is not None and tick <= peer.left_at:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
         peer.doubted = False
-        if not self.inbox.is_far_ahead(tick):  # a wrong tick ends no silence
-            peer.missed = 0
-            if peer.left_at is not None:
-                peer.left_at, self.selection_outdated = None, True
+        if (peer.missed or peer.left_at is not None) and not self.inbox.is_far_ahead(tick):  # a wrong tick ends no silence
+            self.selection_outdated |= peer.left_at is not None
+            peer.missed, peer.left_at = 0, None
         return ACCEPTED
 
     def fresh(self, tick: int) -> dict[str, Gossip]:

@@ -31,7 +31,7 @@ def after_a_round() -> PeerTable:
 def test_a_round_that_all_complete_is_accepted_whole() -> None:
     peers, awaited = after_a_round(), set(OTHERS)
     assert peers.accept(Batch([gossip(name, 1) for name in OTHERS]), 0, 1, awaited) == [ACCEPTED] * 3
-    assert not awaited and list(peers.fresh(1)) == list(OTHERS) and not peers.missing(1)
+    assert not awaited and [(name, said.sender) for name, said in peers.fresh(1).items()] == [*zip(OTHERS, OTHERS)] and not peers.missing(1)
 
 
 def test_every_row_has_its_reason_and_spoils_no_other() -> None:
