@@ -47,7 +47,7 @@ class Body(Node):
         self.tick = -1
         self.pose: Pose = (0.0, 0.0, 0.0)  # as the platform said in this tick
         self.hold = Hold()  # by an operator
-        self.late_commands = 0  # lockstep: ticks without a command
+        self.late_commands = 0  # that had not come when their tick ended
         self.ignored_commands = 0
         self.platform: Platform = build_platform(name, config)
         if restored is not None and name in restored.bodies and isinstance(self.platform, Simulated | Physical):
@@ -234,7 +234,7 @@ class Body(Node):
 
     def _open(self, tick: int, now: float) -> list[Effect]:
         """Go on to a tick: what the agent sees at it. A tick that was left out, or had no command in lockstep, moves nothing."""
-        if self._waiting:
+        if self._started and self._roster.speaks(self.name) and not self._commands.has(self.name, self.tick):
             self.late_commands += 1
         if self._waiting or tick > self.tick + 1:
             self._stand()

@@ -53,7 +53,7 @@ class World(Node):
         self.run, self.incarnation = config.run.name, incarnation
         self.tick = 0
         self.started = False
-        self.late_commands = 0  # lockstep: commands that did not come in time
+        self.late_commands = 0  # that had not come when their tick ended
         self.ignored_commands = 0  # stale, of an old incarnation, or of nobody with a body
         self.rejected_messages = 0
         self.re_anchored = 0  # real time: how often the world was too late to catch up
@@ -76,7 +76,7 @@ class World(Node):
         self._settings = shared_settings(common_sections(config))
         self._commands = CommandBook(lockstep=self._lockstep)
         self.hold = Hold()  # by an operator: no command moves a body
-        self._waiting: set[str] = set()  # lockstep: whose command of this tick is still missing
+        self._waiting: set[str] = set()  # whose command of this tick is still missing; in lockstep the tick waits for it
         self._due: float | None = None
         self._changed = 0.0  # when an agent came, or one heard of more than before; until the start
         self._anchor = 0.0  # real time: when tick 0 would have been
@@ -182,14 +182,14 @@ class World(Node):
             self.ignored_commands += 1
             return []
         self._roster.note_spoken(command.sender, command.incarnation)
-        return self._no_longer_wait(command.sender, now)
+        return self._no_longer_wait(command.sender, now) if command.tick == self.tick else []
 
     def _no_longer_wait(self, name: str, now: float) -> list[Effect]:
         """In lockstep the tick ends with the last answer that it waited for."""
         if name not in self._waiting:
             return []
         self._waiting.discard(name)
-        if self._waiting:
+        if self._waiting or not self._lockstep:
             return []
         if now < self._not_before:
             self._due = self._not_before
@@ -214,8 +214,8 @@ class World(Node):
         """What everybody sees at this tick."""
         present = self._present()
         scans, in_view = self.scene.scans({name: self.bodies.poses[name] for name in present})
+        self._waiting = {name for name in present if self._roster.speaks(name)}
         if self._lockstep:
-            self._waiting = {name for name in present if self._roster.speaks(name)}
             self._not_before = max(self._not_before, now - self._pause) + self._pause  # late by less than a pause is made up for
             self._due = max(now + (self._config.run.patience if self._waiting else self._period), self._not_before)
         else:

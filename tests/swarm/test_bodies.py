@@ -52,6 +52,14 @@ def test_bodies_of_their_own_walk_the_way_of_one_world_to_the_last_bit(clock: st
     assert (alone.ticks, alone.mean_ospa, alone.hole_area) == (together.ticks, together.mean_ospa, together.hole_area)
 
 
+def test_a_body_counts_the_ticks_that_ended_before_their_command_came() -> None:
+    late = msgspec.structs.replace(swarm("own").scenario, faults=(fault(5.0, "pause", "s3", seconds=2.0),))
+    simulation = Simulation(late, clock="realtime", backend=FAST)
+    play(simulation, 18.0)
+    counts = {name: body.late_commands for name, body in bodies(simulation).items()}
+    assert counts.pop("s3") == 8 and set(counts.values()) == {0}
+
+
 def test_no_node_is_called_world_and_no_truth_is_sent() -> None:
     simulation = swarm("own")
     assert simulation.bus.nodes() == ["monitor", *(f"s{n}.body" for n in range(1, 9)), *(f"s{n}" for n in range(1, 9))]

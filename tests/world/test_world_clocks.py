@@ -176,6 +176,21 @@ def test_real_time_takes_a_late_command_if_it_is_the_newest() -> None:
     assert world.ignored_commands == 1
 
 
+def test_real_time_counts_the_ticks_that_ended_before_their_commands_came() -> None:
+    world, _ = started(config("realtime"))
+    feed(world, command("s1", 0), command("s2", 0), now=0.4)
+    feed(world, Timer(), now=0.5)
+    assert world.late_commands == 0
+    feed(world, command("s1", 1), now=0.6)
+    feed(world, Timer(), now=1.0)
+    feed(world, command("s2", 1), command("s1", 2), now=1.1)
+    feed(world, Timer(), now=1.5)
+    assert world.late_commands == 2
+    feed(world, Gone("agent", "s2", 1), command("s1", 3), now=1.6)
+    feed(world, Timer(), now=2.0)
+    assert world.late_commands == 2 and world.tick == 4
+
+
 def test_real_time_stops_a_body_at_once_when_its_agent_is_gone() -> None:
     world, _ = started(config("realtime"))
     feed(world, command("s1", 0), command("s2", 0), Gone("agent", "s1", 1))
