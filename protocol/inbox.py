@@ -1,11 +1,16 @@
-"""The queue between Zenoh's threads and the event loop, the rate limit per key, and the quarantine of senders of garbage.
+"""The queue between Zenoh's threads and the event loop, what faulty links delay before it, the rate limit per key, and the quarantine of
+senders of garbage.
 
 Pure bookkeeping without sockets, for the live driver.
 """
 
+import math
 import threading
 from collections import Counter, deque
+from heapq import heappop, heappush
 from typing import Any, NamedTuple
+
+from protocol.link_faults import LiveLink
 
 MOST_ENTRIES = 4096
 MOST_BYTES = 16 * 1024 * 1024
@@ -166,6 +171,51 @@ class Inbox:
         self._queue = deque(kept)
         self._bytes = sum(len(arrival.payload) for arrival in kept)
         self._waiting = sum(map(self.is_coalesced, kept))
+
+
+class DelayQueue:
+    """What arrives over the links of one process, until its delay is over: then it enters the inbox, in the order in which it is due.
+
+    What is due at one time enters in the order of arrival. Any thread may call it.
+    """
+
+    def __init__(self, link: LiveLink, inbox: Inbox) -> None:
+        self._link, self._inbox = link, inbox
+        self._lock = threading.Lock()
+        self._held: list[tuple[float, int, Arrival]] = []  # a heap: due at, s; number of the copy
+        self._number = 0
+        self._called_for = math.inf  # s: no later than that the event loop calls `release`
+
+    def add(self, arrival: Arrival, now: float) -> bool:
+        """Take what arrives at `now` s. True: the event loop must be called, for the inbox or to set a timer to what is due sooner.
+
+        A token is no message of a sender, so it is neither lost nor delayed.
+        """
+        with self._lock:
+            for delay, payload in self._link.incoming(arrival.key, arrival.payload, now):
+                self._number += 1
+                heappush(self._held, (now + delay, self._number, arrival._replace(payload=payload)))
+            is_called, due = self._enter(now), self._due()
+            is_sooner = due < self._called_for
+            self._called_for = min(due, self._called_for)
+            return is_called or is_sooner
+
+    def release(self, now: float) -> float:
+        """Let what is due at `now` s into the inbox; the time in s at which the next one is due, infinite without any."""
+        with self._lock:
+            self._enter(now)
+            self._called_for = self._due()
+            return self._called_for
+
+    def _enter(self, now: float) -> bool:
+        """Whether the inbox calls for the event loop after what is due has entered."""
+        is_called = False
+        while self._due() <= now:
+            is_called |= self._inbox.add(heappop(self._held)[2])
+        return is_called
+
+    def _due(self) -> float:
+        return self._held[0][0] if self._held else math.inf
 
 
 class Quarantine:

@@ -1,7 +1,7 @@
 """The live driver: one node, one process, asyncio and Zenoh. No other file of agents, world and their observers imports zenoh.
 
-Zenoh's threads only apply the rate limit and append to the inbox. Decoding, the node and its timers run in the event loop. Every
-message names its Zenoh session, so the quarantine excludes a sender of garbage and not the agent of the key.
+Zenoh's threads only apply the rate limit and the faults of links, and append to the inbox. Decoding, the node and its timers run in the
+event loop. Every message names its Zenoh session, so the quarantine excludes a sender of garbage and not the agent of the key.
 """
 
 import asyncio
@@ -9,6 +9,7 @@ import contextlib
 import ctypes
 import json
 import logging
+import math
 import os
 import signal
 import threading
@@ -26,7 +27,7 @@ import zenoh
 from protocol import codec, keys
 from protocol.access import common_name, secured
 from protocol.endpoints import check_endpoints, check_files, endpoint_error, on_any_port
-from protocol.inbox import Arrival, Inbox, RateLimiter
+from protocol.inbox import Arrival, DelayQueue, Inbox, RateLimiter
 from protocol.link_faults import LiveLink
 from protocol.liveliness_tokens import ALONE_SECONDS, Tokens
 from protocol.message import Message
@@ -94,9 +95,9 @@ class Driver:
         self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts, reopened
         self._node = node
         self._settings = settings
-        self._link = link
-        # Faults of links count from the arrival on: with them no message waits for others of its kind.
-        self._inbox = Inbox(coalesced_keys=node.coalesced_keys if link is None else "")
+        self._inbox = Inbox(coalesced_keys=node.coalesced_keys)
+        self._delays = None if link is None else DelayQueue(link, self._inbox)
+        self._delay_timer: asyncio.TimerHandle | None = None
         self._rate_limiter = RateLimiter(settings.most_per_second)
         self._own = keys.Token(node.run, node.role, node.name, node.incarnation)
         self._tokens = Tokens(self._own, [keys.all_tokens(node.run)] if node.sees_all_tokens else [])
@@ -215,34 +216,30 @@ class Driver:
         self._arrive(Arrival(str(sample.key_expr), token=sample.kind == zenoh.SampleKind.PUT))
 
     def _arrive(self, arrival: Arrival) -> None:
-        if self._inbox.add(arrival):
+        """Put an arrival into the inbox; where links have faults, by way of its link, whose delay counts from now."""
+        if self._inbox.add(arrival) if self._delays is None else self._delays.add(arrival, self._loop.time()):
             with contextlib.suppress(RuntimeError):  # the loop has been closed
                 self._loop.call_soon_threadsafe(self._drain)
 
     # ------------------------------------------------------------------ the event loop
 
     def _drain(self) -> None:
-        arrivals = self._inbox.take(SLICE, self._node.keep_last)
-        if self._link is None:
-            self._receive(arrivals)
-        else:
-            self._apply_faults(self._link, arrivals)
+        self._release_delayed()
+        self._receive(self._inbox.take(SLICE, self._node.keep_last))
 
     def _drain_all(self) -> None:
-        for _ in range(1 + len(self._inbox) // SLICE):
+        self._drain()
+        for _ in range(math.ceil(len(self._inbox) / SLICE)):
             self._drain()
 
-    def _apply_faults(self, link: LiveLink, arrivals: list[Arrival]) -> None:
-        at_once, now = list[Arrival](), self._loop.time()
-        for arrival in arrivals:
-            carried = [(0.0, arrival.payload)] if arrival.token is not None else link.incoming(arrival.key, arrival.payload, now)
-            for delay, payload in carried:
-                changed = arrival._replace(payload=payload)
-                if delay > 0.0:
-                    self._loop.call_later(delay, self._receive, [changed])
-                else:
-                    at_once.append(changed)
-        self._receive(at_once)
+    def _release_delayed(self) -> None:
+        """Let what is due on faulty links into the inbox, and set a timer to the next."""
+        if self._delays is None:
+            return
+        due = self._delays.release(self._loop.time())
+        if self._delay_timer is not None:
+            self._delay_timer.cancel()
+        self._delay_timer = None if due == math.inf else self._loop.call_at(due, self._drain)
 
     def _receive(self, arrivals: list[Arrival]) -> None:
         self._handle_all(self._reception.events(arrivals, self._loop.time()))
@@ -286,7 +283,7 @@ class Driver:
             self.stop(effect.code, effect.reason)
         elif isinstance(effect, Warn):
             log.warning(effect.text)
-        elif isinstance(effect, Reopen) and self._link is None and (self._reopening is None or self._reopening.done()):
+        elif isinstance(effect, Reopen) and self._delays is None and (self._reopening is None or self._reopening.done()):
             # not with injected link faults: silence proves nothing then
             log.warning("opening the session anew: %s", effect.reason)
             self._reopening = self._loop.create_task(self._reopen())
@@ -354,7 +351,7 @@ class Driver:
         if self._session is None or expression in self._subscribers:
             return
         # An indirect callback runs in a thread of its own, which costs a switch for every message. A direct one runs in the thread that
-        # reads the sockets and must return soon: these only apply the rate limit and append to the inbox.
+        # reads the sockets and must return soon: see `_arrive`.
         if keys.is_of_tokens(expression):
             callback = zenoh.handlers.Callback(self._on_token, indirect=False)
             self._subscribers[expression] = self._session.liveliness().declare_subscriber(expression, callback, history=True)

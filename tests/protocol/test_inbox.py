@@ -1,8 +1,11 @@
 """The inbox keeps the newest when it overflows; a flood is thinned out; the quarantine shuts a source out and lets it in again."""
 
+import math
+
 import pytest
 
-from protocol.inbox import Arrival, Inbox, Quarantine, RateLimiter
+from protocol.inbox import Arrival, DelayQueue, Inbox, Quarantine, RateLimiter
+from protocol.link_faults import LinkCondition, LinkConditions, LiveLink, as_line
 
 UNKNOWN = object()  # an origin that cannot say which session it is
 
@@ -171,3 +174,39 @@ def test_what_overflows_is_no_longer_waited_for() -> None:
     assert not any(woken)
     assert payloads(inbox.take(9)) == [b"\x04", b"\x05"]
     assert not inbox.finish_pass(1)
+
+
+def delay_queue(inbox: Inbox, **conditions: LinkCondition) -> DelayQueue:
+    link = LiveLink(1, "z")
+    link.on_line(as_line(LinkConditions(conditions=conditions)))
+    return DelayQueue(link, inbox)
+
+
+def test_the_event_loop_is_called_for_what_is_due_sooner_than_all_the_rest() -> None:
+    inbox = Inbox()
+    queue = delay_queue(inbox, a=LinkCondition(delay=0.5), b=LinkCondition(delay=0.125))
+    assert queue.add(Arrival("covey/r/gossip/a", b"1"), 0.0)
+    assert not queue.add(Arrival("covey/r/gossip/a", b"2"), 0.0)
+    assert queue.add(Arrival("covey/r/gossip/b", b"3"), 0.125)
+    assert [queue.release(now) for now in (0.125, 0.25, 0.375)] == [0.25, 0.5, 0.5]
+    assert not queue.add(Arrival("covey/r/gossip/a", b"4"), 0.375)
+    assert [queue.release(now) for now in (0.5, 1.0)] == [0.875, math.inf]
+    assert [arrival.payload for arrival in inbox.take(9)] == [b"3", b"1", b"2", b"4"]
+    assert queue.add(Arrival("covey/r/gossip/a", b"5"), 1.0)
+
+
+def test_what_is_due_enters_the_inbox_and_its_bounds_though_the_event_loop_does_not_come() -> None:
+    inbox = Inbox(most_entries=4)
+    queue = delay_queue(inbox, a=LinkCondition(delay=0.5))
+    called = [queue.add(Arrival("covey/r/gossip/a", bytes([number])), 0.125 * number) for number in range(40)]
+    assert called == [number in (0, 4) for number in range(40)]  # to set a timer, and to read what is due
+    assert len(inbox) + inbox.dropped == 36 and inbox.dropped > 30
+    assert inbox.take(9)[-1].payload == bytes([35])
+
+
+def test_a_throttled_link_counts_from_the_arrival() -> None:
+    inbox = Inbox()
+    queue = delay_queue(inbox, a=LinkCondition(throttle=8.0))  # a kilobyte a second
+    for now in (0.0, 0.25, 1.0):
+        queue.add(Arrival("covey/r/gossip/a", bytes(500)), now)
+    assert queue.release(1.25) == 1.5 and len(inbox) == 2

@@ -13,6 +13,7 @@ from agents.agent import Agent
 from agents.config import AgentConfig
 from protocol import keys, live
 from protocol.endpoints import free_port
+from protocol.link_faults import LiveLink
 from protocol.message import Message
 from protocol.messages import Command
 from protocol.node import Alive, Effect, Event, Gone, Node, Rejected, Reopen, Started, Stop, Subscribe, Timer, Unsubscribe, messages_of
@@ -60,13 +61,13 @@ async def until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 class Pair:
     """Two drivers in one loop, the second dialling the first; both gone at the end."""
 
-    def __init__(self, left: Scribe, right: Scribe, most_per_second: int = 1000) -> None:
+    def __init__(self, left: Scribe, right: Scribe, most_per_second: int = 1000, link: LiveLink | None = None) -> None:
         right.run = left.run
         port = free_port()
         listen = f"tcp/127.0.0.1:{port}"
         self.endpoint = listen
         self.drivers = [
-            live.Driver(left, NetworkSettings(listen=(listen,), most_per_second=most_per_second)),
+            live.Driver(left, NetworkSettings(listen=(listen,), most_per_second=most_per_second), link),
             live.Driver(right, NetworkSettings(seeds=(listen,))),
         ]
 
@@ -301,15 +302,14 @@ def test_three_agents_of_whom_two_cannot_find_each_other_are_brought_together_by
 
 
 def test_link_faults_spoil_copy_and_delay_what_arrives() -> None:
-    class Faults:
+    class Faults(LiveLink):
         def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
             return [(0.0, payload[:3]), (0.02, payload)]
 
     async def scene() -> None:
         left, right = Scribe("a"), Scribe("b")
         left.first = [Subscribe(keys.all_of(left.run, "command"))]
-        async with Pair(left, right) as pair:
-            pair.drivers[0]._link = Faults()
+        async with Pair(left, right, link=Faults(1, "a")) as pair:
             await until(lambda: Alive("agent", "a", 1) in right.events)
             await until(lambda: bool(pair.drivers[1]._carry_out(command("b", 1))) or len(left.texts()) >= 2)
         assert Rejected("b", "format") in left.events

@@ -1,11 +1,13 @@
 """The live driver's passes over its inbox, and its timer, without a session: what the node awaits is handed over, no deadline is lost."""
 
 import asyncio
+import threading
 
 import pytest
 
 from protocol import codec, keys, live
 from protocol.inbox import Arrival
+from protocol.link_faults import LinkCondition, LinkConditions, LiveLink, as_line
 from protocol.message import Message
 from protocol.messages import Hello
 from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Started, Subscribe, Timer, Unsubscribe
@@ -26,10 +28,15 @@ class Patient(Scribe):
 
 
 class Late:
-    """Holds every message back for 0.02 s."""
+    """Holds the messages of each sender back for so many s, 0.02 unless said; it notes when each one came."""
+
+    def __init__(self, **delays: float) -> None:
+        self.delays = delays
+        self.came: list[float] = []
 
     def incoming(self, key: str, payload: bytes, now: float) -> list[tuple[float, bytes]]:
-        return [(0.02, payload)]
+        self.came.append(now)
+        return [(self.delays.get(key.rpartition("/")[2], 0.02), payload)]
 
 
 def arrival(node: Scribe, message: Message) -> Arrival:
@@ -45,6 +52,110 @@ def test_what_a_link_delays_is_late_by_that_and_not_also_by_the_waiting_for_othe
         driver._handle_all([Started()])
         driver._arrive(arrival(node, command("b", 1)))
         await until(lambda: node.texts() == [command("b", 1)], 5.0)
+
+    asyncio.run(scene())
+
+
+class Clock:
+    """The time of the running event loop. It stands still until a test sets it. A test that sets it says: the loop has computed so long."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        asyncio.get_running_loop().time = lambda: self.now  # type: ignore[method-assign]
+
+
+def arrive_in_a_thread(driver: live.Driver, *arrivals: Arrival) -> None:
+    """Let these arrive in a thread, as those of Zenoh do."""
+    thread = threading.Thread(target=lambda: [driver._arrive(each) for each in arrivals])
+    thread.start()
+    thread.join()
+
+
+async def one_pass() -> None:
+    """Let the event loop do what it has been called for, and the timers that are due."""
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+
+
+def test_a_delay_counts_from_the_arrival_also_where_the_event_loop_computes_meanwhile() -> None:
+    async def scene() -> None:
+        node, link, clock = Scribe("a"), Late(b=0.5), Clock()
+        driver = live.Driver(node, NetworkSettings(), link)
+        arrive_in_a_thread(driver, arrival(node, command("b", 1)))
+        clock.now = 100.25
+        await one_pass()
+        assert link.came == [100.0] and node.texts() == []
+        clock.now = 100.49
+        await one_pass()
+        assert node.texts() == []
+        clock.now = 100.5
+        await one_pass()
+        assert node.texts() == [command("b", 1)]
+        arrive_in_a_thread(driver, arrival(node, command("b", 2)))
+        clock.now = 102.0
+        await asyncio.sleep(0)
+        assert link.came == [100.0, 100.5] and node.texts() == [command("b", 1), command("b", 2)]
+
+    asyncio.run(scene())
+
+
+def test_what_was_due_while_the_event_loop_computed_comes_in_the_order_in_which_it_was_due() -> None:
+    """So a link with one delay keeps the order of its messages, also where the first one has a timer and the second one comes meanwhile."""
+
+    async def scene() -> None:
+        node, clock = Scribe("a"), Clock()
+        driver = live.Driver(node, NetworkSettings(), Late(b=0.5, c=0.2, d=0.0))
+        arrive_in_a_thread(driver, arrival(node, command("b", 1)))
+        await one_pass()
+        clock.now = 100.125
+        arrive_in_a_thread(driver, *[arrival(node, command(*each)) for each in (("b", 2), ("c", 1), ("c", 2), ("d", 1))])
+        clock.now = 101.0
+        driver._fire()  # earlier arrivals come before the timer of the node
+        assert [(message.sender, message.tick) for message in node.texts()] == [("d", 1), ("c", 1), ("c", 2), ("b", 1), ("b", 2)]
+
+    asyncio.run(scene())
+
+
+def test_no_timer_comes_before_what_was_due_on_a_link_however_much_that_is() -> None:
+    async def scene() -> None:
+        node, clock = Scribe("a"), Clock()
+        driver = live.Driver(node, NetworkSettings(), Late(b=0.5))
+        arrive_in_a_thread(driver, *[arrival(node, command("b", tick)) for tick in range(3 * live.SLICE + 1)])
+        await one_pass()
+        clock.now = 100.5
+        driver._fire()
+        assert len(node.texts()) == 3 * live.SLICE + 1 and node.events[-1] == Timer()
+
+    asyncio.run(scene())
+
+
+def test_what_is_due_sooner_does_not_wait_for_what_came_before() -> None:
+    async def scene() -> None:
+        node, clock = Scribe("a"), Clock()
+        driver = live.Driver(node, NetworkSettings(), Late(b=0.5, c=0.25))
+        arrive_in_a_thread(driver, arrival(node, command("b", 1)))
+        await one_pass()
+        arrive_in_a_thread(driver, arrival(node, command("c", 1)))
+        await one_pass()
+        for now, tick in ((100.25, ["c"]), (100.5, ["c", "b"])):
+            clock.now = now
+            await one_pass()
+            assert [message.sender for message in node.texts()] == tick
+
+    asyncio.run(scene())
+
+
+def test_a_token_waits_for_no_link_and_comes_after_the_messages_that_came_before_it() -> None:
+    async def scene() -> None:
+        node, clock = Scribe("a"), Clock()
+        link = LiveLink(1, "a")
+        link.on_line(as_line(LinkConditions(conditions={"c": LinkCondition(delay=0.5)})))
+        driver = live.Driver(node, NetworkSettings(), link)
+        token = Arrival(keys.token_key(node.run, "agent", "b", 1), token=True)
+        arrive_in_a_thread(driver, arrival(node, command("b", 1)), arrival(node, command("c", 1)), token)
+        clock.now = 100.25
+        await one_pass()
+        assert node.texts() == [command("b", 1)] and node.events[1:] == [Alive("agent", "b", 1)]
 
     asyncio.run(scene())
 
