@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from protocol.arithmetic import elementwise
 from world.assignment import linear_sum_assignment
 
 
@@ -27,7 +28,7 @@ def ospa(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0, order: f
 def _ospa(assigned: np.ndarray, most: int, cutoff: float, order: float) -> float:
     if most == 0:
         return 0.0
-    total = _sum(assigned) + cutoff**order * (most - len(assigned))
+    total = _sum(assigned) + math.pow(cutoff, order) * (most - len(assigned))
     return _root(total / most, order)
 
 
@@ -63,10 +64,11 @@ def errors(truth: np.ndarray, estimate: np.ndarray, cutoff: float = 10.0) -> tup
 
 
 def _gospa(assigned: np.ndarray, targets: int, estimates: int, cutoff: float, order: float, alpha: float) -> Gospa:
-    kept = assigned[assigned < cutoff**order] if alpha == 2.0 else assigned
+    most = math.pow(cutoff, order)
+    kept = assigned[assigned < most] if alpha == 2.0 else assigned
     localisation = _sum(kept)
-    missed = cutoff**order / alpha * (targets - len(kept))
-    false = cutoff**order / alpha * (estimates - len(kept))
+    missed = most / alpha * (targets - len(kept))
+    false = most / alpha * (estimates - len(kept))
     return Gospa(*(_root(part, order) for part in (localisation + missed + false, localisation, missed, false)))
 
 
@@ -90,7 +92,7 @@ def _assigned_costs(truth: np.ndarray, estimate: np.ndarray, cutoff: float, orde
     offset_y = truth[:, 1, None] - estimate[:, 1]
     costs = np.minimum(np.sqrt(offset_x * offset_x + offset_y * offset_y), cutoff)
     if order != 1.0:
-        costs **= order
+        costs = elementwise(math.pow, costs, np.full_like(costs, order))
     return costs[linear_sum_assignment(costs)]
 
 
@@ -100,4 +102,4 @@ def _sum(values: np.ndarray) -> float:
 
 
 def _root(value: float, order: float) -> float:
-    return value if order == 1.0 else value ** (1.0 / order)
+    return value if order == 1.0 else math.pow(value, 1.0 / order)

@@ -73,6 +73,12 @@ def test_a_pair_at_the_cutoff_is_a_missed_and_a_false_target_only_where_alpha_is
     assert (one.total, one.localisation, one.missed, one.false) == (10.0, 10.0, 0.0, 0.0)
 
 
+def test_a_target_far_away_is_missed_also_where_the_square_of_the_cutoff_is_less_than_its_power() -> None:
+    cutoff = 16.50127684479608  # x * x and pow(x, 2.0) of the C library differ in the last bit
+    result = gospa(np.zeros((1, 2)), np.array([[500.0, 0.0]]), cutoff, 2.0)
+    assert result.localisation == 0.0 and result.missed == result.false == pytest.approx(cutoff / 2.0**0.5)
+
+
 def test_a_smaller_alpha_punishes_a_wrong_number_more() -> None:
     assert gospa(np.zeros((1, 2)), NOTHING).total == 5.0
     assert gospa(np.zeros((1, 2)), NOTHING, alpha=1.0).total == 10.0
