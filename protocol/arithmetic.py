@@ -12,7 +12,10 @@ import numpy as np
 def elementwise(function: Callable[..., float], *columns: np.ndarray) -> np.ndarray:
     """What a function of `math` gives for each element of an array of any shape, or of several of one shape; about 0.1 us an element.
 
-    Its errors are those of the function, as `math.exp` of 1000 raises OverflowError.
+    Its errors are those of the function, as `math.exp` of 1000 raises OverflowError. Arrays of different shapes raise ValueError.
     """
+    shape = columns[0].shape
+    if any(column.shape != shape for column in columns):
+        raise ValueError(f"arrays of the shapes {' and '.join(str(column.shape) for column in columns)}: should be of one shape")
     found = map(function, *(column.ravel().tolist() for column in columns))
-    return np.fromiter(found, float, columns[0].size).reshape(columns[0].shape)
+    return np.fromiter(found, float, columns[0].size).reshape(shape)

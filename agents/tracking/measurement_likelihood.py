@@ -44,7 +44,7 @@ def model_of(measurement: Measurement | None) -> tuple[float, float, float]:
 
 def kernel_variance(settings: FilterSettings) -> float:
     """The variance of a particle's kernel on each axis, m^2 (`phd.likelihood_noise`)."""
-    width = settings.roughening * settings.position_noise * settings.particles_per_target ** (-1.0 / 6.0)
+    width = settings.roughening * settings.position_noise * math.pow(settings.particles_per_target, -1.0 / 6.0)
     return width * width
 
 

@@ -43,7 +43,7 @@ class LocalFrame(NamedTuple):
         """
         lat, lon = self.latitude, self.longitude
         sin2 = 1.0 - ECCENTRICITY2 * math.sin(math.radians(self.latitude)) ** 2
-        meridian, normal = SEMI_MAJOR * (1.0 - ECCENTRICITY2) / sin2**1.5, SEMI_MAJOR / math.sqrt(sin2)
+        meridian, normal = SEMI_MAJOR * (1.0 - ECCENTRICITY2) / math.pow(sin2, 1.5), SEMI_MAJOR / math.sqrt(sin2)
         for _ in range(8):
             x, y = self.to_plane(lat, lon)
             lat += math.degrees((north - y) / meridian)

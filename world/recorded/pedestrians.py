@@ -1,5 +1,6 @@
 """Pedestrians in the obsmat format: frame, person, x, z, y, vx, vz, vy between blanks; 25 frames a second, lengths in m."""
 
+import math
 from pathlib import Path
 
 from protocol.settings import BadSetting
@@ -35,4 +36,4 @@ def read_pedestrians(path: Path, settings: RecordedSettings) -> RecordedWorld:
 
 def _speed(before: Report, after: Report) -> float:
     """The mean speed between two reports, m/s."""
-    return float(((after.x - before.x) ** 2 + (after.y - before.y) ** 2) ** 0.5 / (after.time - before.time))
+    return math.sqrt((after.x - before.x) ** 2 + (after.y - before.y) ** 2) / (after.time - before.time)
