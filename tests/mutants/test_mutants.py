@@ -25,6 +25,9 @@ def slow_tests(file: str) -> set[str]:
 def test_every_mutant_can_be_planted_and_names_tests_that_exist_and_are_run() -> None:
     for mutant in TABLE:
         assert mutant.tests, f"{mutant.name}: no test"
+        assert len({edit.file for edit in mutant.edits}) == len(mutant.edits), (
+            f"{mutant.name}: of two edits of one file the last one counts"
+        )
         for edit in mutant.edits:
             assert planted(edit) != (ROOT / edit.file).read_text(), f"{mutant.name}: changes nothing"
         are_single = all("::" in test for test in mutant.tests)
@@ -34,6 +37,29 @@ def test_every_mutant_can_be_planted_and_names_tests_that_exist_and_are_run() ->
             assert f"def {name.partition('[')[0]}" in (ROOT / file).read_text(), f"{mutant.name}: there is no {test}"
             all_slow = re.search(r"^pytestmark = .*mark\.slow", (ROOT / file).read_text(), re.MULTILINE)
             assert are_single or not (all_slow or name.partition("[")[0] in slow_tests(file)), f"{mutant.name}: {test} is slow"
+
+
+def undefined_names(folder: Path, texts: dict[str, str]) -> list[str]:
+    """What ruff says of Python texts, by the names of their files: names that nothing defines, and what is no Python at all."""
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    ruff = [sys.executable, "-m", "ruff", "check", "--isolated", "--no-cache", "--quiet", "--select=F821", "--output-format=concise", "."]
+    return subprocess.run(ruff, cwd=folder, capture_output=True, text=True, check=False).stdout.splitlines()
+
+
+def test_no_mutant_is_a_name_that_nothing_defines(tmp_path: Path) -> None:
+    """Any test that comes by it would kill it, whatever it checks."""
+    edits = {f"{mutant.number}-{place}.py": (mutant, edit) for mutant in TABLE for place, edit in enumerate(mutant.edits)}
+    texts = {name: planted(edit) for name, (_, edit) in edits.items() if edit.file.endswith(".py")}
+    assert len(texts) > LEAST
+    found = [f"{edits[line.partition(':')[0]][0].name}: {line}" for line in undefined_names(tmp_path, texts)]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("wrong", ["def f(x):\n    return y\n", "def f(x:\n    return x\n"])
+def test_a_name_that_nothing_defines_and_what_is_no_python_are_found(tmp_path: Path, wrong: str) -> None:
+    lines = undefined_names(tmp_path, {"good.py": "import math\n\n\ndef f(x):\n    return math.exp(x)\n", "bad.py": wrong})
+    assert lines and all(line.startswith("bad.py:") for line in lines)
 
 
 def test_mutants_have_names_of_their_own_and_are_many() -> None:
