@@ -37,7 +37,7 @@ class Pursuit:
         self._offset: float | None = None
 
     def command(self, situation: Situation) -> ControlInput:
-        """Velocity and turn rate until the next tick."""
+        """Velocity and turn rate until the next command."""
         ages = self._ages(situation)
         goal = _goal(situation, ages)
         if goal is None:

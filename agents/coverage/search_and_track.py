@@ -25,7 +25,7 @@ class SearchAndTrack:
         self._shape: tuple[float, float] | None = None  # angle of view, rad, and distance from the sensor to its COD, m
 
     def command(self, situation: Situation) -> ControlInput:
-        """Velocity and turn rate until the next tick; stands without the surroundings that only a round knows."""
+        """Velocity and turn rate until the next command; stands without the surroundings that only a round knows."""
         surroundings, sensor, limits = situation.surroundings, situation.sensor, situation.limits
         if surroundings is None:
             return STAND

@@ -49,7 +49,7 @@ class PlanInput(NamedTuple):
     """The numbers of a round, in the order of the columns of the kernels."""
 
     now: float  # s
-    dt: float  # s
+    dt: float  # s until the next command
     x: float
     y: float
     cos: float  # of the heading
@@ -267,8 +267,8 @@ def unserved_particle_shares(task: Task, around: Particles) -> np.ndarray:
 
 
 def best_turn(task: Task, place: tuple[float, float], around: Particles, last: np.ndarray, unserved: np.ndarray) -> float:
-    """The turn in rad until the next tick: to the heading whose window holds most. Of a wedge the best window of the tick after
-    counts in part."""
+    """The turn in rad until the next command: to the heading whose window holds most. Of a wedge the best window a turn later counts
+    in part."""
     numbers, width = task.numbers, 2.0 * math.pi / SECTORS
     if isinstance(task.sensor, WedgeSensor) and numbers.angle > 2.0 * math.pi - width:
         return 0.0
