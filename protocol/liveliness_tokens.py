@@ -1,13 +1,15 @@
 """The liveliness tokens that are up: a node gets one event when a token appears and one when it vanishes."""
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from protocol.keys import Token, matches, parse_token, token_key
 from protocol.node import Alive, Gone
 
-MOST_TOKENS = 4096  # kept: a session holds no more links, and anybody may declare tokens
+MOST_NAMES = 4096  # shown to a node: a session holds no more links, and anybody may declare tokens. As many more names wait
+MOST_OF_A_NAME = 16  # tokens: of its agent, its body, and of earlier incarnations, which a lease outlives
 ALONE_SECONDS = 10.0  # after which a process that sees no token logs a warning
+NO_EVENTS = ()
 
 log = logging.getLogger(__name__)
 
@@ -15,15 +17,17 @@ log = logging.getLogger(__name__)
 class Tokens:
     """The tokens that a session has seen, without the own one and without those that nobody follows any more.
 
-    Of too many tokens those of the earliest name that has said nothing since are dropped: anybody can make up names.
+    The node is shown the tokens of `MOST_NAMES` names. Later names wait, for anybody can make up names. A waiting name that speaks is
+    shown in place of the earliest name that has said nothing since its token came.
     """
 
     def __init__(self, own: Token, followed: Iterable[str]) -> None:
         """`followed`: the expressions of the tokens that are followed from the beginning."""
         self._own = own
         self._followed = set(followed)
-        self._up: set[Token] = set()
-        self._unheard: dict[str, list[Token]] = {}  # name -> tokens after which it has said nothing, the earliest name first
+        self._up: dict[str, dict[Token, None]] = {}  # by name, shown or waiting; of each name the earliest first
+        self._silent: dict[str, None] = {}  # shown names that have said nothing since their token came, the earliest first
+        self._waiting: dict[str, None] = {}  # the earliest first
         self._doubtful: set[Token] = set()  # seen by an earlier session, not yet by this one
 
     def see(self, key: str, up: bool) -> list[Alive | Gone]:
@@ -32,32 +36,55 @@ class Tokens:
         if token is None or token == self._own or not any(matches(expression, key) for expression in self._followed):
             return []
         self._doubtful.discard(token)
-        if (token in self._up) == up:
+        if (token in self._up.get(token.name, ())) == up:
             return []
-        if not up:
-            self._remove(token)
-            return [_gone(token)]
-        dropped = [*next(iter(self._unheard.values()), [])] if len(self._up) >= MOST_TOKENS else []
-        for other in dropped:
-            self._remove(other)
-        if len(self._up) >= MOST_TOKENS:
-            return []
-        self._up.add(token)
-        self._unheard.setdefault(token.name, []).append(token)
-        return [*map(_gone, dropped), Alive(token.role, token.name, token.incarnation)]
+        return self._add(token) if up else self._remove(token)
 
-    def hear(self, name: str) -> None:
-        """Note a message of this name: its tokens are kept."""
-        self._unheard.pop(name, None)
+    def _add(self, token: Token) -> list[Alive | Gone]:
+        """Add a token. Of too many of its name the earliest goes."""
+        name = token.name
+        if name not in self._up:
+            (self._waiting if self._is_full() else self._silent)[name] = None
+            self._up[name] = {}
+            if len(self._waiting) > MOST_NAMES:
+                self._remove_all(self._up[next(iter(self._waiting))])
+        tokens = self._up[name]
+        gone = self._remove(next(iter(tokens))) if len(tokens) >= MOST_OF_A_NAME else []
+        tokens[token] = None
+        return [] if name in self._waiting else [*gone, _alive(token)]
 
-    def _remove(self, token: Token) -> None:
-        self._up.discard(token)
+    def _remove(self, token: Token) -> list[Alive | Gone]:
+        """Remove a token that is up; the event, if it was shown."""
+        name, tokens = token.name, self._up[token.name]
+        shown = name not in self._waiting
         self._doubtful.discard(token)
-        tokens = self._unheard.get(token.name, [])
-        if token in tokens:
-            tokens.remove(token)
-            if not tokens:
-                del self._unheard[token.name]
+        del tokens[token]
+        if not tokens:
+            del self._up[name]
+            self._silent.pop(name, None)
+            self._waiting.pop(name, None)
+        return [_gone(token)] if shown else []
+
+    def _remove_all(self, tokens: Iterable[Token]) -> list[Alive | Gone]:
+        return [event for token in sorted(tokens) for event in self._remove(token)]
+
+    def _is_full(self) -> bool:
+        """Whether the node is shown as many names as it may."""
+        return len(self._up) - len(self._waiting) >= MOST_NAMES
+
+    def hear(self, name: str) -> Sequence[Alive | Gone]:
+        """Note a message of this name: its tokens stay shown. The events, if it has waited until now."""
+        self._silent.pop(name, None)
+        if name not in self._waiting or (self._is_full() and not self._silent):
+            return NO_EVENTS
+        events: list[Alive | Gone] = []
+        if self._is_full():
+            earliest = next(iter(self._silent))
+            del self._silent[earliest]
+            self._waiting[earliest] = None
+            events += map(_gone, self._up[earliest])
+        del self._waiting[name]
+        return [*events, *map(_alive, self._up[name])]
 
     def follow(self, expression: str) -> None:
         """Tell of the tokens in the expression from now on."""
@@ -66,19 +93,18 @@ class Tokens:
     def forget(self, expression: str) -> None:
         """Forget the tokens of a subscription that has ended; a later one reports them again."""
         self._followed.discard(expression)
-        for token in [token for token in self._up if matches(expression, token_key(*token))]:
-            self._remove(token)
+        self._remove_all(token for token in self._all() if matches(expression, token_key(*token)))
 
     def doubt(self) -> None:
         """Note that the session was closed: its tokens must be seen again by the next session."""
-        self._doubtful = set(self._up)
+        self._doubtful = set(self._all())
 
-    def take_lost(self) -> list[Gone]:
+    def take_lost(self) -> list[Alive | Gone]:
         """The events for the tokens that the new session has not seen again."""
-        lost = sorted(self._doubtful)
-        for token in lost:
-            self._remove(token)
-        return [*map(_gone, lost)]
+        return self._remove_all(self._doubtful)
+
+    def _all(self) -> Iterable[Token]:
+        return (token for tokens in self._up.values() for token in tokens)
 
     def warn_if_alone(self, seeds: Iterable[str]) -> None:
         """Log what to check when no token is up: a session that every peer refuses opens all the same."""
@@ -86,6 +112,10 @@ class Tokens:
             where = ", ".join(seeds)
             log.warning("nobody has appeared in %g s: does anybody listen at %s, in run %s?", ALONE_SECONDS, where, self._own.run)
             log.warning("with certificates: of the same authority, not run out, and of names that the others admit (network.admit)?")
+
+
+def _alive(token: Token) -> Alive:
+    return Alive(token.role, token.name, token.incarnation)
 
 
 def _gone(token: Token) -> Gone:

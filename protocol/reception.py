@@ -89,7 +89,7 @@ class Reception:
                 yield self._refuse(arrival, message, now)
             else:
                 self._counts["received"] += 1
-                self._tokens.hear(message.sender)
+                yield from self._tokens.hear(message.sender)
                 yield Decoded(message, arrival.payload)
 
     def _refuse(self, arrival: Arrival, error: Malformed | None, now: float) -> Rejected:
