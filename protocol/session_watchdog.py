@@ -14,6 +14,7 @@ from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Received, Reop
 HEARD_LATELY = 3.0  # s since the last message; agents send a Hello every 2 s, in crowds every 4 s
 PATIENCE = 5.0  # s for which a sign must last before it is an alarm
 FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, doubled each time: false Hellos must not keep a node busy
+MOST_GUESTS = 4096  # agents with a token that are not expected: anybody can make up names
 
 NEVER = -float("inf")
 
@@ -162,13 +163,15 @@ class ListenerWatchdog:
     def __init__(self, members: Iterable[str]) -> None:
         """`members`: the agents that are expected. Others count once their token has been seen, for anybody can make up names."""
         self._agents = set(members)
+        self._guests: dict[str, None] = {}  # other agents that had a token, the earliest first
         self._watchdog = SessionWatchdog("this session", self._agents)
 
     def take(self, event: Event, now: float) -> list[Effect]:
         """Take an event; a `Reopen` if the Hellos in it say that the own session is half open."""
         match event:
             case Alive(role="agent"):
-                self._agents.add(event.name)
+                if event.name not in self._agents:
+                    self._admit(event.name)
                 self._watchdog.token_appeared(event.name, event.incarnation)
             case Gone(role="agent"):
                 self._watchdog.token_vanished(event.name, event.incarnation)
@@ -178,6 +181,16 @@ class ListenerWatchdog:
                 if batch.kind is Hello:
                     return self._judge(batch.messages, known, now)
         return NO_EFFECTS
+
+    def _admit(self, guest: str) -> None:
+        """Let an agent count that is not expected. Of too many the earlier half is forgotten."""
+        self._agents.add(guest)
+        self._guests[guest] = None
+        if len(self._guests) > MOST_GUESTS:
+            earlier = [*self._guests][: MOST_GUESTS // 2]
+            self._agents.difference_update(earlier)
+            self._guests = {name: None for name in self._guests if name in self._agents}
+            self._watchdog.keep(self._guests)
 
     def _judge(self, hellos: Iterable[Hello], known: Collection[str], now: float) -> list[Effect]:
         """A `Reopen` if one of the Hellos of known agents is a reason."""

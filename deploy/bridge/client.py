@@ -9,6 +9,7 @@ import json
 import queue
 import threading
 import time
+from functools import partial
 from typing import Any, NamedTuple
 
 import msgpack
@@ -53,7 +54,8 @@ class Participant:
         self.events: queue.SimpleQueue[Heard] = queue.SimpleQueue()
         self._network, self._run, self._name = network, run, name
         self._keys: list[str] = []  # that are listened to
-        self._up: set[tuple[str, str, int]] = set()  # role, name and incarnation of the tokens
+        self._up: set[tuple[str, str, int]] = set()  # role, name and incarnation of the tokens that this session has seen
+        self._telling = threading.Lock()  # held while tokens of a session are told, for threads of the one before may still run
         self._publishers: dict[str, tuple[Any, zenoh.SourceInfo]] = {}
         self._token: Any = None
         self._held: list[Any] = []
@@ -63,7 +65,8 @@ class Participant:
     def _join(self) -> None:
         """Open a session with all subscriptions."""
         session = zenoh.open(config_of(self._network, self._run, self._name))
-        self._held = [session.liveliness().declare_subscriber(f"covey/{self._run}/alive/**", self._on_token, history=True)]
+        on_token = partial(self._on_token, self._up)
+        self._held = [session.liveliness().declare_subscriber(f"covey/{self._run}/alive/**", on_token, history=True)]
         self._held += [self._subscriber(session, key) for key in self._keys]
         self._session = session
 
@@ -88,12 +91,10 @@ class Participant:
         with contextlib.suppress(zenoh.ZError):
             session.close()
         declared.clear()
-        gone, self._up = (
-            [*self._up],
-            set(),
-        )  # the next session tells of those that are there; threads of the old one may still add to its set
-        for token in gone:
-            self.events.put(Heard(token[0], token[1], {}, token[2], up=False))
+        with self._telling:
+            gone, self._up = self._up, set()  # the next session tells of those that are there
+            for role, name, incarnation in gone:
+                self.events.put(Heard(role, name, {}, incarnation, up=False))
         while self._session is None:
             try:
                 self._join()
@@ -126,11 +127,14 @@ class Participant:
         if self._session is not None:
             self._session.close()
 
-    def _on_token(self, sample: zenoh.Sample) -> None:
+    def _on_token(self, seen: set[tuple[str, str, int]], sample: zenoh.Sample) -> None:
+        """Tell of a token that came or went; `seen`: those of the session that says so, which counts if it is the present one."""
         _, _, _, role, name, number = str(sample.key_expr).split("/")
         up = sample.kind == zenoh.SampleKind.PUT
-        (self._up.add if up else self._up.discard)((role, name, int(number)))
-        self.events.put(Heard(role, name, {}, int(number), up))
+        with self._telling:
+            if seen is self._up:
+                (seen.add if up else seen.discard)((role, name, int(number)))
+                self.events.put(Heard(role, name, {}, int(number), up))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         """Hand on a message that is whole and of this version; whatever else comes is passed over."""

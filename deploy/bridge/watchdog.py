@@ -4,12 +4,14 @@ After an outage a session can be left through which nothing of a peer comes, or 
 """
 
 from collections.abc import Iterable
+from typing import Any
 
 from deploy.bridge.client import Heard
 
 HEARD_LATELY = 3.0  # s since the last message
 PATIENCE = 5.0  # s for which a sign must last
 FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, doubled each time
+MOST_GUESTS = 4096  # agents with a token that are not expected: anybody can make up names
 
 NEVER = -float("inf")
 
@@ -18,7 +20,8 @@ class BridgeWatchdog:
     """What the Hellos of the agents say about the own session. Others than the expected agents count once they have a token."""
 
     def __init__(self, expected: Iterable[str]) -> None:
-        self._agents = set(expected)
+        self._expected = frozenset(expected)
+        self._guests: dict[str, None] = {}  # other agents that had a token, the earliest first
         self._words: dict[str, float] = {}  # name -> when its last message came
         self._hellos: dict[str, tuple[frozenset[str], float]] = {}  # name -> whom its last Hello lists, and when it came
         self._tokens: dict[str, set[int]] = {}  # name -> incarnations with a token
@@ -29,26 +32,41 @@ class BridgeWatchdog:
     def take(self, heard: Heard, now: float) -> str:
         """Take a message or a token; the reason to open the session anew, empty if there is none."""
         if heard.kind == "agent":
-            self._agents.add(heard.name)
-            tokens = self._tokens.setdefault(heard.name, set())
-            (tokens.add if heard.up else tokens.discard)(heard.incarnation)
-            if tokens:
-                self._tokenless.pop(heard.name, None)
-            else:
-                self._words.pop(heard.name, None)
-        elif heard.kind in ("gossip", "hello") and heard.name in self._agents:
+            self._take_token(heard)
+        elif heard.kind in ("gossip", "hello") and self._counts(heard.name):
             self._words[heard.name] = now
             if heard.kind == "hello":
                 self._hellos[heard.name] = frozenset(heard.fields.get("heard", ())), now
                 return self._judge(heard.name, now)
         return ""
 
+    def _take_token(self, heard: Heard) -> None:
+        """Note a token of an agent that came or went."""
+        if heard.up and heard.name not in self._expected:
+            self._guests[heard.name] = None
+            if len(self._guests) > MOST_GUESTS:
+                self._forget(next(iter(self._guests)))
+        if not self._counts(heard.name):
+            return
+        tokens = self._tokens.setdefault(heard.name, set())
+        (tokens.add if heard.up else tokens.discard)(heard.incarnation)
+        (self._words if not tokens else self._tokenless).pop(heard.name, None)
+
+    def _counts(self, name: str) -> bool:
+        """Whether a name is that of an expected agent, or has had a token."""
+        return name in self._expected or name in self._guests
+
+    def _forget(self, name: str) -> None:
+        tables: tuple[dict[str, Any], ...] = self._guests, self._words, self._hellos, self._tokens, self._missed, self._tokenless
+        for table in tables:
+            table.pop(name, None)
+
     def _judge(self, sender: str, now: float) -> str:
         """The first sign that has lasted, upon a Hello."""
         if self._tokens.get(sender) == set():
             self._tokenless.setdefault(sender, now)
         voters = [listed for voter, (listed, when) in self._hellos.items() if self._is_heard(voter, now) and now - when <= PATIENCE]
-        missed = [name for name in sorted(self._agents & frozenset().union(*voters)) if self._is_missed(name, voters, now)]
+        missed = [name for name in sorted(frozenset().union(*voters)) if self._counts(name) and self._is_missed(name, voters, now)]
         self._missed = {name: self._missed.get(name, now) for name in missed}
         signs = [(since, f"the others hear {name}, this session does not") for name, since in self._missed.items()]
         if sender in self._tokenless:

@@ -8,10 +8,12 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgpack
 import pytest
+import zenoh
 
 from agents.agent import Agent
 from agents.config import AgentConfig
@@ -19,7 +21,7 @@ from deploy.bridge import client
 from deploy.bridge.bridge import Bridge
 from deploy.bridge.client import Heard, Network, Participant
 from deploy.bridge.settings import BridgeOptions
-from deploy.bridge.watchdog import BridgeWatchdog
+from deploy.bridge.watchdog import MOST_GUESTS, BridgeWatchdog
 from deploy.scenario import resolve, toml_text
 from protocol import live
 from protocol.endpoints import free_port
@@ -69,6 +71,42 @@ def test_a_restart_under_the_same_name_is_no_reason_and_made_up_names_have_no_sa
 def test_false_hellos_keep_no_bridge_busy() -> None:
     others = [hello("s1", "s2"), hello("s3", "s2")]
     assert len(reasons(BridgeWatchdog(TEAM), others, 600.0)) == 5, "after 6 s, and 20, 40, 80 and 160 s later"
+
+
+def test_a_guest_counts_once_it_had_a_token_and_of_too_many_the_earliest_is_forgotten() -> None:
+    watchdog = BridgeWatchdog(())
+    for name in ("s1", "s2"):
+        watchdog.take(Heard("agent", name, {}, 1), 0.0)
+    watchdog.take(Heard("agent", "s2", {}, 1, up=False), 0.0)
+    assert reasons(watchdog, [hello("s1"), hello("s2")], 10.0) == ["s2 speaks, but its token has gone"]
+    for number in range(MOST_GUESTS):
+        watchdog.take(Heard("agent", f"x{number}", {}, 1), 10.0)
+        watchdog.take(hello(f"x{number}", "s2"), 10.0)
+        watchdog.take(Heard("agent", f"x{number}", {}, 1, up=False), 10.0)
+        watchdog.take(hello(f"y{number}", "s2"), 10.0)
+    assert "s1" not in watchdog._guests
+    tables = [table for table in vars(watchdog).values() if isinstance(table, dict)]
+    assert len(tables) == 6 and max(map(len, tables)) == MOST_GUESTS
+
+
+def test_tokens_of_an_earlier_session_are_not_told_after_the_next_has_begun() -> None:
+    """Zenoh's threads may hold a sample when a session is closed."""
+    participant = Participant.__new__(Participant)
+    participant._up, participant._telling, participant.events = set(), threading.Lock(), queue.SimpleQueue()
+    participant._run, participant._session, before = "r", None, participant._up
+
+    def join() -> None:
+        participant._session = Any
+
+    participant._join = join  # type: ignore[method-assign]
+    key = "covey/r/alive/agent/s{}/1"
+    participant._on_token(before, SimpleNamespace(key_expr=key.format(1), kind=zenoh.SampleKind.PUT))
+    participant._leave_and_join(SimpleNamespace(close=lambda: None), [])
+    for number, kind in ((2, zenoh.SampleKind.PUT), (1, zenoh.SampleKind.PUT)):
+        participant._on_token(before, SimpleNamespace(key_expr=key.format(number), kind=kind))
+    participant._on_token(participant._up, SimpleNamespace(key_expr=key.format(1), kind=zenoh.SampleKind.PUT))
+    told = [participant.events.get_nowait() for _ in range(participant.events.qsize())]
+    assert [(one.name, one.up) for one in told] == [("s1", True), ("s1", False), ("s1", True)]
 
 
 def heard_until(participant: Participant, condition: Callable[[list[Heard]], bool], say: Callable[[], None] = lambda: None) -> list[Heard]:

@@ -147,6 +147,19 @@ def test_an_observer_takes_no_word_of_made_up_names() -> None:
     assert orders(watchdog, strangers, 10.0) == [Reopen("x0 speaks, but its token has gone")]
 
 
+def test_an_observer_forgets_the_earliest_of_too_many_guests(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("protocol.session_watchdog.MOST_GUESTS", 64)
+    watchdog = ListenerWatchdog(("s1", "s2"))
+    for number in range(200):
+        name = f"x{number}"
+        for event in (Alive("agent", name, 1), received(hello(name, "s1")), Gone("agent", name, 1)):
+            watchdog.take(event, 0.0)
+        tables = [len(table) for part in (watchdog, watchdog._watchdog) for table in vars(part).values() if isinstance(table, dict | set)]
+        assert max(tables) <= 64 + 2
+    assert not orders(watchdog, [hello("x0")], 10.0), "forgotten"
+    assert orders(watchdog, [hello(name)], 10.0) == [Reopen(f"{name} speaks, but its token has gone")]
+
+
 @pytest.mark.parametrize("standstill", [3.0, 5.5, 8.0, 10.0, 60.0])
 def test_an_observer_that_stood_still_or_is_late_keeps_its_session(standstill: float) -> None:
     """All that has waited comes at once: words, then the tokens that the links of the old lease took along, then these again."""
