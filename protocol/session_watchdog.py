@@ -13,10 +13,25 @@ from protocol.node import NO_EFFECTS, Alive, Effect, Event, Gone, Received, Reop
 
 HEARD_LATELY = 3.0  # s since the last message; agents send a Hello every 2 s, in crowds every 4 s
 PATIENCE = 5.0  # s for which a sign must last before it is an alarm
-FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, doubled each time: false Hellos must not keep a node busy
+FIRST_REST, LONGEST_REST = 20.0, 320.0  # s between two alarms, at first and at most
 MOST_GUESTS = 4096  # agents with a token that are not expected: anybody can make up names
 
 NEVER = -float("inf")
+
+
+class Rest:
+    """The rest after an alarm, twice as long after each: false words of others must not keep a node busy."""
+
+    def __init__(self) -> None:
+        self._length, self._end = FIRST_REST, NEVER
+
+    def is_over(self, now: float) -> bool:
+        """Whether another alarm may be made."""
+        return now >= self._end
+
+    def begin(self, now: float) -> None:
+        """Note that an alarm has been made."""
+        self._end, self._length = now + self._length, min(2.0 * self._length, LONGEST_REST)
 
 
 class SessionWatchdog:
@@ -35,7 +50,7 @@ class SessionWatchdog:
         self._listed_by: dict[str, dict[str, float]] = {}  # silent name -> peers that list it, and the time of their last Hello that did
         self._since: dict[str, float] = {}  # silent name -> time since which some peer lists it
         self._voters: set[str] = set()  # senders of the Hellos that `reason_to_reopen` has taken
-        self._rest, self._not_before = FIRST_REST, NEVER
+        self._rest = Rest()
         self._calm_until = NEVER  # until then no expected name can be silent
 
     def note_message(self, name: str, now: float) -> None:
@@ -99,7 +114,7 @@ class SessionWatchdog:
             self._listed_by.clear()
             self._since.clear()
             self._lost.clear()
-            self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
+            self._rest.begin(now)
         return alarm
 
     def _tokenless(self, name: str, now: float) -> str:
@@ -109,7 +124,7 @@ class SessionWatchdog:
         since = self._lost[name]
         if since is None or since > now:
             since = self._lost[name] = now
-        late = now - since >= PATIENCE and now >= self._not_before
+        late = now - since >= PATIENCE and self._rest.is_over(now)
         return f"{name} speaks, but its token has gone" if late else ""
 
     def _silent(self, hello: Hello, now: float) -> str:
@@ -148,7 +163,7 @@ class SessionWatchdog:
         if not lists:
             del self._listed_by[name], self._since[name]
             return False
-        if now - self._since[name] < PATIENCE or now < self._not_before:
+        if now - self._since[name] < PATIENCE or not self._rest.is_over(now):
             return False
         voters = sum(self._hears(other, now) for other in self._voters if other != name)
         return 2 * len(lists) >= voters

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable
 from typing import NamedTuple
 
 from protocol.messages import Gossip
-from protocol.session_watchdog import FIRST_REST, LONGEST_REST, NEVER, PATIENCE
+from protocol.session_watchdog import NEVER, PATIENCE, Rest
 
 Place = tuple[float, float]  # x, y, m
 
@@ -31,7 +31,7 @@ class HalfOpenLinkDetector:
         """`timeout`: ticks for which a peer must be named. `PATIENCE` s of `now` must pass as well: in lockstep ticks are short."""
         self._name, self._timeout = name, timeout
         self._named: dict[str, Since] = {}
-        self._rest, self._not_before = FIRST_REST, NEVER
+        self._rest = Rest()
 
     def find_unheard(
         self, gossips: Iterable[Gossip], known: Collection[str], is_covered: Callable[[Place], bool], tick: int, now: float
@@ -50,10 +50,10 @@ class HalfOpenLinkDetector:
         }
         self._named = named
         late = [name for name, since in named.items() if tick - since.tick >= self._timeout and now - since.now >= PATIENCE]
-        if not late or now < self._not_before:
+        if not late or not self._rest.is_over(now):
             return ""
         self._named = {}
-        self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
+        self._rest.begin(now)
         return min(late)
 
 
@@ -65,15 +65,15 @@ class WorldLinkDetector:
 
     def __init__(self) -> None:
         self._since = Since(-1, NEVER)
-        self._rest, self._not_before = FIRST_REST, NEVER
+        self._rest = Rest()
 
     def should_reopen(self, tick: int, now: float) -> bool:
         """Note that a gossip is more than one tick ahead of the own `tick`; whether the session is to be opened anew."""
         if tick != self._since.tick or now < self._since.now:
             self._since = Since(tick, now)
-        if now - self._since.now < PATIENCE or now < self._not_before:
+        if now - self._since.now < PATIENCE or not self._rest.is_over(now):
             return False
-        self._not_before, self._rest = now + self._rest, min(2.0 * self._rest, LONGEST_REST)
+        self._rest.begin(now)
         return True
 
 
