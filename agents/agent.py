@@ -188,8 +188,9 @@ class Agent(Node):
             own = local_gossip(self.context, self.incarnation, self.outcome, observation, self._own_pose.noise)
             if is_claim_valid(self.config, self.outcome.belief, own.tick, self._pace.current):
                 steers = self._pace.has_time and observation is observations[-1]
-                self.outcome = self._update_without_gossips(own, observation, steers=steers)
-                effects += [*self._estimate(self.outcome, own), *([self._steer(self.outcome, own.tick)] if steers else [])]
+                ticks = self._ticks_to_last(own.tick) if steers else 0
+                self.outcome = update_without_gossips(self.context, self.outcome, own, ticks)
+                effects += [*self._estimate(self.outcome, own), *(self._steer(self.outcome, observation) if steers else [])]
             else:
                 moved = forecast(self.outcome.estimates, (own.tick - self.outcome.belief.stamp) * self.config.run.dt)
                 effects += self._estimate(replace(self.outcome, estimates=moved), own)
@@ -201,13 +202,8 @@ class Agent(Node):
         assert own is not None and observation is not None
         if self._rounds.due != own.tick or not is_claim_valid(self.config, self.outcome.belief, own.tick, self._pace.current):
             return []
-        ahead = self._update_without_gossips(own, observation, steers=steers)
-        return [self._steer(ahead, own.tick)] if steers else self._estimate(ahead, own)
-
-    def _update_without_gossips(self, own: Gossip, observation: Observation, *, steers: bool) -> RoundResult:
-        """The result of a tick that the agent plays alone; with a command if it steers."""
-        played = update_without_gossips(self.context, self.outcome, own, self._pace.current if steers else 0)
-        return self._keep_apart(played, observation) if steers else played
+        ahead = update_without_gossips(self.context, self.outcome, own, self._ticks_to_last(own.tick) if steers else 0)
+        return self._steer(ahead, observation) if steers else self._estimate(ahead, own)
 
     def _estimate(self, outcome: RoundResult, own: Gossip) -> list[Effect]:
         """The estimate of the tick of `own`, where one is due and none has been said."""
@@ -217,10 +213,24 @@ class Agent(Node):
         stats = message_builders.RoundStats(self.counters, self._round_seconds, self._pace.current)
         return [message_builders.estimate(self.context, self.incarnation, outcome, own, stats)]
 
-    def _steer(self, outcome: RoundResult, tick: int) -> Effect:
-        """The command of a result to the own body."""
-        self._own_pose.note_command(outcome.command)
-        return message_builders.command(self.context, self.incarnation, outcome, tick)
+    def _ticks_to_last(self, tick: int) -> int:
+        """About how long a command of a tick will last: as long as nothing was played before it, at most the pace. 0: it has been given."""
+        return min(self._pace.current, tick - self.outcome.belief.stamp) if tick > self._own_pose.steered else 0
+
+    def _steer(self, outcome: RoundResult, observation: Observation) -> list[Effect]:
+        """The command of a result, such that it keeps the body away from those of the peers and from what it senses.
+
+        None where the tick of the observation has had one: a result that was computed early was in time.
+        """
+        if observation.tick <= self._own_pose.steered:
+            return []
+        command = outcome.command
+        if self.config.limits.radius:
+            others = [other.pose[:2] for other in self._fresh] + [(x, y) for x, y in observation.obstacles.tolist()]
+            seconds = self.config.run.dt * self._pace.current
+            command = keep_apart(command, observation.pose[:2], others, self.config.limits, seconds)
+        self._own_pose.note_command(command, observation.tick)
+        return [message_builders.command(self.context, self.incarnation, replace(outcome, command=command), observation.tick)]
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""
@@ -360,7 +370,7 @@ class Agent(Node):
         reopenings = interest.reopen_if_unheard(self.outcome.belief.stamp, now)
         if reopenings:
             self.counters["reopened"] += 1
-        effects = [*interest.close_round(gossip, self.outcome), *reopenings]
+        effects = [*interest.close_round(gossip, self.outcome, self._own_pose.command), *reopenings]
         self.outcome.belief.generator_names &= self.peer_table.interest_set.keys() | {self.name}
         return effects
 
@@ -389,11 +399,11 @@ class Agent(Node):
         return self._rounds.postpones(due, self.tick, self._awaited, len(self.peer_table.fresh(due)))
 
     def _play(self, opened: OpenRound, now: float) -> None:
-        """Play a round. It steers if it is that of the open tick; after an older one the look-ahead does."""
+        """Play a round. If it is that of the open tick, it gives the command; after an older one the look-ahead does."""
         gossip, newcomer = opened.gossip, bool(self._listening)
         fresh = self.peer_table.fresh(gossip.tick)
-        replay, steers = self._rounds.replay(opened, fresh), gossip.tick == self.tick
-        self.outcome = run_round(self.context, self.outcome, self.peer_table, gossip, fresh, replay, steers=steers)
+        replay, ticks = self._rounds.replay(opened, fresh), self._ticks_to_last(self.tick) if gossip.tick == self.tick else 0
+        self.outcome = run_round(self.context, self.outcome, self.peer_table, gossip, fresh, replay, ticks)
         self._rounds.recent.keep(self.outcome.belief)
         missing = self.peer_table.close(gossip.tick, newcomer=newcomer, responsive=self._was_responsive(now))
         self._listening.count(len(fresh), missing)
@@ -406,26 +416,16 @@ class Agent(Node):
         observation, gossip = self._observation, self._gossip
         assert observation is not None and gossip is not None
         if self.outcome.belief.stamp < self.tick:
-            self.outcome = look_ahead(self._rounds.recent, self.context, self.outcome, gossip, self.peer_table)
+            self.outcome = look_ahead(self._rounds.recent, self.context, self.outcome, gossip, self._ticks_to_last(self.tick))
             self.counters["looked_ahead"] += 1
-        self.outcome = self._keep_apart(self.outcome, observation)
         self._keep_pace(now)
         self._observation, self._gossip, self._close_at, self._ahead_at = None, None, None, None
         self._awaited = set()
         self._measure_busy_time(now)
         self._round_seconds = max(0.0, now - self._opened_at)  # a clock may have jumped
-        command = self._steer(self.outcome, self.tick)
+        commands = self._steer(self.outcome, observation)
         effects = self._update_interest(self._interest, gossip, now) if self._interest else []
-        return [*effects, *self._estimate(self.outcome, gossip), command, *self._play_gossip_free()]
-
-    def _keep_apart(self, outcome: RoundResult, observation: Observation) -> RoundResult:
-        """The result with a command that keeps the body away from those of the peers and from what it senses."""
-        if not self.config.limits.radius:
-            return outcome
-        others = [other.pose[:2] for other in self._fresh] + [(x, y) for x, y in observation.obstacles.tolist()]
-        seconds = self.config.run.dt * self._pace.current
-        command = keep_apart(outcome.command, observation.pose[:2], others, self.config.limits, seconds)
-        return replace(outcome, command=command)
+        return [*effects, *self._estimate(self.outcome, gossip), *commands, *self._play_gossip_free()]
 
     def _keep_pace(self, now: float) -> None:
         """Judge the pace and the lag at the end of a tick."""

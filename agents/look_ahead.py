@@ -22,7 +22,6 @@ import numpy as np
 from agents.config import AgentConfig
 from agents.gossip.inbox import WINDOW_TICKS
 from agents.gossip.table import AnnouncedSensor, GossipTable, gossip_table
-from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.claims import NO_CLAIM
 from agents.tracking.step import Step
@@ -163,8 +162,11 @@ def rectangle_around(polygon: np.ndarray, own: Gossip, reach: float, margin: flo
     return np.array([[west, south], [east, south], [east, north], [west, north]])
 
 
-def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, own: Gossip, peer_table: PeerTable) -> RoundResult:
-    """The result of a round as it stands at the tick of `own`, ticks later: all of now but the belief, which stays that of the round."""
+def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, own: Gossip, ticks: int) -> RoundResult:
+    """The result of a round as it stands at the tick of `own`, a later one: all of now but the belief, which stays that of the round.
+
+    `ticks`: how long the command is to last; 0: there is none.
+    """
     round_cell, belief, tracker, config = last.round_cell, last.belief, context.tracker, context.config
     if round_cell is None:  # no round has been played yet
         return last
@@ -178,4 +180,4 @@ def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, ow
     density = tracker.merge(belief, table, step)
     now = region._replace(row=table.names.index(context.name), pose=own.pose)
     update = tracker.update(density, table, [now], step)[0]
-    return result_of(context, own, RoundCell(now, round_cell.generator_table), update, table, density, last.belief, peer_table.pace)
+    return result_of(context, own, RoundCell(now, round_cell.generator_table), update, table, density, last.belief, ticks)

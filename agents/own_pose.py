@@ -46,18 +46,23 @@ class AveragingWeight:
 
 
 class OwnPose:
-    """The pose of one agent. `noise` are the standard deviations of the pose last stated, m and rad; None: it is exact."""
+    """The pose of one agent.
+
+    `noise` are the standard deviations of the pose last stated, m and rad; None: it is exact. `command` moves the body, and `steered` is
+    its tick.
+    """
 
     def __init__(self, config: AgentConfig, sensor: SensorModel) -> None:
         self.noise: Vector | None = None
         self._config, self._sees_places = config, measurement_of(sensor) is None
-        self._command: ControlInput = STAND
+        self.command: ControlInput = STAND
+        self.steered = -1
         self._last: Observation | None = None  # from the pose that was stated
         self._place, self._turn = AveragingWeight(), AveragingWeight()
 
-    def note_command(self, command: ControlInput) -> None:
+    def note_command(self, command: ControlInput, tick: int) -> None:
         """Take the command that moves the body until the next one."""
-        self._command = command
+        self.command, self.steered = command, tick
 
     def correct(self, observation: Observation) -> Observation:
         """The observation, which is taken in, from the pose that the agent believes in; detections and obstacles move with it."""
@@ -75,7 +80,7 @@ class OwnPose:
 
         A body that moves at v m/s errs by v times `time_noise` along its way, which is half of that variance on each axis.
         """
-        settings, limits, (velocity, turn_rate) = self._config.pose, self._config.limits, self._command
+        settings, limits, (velocity, turn_rate) = self._config.pose, self._config.limits, self.command
         x, y = clip_velocity(velocity, limits.speed)
         turn = min(abs(turn_rate), limits.turn_rate) * settings.time_noise
         place = settings.position_noise * settings.position_noise + 0.5 * settings.time_noise * settings.time_noise * (x * x + y * y)
@@ -85,7 +90,7 @@ class OwnPose:
         """The observation from the mean of the report, of these variances, and of the earlier ones."""
         last, reported = self._last or observation, observation.pose
         seconds = (observation.tick - last.tick) * self._config.run.dt
-        moved = integrate(last.pose, *self._command, seconds, self._config.limits)
+        moved = integrate(last.pose, *self.command, seconds, self._config.limits)
         x, y, heading = reported[0] - moved[0], reported[1] - moved[1], wrap_angle(reported[2] - moved[2])
         if self._place.contradicts(math.hypot(x, y), place) or self._turn.contradicts(heading, turn):
             self._place, self._turn = AveragingWeight(), AveragingWeight()

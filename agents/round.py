@@ -102,13 +102,12 @@ def run_round(
     own: Gossip,
     fresh: dict[str, Gossip],
     replay: Replay | None = None,
-    *,
-    steers: bool = True,
+    ticks: int = 1,
 ) -> RoundResult:
-    """The result of the round of `own.tick`, with a command if it steers.
+    """The result of the round of `own.tick`.
 
     `fresh` holds the gossips of that tick by name, in the order of names. `own` is the gossip of this agent. `replay` computes the
-    density of the tick before where gossips state older ones.
+    density of the tick before where gossips state older ones. The command is to last some `ticks`; 0: there is none.
     """
     step, shared = Step(context.config, own.tick), None
     table = _with_own(context, peer_table, fresh, own)
@@ -134,7 +133,6 @@ def run_round(
         horizon=COPY_HORIZON if peer_table.local else math.inf,
     )
     belief = context.tracker.belief_after(density, region, update, diagram, step)
-    ticks = min(peer_table.pace, own.tick - last.belief.stamp) if steers else 0
     return result_of(context, own, RoundCell(region, generator_table), update, table, density, belief, ticks)
 
 
@@ -148,7 +146,7 @@ def result_of(
     belief: TrackerState,
     ticks: int,
 ) -> RoundResult:
-    """The result of an `update` of the own cell at the pose of `own`; `ticks`: until the next command, 0: there is none."""
+    """The result of an `update` of the own cell at the pose of `own`; `ticks`: how long the command is to last, 0: there is none."""
     command = STAND
     if ticks:
         situation = _situation(context, own, round_cell.region.polygon, update, round_cell.generator_table, table, ticks)
@@ -265,7 +263,7 @@ def _centroid(update: Update, cell: np.ndarray) -> tuple[float, float] | None:
 def _situation(
     context: AgentContext, own: Gossip, cell: np.ndarray, update: Update, generator_table: GossipTable, table: GossipTable, ticks: int
 ) -> Situation:
-    """What the control law reads; `ticks`: until the next command."""
+    """What the control law reads; `ticks`: how long the command is to last."""
     config = context.config
     return Situation(
         name=context.name,

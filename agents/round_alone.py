@@ -49,13 +49,13 @@ def predict_missed_ticks(context: AgentContext, last: RoundResult, own: Gossip, 
     """
     if pace == 1 or last.round_cell is None:
         return dataclasses.replace(last, belief=context.tracker.keep_claim(last.belief, Step(context.config, own.tick)))
-    return update_without_gossips(context, last, replace(own, tick=own.tick - 1, scanned=False, detections_bytes=b""), pace=0)
+    return update_without_gossips(context, last, replace(own, tick=own.tick - 1, scanned=False, detections_bytes=b""), ticks=0)
 
 
-def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip, pace: int) -> RoundResult:
+def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip, ticks: int) -> RoundResult:
     """The result of the tick of `own`, a later one than that of `last`, in the cell of `last`.
 
-    `pace`: the ticks that the command is to last at most; it lasts as many as have passed since `last`. 0: the result has no command.
+    `ticks`: how long the command is to last; 0: there is none.
     """
     tracker, round_cell, stamp = context.tracker, last.round_cell, last.belief.stamp
     assert round_cell is not None
@@ -66,6 +66,4 @@ def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip
         before, update = density, tracker.update(density, table, [region], step)[0]
         density = tracker.nearby(update)
     belief = tracker.keep_claim(last.belief, Step(context.config, own.tick + 1), update)
-    return result_of(
-        context, own, RoundCell(region, round_cell.generator_table), update, table, before, belief, min(pace, own.tick - stamp)
-    )
+    return result_of(context, own, RoundCell(region, round_cell.generator_table), update, table, before, belief, ticks)

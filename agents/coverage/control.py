@@ -60,14 +60,14 @@ class Situation(NamedTuple):
     generators: np.ndarray = EMPTY  # (N, 2) m, of the diagram
     own_generator: int = -1  # the row of the agent's generator; -1 without one
     surroundings: Surroundings | None = None  # for search and track
-    ticks: int = 1  # until the next command, at most
+    ticks: int = 1  # for about so many the command will last
 
 
 class ControlLaw(Protocol):
     """A law that drives a body."""
 
     def command(self, situation: Situation) -> ControlInput:
-        """The velocity and turn rate until the next command, at most `situation.ticks` ticks later."""
+        """The velocity and turn rate until the next command, about `situation.ticks` ticks later."""
 
 
 class Lloyd:

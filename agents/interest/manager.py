@@ -16,6 +16,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.coverage.capacity import to_world
+from agents.coverage.control import ControlInput
 from agents.gossip.inbox import WINDOW_TICKS
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
 from agents.interest.selection import BEACON_JUMP, BEACON_PERIOD, SELECTION_MARGIN, SELECTION_PERIOD, Choice, Ground
@@ -176,9 +177,9 @@ class InterestManager:
             self._ground = self._ground._replace(bounds=wider)
             self._peer_table.selection_outdated = True
 
-    def close_round(self, gossip: Gossip, outcome: RoundResult) -> list[Effect]:
-        """The effects at the end of a round: a beacon and a new selection, where they are due for the pose of the next tick."""
-        next_one = self._beacon(gossip.tick + 1, pose_after(gossip.pose, outcome.command, self._context.config), outcome.power_radius)
+    def close_round(self, gossip: Gossip, outcome: RoundResult, command: ControlInput) -> list[Effect]:
+        """The effects at the end of a round: a beacon and a new selection, where they are due for the pose to which the command leads."""
+        next_one = self._beacon(gossip.tick + 1, pose_after(gossip.pose, command, self._context.config), outcome.power_radius)
         return [*self._beacon_if_due(next_one, gossip), *self._reselect_if_due(next_one, gossip, outcome)]
 
     def _beacon_if_due(self, next_one: Beacon, gossip: Gossip) -> list[Effect]:

@@ -54,8 +54,7 @@ def play(
     mine: Gossip,
     heard: dict[str, Gossip],
     replay: Replay | None = None,
-    *,
-    steers: bool = True,
+    ticks: int = 1,
 ) -> RoundResult:
     """The outcome of a round in which nothing was computed; what `agents.round.run_round` takes."""
     config = me.config

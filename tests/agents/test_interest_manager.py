@@ -5,6 +5,7 @@ import pytest
 
 from agents.agent import Agent
 from agents.config import AgentConfig, TimingSettings
+from agents.coverage.control import STAND
 from agents.interest.manager import (
     ANSWER_SECONDS,
     DELAY_FACTOR,
@@ -143,7 +144,7 @@ def test_at_a_slower_pace_too_each_period_brings_a_beacon(name: str) -> None:
     agent = Agent(CONFIG, name)
     made, pace = InterestManager(agent.context, PeerTable(CONFIG, name), 1), int(BEACON_PERIOD)
     made.start(SEEN, agent.outcome, 0.0)
-    said = [made.close_round(standing(name, tick), agent.outcome) for tick in range(pace, 9 * pace, pace)]
+    said = [made.close_round(standing(name, tick), agent.outcome, STAND) for tick in range(pace, 9 * pace, pace)]
     assert [sum(isinstance(effect, Beacon) for effect in effects) for effects in said] == [1] * 8
 
 
@@ -152,7 +153,7 @@ def test_a_newcomer_hears_all_around_the_cell_that_it_is_about_to_get(listening:
     watcher, outcome = lookout(), Agent(CONFIG, "s1").outcome
     watcher.take_beacon(beacon("s2", 0, 150.0))
     assert not len(outcome.cell)
-    watcher.close_round(msgspec.structs.replace(standing("s1", 1), listening=listening), outcome)
+    watcher.close_round(msgspec.structs.replace(standing("s1", 1), listening=listening), outcome, STAND)
     assert ("s2" in watcher._peer_table.interest_set) == listening
 
 

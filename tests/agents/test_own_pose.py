@@ -44,7 +44,7 @@ def test_without_memory_a_report_is_taken_as_it_is_and_its_noise_is_that_of_the_
         seen = report((1.0, 2.0, 0.5), tick)
         assert pose.correct(seen) is seen
         assert pose.noise == (0.3, 0.05)
-        pose.note_command(((2.0, 0.0), 1.0))
+        pose.note_command(((2.0, 0.0), 1.0), 0)
 
 
 @pytest.mark.parametrize(("command", "limited"), [(((1.2, -1.6), -3.0), ((1.2, -1.6), -3.0)), (((30.0, 40.0), 9.0), ((1.2, 1.6), 5.0))])
@@ -55,7 +55,7 @@ def test_an_error_in_time_widens_the_noise_by_the_motion_within_the_limits(comma
     places = rng.normal(0.0, 0.2, (100_000, 2)) + late[:, None] * np.array(velocity)
     headings = rng.normal(0.0, 0.04, 100_000) + late * turn_rate
     pose = own_pose(position_noise=0.2, heading_noise=0.04, time_noise=0.1)
-    pose.note_command(command)
+    pose.note_command(command, 0)
     pose.correct(report((1.0, 2.0, 0.5), 0))
     assert pose.noise is not None
     assert pose.noise == pytest.approx((math.sqrt(np.var(places, axis=0).mean()), np.std(headings)), rel=0.01)
@@ -78,7 +78,7 @@ def test_the_mean_of_reports_is_as_exact_as_it_says() -> None:
             if tick >= 10:
                 found.append((stated[0] - true[0], stated[1] - true[1], wrap_angle(stated[2] - true[2])))
             velocity, turn_rate = (2.0 * math.cos(0.3 * tick), 2.0 * math.sin(0.3 * tick)), 1.5 * math.sin(tick)
-            pose.note_command((velocity, turn_rate))
+            pose.note_command((velocity, turn_rate), 0)
             true = (true[0] + velocity[0] * DT, true[1] + velocity[1] * DT, wrap_angle(true[2] + turn_rate * DT))
     share = 1.0 - math.exp(-DT)
     expected = math.sqrt(share / (2.0 - share))  # of the deviation of one report: closed form of an exponential average
@@ -118,7 +118,7 @@ def test_a_body_that_does_not_turn_as_it_should_is_believed_soon() -> None:
     worst = 0.0
     for tick in range(40):
         worst = max(worst, abs(pose.correct(report((5.0, 5.0, 1.0), tick)).pose[2] - 1.0))
-        pose.note_command(((0.0, 0.0), 0.4))
+        pose.note_command(((0.0, 0.0), 0.4), 0)
     assert worst < SURPRISE * 0.1
 
 
@@ -138,5 +138,5 @@ def test_skipped_ticks_count_as_time_in_which_the_last_command_held() -> None:
     pose = own_pose(position_noise=0.3, memory=10.0)
     for tick in (0, 1, 2, 3):
         pose.correct(report((5.0, 5.0, 0.0), tick))
-    pose.note_command(((2.0, 0.0), 0.0))
+    pose.note_command(((2.0, 0.0), 0.0), 0)
     assert pose.correct(report((6.5, 5.0, 0.0), 6)).pose == pytest.approx((6.5, 5.0, 0.0))

@@ -31,7 +31,7 @@ from protocol.compact_particles import quantised
 from protocol.keys import order
 from protocol.messages import Gossip
 from protocol.settings import sensor_of
-from tests.swarm.scene import fault, tracking, watch
+from tests.swarm.scene import Watched, fault, tracking, watch
 
 START, DT = 4.0, 0.5
 
@@ -177,18 +177,18 @@ def test_a_mixture_that_was_moved_on_shows_weak_targets_and_none_twice() -> None
 
 @dataclass
 class Noted:
-    """A control law, and the ticks of its commands."""
+    """A control law, and of its commands the ticks, and for how many ticks each was to last."""
 
     law: ControlLaw
-    ticks: list[int] = field(default_factory=list)
+    asked: list[tuple[int, int]] = field(default_factory=list)
 
     def command(self, situation: Situation) -> ControlInput:
-        self.ticks.append(situation.tick)
+        self.asked.append((situation.tick, situation.ticks))
         return self.law.command(situation)
 
 
-def test_a_law_is_asked_for_one_command_in_a_tick_also_where_rounds_are_played_late() -> None:
-    """A law with a memory would else see a tick again that it has left."""
+def asked(scenario: Scenario) -> tuple[Watched, list[np.ndarray]]:
+    """The run of a scenario in real time, and for each agent when its law was asked and for how many ticks: (N, 2)."""
     laws: dict[str, Noted] = {}
 
     def look(tick: int, simulation: Simulation) -> None:
@@ -197,7 +197,21 @@ def test_a_law_is_asked_for_one_command_in_a_tick_also_where_rounds_are_played_l
                 laws[agent.name] = Noted(agent.context.law)
                 agent.context = agent.context._replace(law=laws[agent.name])
 
+    seen = watch(scenario, clock="realtime", at_tick=look)
+    return seen, [np.array(noted.asked) for noted in laws.values()]
+
+
+def test_a_law_is_asked_for_one_command_in_a_tick_also_where_rounds_are_played_late() -> None:
+    """A law with a memory would else see a tick again that it has left."""
     late = fault(START, "delay", "100%", 1.0)
-    seen = watch(tracking(late, run__dt=DT, run__seconds=12.0, timing__look_ahead=2.5), clock="realtime", at_tick=look)
-    assert len(laws) == len(seen.agents) and all(agent.counters["looked_ahead"] > 5 for agent in seen.agents.values())
-    assert all(np.diff(noted.ticks).tolist() == [1] * (len(noted.ticks) - 1) for noted in laws.values())
+    seen, commands = asked(tracking(late, run__dt=DT, run__seconds=12.0, timing__look_ahead=2.5))
+    assert len(commands) == 7 and all(agent.counters["looked_ahead"] > 5 for agent in seen.agents.values())
+    assert all(np.diff(each[:, 0]).tolist() == [1] * (len(each) - 1) for each in commands)
+
+
+def test_at_a_slower_pace_a_law_is_asked_once_in_a_tick() -> None:
+    seen, commands = asked(tracking(fault(START, "starve", "100%", 0.2), run__dt=0.25, run__seconds=14.0))
+    assert all(agent.counters["spared"] > 10 for agent in seen.agents.values())
+    for each in commands:
+        assert np.diff(each[:, 0]).min() == 1 and np.diff(each[:, 0]).max() > 2
+        assert 1 <= each[:, 1].min() <= each[:, 1].max() <= 8, "it is to last for some ticks"
