@@ -95,7 +95,8 @@ class Driver:
         self.counts: Counter[str] = Counter()  # sent, sent_bytes, received, rejected, quarantined, flooded, failed_puts, reopened
         self._node = node
         self._settings = settings
-        self._inbox = Inbox(coalesced_keys=node.coalesced_keys)
+        # Faults of links count from the arrival on: with them no message waits for others of its kind.
+        self._inbox = Inbox(coalesced_keys=node.coalesced_keys if link is None else "")
         self._delays = None if link is None else DelayQueue(link, self._inbox)
         self._delay_timer: asyncio.TimerHandle | None = None
         self._rate_limiter = RateLimiter(settings.most_per_second)

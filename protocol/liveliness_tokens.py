@@ -7,7 +7,8 @@ from protocol.keys import Token, matches, parse_token, token_key
 from protocol.node import Alive, Gone
 
 MOST_NAMES = 4096  # shown to a node: a session holds no more links, and anybody may declare tokens. As many more names wait
-MOST_OF_A_NAME = 16  # tokens: of its agent, its body, and of earlier incarnations, which a lease outlives
+MOST_INCARNATIONS = 8  # of one role and name: a restart leaves its token behind for one lease at most
+ROLES = frozenset(("agent", "world", "body", "recorder", "monitor", "operator"))  # tokens of others are passed over
 ALONE_SECONDS = 10.0  # after which a process that sees no token logs a warning
 NO_EVENTS = ()
 
@@ -33,7 +34,7 @@ class Tokens:
     def see(self, key: str, up: bool) -> list[Alive | Gone]:
         """The events for a token that has appeared or vanished; empty: no news."""
         token = parse_token(key)
-        if token is None or token == self._own or not any(matches(expression, key) for expression in self._followed):
+        if token is None or token == self._own or token.role not in ROLES or not any(matches(each, key) for each in self._followed):
             return []
         self._doubtful.discard(token)
         if (token in self._up.get(token.name, ())) == up:
@@ -41,16 +42,19 @@ class Tokens:
         return self._add(token) if up else self._remove(token)
 
     def _add(self, token: Token) -> list[Alive | Gone]:
-        """Add a token. Of too many of its name the earliest goes."""
+        """Add a token. Of too many incarnations of its role and name the smallest goes: of two live ones the larger counts."""
         name = token.name
         if name not in self._up:
             (self._waiting if self._is_full() else self._silent)[name] = None
             self._up[name] = {}
             if len(self._waiting) > MOST_NAMES:
                 self._remove_all(self._up[next(iter(self._waiting))])
-        tokens = self._up[name]
-        gone = self._remove(next(iter(tokens))) if len(tokens) >= MOST_OF_A_NAME else []
-        tokens[token] = None
+        alike = [other for other in self._up[name] if other.role == token.role]
+        smallest = min(alike, default=token)
+        if len(alike) >= MOST_INCARNATIONS and token < smallest:
+            return []
+        gone = self._remove(smallest) if len(alike) >= MOST_INCARNATIONS else []
+        self._up[name][token] = None
         return [] if name in self._waiting else [*gone, _alive(token)]
 
     def _remove(self, token: Token) -> list[Alive | Gone]:

@@ -63,7 +63,11 @@ class Participant:
         self._join()
 
     def _join(self) -> None:
-        """Open a session with all subscriptions."""
+        """Open a session with all subscriptions; the tokens of an earlier one, or of a failed attempt, are gone."""
+        with self._telling:
+            gone, self._up = self._up, set()
+            for role, name, incarnation in gone:
+                self.events.put(Heard(role, name, {}, incarnation, up=False))
         session = zenoh.open(config_of(self._network, self._run, self._name))
         on_token = partial(self._on_token, self._up)
         self._held = [session.liveliness().declare_subscriber(f"covey/{self._run}/alive/**", on_token, history=True)]
@@ -91,10 +95,6 @@ class Participant:
         with contextlib.suppress(zenoh.ZError):
             session.close()
         declared.clear()
-        with self._telling:
-            gone, self._up = self._up, set()  # the next session tells of those that are there
-            for role, name, incarnation in gone:
-                self.events.put(Heard(role, name, {}, incarnation, up=False))
         while self._session is None:
             try:
                 self._join()

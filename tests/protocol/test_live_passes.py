@@ -129,6 +129,25 @@ def test_no_timer_comes_before_what_was_due_on_a_link_however_much_that_is() -> 
     asyncio.run(scene())
 
 
+def test_what_was_delayed_does_not_wait_for_others_that_the_node_awaits() -> None:
+    """More than a slice is due, and twenty commands are awaited: the last six would else wait for more to come."""
+
+    class Awaiting(Scribe):
+        coalesced_keys, wake_up_count = "/command/", 20
+
+    async def scene() -> None:
+        node, clock = Awaiting("a"), Clock()
+        driver = live.Driver(node, NetworkSettings(), Late(b=0.5))
+        arrive_in_a_thread(driver, *[arrival(node, command("b", tick)) for tick in range(live.SLICE + 6)])
+        await one_pass()
+        clock.now = 101.0
+        for _ in range(4):
+            await one_pass()
+        assert len(node.texts()) == live.SLICE + 6
+
+    asyncio.run(scene())
+
+
 def test_what_is_due_sooner_does_not_wait_for_what_came_before() -> None:
     async def scene() -> None:
         node, clock = Scribe("a"), Clock()

@@ -7,7 +7,7 @@ import pytest
 from protocol import codec
 from protocol.inbox import Arrival
 from protocol.keys import Token, token_key
-from protocol.liveliness_tokens import MOST_NAMES, MOST_OF_A_NAME, Tokens
+from protocol.liveliness_tokens import MOST_INCARNATIONS, MOST_NAMES, Tokens
 from protocol.messages import Hello
 from protocol.node import Alive, Gone, Received
 from protocol.reception import Reception
@@ -131,17 +131,18 @@ def test_as_many_names_wait_as_are_shown_and_the_earliest_is_forgotten() -> None
     assert tokens.hear("y1") == [Gone("agent", "x0", 1), Alive("agent", "y1", 1)]
 
 
-def test_of_many_tokens_of_a_name_the_latest_are_kept() -> None:
-    """Restarts whose old tokens are still up are told of one after the other, and each older one as gone before its sixteenth successor."""
+def test_of_many_incarnations_of_a_name_the_largest_are_kept() -> None:
+    """Restarts whose old tokens are still up are told of one after the other, and each older one as gone before its eighth successor."""
     tokens = Tokens(OWN, ALL)
-    for incarnation in range(MOST_OF_A_NAME):
+    for incarnation in range(11, 11 + MOST_INCARNATIONS):
         assert tokens.see(key("s2", incarnation), True) == [Alive("agent", "s2", incarnation)]
-    body = token_key("t", "body", "s2", 1)
-    assert tokens.see(body, True) == [Gone("agent", "s2", 0), Alive("body", "s2", 1)]
-    assert tokens.see(key("s2", 0), False) == [], "told already"
+    assert tokens.see(key("s2", 10), True) == tokens.see(key("s2", 10), False) == []
+    assert tokens.see(key("s2", 30), True) == [Gone("agent", "s2", 11), Alive("agent", "s2", 30)]
+    assert tokens.see(token_key("t", "body", "s2", 1), True) == [Alive("body", "s2", 1)], "another role"
+    assert tokens.see(key("s2", 11), False) == [], "told already"
     tokens.doubt()
-    assert tokens.see(key("s2", 31), True) == [Gone("agent", "s2", 1), Alive("agent", "s2", 31)] and not tokens.see(body, True)
-    assert tokens.take_lost() == [Gone("agent", "s2", each) for each in range(2, MOST_OF_A_NAME)]
+    assert tokens.see(key("s2", 31), True) == [Gone("agent", "s2", 12), Alive("agent", "s2", 31)]
+    assert tokens.take_lost() == [*(Gone("agent", "s2", each) for each in (13, 14, 15, 16, 17, 18, 30)), Gone("body", "s2", 1)]
 
 
 def test_a_name_that_speaks_keeps_its_token_among_any_number_of_made_up_ones() -> None:
@@ -188,4 +189,12 @@ def test_made_up_tokens_of_one_name_that_speaks_hide_no_other(form: str) -> None
     reception = Reception(Tokens(OWN, ALL), Counter())
     flood = [Arrival(form.format(number), token=True) for number in range(2, 4097)]
     up = up_after(reception, [Arrival(key("x"), token=True), said("x"), *flood, said("x"), Arrival(key("s2"), token=True), said("s2")])
-    assert ("agent", "s2", 1) in up and len(up) == MOST_OF_A_NAME + 1
+    assert ("agent", "s2", 1) in up and len(up) <= MOST_INCARNATIONS + 1
+
+
+@pytest.mark.parametrize("form", ["covey/t/alive/agent/s2/{}", "covey/t/alive/role{}/s2/1"])
+def test_older_incarnations_and_other_roles_of_a_name_take_it_not_away(form: str) -> None:
+    honest = [Arrival(key("s2", 5000), token=True), Arrival(token_key("t", "body", "s2", 5000), token=True)]
+    flood = [Arrival(form.format(number), token=True) for number in range(1, 100)]
+    up = up_after(Reception(Tokens(OWN, ALL), Counter()), [*honest, said("s2"), *flood])
+    assert {("agent", "s2", 5000), ("body", "s2", 5000)} <= up
