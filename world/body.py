@@ -47,7 +47,7 @@ class Body(Node):
         self.tick = -1
         self.pose: Pose = (0.0, 0.0, 0.0)  # as the platform said in this tick
         self.hold = Hold()  # by an operator
-        self.late_commands = 0  # that had not come when their tick ended
+        self.ticks_without_command = 0  # that ended before their command came
         self.ignored_commands = 0
         self.platform: Platform = build_platform(name, config)
         if restored is not None and name in restored.bodies and isinstance(self.platform, Simulated | Physical):
@@ -72,7 +72,7 @@ class Body(Node):
         self._expected, self._patience, self._strict = tuple(config.members), config.run.start_timeout, config.run.strict
         self._changed = 0.0  # when an agent came, until the start
         self._commands = CommandBook(lockstep=self._lockstep)
-        self._waiting = False  # lockstep: for the command of this tick
+        self._waiting = False  # the command of this tick is missing; in lockstep the tick waits for it
         self._not_before = 0.0  # lockstep: when the tick may end
         self._due: float | None = None
         self._driven_until: float | None = None  # when the command that drives the platform ends; None: it stands
@@ -94,7 +94,11 @@ class Body(Node):
     def counts(self) -> dict[str, int]:
         """What went wrong so far, for the log."""
         corrections = self._clock.corrections
-        return {"late_commands": self.late_commands, "ignored_commands": self.ignored_commands, "clock_corrections": corrections}
+        return {
+            "ticks_without_command": self.ticks_without_command,
+            "ignored_commands": self.ignored_commands,
+            "clock_corrections": corrections,
+        }
 
     def expect(self, names: tuple[str, ...]) -> None:
         """Wait for these agents before the first tick, however long they take: a parent that sees their processes asks for it."""
@@ -165,6 +169,7 @@ class Body(Node):
         self._changed = now
         if event.name == self.name:
             self._commands.drop(self.name)
+            effects += self._end_of_wait(now) if self._waiting else []
         return [*effects, *self._try_start(now)]
 
     def _bury(self, event: Gone, now: float) -> list[Effect]:
@@ -234,13 +239,13 @@ class Body(Node):
 
     def _open(self, tick: int, now: float) -> list[Effect]:
         """Go on to a tick: what the agent sees at it. A tick that was left out, or had no command in lockstep, moves nothing."""
-        if self._started and self._roster.speaks(self.name) and not self._commands.has(self.name, self.tick):
-            self.late_commands += 1
-        if self._waiting or tick > self.tick + 1:
+        if self._waiting:
+            self.ticks_without_command += 1
+        if (self._waiting and self._lockstep) or tick > self.tick + 1:
             self._stand()
         if tick >= self._config.run.ticks:
             return self._stop(0, "done")
-        self.tick, self._waiting = tick, self._lockstep and self._roster.speaks(self.name)
+        self.tick, self._waiting = tick, self._roster.speaks(self.name)
         if self._lockstep:
             self._not_before = max(self._not_before, now - self._pause) + self._pause
             self._due = max(now + (self._config.run.patience if self._waiting else self._period), self._not_before)
@@ -279,7 +284,7 @@ class Body(Node):
         if not self.hold.holds and end > now:
             self._drive(command)
             self._driven_until = end
-        return self._end_of_wait(now) if self._waiting else []
+        return self._end_of_wait(now) if self._waiting and command.tick == self.tick else []
 
     def _end_of(self, command: Command, now: float) -> float:
         """Until when a command drives the body: with a size two ticks after its own, for it knows no later places of others."""
@@ -289,6 +294,8 @@ class Body(Node):
 
     def _end_of_wait(self, now: float) -> list[Effect]:
         self._waiting = False
+        if not self._lockstep:
+            return []
         if now < self._not_before:
             self._due = self._not_before
             return []

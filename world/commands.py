@@ -24,10 +24,6 @@ class CommandBook:
         self.newest[command.sender] = command
         return True
 
-    def has(self, name: str, tick: int) -> bool:
-        """Whether the command of an agent for a tick has come."""
-        return name in self.newest and self.newest[name].tick == tick
-
     def drop(self, name: str) -> None:
         """Forget the command of an agent."""
         self.newest.pop(name, None)

@@ -53,7 +53,7 @@ class World(Node):
         self.run, self.incarnation = config.run.name, incarnation
         self.tick = 0
         self.started = False
-        self.late_commands = 0  # that had not come when their tick ended
+        self.ticks_without_command = 0  # that ended before their command came, each agent by itself
         self.ignored_commands = 0  # stale, of an old incarnation, or of nobody with a body
         self.rejected_messages = 0
         self.re_anchored = 0  # real time: how often the world was too late to catch up
@@ -118,7 +118,7 @@ class World(Node):
 
     def counts(self) -> dict[str, int]:
         """What went wrong so far, for the log."""
-        wrong = {"late_commands": self.late_commands, "ignored_commands": self.ignored_commands}
+        wrong = {"ticks_without_command": self.ticks_without_command, "ignored_commands": self.ignored_commands}
         return {**wrong, "rejected_messages": self.rejected_messages, "re_anchored": self.re_anchored}
 
     def deadline(self) -> float | None:
@@ -225,7 +225,7 @@ class World(Node):
 
     def _finish_tick(self, now: float) -> list[Effect]:
         """Move bodies and targets on and open the next tick."""
-        self.late_commands += len(self._waiting)
+        self.ticks_without_command += len(self._waiting)
         self._waiting = set()
         commands = self._commands_in_force()
         self.tick += 1

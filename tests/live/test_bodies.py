@@ -35,10 +35,10 @@ def speeds(journal: Journal, name: str, start: float, end: float = math.inf) -> 
     return [(at, distance) for at, distance in moved if start <= at <= end]
 
 
-def late_commands(logs: Path) -> int:
+def ticks_without_command(logs: Path) -> int:
     """The ticks of all bodies that ended before their command came."""
     entries = [json.loads(line) for log in logs.glob("*.body.jsonl") for line in log.read_text().splitlines()]
-    return sum(entry.get("late_commands", 0) for entry in entries)
+    return sum(entry.get("ticks_without_command", 0) for entry in entries)
 
 
 @pytest.mark.slow
@@ -60,7 +60,7 @@ def test_in_real_time_too_without_any_conductor(covey: Covey) -> None:
         if result["transcript"] == expected:
             return
         rate = result["tick_rate"]
-        disturbed.append(late_commands(covey.runs / "latest" / "logs") + rate["late"] + rate["skipped"])
+        disturbed.append(ticks_without_command(covey.runs / "latest" / "logs") + rate["late"] + rate["skipped"])
         assert disturbed[-1], "a run differs, and nobody was late"
     raise AssertionError(f"three runs were disturbed: {disturbed} things came late")
 

@@ -56,8 +56,24 @@ def test_a_body_counts_the_ticks_that_ended_before_their_command_came() -> None:
     late = msgspec.structs.replace(swarm("own").scenario, faults=(fault(5.0, "pause", "s3", seconds=2.0),))
     simulation = Simulation(late, clock="realtime", backend=FAST)
     play(simulation, 18.0)
-    counts = {name: body.late_commands for name, body in bodies(simulation).items()}
+    counts = {name: body.ticks_without_command for name, body in bodies(simulation).items()}
     assert counts.pop("s3") == 8 and set(counts.values()) == {0}
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_a_restarted_agent_is_not_waited_for_before_it_has_been_asked(clock: str) -> None:
+    simulation = swarm("own", clock)
+    play(simulation, 6.0)
+    body = Body(bodies(simulation)["s3"]._config, "s3", 1)
+    for event in (Started(), *(Alive(role, name, 1) for name in simulation.agents for role in ("agent", "body"))):
+        body.handle(event, 0.0)
+    hellos = [Hello(sender=name, incarnation=1, heard=tuple(simulation.agents)) for name in simulation.agents]
+    effects = [effect for hello in hellos for effect in body.handle(received(hello), 0.0)]
+    assert [effect.tick for effect in effects if isinstance(effect, Observation)] == [0]
+    restarted = [*body.handle(Alive("agent", "s3", 2), 0.01), *body.handle(received(Hello(sender="s3", incarnation=2)), 0.02)]
+    assert [effect.tick for effect in restarted if isinstance(effect, Observation)] == ([1] if clock == "lockstep" else [])
+    body.handle(Timer(), body._clock.due(1) if clock == "realtime" else 5.0)
+    assert body.ticks_without_command == 0 and body.tick >= 1
 
 
 def test_no_node_is_called_world_and_no_truth_is_sent() -> None:
@@ -290,4 +306,4 @@ def test_a_body_in_lockstep_that_hears_the_others_begin_first_waits_for_word_of_
     [observation] = body.handle(received(own[-1]), 0.2)
     assert isinstance(observation, Observation) and observation.tick == 0
     later = body.handle(Timer(), 5.0)  # the round takes longer than a tick of real time
-    assert not later and body.tick == 0 and body.late_commands == 0
+    assert not later and body.tick == 0 and body.ticks_without_command == 0

@@ -18,7 +18,7 @@ def test_the_cells_tile_the_arena_and_all_views_agree_in_every_tick(partition: s
 @pytest.mark.parametrize("dt", [0.25, 5.0, 10.0])
 def test_every_command_comes_in_time_however_long_a_tick_is(dt: float) -> None:
     simulation = watch(tracking(run__dt=dt, run__seconds=8.0 * dt)).simulation
-    assert simulation.world.late_commands == 0
+    assert simulation.world.ticks_without_command == 0
     starts = Simulation(simulation.scenario).world.bodies.poses
     assert simulation.world.bodies.poses != starts
 

@@ -22,7 +22,7 @@ def test_lockstep_waits_for_the_command_of_every_live_agent() -> None:
     ]
     assert of_kind(Truth, effects)[0].tick == 1
     assert world.deadline() == 6.0
-    assert world.late_commands == 0
+    assert world.ticks_without_command == 0
 
 
 def test_lockstep_goes_on_without_a_silent_agent_and_its_body_stands_still() -> None:
@@ -30,7 +30,7 @@ def test_lockstep_goes_on_without_a_silent_agent_and_its_body_stands_still() -> 
     feed(world, command("s1", 0), command("s2", 0))
     effects = feed(world, command("s1", 1), now=0.0) + feed(world, Timer(), now=5.0)
     assert [one.pose for one in of_kind(Observation, effects)] == [(11.0, 10.0, 0.0), (30.5, 30.0, 1.0)]
-    assert world.late_commands == 1
+    assert world.ticks_without_command == 1
 
 
 def test_a_paced_lockstep_holds_a_tick_back_until_its_time_and_changes_nothing_else() -> None:
@@ -45,7 +45,7 @@ def test_a_paced_lockstep_holds_a_tick_back_until_its_time_and_changes_nothing_e
     ]
     assert of_kind(Truth, paced)[0].tick == 1
     assert world.bodies.poses == free.bodies.poses
-    assert world.late_commands == 0
+    assert world.ticks_without_command == 0
 
 
 def test_a_paced_lockstep_waits_for_the_slow_as_ever_and_makes_up_for_less_than_one_tick() -> None:
@@ -75,7 +75,7 @@ def test_lockstep_does_not_wait_for_the_dead() -> None:
     effects = feed(world, Gone("agent", "s2", 1))
     assert [(one.recipient, one.tick) for one in of_kind(Observation, effects)] == [("s1", 1)]
     assert of_kind(Truth, effects)[0].bodies == ("s1", "s2")
-    assert world.late_commands == 0
+    assert world.ticks_without_command == 0
 
 
 def test_the_dead_do_not_move_even_if_their_command_had_come() -> None:
@@ -180,15 +180,15 @@ def test_real_time_counts_the_ticks_that_ended_before_their_commands_came() -> N
     world, _ = started(config("realtime"))
     feed(world, command("s1", 0), command("s2", 0), now=0.4)
     feed(world, Timer(), now=0.5)
-    assert world.late_commands == 0
+    assert world.ticks_without_command == 0
     feed(world, command("s1", 1), now=0.6)
     feed(world, Timer(), now=1.0)
     feed(world, command("s2", 1), command("s1", 2), now=1.1)
     feed(world, Timer(), now=1.5)
-    assert world.late_commands == 2
+    assert world.ticks_without_command == 2
     feed(world, Gone("agent", "s2", 1), command("s1", 3), now=1.6)
     feed(world, Timer(), now=2.0)
-    assert world.late_commands == 2 and world.tick == 4
+    assert world.ticks_without_command == 2 and world.tick == 4
 
 
 def test_real_time_stops_a_body_at_once_when_its_agent_is_gone() -> None:

@@ -149,8 +149,8 @@ def test_what_was_counted_is_logged_once_when_a_process_ends(tmp_path: Path, cap
     log_counts(KeptWorld(world, tmp_path / "truth"))
     end_body(Body(CONFIG, "s1", 1))
     first, second = (vars(record) for record in caplog.records)
-    assert (first["late_commands"], first["ignored_commands"], first["rejected_messages"], first["re_anchored"]) == (2, 2, 0, 0)
-    assert (second["late_commands"], second["ignored_commands"], second["clock_corrections"]) == (0, 0, 0)
+    assert (first["ticks_without_command"], first["ignored_commands"], first["rejected_messages"], first["re_anchored"]) == (2, 2, 0, 0)
+    assert (second["ticks_without_command"], second["ignored_commands"], second["clock_corrections"]) == (0, 0, 0)
 
 
 def test_a_world_beside_bodies_of_their_own_and_a_body_beside_a_world_are_refused(tmp_path: Path) -> None:
