@@ -124,9 +124,7 @@ class ExtractionSettings(Section, frozen=True, kw_only=True):
 
     bin: Annotated[float, msgspec.Meta(ge=0.01, le=1000.0)] = 1.0  # m. Under search-and-track 0.7
     threshold: Positive = 0.5  # mass of a 5 x 5 peak, expected targets. Under search-and-track 0.3
-    beside: NotNegative = (
-        0.0  # mass of what is left within 4 bins of an estimate (mixture: in its peak) to be another. Under search-and-track 0.7
-    )
+    beside: NotNegative = 0.0  # mass of what is left around an estimate to be another one. Under search-and-track 0.7
 
 
 class TimingSettings(Section, frozen=True, kw_only=True):

@@ -13,7 +13,7 @@ import numpy as np
 from agents import agent
 from agents.compiled.warmup import warm
 from agents.membership.peer_table import PeerTable
-from agents.round import AgentContext, Replay, RoundResult
+from agents.round import AgentContext, RoundResult
 from agents.tracking.belief import Belief, Copies
 from agents.tracking.claims import make_claim
 from agents.tracking.extraction import TargetEstimates
@@ -47,16 +47,8 @@ def main() -> None:
     command_line.main()
 
 
-def play(
-    me: AgentContext,
-    last: RoundResult,
-    peer_table: PeerTable,
-    mine: Gossip,
-    heard: dict[str, Gossip],
-    replay: Replay | None = None,
-    ticks: int = 1,
-) -> RoundResult:
-    """The outcome of a round in which nothing was computed; what `agents.round.run_round` takes."""
+def play(me: AgentContext, last: RoundResult, peer_table: PeerTable, mine: Gossip, heard: dict[str, Gossip], *_: object) -> RoundResult:
+    """The outcome of a round in which nothing was computed; it takes what `agents.round.run_round` takes."""
     config = me.config
     names = (me.name, *list(heard)[:BOUNDS])
     bounds = np.array([(*mine.cod, mine.power_radius), *([(0.0, 0.0, 1.0)] * (len(names) - 1))])
