@@ -4,6 +4,7 @@ Commands are not run here but for those of the last table of docs/evidence/figur
 """
 
 import datetime
+import functools
 import json
 import re
 import shlex
@@ -192,6 +193,7 @@ def test_every_row_of_evidence_that_claims_something_names_its_command_and_its_r
 
 
 @cache
+@functools.cache
 def printed(words: tuple[str, ...]) -> Any:
     """What a command prints as JSON."""
     done = subprocess.run([sys.executable, "-m", "deploy", *words], cwd=ROOT, capture_output=True, text=True, timeout=100, check=False)

@@ -445,6 +445,7 @@ def test_claim_of_section_iv_a_the_team_finds_all_targets() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_claim_of_section_iv_b_power_beats_voronoi() -> None:
     """IV-B: "the power diagram methods consistently yield superior tracking accuracy": one pair of 150 s with the smallest team."""
     pair = [

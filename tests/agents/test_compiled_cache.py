@@ -70,6 +70,7 @@ def test_a_loop_is_compiled_anew_when_one_that_it_calls_in_another_file_changes(
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_process_that_has_compiled_a_loop_keeps_it_when_no_other_does(tmp_path: Path) -> None:
     package = tmp_path / "agents" / "compiled"
     package.mkdir(parents=True)

@@ -200,6 +200,7 @@ def test_a_filter_that_knows_of_its_pose_errors_beats_one_that_does_not(kind: st
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_filter_that_knows_of_its_errors_in_time_beats_one_that_does_not() -> None:
     """Sigma 0.2 s; the mean of four seeds."""
     wrong = {"bodies.time_error": 0.2}

@@ -181,7 +181,10 @@ def no_gossip_scouting(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.live
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_gossip_scouting")
-@pytest.mark.parametrize("redials", [False, True], ids=["nothing comes", "words come, no token does"])
+@pytest.mark.parametrize(
+    "redials",
+    [pytest.param(False, id="nothing comes", marks=pytest.mark.nightly), pytest.param(True, id="words come, no token does")],
+)
 def test_a_bridge_whose_session_has_stayed_split_finds_the_agent_again(redials: bool, tmp_path: Path) -> None:
     """As in tests/protocol/test_split.py: the bridge of s1 and the agent s2 dial each other through proxies; s1 and s3 are whole."""
     ports = {name: free_port() for name in ("bridge", *TEAM)}

@@ -73,6 +73,7 @@ def test_two_processes_compile_what_one_loads(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_who_finds_loops_that_nobody_has_called_complete_compiles_once_and_says_so_once(tmp_path: Path) -> None:
     shutil.copytree(folder(), tmp_path / "covey" / folder().name, ignore=shutil.ignore_patterns("complete"))
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "COVEY_RUNS": str(tmp_path / "runs")}

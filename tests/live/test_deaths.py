@@ -26,7 +26,7 @@ class Slow(Lloyd):
 """
 
 
-@pytest.mark.parametrize("who", [pytest.param("s2", marks=pytest.mark.nightly), pytest.param("30%", marks=pytest.mark.nightly), "50%"])
+@pytest.mark.parametrize("who", [pytest.param(who, marks=pytest.mark.nightly) for who in ("s2", "30%", "50%")])
 def test_after_sigkill_the_rest_cover_the_arena_and_no_mass_is_lost(covey: Covey, who: str) -> None:
     result = covey.result("up", "ledger.toml", "--lockstep", "--seconds", "40", "--kill", f"{who}@4", "--record", *PATIENT)
     journal, deaths = Journal(covey), result["kills"]

@@ -103,7 +103,7 @@ ENDS = [([signal.SIGINT], 130), ([signal.SIGTERM], 143), ([signal.SIGINT, signal
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bodies", ["world", "own"])
+@pytest.mark.parametrize("bodies", ["world", pytest.param("own", marks=pytest.mark.nightly)])
 def test_a_monitor_that_was_behind_scores_what_was_said_before_the_end(covey: Covey, bodies: str) -> None:
     words = ("convergence", "--lockstep", "--bodies", bodies, "--team", "E4", "--seconds", "15", "--seed", "3", "--set", "run.max_rate=5")
     supervisor = covey.start("up", *words, "--json", *PATIENT)
@@ -120,7 +120,9 @@ def test_a_monitor_that_was_behind_scores_what_was_said_before_the_end(covey: Co
     assert json.loads(output.splitlines()[-1])["transcript"] == simulate(scenario).transcript
 
 
-@pytest.mark.parametrize(("numbers", "code"), [ENDS[0], *(pytest.param(*end, marks=pytest.mark.slow) for end in ENDS[1:])])
+@pytest.mark.parametrize(
+    ("numbers", "code"), [ENDS[0], *(pytest.param(*end, marks=[pytest.mark.slow, pytest.mark.nightly]) for end in ENDS[1:])]
+)
 def test_a_signal_ends_everybody_within_three_seconds(covey: Covey, numbers: list[signal.Signals], code: int) -> None:
     assert end_by(covey, numbers, code) <= GONE
 

@@ -54,7 +54,7 @@ def test_a_recorder_that_is_killed_loses_the_last_second_and_nobody_notices(cove
     assert all(entry.payload in whole for entry in messages)
 
 
-@pytest.mark.parametrize("pace", [("--lockstep",), ("--rate", "4")])
+@pytest.mark.parametrize("pace", [pytest.param(("--lockstep",), marks=pytest.mark.nightly), ("--rate", "4")])
 def test_a_recording_alone_gives_the_figures_of_the_live_run(covey: Covey, pace: tuple[str, ...]) -> None:
     live = covey.result("up", "quick", "--seconds", "10", "--kill", "s3@4", "--record", *pace)
     again = covey.result("score", "latest")

@@ -56,7 +56,7 @@ def test_a_replay_without_a_page_is_heard_by_those_who_listen_and_leaves_no_run_
 @pytest.mark.parametrize(
     "network",
     [
-        NetworkSettings(mode="client", seeds=("tcp/127.0.0.1:1",)),
+        pytest.param(NetworkSettings(mode="client", seeds=("tcp/127.0.0.1:1",)), marks=pytest.mark.nightly),
         NetworkSettings(listen=("tls/127.0.0.1:0",), ca="ca.pem", certificate="{name}.pem", key="{name}.key", admit=("s1", "s2")),
     ],
     ids=["client", "certificates"],

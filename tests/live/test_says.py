@@ -87,11 +87,15 @@ def test_the_pace_of_a_lockstep_run_changes_no_bit_of_it(covey: Covey) -> None:
     assert result["tick_rate"]["ticks_per_s"] <= 1.05 * result["tick_rate"]["asked_per_s"]
 
 
-ENDS = [(b"\r", None), (b"\x03", None), (b"", signal.SIGTERM)]
+ENDS = [
+    pytest.param(b"\r", None, id="Enter"),
+    pytest.param(b"\x03", None, id="Ctrl-C", marks=pytest.mark.nightly),
+    pytest.param(b"", signal.SIGTERM, id="TERM", marks=pytest.mark.nightly),
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("key", "number"), ENDS, ids=["Enter", "Ctrl-C", "TERM"])
+@pytest.mark.parametrize(("key", "number"), ENDS)
 def test_in_a_terminal_the_end_of_a_demo_stays_with_its_page_until_a_key(covey: Covey, key: bytes, number: signal.Signals | None) -> None:
     terminal = Terminal(covey, "demo", "--fast", "--team", "A4", "--seconds", "10", "--page", "0")
     shown = terminal.read("until Enter or Ctrl-C")

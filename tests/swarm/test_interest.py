@@ -85,6 +85,7 @@ def cell_of(said: Estimate) -> tuple[float, ...]:
     "team, seed", [pytest.param("4", 1, marks=pytest.mark.nightly), ("20E+10G", 2), pytest.param("A24,B24", 3, marks=pytest.mark.nightly)]
 )
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_hearing_the_neighbours_alone_gives_the_bits_of_hearing_all(team: str, seed: int) -> None:
     print(f"seed {seed}")
     (_, everything), (simulation, all_the_same) = (play(large(seed, team, interest)) for interest in ("all", "neighbours"))

@@ -92,6 +92,7 @@ def test_a_partition_heals_to_one_claim_per_place(kind: str, tokens: bool, clock
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_redrawn_particles_leave_a_healed_partition_a_twentieth_off_at_most() -> None:
     """With 300 particles an owner, every cell is redrawn in each tick, and the two sides hold different samples of one PHD.
 

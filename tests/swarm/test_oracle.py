@@ -56,7 +56,7 @@ def test_long_ticks_are_exact_too() -> None:
 @pytest.mark.parametrize(
     ("team", "ticks"),
     [
-        pytest.param("4", 100, id="4ACD"),
+        pytest.param("4", 100, id="4ACD", marks=pytest.mark.nightly),
         pytest.param("4", 300, id="4ACD", marks=pytest.mark.nightly),
         pytest.param("20E+10G", 300, id="20E+10G", marks=pytest.mark.nightly),
         pytest.param("A10,B20,C15", 300, id="ABC", marks=pytest.mark.nightly),

@@ -62,7 +62,9 @@ def test_starved_agents_skip_in_step_keep_their_claims_and_come_back(share: floa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("dt", "share"), [(0.25, 0.4), (0.25, 0.2), (0.5, 0.4)])
+@pytest.mark.parametrize(
+    ("dt", "share"), [(0.25, 0.4), *(pytest.param(*case, marks=pytest.mark.nightly) for case in ((0.25, 0.2), (0.5, 0.4)))]
+)
 def test_agents_whose_rounds_last_longer_than_a_stall_slow_down_as_well(dt: float, share: float) -> None:
     options = {"team.composition": "A3,C6,D3", "run.seed": 3, "run.seconds": 160.0 * dt, "run.rate": 1.0, "run.dt": dt, "targets.count": 12}
     scenario = resolve("efficacy", {**options, "arena.width": 60.0, "arena.height": 60.0})
