@@ -47,13 +47,19 @@ class RecentTicks:
     def __init__(self, context: AgentContext, most: int) -> None:
         """`most`: ticks that a round is played late at most."""
         self._context, self._most = context, most
+        self._most_ticks = 2 * (2 * most + WINDOW_TICKS)  # twice what `keep` leaves
         self._said: dict[int, dict[str, tuple[Gossip, AnnouncedSensor]]] = {}
         self._blurred: dict[int, AgentConfig] = {}  # by ticks
         self._beliefs: deque[TrackerState] = deque(maxlen=most + 2 if most else 0)  # none where no round is played late
 
     def put(self, gossip: Gossip, announced: AnnouncedSensor) -> bool:
-        """Keep a gossip; whether it is the first one of its sender and tick."""
+        """Keep a gossip; whether it is the first one of its sender and tick.
+
+        An agent without observations plays no round, and so drops no gossip: of too many ticks the one that came first goes.
+        """
         heard = self._said.setdefault(gossip.tick, {})
+        if len(self._said) > self._most_ticks:
+            del self._said[next(iter(self._said))]
         is_new = gossip.sender not in heard
         heard[gossip.sender] = gossip, announced
         return is_new

@@ -29,6 +29,12 @@ class BodyTokens:
         self._bodiless[name] = peer.incarnation
         return self._peers.gone(name, peer.incarnation, tick, doubted=doubted)
 
-    def agent_left(self, name: str) -> None:
-        """The agent itself has gone, or another incarnation has come: its own token counts."""
-        self._bodiless.pop(name, None)
+    def agent_left(self, name: str, incarnation: int) -> None:
+        """An agent itself has gone: it does not come back with its body."""
+        if self._bodiless.get(name) == incarnation:
+            del self._bodiless[name]
+
+    def agent_replaced(self, name: str, incarnation: int) -> None:
+        """An agent has come; if it is the successor of one without a body, its own token counts."""
+        if name in self._bodiless and self._bodiless[name] < incarnation:
+            del self._bodiless[name]

@@ -40,7 +40,7 @@ class Membership:
             self._bodies.appear(event.name, event.incarnation)
             return []
         if event.role == "agent":
-            self._bodies.agent_left(event.name)
+            self._bodies.agent_replaced(event.name, event.incarnation)
             self.session_watchdog.token_appeared(event.name, event.incarnation)
             self._peer_table.alive(event.name, event.incarnation)
         if event.role != "agent" or not self._peer_table.local:
@@ -53,7 +53,7 @@ class Membership:
             return self._bodies.leave(event.name, event.incarnation, tick, doubted=doubted)
         if event.role != "agent":
             return False
-        self._bodies.agent_left(event.name)
+        self._bodies.agent_left(event.name, event.incarnation)
         self.session_watchdog.token_vanished(event.name, event.incarnation)
         return self._peer_table.gone(event.name, event.incarnation, tick, doubted=doubted)
 

@@ -101,6 +101,20 @@ def test_a_gossip_ends_the_doubt() -> None:
     assert not agent.peer_table.peers["s2"].doubted and agent.peer_table.peers["s3"].doubted
 
 
+@pytest.mark.parametrize("older_goes_late", [False, True])
+def test_an_agent_that_was_restarted_with_its_body_is_waited_for_again(older_goes_late: bool) -> None:
+    """The tokens of the older processes go after those of the younger agent have come, and before its body comes."""
+    agent, _ = swarm_of(4)
+    agent.handle(Alive("body", "s2", 1), 0.6)
+    agent.handle(Alive("agent", "s2", 2), 0.7)
+    agent.handle(Gone("body", "s2", 1), 0.8)
+    assert not agent.peer_table.peers["s2"].token
+    for event in [Gone("agent", "s2", 1)] * older_goes_late:
+        agent.handle(event, 0.8)
+    agent.handle(Alive("body", "s2", 2), 0.9)
+    assert agent.peer_table.peers["s2"].token
+
+
 @pytest.mark.parametrize(("now", "is_gone"), [(1.0, True), (4.0, False)])
 def test_a_lost_body_is_doubted_as_a_lost_agent_is(now: float, is_gone: bool) -> None:
     agent, _ = swarm_of(4)

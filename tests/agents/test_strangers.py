@@ -1,9 +1,5 @@
 """Valid messages and tokens of made-up names: an agent keeps a fixed number of such names, in whatever it keeps."""
 
-from collections import deque
-from collections.abc import Mapping
-from typing import Any
-
 import msgspec
 import pytest
 
@@ -15,33 +11,11 @@ from agents.membership.peer_table import MOST_STRANGERS
 from protocol.fields import MAX_NAMES
 from protocol.messages import Beacon, Hello
 from protocol.node import Alive, Effect, Gone, Timer, Warn, received
-from tests.agents.test_agent import LOCKSTEP, hello, met, only, see, word
+from tests.agents.test_agent import CONFIG, LOCKSTEP, hello, met, only, see, word
+from tests.names import names_in
 
 MANY = 3 * MOST_STRANGERS
-
-
-def names_in(root: object) -> set[str]:
-    """The made-up names that can be reached from an object of ours, but for what numpy, msgspec and memos keep."""
-    found, seen, waiting = set[str](), set[int](), deque([root])
-    while waiting:
-        item = waiting.popleft()
-        if isinstance(item, str):
-            found |= {item} if item.startswith("x") and item[1:].isdecimal() else set()
-        elif id(item) not in seen:
-            seen.add(id(item))
-            waiting.extend(parts_of(item))
-    return found
-
-
-def parts_of(item: Any) -> list[object]:
-    if isinstance(item, Mapping):
-        return [*item.keys(), *item.values()]
-    if isinstance(item, list | tuple | set | frozenset | deque):
-        return [*item]
-    if type(item).__module__.partition(".")[0] not in ("agents", "protocol"):
-        return []
-    slots = [name for each in type(item).__mro__ for name in getattr(each, "__slots__", ())]
-    return [*getattr(item, "__dict__", {}).values(), *(getattr(item, name, None) for name in slots)]
+ROOMS = "agents", "protocol"
 
 
 def flood(agent: Agent, first: int, now: float) -> list[Effect]:
@@ -69,7 +43,7 @@ def test_an_agent_that_hears_everybody_keeps_a_fixed_number_of_made_up_names() -
     assert {"s2"} < agent.peer_table.peers.keys() and len(agent.peer_table.peers) == 1 + MOST_STRANGERS
     assert warned == MOST_WARNINGS
     most = 2 * MOST_STRANGERS + MOST_WARNINGS  # those of the last round, those of now, and those that a warning has named
-    assert MOST_STRANGERS <= len(names_in(agent)) <= most < 2 * MANY
+    assert MOST_STRANGERS <= len(names_in(agent, *ROOMS)) <= most < 2 * MANY
 
 
 def test_its_own_hello_lists_the_names_that_it_keeps_and_no_others() -> None:
@@ -97,7 +71,7 @@ def test_an_agent_that_hears_its_neighbours_forgets_made_up_names_whatever_tick_
             if due is None or due > 0.5 * own + 0.5:
                 break
             agent.handle(Timer(), due)
-    assert agent.tick == 3 * WINDOW_TICKS - 1 and not agent.peer_table.peers and not names_in(agent.peer_table)
+    assert agent.tick == 3 * WINDOW_TICKS - 1 and not agent.peer_table.peers and not names_in(agent.peer_table, *ROOMS)
 
 
 def test_names_in_beacons_push_out_those_that_have_been_silent_for_longest() -> None:
@@ -114,3 +88,15 @@ def test_names_in_beacons_push_out_those_that_have_been_silent_for_longest() -> 
         say(*(f"x{first + number}" for number in range(MAX_NAMES // 4)))
     assert len(agent.peer_table.peers) == MAX_NAMES
     assert "g2" in agent.peer_table.peers and "g3" not in agent.peer_table.peers and "x0" not in agent.peer_table.peers
+
+
+def test_an_agent_without_observations_keeps_a_fixed_number_of_gossips() -> None:
+    """Its body has died; with the look-ahead gossips wait for the round that is played late."""
+    agent = met(msgspec.structs.replace(CONFIG, timing=TimingSettings(look_ahead=2.0)))
+    agent.handle(see(0), 0.0)
+    kept = []
+    for tick in range(300):
+        agent.handle(word(tick), 0.5 * tick)
+        kept.append(len(agent._rounds.recent._said))
+    assert 0 < max(kept) == kept[-1] < 100
+    assert agent._rounds.recent.has_later("s2", 298), "the newest are kept"
