@@ -110,6 +110,7 @@ class Driver:
         self._publishers: dict[str, tuple[Any, Any]] = {}
         self._declared: list[Any] = []  # kept, because Zenoh undeclares objects without references
         self._session: zenoh.Session | None = None
+        self._left = 0  # sessions that this driver has left
         self._next_pass: asyncio.Handle | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at: float | None = None
@@ -178,7 +179,7 @@ class Driver:
         assert self._session is not None
         liveliness, everybody = self._session.liveliness(), self._node.sees_all_tokens
         self._declared = [
-            *([liveliness.declare_subscriber(keys.all_tokens(self._node.run), self._on_token, history=True)] if everybody else []),
+            *([liveliness.declare_subscriber(keys.all_tokens(self._node.run), self._token_callback(), history=True)] if everybody else []),
             liveliness.declare_token(keys.token_key(*self._own)),
         ]
 
@@ -190,6 +191,7 @@ class Driver:
         session, self._session = self._session, None
         if session is None:
             return
+        self._left += 1
         closed = asyncio.Event()
 
         def close(held: Any = declared) -> None:
@@ -213,8 +215,15 @@ class Driver:
         else:
             self.counts["flooded"] += 1
 
-    def _on_token(self, sample: zenoh.Sample) -> None:
-        self._arrive(Arrival(str(sample.key_expr), token=sample.kind == zenoh.SampleKind.PUT))
+    def _token_callback(self) -> Callable[[zenoh.Sample], None]:
+        """What takes the tokens of this session, until it is left: what it says later is not what the next one sees."""
+        left = self._left
+
+        def on_token(sample: zenoh.Sample) -> None:
+            if left == self._left:
+                self._arrive(Arrival(str(sample.key_expr), token=sample.kind == zenoh.SampleKind.PUT))
+
+        return on_token
 
     def _arrive(self, arrival: Arrival) -> None:
         """Put an arrival into the inbox; where links have faults, by way of its link, whose delay counts from now."""
@@ -298,9 +307,7 @@ class Driver:
 
     async def _join_again(self) -> None:
         """Open another session with the same subscriptions, unless `stop` comes first; messages sent meanwhile are lost."""
-        await self._close(self._take_declared())
-        self._drain_all()  # what the old session has brought comes before its tokens are doubted
-        self._tokens.doubt()
+        await self._leave()
         tries = 0
         while not self._declared:
             try:
@@ -314,11 +321,17 @@ class Driver:
                 log.warning("could not open the session anew: %s", error)
                 tries += 1
                 self._settings = on_any_port(self._settings) if tries == MOST_TRIES else self._settings
-                await self._close(self._take_declared())
+                await self._leave()
                 await asyncio.sleep(RETRY_SECONDS)
         self.counts["reopened"] += 1
         await asyncio.sleep(SETTLE_SECONDS)
         self._handle_all(self._tokens.take_lost())
+
+    async def _leave(self) -> None:
+        """Close the session: its tokens must be seen again by the next one. All that it has brought is taken before they are doubted."""
+        await self._close(self._take_declared())
+        self._drain_all()
+        self._tokens.doubt()
 
     def _take_declared(self) -> list[Any]:
         """What the session has declared; the next one begins without any."""
@@ -354,7 +367,7 @@ class Driver:
         # An indirect callback runs in a thread of its own, which costs a switch for every message. A direct one runs in the thread that
         # reads the sockets and must return soon: see `_arrive`.
         if keys.is_of_tokens(expression):
-            callback = zenoh.handlers.Callback(self._on_token, indirect=False)
+            callback = zenoh.handlers.Callback(self._token_callback(), indirect=False)
             self._subscribers[expression] = self._session.liveliness().declare_subscriber(expression, callback, history=True)
         else:
             callback = zenoh.handlers.Callback(self._on_sample, indirect=False)

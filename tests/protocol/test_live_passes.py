@@ -254,6 +254,27 @@ def test_a_token_that_waits_in_the_inbox_while_the_node_unsubscribes_is_told_aft
     asyncio.run(scene())
 
 
+def test_a_session_that_was_left_says_nothing_of_tokens_any_more() -> None:
+    class Sample:
+        key_expr, kind = keys.token_key("t", "agent", "b", 1), live.zenoh.SampleKind.PUT
+
+    async def scene() -> None:
+        node = Scribe("a")
+        node.run = "t"
+        driver = live.Driver(node, NetworkSettings())
+        await driver.open()
+        before = driver._token_callback()
+        await driver._leave()
+        before(Sample())  # type: ignore[arg-type]
+        driver._drain_all()
+        assert node.events == []
+        driver._token_callback()(Sample())  # type: ignore[arg-type]
+        driver._drain_all()
+        assert node.events == [Alive("agent", "b", 1)]
+
+    asyncio.run(scene())
+
+
 def test_a_token_that_waits_in_the_inbox_while_the_session_is_opened_anew_must_be_seen_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "SETTLE_SECONDS", 0.02)
 
