@@ -6,6 +6,7 @@ body. Every answer is checked. A wrong one ends the process of this body with on
 
 import contextlib
 import inspect
+import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -23,6 +24,7 @@ from world.config import BodySettings, WorldConfig
 
 OWN = "own"
 METHODS = ("read", "drive", "stop")
+BRAKED = 4.0  # s after which a body of mass that is not driven stands
 SIMULATED = "simulated"
 RIGHT = "should be simulated or module:Class, built as Class(name, **bodies.parameters)"
 
@@ -81,11 +83,14 @@ class Physical:
 
         self._bodies = PhysicalBodies(dt, limits)
         self._bodies.place(OWN, pose)
+        self._braking = math.ceil(BRAKED / dt)  # ticks
         self._tick = 0
         self._motion: Command | None = None
 
     def read(self, tick: int) -> tuple[Pose, None]:
         """Move on to this tick; targets and detections are those of the scenario."""
+        if self._motion is None:  # a body that comes late, or again, need not stand through all that it has missed
+            self._tick = max(self._tick, tick - self._braking)
         while self._tick < tick:
             self._bodies.move({OWN: self._motion} if self._motion is not None else {})
             self._tick += 1

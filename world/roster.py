@@ -1,14 +1,22 @@
 """The roster: which agents are there, by their liveliness tokens, and what they have said of themselves."""
 
-from protocol.fields import MAX_NAMES
+from collections.abc import Collection
+
 from protocol.messages import Hello
+
+MOST_STRANGERS = 256  # whose Hello is kept until their token comes
 
 
 class Roster:
-    """Agents by name; of two live incarnations of a name the newer one counts."""
+    """Agents by name; of two live incarnations of a name the newer one counts.
 
-    def __init__(self) -> None:
+    Guests, which are no members, count as long as they have a token. Without one they are strangers: anybody can make up names.
+    """
+
+    def __init__(self, members: Collection[str] = ()) -> None:
         self.hellos: dict[str, Hello] = {}  # the newest of each name
+        self._members = members
+        self._strangers: dict[str, None] = {}  # of whom a Hello has come and no token yet, the earliest first
         self._tokens: dict[str, set[int]] = {}
         self._expected: tuple[str, ...] | None = None  # the last that `is_complete` was asked about
         self._everybody: set[str] = set()  # they, and the world
@@ -18,6 +26,7 @@ class Roster:
     def appear(self, name: str, incarnation: int) -> bool:
         """Note a token; whether it made this incarnation the one that counts."""
         before = self.live(name)
+        self._strangers.pop(name, None)
         self._tokens.setdefault(name, set()).add(incarnation)
         return before is None or incarnation > before
 
@@ -27,13 +36,32 @@ class Roster:
         self._tokens.get(name, set()).discard(incarnation)
         if not self._tokens.get(name):
             self._tokens.pop(name, None)
+            if name not in self._members:
+                self._forget(name)
         return counted
 
+    def admits(self, name: str) -> bool:
+        """Whether what this name says counts: it is a member, or has a token."""
+        return name in self._members or name in self._tokens
+
+    def _forget(self, name: str) -> None:
+        for table in (self.hellos, self._spoken, self._strangers):
+            table.pop(name, None)  # type: ignore[attr-defined]
+
+    def names(self) -> set[str]:
+        """Everybody who has a token, or has said a Hello that counts."""
+        return {*self._tokens, *self.hellos}
+
     def hear(self, hello: Hello) -> bool:
-        """Note a Hello; whether it is the first of its incarnation. Those of an older one are ignored."""
+        """Note a Hello; whether it is the first of its incarnation.
+
+        Hellos of an older incarnation are ignored. Of too many strangers the earliest one is forgotten.
+        """
+        if not self.admits(hello.sender):
+            self._strangers[hello.sender] = None
+            if len(self._strangers) > MOST_STRANGERS:
+                self._forget(next(iter(self._strangers)))
         known = self.hellos.get(hello.sender)
-        if known is None and len(self.hellos) >= MAX_NAMES:
-            return False
         if known is not None and known.incarnation > hello.incarnation:
             return False
         self.hellos[hello.sender] = hello

@@ -57,7 +57,7 @@ class World(Node):
         self.ignored_commands = 0  # stale, of an old incarnation, or of nobody with a body
         self.rejected_messages = 0
         self.re_anchored = 0  # real time: how often the world was too late to catch up
-        self._config, self._roster = config, Roster()
+        self._config, self._roster = config, Roster(config.members)
         self._watchdog = SessionWatchdog(self.name, config.members)
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
@@ -141,6 +141,8 @@ class World(Node):
         """Take a Hello; whoever speaks for the first time after the start is answered."""
         known = self._roster.hellos.get(hello.sender)
         is_new = self._roster.hear(hello)
+        if not self._roster.admits(hello.sender):
+            return []
         if known is None or len(hello.heard) > len(known.heard):
             self._changed = now
         if not hello.local:
@@ -172,6 +174,7 @@ class World(Node):
         if not self._roster.vanish(name, incarnation):
             return []
         self._commands.drop(name)
+        self._refused.pop(name, None)
         return self._no_longer_wait(name, now)
 
     def _obey(self, command: Command, now: float) -> list[Effect]:
@@ -246,7 +249,8 @@ class World(Node):
         if self._lockstep:
             return {name: command for name, command in self._commands.newest.items() if command.tick == self.tick}
         dt = self._config.run.dt
-        hold = HOLD if self._config.limits.radius == 0.0 else 2.0 * dt  # for so long a command keeps its body apart from others
+        # two ticks in any case; for no longer a command keeps its body apart from others
+        hold = max(HOLD, 2.0 * dt) if self._config.limits.radius == 0.0 else 2.0 * dt
         return {name: command for name, command in self._commands.newest.items() if (self.tick - command.tick) * dt < hold}
 
     def _stop(self, code: int, reason: str) -> list[Effect]:
@@ -289,6 +293,7 @@ class World(Node):
         self._expected, self._patience, self._strict = truth.alive, min(self._patience, RESTORE_TIMEOUT), False
 
     def _hello(self) -> Hello:
+        self._watchdog.keep(self._roster.names())
         heard = tuple(sorted(self._watchdog.heard(), key=order))
         return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=heard, settings=self._settings)
 

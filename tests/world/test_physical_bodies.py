@@ -33,6 +33,20 @@ def order(velocity: tuple[float, float], turn_rate: float = 0.0) -> Command:
     return Command(sender="s1", incarnation=1, tick=0, velocity=velocity, turn_rate=turn_rate)
 
 
+def test_a_body_that_comes_late_stands_at_once_where_it_would_have_stood() -> None:
+    bodies = Physical((5.0, 5.0, 1.0), DT, LIMITS), Physical((5.0, 5.0, 1.0), DT, LIMITS)
+    for body in bodies:
+        body.drive((1.0, 0.0), 0.0)
+        body.read(8)
+        body.stop()
+    moved = []
+    bodies[0]._bodies.move = lambda commands, move=bodies[0]._bodies.move: (moved.append(commands), move(commands))  # type: ignore
+    late = bodies[0].read(100_000)[0]
+    for tick in range(9, 60):
+        patient = bodies[1].read(tick)[0]
+    assert len(moved) == 16 and math.dist(late, patient) < 1e-3
+
+
 def test_a_robot_needs_time_to_reach_its_speed_and_then_keeps_it() -> None:
     bodies, xs = robots((0.0, 0.0, 0.0)), [0.0]
     for _ in range(10):

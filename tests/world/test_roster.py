@@ -1,8 +1,7 @@
 """The roster knows who is there and who has spoken, whatever the order in which tokens and Hellos arrive."""
 
-from protocol.fields import MAX_NAMES
 from protocol.messages import Hello
-from world.roster import Roster
+from world.roster import MOST_STRANGERS, Roster
 
 
 def hello(name: str, incarnation: int = 1, heard: tuple[str, ...] = ()) -> Hello:
@@ -58,9 +57,16 @@ def test_the_team_is_complete_when_everybody_hears_everybody() -> None:
     assert not roster.is_complete(team, "world"), "the Hello is of an older incarnation"
 
 
-def test_a_flood_of_names_is_cut_off() -> None:
-    roster = Roster()
-    for number in range(MAX_NAMES + 10):
+def test_of_names_without_a_token_a_fixed_number_is_kept_beside_members_and_guests() -> None:
+    roster = Roster(("s1",))
+    roster.hear(hello("guest"))
+    roster.appear("guest", 1)
+    for number in range(2 * MOST_STRANGERS):
         roster.hear(hello(f"x{number}"))
-    assert len(roster.hellos) == MAX_NAMES
-    assert roster.hear(hello("x0", 2)), "those who are known are heard all the same"
+    roster.hear(hello("s1"))
+    assert roster.hellos.keys() == {"guest", "s1", *(f"x{number}" for number in range(MOST_STRANGERS, 2 * MOST_STRANGERS))}
+    assert roster.admits("s1") and roster.admits("guest") and not roster.admits(f"x{MOST_STRANGERS}")
+    roster.appear("s1", 1)
+    for name in ("guest", "s1"):
+        assert roster.vanish(name, 1)
+    assert "s1" in roster.hellos and "guest" not in roster.names(), "a guest that has gone is forgotten"

@@ -10,8 +10,10 @@ from protocol.observer_messages import Truth
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import BadSetting, LimitSettings
 from protocol.settings_digest import common_sections, shared_settings
+from tests.names import names_in
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started
 from world.config import BodySettings, WorldConfig
+from world.roster import MOST_STRANGERS
 from world.world import EXIT_INCOMPLETE, HELLO_PERIOD, World
 
 # ---------------------------------------------------------------- the start line
@@ -207,6 +209,25 @@ def test_a_guest_without_room_gets_no_body_is_told_of_once_and_ends_no_run(caplo
     ]
     feed(world, *guest(incarnation=2))
     assert len(caplog.records) == 2, "a new process is a new attempt"
+
+
+def test_made_up_names_leave_nothing_behind_and_its_hello_lists_none_of_them() -> None:
+    world, _ = started(config())
+    for number in range(3 * MOST_STRANGERS):
+        name = f"x{number}"
+        feed(world, hello(name), Alive("agent", name, 1), hello(name), Gone("agent", name, 1), hello(f"y{number}"))
+    answers = of_kind(Hello, feed(world, Gone("agent", "s2", 1), Alive("agent", "s2", 2)))
+    assert [answer.heard for answer in answers] == [("s1",)]
+    kept = {name for name in names_in(world, "world", "protocol") if name[0] in "xy"}
+    assert kept == {f"y{number}" for number in range(2 * MOST_STRANGERS, 3 * MOST_STRANGERS)}
+
+
+def test_made_up_names_do_not_put_off_the_start() -> None:
+    world = World(config(start_timeout=2.0), incarnation=1)
+    feed(world, Started(), Alive("agent", "s1", 1), hello("s1"))
+    for tenth in range(20):
+        feed(world, hello(f"x{tenth}", heard=("s1",) * tenth), now=0.1 * tenth)
+    assert of_kind(Truth, feed(world, Timer(), now=2.1)) and world.started
 
 
 def test_other_roles_are_no_agents() -> None:

@@ -164,6 +164,14 @@ def test_real_time_holds_the_newest_command_for_two_seconds_of_world_time() -> N
     assert xs == [11.0, 12.0, 13.0, 14.0, 14.0, 14.0, 14.0, 14.0]
 
 
+def test_in_ticks_of_two_seconds_and_more_real_time_takes_a_command_that_is_a_tick_late() -> None:
+    world, _ = started(config("realtime", dt=2.5))
+    feed(world, Timer(), now=2.5)
+    feed(world, command("s1", 0), now=2.6)
+    feed(world, Timer(), now=5.0)
+    assert world.bodies.poses["s1"] == (12.5, 10.0, 0.0)
+
+
 def test_real_time_takes_a_late_command_if_it_is_the_newest() -> None:
     world, _ = started(config("realtime"))
     feed(world, Timer(), now=0.5)
