@@ -11,7 +11,7 @@ in a tick that was left out, while an operator's Halt holds, and at the end.
 import contextlib
 import math
 
-from protocol.fields import pack
+from protocol.fields import MAX_NAMES, pack
 from protocol.keys import all_of, one_of
 from protocol.measuring import to_measurements
 from protocol.messages import BodyPose, Command, Gossip, Halt, Hello, Observation
@@ -53,7 +53,7 @@ class Body(Node):
         if restored is not None and name in restored.bodies and isinstance(self.platform, Simulated | Physical):
             x, y, heading = restored.poses[restored.bodies.index(name)].tolist()
             self.platform.put((x, y, heading))
-        self._config, self._roster = config, Roster()
+        self._config, self._roster = config, Roster(config.members)
         self._scene = Scene(config)
         self._scene.sensors[name] = sensor_of(config, config.members[name])
         self._lockstep = config.run.clock == "lockstep"
@@ -139,6 +139,8 @@ class Body(Node):
         effects: list[Effect] = []
         for message in batch.messages:
             if isinstance(message, Gossip):
+                if message.tick >= self._config.run.ticks:
+                    continue  # no clock can be right that is beyond the end
                 self._clock.hear(message.sender, message.tick, now)
                 self._count.hear(message.sender, message.tick)
             elif isinstance(message, Command):
@@ -147,16 +149,23 @@ class Body(Node):
                 effects += self._hear(message, now)
             elif isinstance(message, Halt) and self.hold.take(message):
                 self._stand()
-            elif isinstance(message, BodyPose) and message.sender != self.name:
+            elif isinstance(message, BodyPose) and message.sender != self.name and self._may_stand_there(message.sender):
                 self._others[message.sender] = message.pose
         return [*effects, *self._follow(now)] if batch.kind is Gossip else effects
+
+    def _may_stand_there(self, name: str) -> bool:
+        """Whether the pose of a body counts: there is a limit to guests, for anybody can make up names."""
+        return name in self._config.members or name in self._others or len(self._others) < MAX_NAMES
 
     # ------------------------------------------------------------------ who is there
 
     def _hear(self, hello: Hello, now: float) -> list[Effect]:
         if hello.role != "agent":
             return []
-        if self._roster.hear(hello):
+        is_new = self._roster.hear(hello)
+        if not self._roster.admits(hello.sender):
+            return []
+        if is_new:
             self._changed = now
         return self._try_start(now) or ([] if self._started else self._follow(now))
 
@@ -167,9 +176,8 @@ class Body(Node):
         if event.role == "body" or not is_new:
             return effects
         self._changed = now
-        if event.name == self.name:
-            self._commands.drop(self.name)
-            effects += self._end_of_wait(now) if self._waiting else []
+        if event.name == self.name and self._started:
+            effects += self._dismiss(now)
         return [*effects, *self._try_start(now)]
 
     def _bury(self, event: Gone, now: float) -> list[Effect]:
@@ -179,10 +187,14 @@ class Body(Node):
             if roster.live(event.name) is None:
                 self._alive[event.role].discard(event.name)
             if event.role == "agent" and event.name == self.name:
-                self._commands.drop(self.name)
-                self._stand()
-                return [*self._listen_around(), *(self._end_of_wait(now) if self._waiting else [])]
+                return [*self._listen_around(), *self._dismiss(now)]
         return self._listen_around()
+
+    def _dismiss(self, now: float) -> list[Effect]:
+        """The agent is no longer there, or another incarnation of it has come: the body stands still, and waits for no command."""
+        self._commands.drop(self.name)
+        self._stand()
+        return self._end_of_wait(now) if self._waiting else []
 
     def _roster_of(self, event: Alive | Gone) -> Roster:
         return self._bodies if event.role == "body" else self._roster

@@ -1,13 +1,13 @@
 """The clock of a body: which tick it is, from synchronised time and from what the neighbours say.
 
 Tick k begins at anchor + k period. Every gossip states a tick and is sent when that tick begins, so it tells the anchor of its sender up
-to the way of the message. The clock is corrected to the majority, never to one: a neighbour whose clock is wrong moves nobody.
+to the way of the message. The clock is corrected to the majority, never to one of several: a neighbour whose clock is wrong moves nobody.
 
 * Behind the majority by more than half a period: it jumps forward, and the ticks in between are left out.
 * Ahead of the majority by more than a period and by more than `AHEAD`: it stands until the others come.
 * Between these limits nothing is corrected: clocks may differ by that much.
 
-A tie is decided forward. A majority needs the word of more than half of the neighbours.
+A tie is decided forward, so of two bodies the one behind follows. A majority needs the word of more than half of the neighbours.
 """
 
 import math

@@ -4,13 +4,14 @@ import math
 import time
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from covey.examples.robots import INNER, DifferentialDrive
 from deploy.live.platform_check import check_platform
 from deploy.scenario import Scenario, resolve, world_config
-from protocol.messages import Command, Hello, Observation
+from protocol.messages import Command, Gossip, Hello, Observation
 from protocol.node import Alive, Gone, Reopen, Started, Stop, Timer, received
 from protocol.settings import BadSetting, LimitSettings
 from world.body import Body, check_epoch
@@ -220,6 +221,27 @@ def test_a_command_of_another_life_of_the_agent_moves_nothing(monkeypatch: pytes
     body.handle(command(0, incarnation=2), 0.1)
     body.handle(command(1), 0.1)
     assert Robot.told == [] and body.ignored_commands == 2
+
+
+def test_a_younger_agent_does_not_drive_on_by_the_command_of_the_older_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch)
+    body.handle(Timer(), 0.0)
+    body.handle(command(0), 0.1)
+    body.handle(Alive("agent", "s1", 2), 0.15)
+    assert Robot.told[1:] == ["stop"]
+    body.handle(Gone("agent", "s1", 1), 0.2)
+    body.handle(command(0, incarnation=2), 0.2)
+    assert Robot.told[-1] != "stop", "the younger one drives it"
+
+
+def test_no_gossip_of_a_tick_after_the_last_one_ends_a_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = started(monkeypatch, **{"run.seconds": 5.0})
+    for event in (Alive("agent", "s2", 1), Alive("body", "s2", 1), Timer()):
+        body.handle(event, 0.0)
+    wrong = Gossip(sender="s2", incarnation=1, tick=20, pose=(1.0, 1.0, 0.0), cod=(1.0, 1.0), power_radius=0.0, unused=0.0)
+    assert body.handle(received(wrong), 0.1) == [] and body.tick == 0
+    body.handle(received(msgspec.structs.replace(wrong, tick=19)), 0.1)
+    assert body.tick == 19
 
 
 def test_a_tick_that_is_left_out_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
