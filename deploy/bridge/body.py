@@ -15,6 +15,8 @@ AHEAD = 0.5  # s that a clock may be ahead of the others
 RECENT = 2.0  # s for which the word of a neighbour counts, or four periods
 NEIGHBOURS = 5  # to whom the clock listens: two of them may be wrong
 GATHERED = 1.0  # s for which nobody new came, until a run of which nobody speaks begins
+MOST_PLACES = 8192  # detections of a scan, and other bodies, as on the wire
+LARGEST = 1e6  # m, as on the wire: some drivers say larger numbers for nothing
 STALE = 0.5  # s after which odometry or a scan is too old, or two periods
 STANDING = (0.0, 0.0), 0.0
 
@@ -27,6 +29,8 @@ class Rules(NamedTuple):
     dt: float  # s of world time between two ticks
     period: float  # s of real time
     anchor: float | None  # when tick 0 began, s; None: as soon as all are there
+    patience: float  # s for which no agent has come, after which the run begins without those who are missing
+    strict: bool  # then it ends instead
     hold: float  # s without a command after which it stands
     speed: float  # m/s
     turn_rate: float  # rad/s
@@ -39,7 +43,7 @@ class RobotBody:
     """One body. `say` publishes a message, `appear` declares its token or takes it back."""
 
     def __init__(self, rules: Rules, incarnation: int, say: Callable[[str, Fields], None], appear: Callable[[bool], None]) -> None:
-        self.tick, self.held, self.replaced, self.over = -1, False, False, False
+        self.tick, self.held, self.replaced, self.over, self.incomplete = -1, False, False, False, False
         self._rules, self._incarnation, self._say, self._appear = rules, incarnation, say, appear
         self._anchor = rules.anchor
         self._words: dict[str, tuple[float, float]] = {}  # of a neighbour: when its tick 0 was by its newest gossip, and when that came
@@ -63,22 +67,24 @@ class RobotBody:
 
     def at(self, pose: Placement, now: float) -> None:
         """Take an odometry, in the arena's frame."""
-        if all(map(math.isfinite, pose)):
+        if is_place(*pose):
             self._pose = pose, now
 
     def sees(self, detections: list[Planar], now: float) -> None:
-        """Take a scan, in the arena's frame; places that are no numbers are left out."""
-        self._scan = [(x, y) for x, y in detections if math.isfinite(x) and math.isfinite(y)], now
+        """Take a scan, in the arena's frame; places that are none are left out."""
+        self._scan = [place for place in detections if is_place(*place)][:MOST_PLACES], now
 
     def hear(self, heard: Heard, now: float) -> None:
         """Take a message or a token."""
         if heard.kind in ("agent", "body"):
             self._on_token(heard, now)
         elif heard.kind == "gossip" and heard.name != self._rules.agent:
-            self._words[heard.name] = now - heard.fields["tick"] * self._rules.period, now
+            tick = heard.fields["tick"]
+            if type(tick) is int and 0 <= tick < self._rules.ticks and ("agent", heard.name) in self._alive:
+                self._words[heard.name] = now - tick * self._rules.period, now
         elif heard.kind == "pose" and heard.name != self._rules.agent:
             x, y, heading = heard.fields["pose"]
-            if all(map(math.isfinite, (x, y, heading))):
+            if is_place(x, y, heading) and (heard.name in self._others or len(self._others) < MOST_PLACES):
                 self._others[heard.name] = x, y
         elif heard.kind == "command":
             self._obey(heard, now)
@@ -86,20 +92,32 @@ class RobotBody:
             self._halt, self.held = heard.incarnation, heard.fields["held"]
 
     def _on_token(self, heard: Heard, now: float) -> None:
-        up = self._alive.setdefault((heard.kind, heard.name), set())
-        (up.add if heard.up else up.discard)(heard.incarnation)
-        self._changed = now
-        if heard.name == self._rules.agent:
-            self.replaced = self.replaced or (heard.kind == "body" and heard.up and heard.incarnation > self._incarnation)
-            if heard.kind == "agent":
-                self._command = None
+        before = self._newest_agent()
+        self._note_token((heard.kind, heard.name), heard.incarnation, heard.up)
+        if heard.up:
+            self._changed = now
+        if self._newest_agent() != before:
+            self._command = None
+        if heard.kind == "body" and heard.name == self._rules.agent:
+            self.replaced = self.replaced or (heard.up and heard.incarnation > self._incarnation)
+
+    def _note_token(self, token: tuple[str, str], incarnation: int, up: bool) -> None:
+        incarnations = self._alive.setdefault(token, set())
+        (incarnations.add if up else incarnations.discard)(incarnation)
+        if not incarnations:
+            del self._alive[token]
+            if token[0] == "agent":
+                self._words.pop(token[1], None)
+
+    def _newest_agent(self) -> int:
+        """The newest live incarnation of the own agent; -1: it is not there."""
+        return max(self._alive.get(("agent", self._rules.agent), {-1}))
 
     def _obey(self, heard: Heard, now: float) -> None:
         """A command counts if it is the newest, of the newest live incarnation, and not of a tick to come."""
-        newest = max(self._alive.get(("agent", self._rules.agent), {-1}), default=-1)
         tick, (x, y), turn = heard.fields["tick"], heard.fields["velocity"], heard.fields["turn_rate"]
         known = self._command[0] if self._command else -1
-        if heard.incarnation == newest and known <= tick <= self.tick and all(map(math.isfinite, (x, y, turn))):
+        if heard.incarnation == self._newest_agent() and known <= tick <= self.tick and all(map(math.isfinite, (x, y, turn))):
             self._command = tick, (x, y), turn, now
 
     def motion(self, now: float) -> tuple[Planar, float]:
@@ -163,18 +181,30 @@ class RobotBody:
             middle = theirs[(len(theirs) - 1) // 2]
             if self._anchor is None or not -max(period, AHEAD) <= self._anchor - middle <= 0.5 * period:
                 self._anchor = middle
-        elif self._anchor is None and self._all_there(now):
+        elif self._anchor is None and self._may_begin(now):
             self._anchor = now
         return self._anchor is not None and now >= self._anchor
 
     def _neighbours(self) -> list[str]:
         """The next ones in the ring of the sorted names of those that have an agent and a body."""
         mine = self._rules.agent
-        whole = [name for role, name in self._alive if role == "body" and all(self._alive.get((each, name)) for each in ("agent", "body"))]
+        whole = [name for role, name in self._alive if role == "body" and ("agent", name) in self._alive]
         return sorted({*whole} - {mine}, key=lambda name: (name < mine, name))[:NEIGHBOURS]
 
-    def _all_there(self, now: float) -> bool:
-        """Whether all expected agents and the bodies of all others are alive, and nobody new has come for a moment."""
-        mine = self._rules.agent
+    def _may_begin(self, now: float) -> bool:
+        """Whether all expected agents and the bodies of all others are alive, and nobody new has come for a moment.
+
+        After the patience of the run those who are there are enough; a strict run ends instead.
+        """
+        mine, waited = self._rules.agent, now - self._changed
         wanted = [(role, name) for name in self._rules.expected for role in ("agent", "body") if (role, name) != ("body", mine)]
-        return all(self._alive.get(key) for key in wanted) and now - self._changed >= GATHERED
+        if all(token in self._alive for token in wanted):
+            return waited >= GATHERED
+        is_over = waited >= self._rules.patience and any(role == "agent" for role, _ in self._alive)
+        self.incomplete = self.incomplete or (is_over and self._rules.strict)
+        return is_over and not self._rules.strict
+
+
+def is_place(*numbers: float) -> bool:
+    """Whether these are finite numbers of a size that the wire takes."""
+    return all(abs(number) <= LARGEST for number in numbers)

@@ -64,9 +64,12 @@ class Bridge:
         self._client.listen("gossip/*", "hello/*", f"command/{name}", f"estimate/{name}", "pose/*", "halt")
 
     def serve(self, over: threading.Event) -> int:
-        """Take part until `over` or the end of the run; the exit code, which is 3 when a younger body has taken the name."""
+        """Take part until `over` or the end of the run; the exit code.
+
+        It is 3 when a younger body has taken the name, and 4 when the run is strict and not all have come.
+        """
         drive_at = 0.0
-        while not (over.is_set() or self.body.replaced or self.body.over):
+        while not (over.is_set() or self.body.replaced or self.body.over or self.body.incomplete):
             with contextlib.suppress(queue.Empty):
                 self._on_heard(self._client.events.get(timeout=WAKE))
                 while True:
@@ -76,7 +79,7 @@ class Bridge:
             if time.monotonic() >= drive_at:
                 drive_at = time.monotonic() + DRIVE_PERIOD
                 self._command(*self.body.motion(time.monotonic()))
-        return 3 if self.body.replaced else 0
+        return 3 if self.body.replaced else 4 if self.body.incomplete else 0
 
     def close(self) -> None:
         """Stop the robot and leave both networks."""

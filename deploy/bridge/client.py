@@ -129,8 +129,10 @@ class Participant:
 
     def _on_token(self, seen: set[tuple[str, str, int]], sample: zenoh.Sample) -> None:
         """Tell of a token that came or went; `seen`: those of the session that says so, which counts if it is the present one."""
-        _, _, _, role, name, number = str(sample.key_expr).split("/")
-        up = sample.kind == zenoh.SampleKind.PUT
+        parts, up = str(sample.key_expr).split("/"), sample.kind == zenoh.SampleKind.PUT
+        if len(parts) != 6 or not (parts[5].isascii() and parts[5].isdecimal()):
+            return  # a token of another form is passed over
+        *_, role, name, number = parts
         with self._telling:
             if seen is self._up:
                 (seen.add if up else seen.discard)((role, name, int(number)))

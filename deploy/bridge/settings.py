@@ -57,6 +57,8 @@ def _run(data: dict[str, Any], agent: str) -> tuple[str, Network, Rules]:
         dt=run["dt"],
         period=run["dt"] / run["rate"],
         anchor=epoch - time.time() + time.monotonic() if epoch else None,
+        patience=run["start_timeout"],
+        strict=run["strict"],
         hold=bodies["hold"],
         speed=limits["speed"],
         turn_rate=limits["turn_rate"],

@@ -36,7 +36,7 @@ class BridgeWatchdog:
         elif heard.kind in ("gossip", "hello") and self._counts(heard.name):
             self._words[heard.name] = now
             if heard.kind == "hello":
-                self._hellos[heard.name] = frozenset(heard.fields.get("heard", ())), now
+                self._hellos[heard.name] = frozenset(name for name in heard.fields.get("heard", ()) if isinstance(name, str)), now
                 return self._judge(heard.name, now)
         return ""
 
