@@ -32,6 +32,7 @@ from world.newest_tick import NewestTick
 from world.score import errors
 from world.witness import Witness
 
+MOST_GUESTS = 256  # agents with a token that are no members: anybody can make up names, and each is a row of every table
 NO_POINTS = np.empty((0, 2))
 LAG = {"realtime": 2, "lockstep": 20}  # ticks; in lockstep nothing is late unless it is lost
 LAG_SECONDS = {"realtime": 0.0, "lockstep": 2.0}  # for which the world must have been so far ahead
@@ -94,7 +95,7 @@ class Scorer(Node):
         self._lag = LAG[scenario.run.clock]
         self._ahead = NewestTick(LAG_SECONDS[scenario.run.clock])
         self._fresh = max(agent_config(scenario).ticks_of_silence, 2 * scenario.timing.estimate_every)  # ticks
-        self._names = list(scenario.members)
+        self._names = dict.fromkeys(scenario.members)  # the agents that are scored, in team order
         self._alive: dict[str, int] = {}
         self._gone_at: dict[str, tuple[float, int]] = {}  # when an agent was lost last, s, and its incarnation then
         self._truths: dict[int, Truth] = {}
@@ -135,13 +136,13 @@ class Scorer(Node):
                     self._hear(message, now)
                 if batch.kind not in (Truth, Estimate):
                     return  # nothing that could complete a tick
-            case Alive(role="agent"):
+            case Alive(role="agent") if self._admits(event.name):
                 if self._alive.get(event.name, event.incarnation) != event.incarnation:
                     self.on_twin(event.name, self._alive[event.name], event.incarnation)
                 self._gain(event.name, event.incarnation)
                 if event.name not in self._names:
-                    self._names = sorted([*self._names, event.name], key=order)
-            case Alive(role="body"):
+                    self._names = dict.fromkeys(sorted([*self._names, event.name], key=order))
+            case Alive(role="body") if event.name in self._names:
                 self.greeted.add(self._bodies.get(event.name, event.name))
             case Gone(role="agent") if self._alive.get(event.name) == event.incarnation:
                 self._lose(event.name, now)
@@ -149,15 +150,19 @@ class Scorer(Node):
                 self._tally.rejected += 1
         self._score_what_is_complete(now)
 
+    def _admits(self, name: str) -> bool:
+        """Whether an agent of this name is scored: a member, or one of the first guests."""
+        return name in self._names or len(self._names) < len(self._scenario.members) + MOST_GUESTS
+
     def _hear(self, message: object, now: float) -> None:
         if isinstance(message, Truth):
             self._hear_truth(message, now)
-        elif isinstance(message, Estimate):
+        elif isinstance(message, Estimate) and message.sender in self._names:
             self._hear_estimate(message)
         elif isinstance(message, Gossip):
             self._compare_mass(message)
-        elif isinstance(message, Hello):
-            self.greeted.add(message.sender)
+        elif isinstance(message, Hello) and (message.sender in self._names or message.role == "world"):
+            self.greeted.add(message.sender if message.role == "agent" else message.role)
             self._compare_settings(message)
 
     def _compare_settings(self, hello: Hello) -> None:

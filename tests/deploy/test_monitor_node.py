@@ -9,13 +9,14 @@ import pytest
 from deploy.cli.display import process_cells
 from deploy.recording.recorder import Recorder, RecorderNode
 from deploy.scenario import Scenario, agent_config, resolve
-from deploy.scoring.scorer import Scorer, hole_and_overlap
+from deploy.scoring.scorer import MOST_GUESTS, Scorer, hole_and_overlap
 from protocol.fields import pack
 from protocol.geometry import polygon_area
 from protocol.message import SharedSettings, Vector
 from protocol.messages import Gossip, Hello
 from protocol.node import Alive, Gone, Node, Received, Reopen, Started, Subscribe, received
 from protocol.observer_messages import Estimate, Truth
+from tests.names import names_in
 
 LEFT = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 10.0], [0.0, 10.0]])
 RIGHT = np.add(LEFT, [5.0, 0.0])
@@ -263,3 +264,20 @@ def test_an_observer_with_half_a_session_opens_it_anew(kind: str, scenario: Scen
     effects = [node.handle(received(Hello(sender="b", incarnation=1)), now) for now in (1.0, 3.0, 5.0, 7.0)]
     assert effects == [[], [], [], [Reopen("b speaks, but its token has gone")]]
     recorder.close()
+
+
+def test_of_made_up_names_a_fixed_number_is_a_row_of_the_tables(scenario: Scenario) -> None:
+    scorer = Scorer(scenario)
+    for event in (Started(), Alive("agent", "a", 1), truth(0)):
+        scorer.handle(event, 0.0)
+    for number in range(3 * MOST_GUESTS):
+        name = f"x{number}"
+        hello = received(Hello(sender=name, incarnation=1, settings={"arena": {"width": float(number)}}))
+        for event in (Alive("agent", name, 1), Alive("body", name, 1), hello, estimate(name, 0, EMPTY), Gone("agent", name, 1)):
+            scorer.handle(event, 0.0)
+    kept = {f"x{number}" for number in range(MOST_GUESTS)}
+    assert names_in(scorer, "deploy", "world") == kept
+    assert {row.name for row in scorer.status(0.0).agents} == {"a", "b", *kept}
+    for event in (Alive("agent", "b", 1), estimate("a", 0, LEFT), estimate("b", 0, RIGHT)):
+        scorer.handle(event, 0.0)
+    assert len(scorer.scores) == 1 and scorer.scores[0].hole == 0.0
