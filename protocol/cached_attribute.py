@@ -10,8 +10,11 @@ class cached_attribute(Generic[T]):
     """Decorator of a method without arguments; the result replaces the method in the instance."""
 
     def __init__(self, method: Callable[[Any], T]) -> None:
-        self._method, self._name = method, method.__name__
+        self._method = method
         self.__doc__ = method.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
 
     @overload
     def __get__(self, instance: None, owner: type) -> "cached_attribute[T]": ...

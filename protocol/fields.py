@@ -10,6 +10,8 @@ from typing import Annotated, NamedTuple
 import msgspec
 import numpy as np
 
+from protocol.cached_attribute import cached_attribute
+
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]  # of a participant or a sensor class
 
 MAX_ROWS = 8192  # of every array and of every list of names that a round reads
@@ -70,6 +72,11 @@ def check_rows(rows: Rows, data: bytes) -> int:
 def rows_of(field: str, number: np.dtype, columns: int) -> Rows:
     """The layout of rows of so many numbers."""
     return Rows(field, number, columns, number.itemsize * columns)
+
+
+def rows_in(field: str, rows: Rows) -> cached_attribute[np.ndarray]:
+    """An attribute of a message: the rows that it holds as bytes in a field, read-only."""
+    return cached_attribute(lambda message: rows.read(getattr(message, field)))
 
 
 DETECTIONS, STATES, CLAIM = rows_of("detections", F4, 2), rows_of("states", F4, 4), rows_of("claim", F8, 3)

@@ -1,6 +1,6 @@
 """The messages: frozen msgspec structs, one per kind, on the wire as msgpack maps (docs/reference/protocol.md specifies them).
 
-Arrays are raw little-endian bytes on the wire; properties return read-only numpy views of them. The types hold the limits of single
+Arrays are raw little-endian bytes on the wire; attributes are read-only numpy views of them. The types hold the limits of single
 numbers, and `check` the other rules of a message alone. Rules that need the context are checked elsewhere: the sender against the key in
 `codec`, the limits of the announced sensor in the agent. All lengths in m, times in s, angles in rad.
 """
@@ -33,6 +33,7 @@ from protocol.fields import (
     check_rows,
     pack,
     read_labels,
+    rows_in,
 )
 from protocol.gaussian_components import check_components, check_mass, read_components
 from protocol.message import (
@@ -164,35 +165,20 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     pose_noise: tuple[Magnitude, Magnitude] | None = None  # standard deviations of the pose, m on each axis and rad; None: it is exact
     claim_ages: bytes = b""  # ticks before `claim_tick` of each generator of the claim; empty: all are of it
 
+    detections = rows_in("detections_bytes", DETECTIONS)  # (M, 2) float32
+    claim = rows_in("claim_bytes", CLAIM)  # (G, 3) float64
+    states = rows_in("states_bytes", STATES)  # (N, 4) float32
+    ids = rows_in("ids_bytes", IDS)  # (N,) uint64, ascending
+
     def __hash__(self) -> int:
         """A hash that reads no arrays, for pure memos."""
         return hash((self.sender, self.incarnation, self.tick, self.pose))
-
-    @cached_attribute
-    def detections(self) -> np.ndarray:
-        """(M, 2) float32."""
-        return DETECTIONS.read(self.detections_bytes)
-
-    @cached_attribute
-    def claim(self) -> np.ndarray:
-        """(G, 3) float64."""
-        return CLAIM.read(self.claim_bytes)
 
     @cached_attribute
     def claim_ticks(self) -> list[int]:
         """The tick of each generator of the claim; -1: it is unknown."""
         ages = self.claim_ages or bytes(len(self.claim_names))
         return [-1 if age == UNKNOWN_AGE else self.claim_tick - age for age in ages]
-
-    @cached_attribute
-    def states(self) -> np.ndarray:
-        """(N, 4) float32."""
-        return STATES.read(self.states_bytes)
-
-    @cached_attribute
-    def ids(self) -> np.ndarray:
-        """(N,) uint64, ascending."""
-        return IDS.read(self.ids_bytes)
 
     @cached_attribute
     def components(self) -> np.ndarray:
@@ -305,15 +291,8 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
     detections_bytes: RowsOf8Bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
     obstacles_bytes: RowsOf16Bytes = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
 
-    @cached_attribute
-    def detections(self) -> np.ndarray:
-        """(M, 2) float32."""
-        return DETECTIONS.read(self.detections_bytes)
-
-    @cached_attribute
-    def obstacles(self) -> np.ndarray:
-        """(K, 2) float64."""
-        return OBSTACLES.read(self.obstacles_bytes)
+    detections = rows_in("detections_bytes", DETECTIONS)  # (M, 2) float32
+    obstacles = rows_in("obstacles_bytes", OBSTACLES)  # (K, 2) float64
 
     def check(self) -> None:
         check_rows(DETECTIONS, self.detections_bytes)

@@ -18,6 +18,7 @@ from protocol.fields import (
     U8,
     Malformed,
     check_rows,
+    rows_in,
 )
 from protocol.message import (
     Area,
@@ -56,15 +57,8 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     round_seconds: Duration = 0.0  # from the opening of the last shared round to its end, waiting included; 0 in virtual time
     pace: PaceNumber = 1  # the sender shares with its peers the ticks that this number divides
 
-    @cached_attribute
-    def cell(self) -> np.ndarray:
-        """(V, 2) float64."""
-        return CELL.read(self.cell_bytes)
-
-    @cached_attribute
-    def targets(self) -> np.ndarray:
-        """(M, 2) float64."""
-        return TARGETS.read(self.targets_bytes)
+    cell = rows_in("cell_bytes", CELL)  # (V, 2) float64
+    targets = rows_in("targets_bytes", TARGETS)  # (M, 2) float64
 
     def targets_at(self, tick: int, dt: float) -> np.ndarray:
         """(M, 2) m: the targets at another tick, for a watcher that has heard nothing newer. Each moves on by its velocity; `dt` in s."""
@@ -105,20 +99,9 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
     in_view: int = 0  # targets inside the field of view of some live agent's body
     alive: tuple[str, ...] = ()  # the agents with a token that the world sees
 
-    @cached_attribute
-    def targets(self) -> np.ndarray:
-        """(T, 2) float64."""
-        return TARGETS.read(self.targets_bytes)
-
-    @cached_attribute
-    def ids(self) -> np.ndarray:
-        """(T,) uint64."""
-        return IDS.read(self.ids_bytes)
-
-    @cached_attribute
-    def poses(self) -> np.ndarray:
-        """(B, 3) float64."""
-        return POSES.read(self.poses_bytes)
+    targets = rows_in("targets_bytes", TARGETS)  # (T, 2) float64
+    ids = rows_in("ids_bytes", IDS)  # (T,) uint64
+    poses = rows_in("poses_bytes", POSES)  # (B, 3) float64
 
     def check(self) -> None:
         targets, poses = check_rows(TARGETS, self.targets_bytes), check_rows(POSES, self.poses_bytes)
