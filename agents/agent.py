@@ -58,7 +58,7 @@ class Agent(Node):
         self.sees_all_tokens = not self.local
         self._interest = InterestManager(self.context, self.peer_table, incarnation) if self.local else None
         nothing = (0.0, 0.0, -1.0, -1.0) if self.local else None
-        self.outcome = RoundResult(self.context.tracker.start(name, Step(config, 0), nothing), self.context.facts.capability)
+        self.outcome = RoundResult(self.context.tracker.start(name, Step(config, 0), nothing), self.context.announced.facts.capability)
         self.membership = Membership(self.context, incarnation, self.peer_table, self.counters)
         self._observation: Observation | None = None  # of the open tick
         self._gossip: Gossip | None = None  # the own one of the open tick; None: no tick is open
@@ -279,7 +279,7 @@ class Agent(Node):
             return effects
         nearby = interest.surroundings(observation, self.outcome)
         known = self.context.tracker.start(self.name, Step(self.config, 0), nearby)
-        self.outcome = RoundResult(known, self.context.facts.capability)
+        self.outcome = RoundResult(known, self.context.announced.facts.capability)
         return [*effects, *self._open_round(observation, now)]
 
     def _on_gossips(self, batch: Batch, now: float) -> list[Effect]:

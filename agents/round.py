@@ -14,7 +14,7 @@ import numpy as np
 
 from agents.backend import Backend
 from agents.config import AgentConfig
-from agents.coverage.capacity import SensorFacts, power_radius, sensor_facts, unused_capacity
+from agents.coverage.capacity import power_radius, unused_capacity
 from agents.coverage.cells import NO_CELL, Cell
 from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings
 from agents.coverage.laws import control_law
@@ -43,7 +43,7 @@ class AgentContext(NamedTuple):
 
     name: str
     sensor: SensorModel
-    facts: SensorFacts
+    announced: AnnouncedSensor  # the same sensor, as peers know it
     law: ControlLaw
     backend: Backend
     tracker: AnyTracker
@@ -51,17 +51,13 @@ class AgentContext(NamedTuple):
     arena: np.ndarray  # corners (4, 2), m
     sensor_class: str
 
-    @property
-    def announced(self) -> AnnouncedSensor:
-        """The own sensor, as peers know it."""
-        return announced_sensor(self.name, self.sensor, self.config.detection.clutter)
-
 
 def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
     """The context of the agent `name` with a sensor of that class. Raises BadSetting for an unknown class."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
     tracker: AnyTracker = MixturePhd(backend) if config.filter.kind == "gaussian-mixture" else ParticlePhd(backend)
-    return AgentContext(name, sensor, sensor_facts(sensor), control_law(config, backend), backend, tracker, config, corners, sensor_class)
+    announced = announced_sensor(name, sensor, config.detection.clutter)
+    return AgentContext(name, sensor, announced, control_law(config, backend), backend, tracker, config, corners, sensor_class)
 
 
 class RoundCell(NamedTuple):
@@ -155,7 +151,7 @@ def result_of(
         command = context.law.command(situation)
     return RoundResult(
         belief=belief,
-        unused=unused_capacity(context.facts.capability, update.detected, update.load, context.config.capacity),
+        unused=unused_capacity(context.announced.facts.capability, update.detected, update.load, context.config.capacity),
         load=update.load,
         mass=update.mass,
         cell=round_cell.region.polygon,

@@ -27,7 +27,7 @@ def local_gossip(context: AgentContext, incarnation: int, last: RoundResult, obs
         incarnation=incarnation,
         tick=observation.tick,
         pose=observation.pose,
-        cod=to_world(context.facts.cod_offset, observation.pose),
+        cod=to_world(context.announced.facts.cod_offset, observation.pose),
         power_radius=last.power_radius,
         unused=last.unused,
         detections_bytes=observation.detections_bytes,

@@ -7,6 +7,7 @@ p_d, which has no unit, from an area. `CapacitySettings.mode` chooses other read
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,10 +27,12 @@ class SensorFacts(NamedTuple):
     cod_offset: tuple[float, float]
 
 
+@lru_cache(maxsize=1024)
 def sensor_facts(sensor: SensorModel) -> SensorFacts:
     """D in m^2 (6) and the COD in the frame of the sensor, m (14): closed form for wedges, midpoint quadrature otherwise.
 
-    Raises ValueError if the detection probability is 0 at all points of the quadrature.
+    Raises ValueError if the detection probability is 0 at all points of the quadrature. A pure memo: many agents carry sensors of one
+    class.
     """
     if isinstance(sensor, WedgeSensor):
         half, fall = sensor.angle / 2.0, sensor.far_probability / sensor.prob_detection

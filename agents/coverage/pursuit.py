@@ -34,7 +34,6 @@ class Pursuit:
     def __init__(self) -> None:
         self._ids = np.empty(0, dtype=np.uint64)  # ascending
         self._seen = np.empty(0)  # s of world time
-        self._offset: float | None = None
 
     def command(self, situation: Situation) -> ControlInput:
         """Velocity and turn rate until the next command."""
@@ -42,10 +41,8 @@ class Pursuit:
         goal = _goal(situation, ages)
         if goal is None:
             return STAND
-        if self._offset is None:
-            self._offset = math.hypot(*sensor_facts(situation.sensor).cod_offset)
         x, y, heading = situation.pose
-        vx, vy = _lead((x, y), goal, self._offset, situation)
+        vx, vy = _lead((x, y), goal, math.hypot(*sensor_facts(situation.sensor).cod_offset), situation)
         seconds = situation.dt * situation.ticks
         place = x + vx * seconds, y + vy * seconds
         turn = _best_turn(situation, ages, place)

@@ -22,19 +22,17 @@ class SearchAndTrack:
         self.intent: Intent | None = None
         self._settings, self._backend = settings, backend
         self._memory: Memory | None = None
-        self._shape: tuple[float, float] | None = None  # angle of view, rad, and distance from the sensor to its COD, m
 
     def command(self, situation: Situation) -> ControlInput:
         """Velocity and turn rate until the next command; stands without the surroundings that only a round knows."""
         surroundings, sensor, limits = situation.surroundings, situation.sensor, situation.limits
         if surroundings is None:
             return STAND
-        if self._shape is None:
-            offset = math.hypot(*sensor_facts(sensor).cod_offset)
-            self._shape = min(2.0 * math.pi, 2.0 * sensor.area / (sensor.reach * sensor.reach)), offset
+        angle = min(2.0 * math.pi, 2.0 * sensor.area / (sensor.reach * sensor.reach))  # of view, rad
+        shape = sensor.reach, angle, math.hypot(*sensor_facts(sensor).cod_offset)
         (x, y, heading), (width, height) = situation.pose, situation.arena
         now, cos, sin = situation.tick * situation.dt, math.cos(heading), math.sin(heading)
-        shape, bounds = (sensor.reach, *self._shape), (width, height, limits.speed, limits.turn_rate)
+        bounds = width, height, limits.speed, limits.turn_rate
         numbers = PlanInput(
             now, situation.dt * situation.ticks, x, y, cos, sin, *shape, *bounds, float(surroundings.is_open), *surroundings.goal
         )

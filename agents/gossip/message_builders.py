@@ -56,7 +56,7 @@ def gossip(
         incarnation=incarnation,
         tick=observation.tick,
         pose=observation.pose,
-        cod=to_world(context.facts.cod_offset, observation.pose),
+        cod=to_world(context.announced.facts.cod_offset, observation.pose),
         power_radius=outcome.power_radius,
         unused=outcome.unused,
         detections_bytes=observation.detections_bytes,

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.config import AgentConfig
-from agents.coverage.capacity import SensorFacts, sensor_facts
-from agents.interest.tiles import Bounds, bounds_of
+from agents.coverage.capacity import SensorFacts, power_radius, sensor_facts
+from agents.interest.tiles import Bounds
 from agents.tracking.births import Scan
 from agents.tracking.measurement_likelihood import EXACT_POSE, kernel_variance, model_of, noise_of, sigma_poses, spread_of
 from agents.tracking.particles import Particles
@@ -101,15 +101,9 @@ def announced_sensor(name: str, sensor: SensorModel, clutter: float) -> Announce
         half, near, far, kind = sensor.cos_half_angle, sensor.prob_detection, sensor.far_probability, WEDGE
     measures = model_of(measurement_of(sensor))
     packed = _SENSOR.pack(sensor.reach, half, near, clutter / sensor.area, kind, random_key("sensor", name), *measures, far)
-    facts = _facts(sensor)
-    bounds = bounds_of(sensor, facts)
+    facts = sensor_facts(sensor)
+    bounds = Bounds(sensor.reach, math.hypot(*facts.cod_offset), power_radius(facts.capability))
     return AnnouncedSensor(sensor, facts, packed, facts.capability * TOLERANCE, sensor.reach * TOLERANCE, bounds)
-
-
-@lru_cache(maxsize=1024)
-def _facts(sensor: SensorModel) -> SensorFacts:
-    """`sensor_facts`, a pure memo: many agents carry sensors of one class."""
-    return sensor_facts(sensor)
 
 
 StatedParticles = tuple[np.ndarray, np.ndarray, np.ndarray]  # states (N, 4) float32; ids and labels (N,) uint64

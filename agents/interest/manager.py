@@ -20,7 +20,7 @@ from agents.coverage.control import ControlInput
 from agents.gossip.inbox import WINDOW_TICKS
 from agents.interest.position_table import GENERATOR_X, POWER_RADIUS, beacon_row
 from agents.interest.selection import BEACON_JUMP, BEACON_PERIOD, SELECTION_MARGIN, SELECTION_PERIOD, Choice, Ground
-from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling, bounds_of
+from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling
 from agents.membership.half_open_link import HalfOpenLinkDetector, WorldLinkDetector
 from agents.membership.peer import Peer
 from agents.membership.peer_table import PeerTable
@@ -55,8 +55,7 @@ class InterestManager:
         self._context, self._peer_table, self._incarnation = context, peer_table, incarnation
         self._tiling = Tiling(config.timing.tile, config.arena)
         drift = BEACON_JUMP + config.limits.speed * config.run.dt
-        own_bounds = bounds_of(context.sensor, context.facts)
-        self._ground = Ground(context.arena, own_bounds, drift)
+        self._ground = Ground(context.arena, context.announced.bounds, drift)
         periods = BEACON_PERIOD, SELECTION_PERIOD, LINGER_SECONDS
         self._period, self._between, self._linger = (max(1, round(seconds / config.run.dt)) for seconds in periods)
         self._phase, self._turn = random_key("beacon", context.name) % self._period, 0  # of the beacon that each period brings; its number
@@ -208,7 +207,7 @@ class InterestManager:
             incarnation=self._incarnation,
             tick=tick,
             position=pose[:2],
-            cod=to_world(context.facts.cod_offset, pose),
+            cod=to_world(context.announced.facts.cod_offset, pose),
             power_radius=radius,
             reach=context.sensor.reach,
             column=column,

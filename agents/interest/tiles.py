@@ -1,12 +1,9 @@
 """The tiles of the arena in which beacons are published (docs/reference/protocol.md), and bounds on unknown agents."""
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
-from agents.coverage.capacity import SensorFacts, power_radius
 from protocol.keys import Tile
-from protocol.sensing import SensorModel
 from protocol.settings import ArenaSettings
 
 
@@ -52,12 +49,6 @@ class Bounds(NamedTuple):
         if other.reach <= self.reach and other.offset <= self.offset and other.radius <= self.radius:
             return self
         return Bounds(*map(max, self, other))
-
-
-@lru_cache(maxsize=1024)
-def bounds_of(sensor: SensorModel, facts: SensorFacts) -> Bounds:
-    """The bounds of an agent with that sensor; a pure memo, because many agents carry sensors of one class."""
-    return Bounds(sensor.reach, math.hypot(*facts.cod_offset), power_radius(facts.capability))
 
 
 class Tiling:

@@ -275,7 +275,7 @@ def check_round(agent: Agent, is_first: bool) -> None:
     need(len(np.unique(near.ids)) == len(near.ids), f"{name}: a part of the PHD that counts twice")
     need(math.isfinite(outcome.mass) and outcome.mass >= 0.0, f"{name}: a mass of {outcome.mass}")
     need(math.isfinite(outcome.load) and outcome.load >= 0.0, f"{name}: a load of {outcome.load}")
-    need(0.0 <= outcome.unused <= agent.context.facts.capability * SLACK, f"{name}: an unused capacity of {outcome.unused}")
+    need(0.0 <= outcome.unused <= agent.context.announced.facts.capability * SLACK, f"{name}: an unused capacity of {outcome.unused}")
     need(bool(np.all(np.isfinite(outcome.estimates.positions))), f"{name}: a target that is nowhere")
     arena = agent.config.arena
     need(polygon_area(outcome.cell) <= arena.width * arena.height * SLACK, f"{name}: a cell larger than the arena")
@@ -291,7 +291,7 @@ def check_words(agent: Agent) -> None:
     One bad float could win every cell.
     """
     carried = [peer.announced for peer in agent.peer_table.peers.values() if peer.announced is not None]
-    most = SLACK * max([agent.context.facts.capability, *(announced.facts.capability for announced in carried)])
+    most = SLACK * max([agent.context.announced.facts.capability, *(announced.facts.capability for announced in carried)])
     for name, gossip in agent.peer_table.inbox.newest_closed.items():
         if gossip.tick == agent.outcome.belief.stamp:
             numbers = (*gossip.pose, *gossip.cod, gossip.power_radius, gossip.unused, gossip.weight)

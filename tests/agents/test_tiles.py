@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from agents.coverage.capacity import sensor_facts
-from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling, bounds_of
+from agents.gossip.table import announced_sensor
+from agents.interest.tiles import Bounds, Rectangle, TileBlock, Tiling
 from protocol.sensing import SENSOR_CLASSES
 from protocol.settings import ArenaSettings
 
@@ -32,7 +32,7 @@ def test_the_box_of_a_rectangle_holds_it() -> None:
 
 
 def of_class(name: str) -> Bounds:
-    return bounds_of(SENSOR_CLASSES[name], sensor_facts(SENSOR_CLASSES[name]))
+    return announced_sensor("s1", SENSOR_CLASSES[name], 0.0).bounds
 
 
 def test_what_two_do_not_exceed_is_the_larger_of_each() -> None:

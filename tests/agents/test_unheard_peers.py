@@ -8,7 +8,6 @@ import numpy as np
 
 from agents.backend import PLAIN
 from agents.config import AgentConfig
-from agents.coverage.capacity import sensor_facts
 from agents.coverage.cells import cut
 from agents.coverage.control import Lloyd
 from agents.gossip.table import GossipTable, announced_sensor
@@ -28,7 +27,7 @@ from tests.agents.test_belief import merged, owned_state, particles
 CONFIG = AgentConfig()
 ARENA = rectangle(100.0, 100.0)
 SENSOR = SENSOR_CLASSES["A"]  # sees 8 m far
-ME = AgentContext("s1", SENSOR, sensor_facts(SENSOR), Lloyd(), PLAIN, ParticlePhd(PLAIN), CONFIG, ARENA, "A")
+ME = AgentContext("s1", SENSOR, announced_sensor("s1", SENSOR, 0.0), Lloyd(), PLAIN, ParticlePhd(PLAIN), CONFIG, ARENA, "A")
 
 
 def said(name: str, x: float, y: float) -> Gossip:
