@@ -24,60 +24,44 @@ from protocol.cached_attribute import cached_attribute
 from protocol.fields import read_labels
 from protocol.gaussian_components import COMPONENT
 from protocol.measuring import to_places
-from protocol.messages import GOSSIP_NUMBERS, Gossip
+from protocol.messages import Gossip
 from protocol.random_streams import random_key
 from protocol.sensing import SensorModel, WedgeSensor, measurement_of
 
-COLUMNS = 26
+COLUMNS = 28
 (
     X,
     Y,
     COS,
     SIN,
+    GENERATOR_X,
+    GENERATOR_Y,
+    POWER_RADIUS,
+    UNUSED,
+    WEIGHT,
+    DETECTIONS,
+    PARTICLES,
+    SCANNED,
+    PLACE_NOISE,
+    HEADING_NOISE,
     REACH,
     COS_HALF,
     PROB,
     KAPPA,
     KIND,
-    DETECTIONS,
-    WEIGHT,
-    GENERATOR_X,
-    GENERATOR_Y,
-    POWER_RADIUS,
-    PARTICLES,
     SALT,
     MODEL,
     RANGE_NOISE,
     BEARING_NOISE,
     FAR_PROB,
-    PLACE_NOISE,
-    HEADING_NOISE,
     COS_LEFT,
     SIN_LEFT,
     COS_RIGHT,
     SIN_RIGHT,
-) = range(COLUMNS)
+) = range(COLUMNS)  # of `Gossip.numbers`, of the sensor, and of the headings to the left and right of a pose that may err
 NO_SCAN, WEDGE, OTHER = 0.0, 1.0, 2.0  # kinds of scan: none in this tick, of a wedge, of another sensor
 
-_SENSOR = struct.Struct("<5dQ4d")
-_SENSOR_COLUMNS = [REACH, COS_HALF, PROB, KAPPA, KIND, SALT, MODEL, RANGE_NOISE, BEARING_NOISE, FAR_PROB]
-_SCANNED = 11  # the place of `scanned` in `Gossip.numbers`, and those of columns
-_IN_NUMBERS = {X: 0, Y: 1, COS: 2, SIN: 3, GENERATOR_X: 4, GENERATOR_Y: 5, POWER_RADIUS: 6, WEIGHT: 8, DETECTIONS: 9, PARTICLES: 10}
-_IN_NUMBERS |= {PLACE_NOISE: 12, HEADING_NOISE: 13}
-
-
-def _sources(partition_kind: str) -> np.ndarray:
-    """The place in `Gossip.numbers` with the columns of a sensor behind it from which each column of a table comes (COLUMNS,)."""
-    sources = np.zeros(COLUMNS, np.int64)
-    for column, place in _IN_NUMBERS.items():
-        sources[column] = place
-    sources[_SENSOR_COLUMNS] = range(GOSSIP_NUMBERS, GOSSIP_NUMBERS + len(_SENSOR_COLUMNS))
-    if partition_kind == "voronoi":
-        sources[[GENERATOR_X, GENERATOR_Y]] = sources[[X, Y]]
-    return sources
-
-
-_SOURCES = {kind: _sources(kind) for kind in ("power", "voronoi-cod", "voronoi")}
+_SENSOR = struct.Struct("<5dQ4d32x")  # the columns from REACH on; the last four are 0 where poses are exact
 _MOST_ANNOUNCED = 20000
 TOLERANCE = 1.0 + 1e-9  # factor by which a gossip may exceed what its sender's sensor can do: rounding of another implementation
 
@@ -87,7 +71,7 @@ class AnnouncedSensor(NamedTuple):
 
     sensor: SensorModel
     facts: SensorFacts
-    columns: bytes  # its part of a row, the columns of `_SENSOR_COLUMNS`: lengths in m, angles in rad, clutter density per m^2
+    columns: bytes  # its part of a row, from REACH on: lengths in m, angles in rad, clutter density per m^2
     most_area: float  # of the area in a gossip's `extent`, m^2: D with `TOLERANCE`
     most_distance: float  # of the distance in it, m: the reach with `TOLERANCE`
     bounds: Bounds
@@ -126,14 +110,15 @@ class GossipTable:
     @cached_attribute
     def table(self) -> np.ndarray:
         """A row for each (N, COLUMNS): posed sensor, kind and size of its scan, weight of a particle, generator, number of particles."""
-        rows = b"".join([part for gossip, sensor in zip(self.gossips, self.sensors) for part in (gossip.numbers, sensor.columns)])
-        numbers = np.frombuffer(rows).reshape(-1, GOSSIP_NUMBERS + len(_SENSOR_COLUMNS))
-        table = numbers.take(_SOURCES[self.partition_kind], axis=1)
-        table[:, KIND] *= numbers[:, _SCANNED]
+        rows = bytearray().join([part for gossip, sensor in zip(self.gossips, self.sensors) for part in (gossip.numbers, sensor.columns)])
+        table = np.frombuffer(rows).reshape(-1, COLUMNS)
+        table[:, KIND] *= table[:, SCANNED]
+        if self.partition_kind == "voronoi":
+            table[:, GENERATOR_X : GENERATOR_Y + 1] = table[:, X : Y + 1]
         if self.partition_kind != "power":
             table[:, POWER_RADIUS] = 0.0
         if not self._is_unsure:
-            table[:, PLACE_NOISE:] = 0.0
+            table[:, PLACE_NOISE : HEADING_NOISE + 1] = 0.0
             return table
         for row, gossip in zip(table, self.gossips):
             left, right = [heading for _, _, heading in 2 * sigma_poses(gossip.pose, gossip.pose_noise or EXACT_POSE)][-2:]
