@@ -96,14 +96,9 @@ StatedParticles = tuple[np.ndarray, np.ndarray, np.ndarray]  # states (N, 4) flo
 class GossipTable:
     """Gossips of one round in the order of names. The rows of a table never change; what follows from them is computed once and kept."""
 
-    def __init__(
-        self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], partition_kind: str, config: AgentConfig | None = None
-    ) -> None:
-        """`sensors`: of the senders. `partition_kind`: "power", "voronoi-cod" or "voronoi"; it determines the generators.
-
-        `config` states the noise of detections and poses; without one poses are exact.
-        """
-        self.gossips, self.sensors, self.partition_kind, self._config = gossips, sensors, partition_kind, config
+    def __init__(self, gossips: Sequence[Gossip], sensors: Sequence[AnnouncedSensor], config: AgentConfig) -> None:
+        """`sensors`: of the senders. `config` states the partition, which determines the generators, and the noise of detections."""
+        self.gossips, self.sensors, self.config = gossips, sensors, config
         self.names = tuple([gossip.sender for gossip in gossips])
         self.shared: Any = None  # the results that all agents with this table share (`shared_round`)
 
@@ -113,11 +108,11 @@ class GossipTable:
         rows = bytearray().join([part for gossip, sensor in zip(self.gossips, self.sensors) for part in (gossip.numbers, sensor.columns)])
         table = np.frombuffer(rows).reshape(-1, COLUMNS)
         table[:, KIND] *= table[:, SCANNED]
-        if self.partition_kind == "voronoi":
+        if self.config.partition.kind == "voronoi":
             table[:, GENERATOR_X : GENERATOR_Y + 1] = table[:, X : Y + 1]
-        if self.partition_kind != "power":
+        if self.config.partition.kind != "power":
             table[:, POWER_RADIUS] = 0.0
-        if not self._is_unsure:
+        if self.config.pose.is_exact:
             table[:, PLACE_NOISE : HEADING_NOISE + 1] = 0.0
             return table
         for row, gossip in zip(table, self.gossips):
@@ -181,26 +176,21 @@ class GossipTable:
         ]
         return np.concatenate(parts).astype(float)
 
-    @property
-    def _is_unsure(self) -> bool:
-        """Whether poses may err; a noise that a gossip states counts only then."""
-        return self._config is not None and not self._config.pose.is_exact
-
     @cached_attribute
     def has_rays(self) -> bool:
         """Whether a sensor measures anything but positions, or poses are not exact."""
-        return bool(self.table[:, MODEL].any()) or self._is_unsure
+        return bool(self.table[:, MODEL].any()) or not self.config.pose.is_exact
 
     @cached_attribute
     def rays(self) -> np.ndarray:
         """The rays of all detections (D, 4) of agents/tracking/measurement_likelihood.py; (D, 0) if all are exact positions."""
-        if not self.has_rays or self._config is None:
+        if not self.has_rays:
             return np.empty((len(self.detections), 0))
-        rays, places, settings = np.empty((len(self.detections), 4)), self.detections.tolist(), self._config
-        kernel, number = kernel_variance(settings.filter), 0
+        rays, places = np.empty((len(self.detections), 4)), self.detections.tolist()
+        kernel, number = kernel_variance(self.config.filter), 0
         for row in self.table.tolist():
             model, pose_noise = (row[MODEL], row[RANGE_NOISE], row[BEARING_NOISE]), (row[PLACE_NOISE], row[HEADING_NOISE])
-            noise = noise_of(model, settings.detection.noise, kernel, pose_noise)
+            noise = noise_of(model, self.config.detection.noise, kernel, pose_noise)
             for _ in range(int(row[DETECTIONS])):
                 dx, dy = places[number][0] - row[X], places[number][1] - row[Y]
                 distance = math.sqrt(dx * dx + dy * dy)
@@ -288,11 +278,10 @@ _RECENT: deque[GossipTable] = deque(maxlen=2)  # a pure memo: in a simulation al
 
 def gossip_table(gossips: list[Gossip], sensors: list[AnnouncedSensor], config: AgentConfig) -> GossipTable:
     """The table of some gossips and the sensors of their senders. Equal arguments give a table of one of the last two calls."""
-    partition_kind = config.partition.kind
     for known in reversed(_RECENT):
-        if known.partition_kind == partition_kind and known.sensors == sensors and known.gossips == gossips:
+        if known.config is config and known.sensors == sensors and known.gossips == gossips:
             return known
-    table = GossipTable(gossips, sensors, partition_kind, config)
+    table = GossipTable(gossips, sensors, config)
     _RECENT.append(table)
     return table
 

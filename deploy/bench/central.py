@@ -113,7 +113,7 @@ class Central:
             )
             for member, pose, scan, unused in zip(self._team, poses, scans, self._unused)
         ]
-        return GossipTable(said, [member.announced_sensor for member in self._team], "power")
+        return GossipTable(said, [member.announced_sensor for member in self._team], self._config)
 
     def _capacity(self, member: Member, updated: Particles, row: np.ndarray) -> float:
         load, detected = particle_kernels.in_view(updated.states, updated.weights, row)

@@ -39,7 +39,7 @@ def our_scan(backend: Backend) -> Any:
     pose = (SIDE / 2.0, SIDE / 2.0, 0.0)
     seen = pack(_points(DETECTIONS, 2), "<f4")
     said = Gossip(sender="s1", incarnation=1, tick=1, pose=pose, cod=pose[:2], power_radius=1.0, unused=0.0, detections_bytes=seen)
-    words = GossipTable([said], [announced_sensor("s1", sensor, 0.1)], "power")
+    words = GossipTable([said], [announced_sensor("s1", sensor, 0.1)], step.config)
     states = np.hstack([_points(PARTICLES, 1), np.ones((PARTICLES, 2))])
     particles = unlabelled(states, np.full(PARTICLES, DETECTIONS / PARTICLES), np.arange(1, PARTICLES + 1, dtype=np.uint64))
 

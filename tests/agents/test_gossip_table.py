@@ -13,6 +13,8 @@ from protocol.sensing import SENSOR_CLASSES
 from tests.agents.gossip_table import table
 
 DOTS = np.array([[1.5, 2.5], [3.5, 4.5]])
+KINDS = ("power", "voronoi-cod", "voronoi")
+CONFIGS = {kind: AgentConfig(partition=PartitionSettings(kind=kind)) for kind in KINDS}  # type: ignore[arg-type]
 
 
 def gossip(name: str, cod: float = 3.0, radius: float = 2.0, **fields: object) -> Gossip:
@@ -22,8 +24,7 @@ def gossip(name: str, cod: float = 3.0, radius: float = 2.0, **fields: object) -
 
 
 def words(*gossips: Gossip, kind: str = "power") -> GossipTable:
-    config = AgentConfig(partition=PartitionSettings(kind=kind))  # type: ignore[arg-type]
-    return table(gossips, SENSOR_CLASSES["B"], config)
+    return table(gossips, SENSOR_CLASSES["B"], CONFIGS[kind])
 
 
 @pytest.mark.parametrize(

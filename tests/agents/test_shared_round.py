@@ -53,7 +53,7 @@ def test_the_first_that_asks_computes_its_region_alone_and_the_others_share_all(
 
 def test_in_the_tick_after_a_shared_round_the_first_that_asks_computes_all_regions() -> None:
     config, first = AgentConfig(), words("s1", "s2")
-    others = [GossipTable(first.gossips, first.sensors, first.partition_kind) for _ in range(4)]
+    others = [GossipTable(first.gossips, first.sensors, first.config) for _ in range(4)]
     assert asked(first, config, 1) is None and asked(others[0], config, 2) is None
     assert asked(others[0], config, 2) is not None
     assert asked(others[1], AgentConfig(), 3) is None and asked(others[2], config, 4) is None
@@ -62,7 +62,7 @@ def test_in_the_tick_after_a_shared_round_the_first_that_asks_computes_all_regio
 
 def test_the_same_gossips_in_another_table_are_asked_for_anew() -> None:
     table, config = words("s1", "s2"), AgentConfig()
-    others = [GossipTable(table.gossips, table.sensors, table.partition_kind) for _ in range(3)]
+    others = [GossipTable(table.gossips, table.sensors, table.config) for _ in range(3)]
     assert [asked(other, config) for other in others] == [None] * 3
 
 
