@@ -25,7 +25,6 @@ class PeerPositions(PositionTable):
     def note_all(self, beacons: list[Beacon], peers: dict[str, Peer]) -> list[Beacon]:
         """Note the beacons that change nothing but the position of a live, known peer; return the other beacons."""
         others, limit = [], self.silence_limit
-        noted: list[tuple[str, int, bytes]] = []
         for beacon in beacons:
             peer = peers.get(beacon.sender)
             if (
@@ -40,8 +39,7 @@ class PeerPositions(PositionTable):
                 others.append(beacon)
             else:
                 peer.beacon = beacon
-                noted.append((beacon.sender, beacon.tick, beacon_row(beacon, self._diagram)))
-        self.put_all(noted)
+                self.put(beacon.sender, beacon.tick, beacon_row(beacon, self._diagram))
         return others
 
     def matters(self, beacon: Beacon) -> bool:
@@ -56,12 +54,10 @@ class PeerPositions(PositionTable):
     def catch_up(self, peers: dict[str, Peer], *, all_live: bool = False) -> None:
         """Note the positions in the gossips of closed rounds. `all_live`: all their senders are live."""
         gossips, self._pending = self._pending, {}
-        found = []
         for name, gossip in gossips.items():
             peer = peers.get(name)
             if peer is not None and peer.announced is not None and (all_live or self._has_position(peer)):
-                found.append((name, gossip.tick, gossip_row(gossip, peer.announced, self._diagram)))
-        self.put_all(found)
+                self.put(name, gossip.tick, gossip_row(gossip, peer.announced, self._diagram))
 
     def _has_position(self, peer: Peer) -> bool:
         """Whether a peer has a position: it has not gone, its sensor is known, and it has not been silent for long."""

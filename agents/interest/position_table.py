@@ -1,7 +1,6 @@
 """The last known positions of peers: a row of numbers for each, updated by every message that states one."""
 
 import struct
-from collections.abc import Iterable
 from itertools import compress
 from typing import NamedTuple
 
@@ -84,19 +83,6 @@ class PositionTable:
         else:
             self._ticks[row] = tick
         self._numbers[SIZE * row : SIZE * (row + 1)] = packed
-
-    def put_all(self, entries: Iterable[tuple[str, int, bytes]]) -> None:
-        """Put names, ticks and rows one after the other."""
-        rows, ticks, numbers, put = self._rows, self._ticks, self._numbers, self.put
-        for name, tick, packed in entries:
-            row = rows.get(name)
-            if row is None:
-                put(name, tick, packed)
-                numbers = self._numbers
-            elif tick >= ticks[row]:
-                ticks[row] = tick
-                start = SIZE * row
-                numbers[start : start + SIZE] = packed
 
     def name_set(self) -> frozenset[str]:
         """All names at present."""

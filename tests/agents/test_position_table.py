@@ -43,8 +43,8 @@ def test_after_any_comings_and_goings_the_rows_are_those_of_a_dictionary() -> No
                 expected.pop(name, None)
             elif rng.random() < 0.3:
                 many = [(f"s{other}", tick - int(rng.integers(3)), float(rng.integers(1000))) for other in rng.integers(12, size=5)]
-                places.put_all([(other, said, row(number)) for other, said, number in many])
                 for other, said, number in many:
+                    places.put(other, said, row(number))
                     if said >= expected.get(other, (said, 0.0))[0]:
                         expected[other] = said, number
             else:
