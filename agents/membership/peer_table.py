@@ -23,8 +23,7 @@ import numpy as np
 
 from agents.config import AgentConfig
 from agents.gossip.inbox import RoundInbox
-from agents.interest.peer_positions import PeerPositions
-from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, UnsubscribedGenerators
+from agents.interest.position_table import GENERATOR_X, NO_GENERATORS, POWER_RADIUS, PositionTable, UnsubscribedGenerators
 from agents.interest.selection import Choice
 from agents.membership.peer import Peer, all_acceptable, announced_by, plausible, with_newer_generator, with_peer
 from protocol.fields import MAX_NAMES
@@ -46,7 +45,7 @@ class PeerTable:
         self.peers: dict[str, Peer] = {}  # in the order of names; local: in any order
         self.interest_set: dict[str, Peer] = {}  # the peers whose gossips are received: all in the order of names; local: chosen ones
         self.unsubscribed = NO_GENERATORS  # local: the generators of all other peers
-        self.positions = PeerPositions(config)  # local: the positions of live peers, by the newest message of each
+        self.positions = PositionTable(config)  # local: the positions of live peers, by the newest message of each
         self.certified = False  # local: no unknown peer can own a point that matters in this round
         self.known_names = frozenset[str]()  # local: the peers with a known position at the last selection
         self._version = -1  # local: of the positions at that selection

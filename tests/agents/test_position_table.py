@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from agents.config import AgentConfig
 from agents.interest.position_table import POSITION_ROW, PositionTable, beacon_row
 from protocol.messages import Beacon
 
@@ -16,14 +17,14 @@ def firsts(places: PositionTable) -> dict[str, float]:
 
 
 def test_the_newest_word_counts() -> None:
-    places = PositionTable()
+    places = PositionTable(AgentConfig())
     for name, tick, number in (("s1", 3, 1.0), ("s2", 3, 2.0), ("s1", 2, 9.0), ("s2", 3, 4.0), ("s1", 5, 6.0)):
         places.put(name, tick, row(number))
     assert firsts(places) == {"s1": 6.0, "s2": 4.0}
 
 
 def test_the_own_row_comes_last_however_many_there_are() -> None:
-    places = PositionTable()
+    places = PositionTable(AgentConfig())
     for number in range(50):
         places.put(f"s{number}", 0, row(float(number)))
         table = places.table(row(-1.0))
@@ -34,7 +35,7 @@ def test_the_own_row_comes_last_however_many_there_are() -> None:
 def test_after_any_comings_and_goings_the_rows_are_those_of_a_dictionary() -> None:
     for seed in range(20):
         print(f"seed {seed}")
-        rng, places = np.random.default_rng(seed), PositionTable()
+        rng, places = np.random.default_rng(seed), PositionTable(AgentConfig())
         expected: dict[str, tuple[int, float]] = {}
         for tick in range(200):
             name, number = f"s{rng.integers(12)}", float(rng.integers(1000))
@@ -67,7 +68,7 @@ def test_a_row_says_the_generator_of_the_diagram_in_use() -> None:
 
 
 def test_a_row_of_a_tick_that_is_still_to_come_is_forgotten_as_well() -> None:
-    places = PositionTable()
+    places = PositionTable(AgentConfig())
     for name, tick in (("s1", 5), ("s2", 21), ("s3", 20)):
         places.put(name, tick, row(1.0))
     assert places.forget_outside(3, 20) == ["s2"] and places.forget_outside(4, 20) == [] and places.forget_outside(6, 20) == ["s1"]
