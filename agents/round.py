@@ -15,16 +15,15 @@ import numpy as np
 from agents.backend import Backend
 from agents.config import AgentConfig
 from agents.coverage.capacity import power_radius, unused_capacity
-from agents.coverage.cells import NO_CELL, Cell
 from agents.coverage.control import STAND, ControlInput, ControlLaw, Intent, Situation, Surroundings
 from agents.coverage.laws import control_law
 from agents.coverage.search_and_track import SearchAndTrack
 from agents.gossip.table import REACH, AnnouncedSensor, GossipTable, announced_sensor, gossip_table
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer_table import LOCAL_DIAGRAM, PeerTable
-from agents.shared_round import claim_of, shared_round
+from agents.shared_round import shared_round
 from agents.tracking.belief import ParticlePhd
-from agents.tracking.claims import Claim, make_claim
+from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates
 from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.step import Step
@@ -116,11 +115,10 @@ def run_round(
     if shared is not None:
         region, update = shared.regions[row], shared.updates[row]
     else:
-        cell = _own_cell(context, generator_table, peer_table.unsubscribed)
-        claim = _claim(generator_table, cell, peer_table.unsubscribed)
-        region = RegionInput(context.name, row, context.sensor, own.pose, cell.polygon, claim)
+        polygon, claim = _own_cell(context, generator_table, peer_table.unsubscribed)
+        region = RegionInput(context.name, row, context.sensor, own.pose, polygon, claim)
         if replay is not None:
-            density = replay(table, cell.polygon)
+            density = replay(table, polygon)
         update = context.tracker.update(density, table, [region], step)[0]
     diagram = Diagram(
         hash=_diagram_hash(peer_table, fresh, generator_table, region.claim),
@@ -224,26 +222,15 @@ def _diagram_hash(peer_table: PeerTable, fresh: dict[str, Gossip], generator_tab
     return generator_table.diagram_hash
 
 
-def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed: UnsubscribedGenerators) -> Cell:
-    """The own cell; `NO_CELL` while the agent listens."""
+def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed: UnsubscribedGenerators) -> tuple[np.ndarray, Claim]:
+    """The own cell (V, 2) m and the claim to it: its generators, the own one first. Both are empty while the agent listens."""
     if context.name not in generator_table.names:
-        return NO_CELL
-    if len(unsubscribed.generators):
-        generators = np.concatenate([generator_table.generators, unsubscribed.generators])
-        points, radii = generators[:, :2].copy(), generators[:, 2].copy()
-    else:
-        points, radii = generator_table.points, generator_table.radii
-    return context.backend.cut_cells([generator_table.names.index(context.name)], points, radii, context.arena)[0]
-
-
-def _claim(generator_table: GossipTable, cell: Cell, unsubscribed: UnsubscribedGenerators) -> Claim:
-    """The cell as generators, the own one first. The names in the table are in order; those of `unsubscribed` follow in any order."""
-    if not cell.bounding or max(cell.bounding) < len(generator_table.names):
-        return claim_of(cell, generator_table.names, generator_table.generators)
-    everyone = (*generator_table.names, *unsubscribed.names())
-    names = tuple([everyone[index] for index in cell.bounding])
-    generators = np.concatenate([generator_table.generators, unsubscribed.generators])[np.array(cell.bounding)]
-    return make_claim(names, generators)
+        return EMPTY, NO_CLAIM
+    generators = np.concatenate([generator_table.generators, unsubscribed.generators])
+    points, radii = generators[:, :2].copy(), generators[:, 2].copy()
+    cell = context.backend.cut_cells([generator_table.names.index(context.name)], points, radii, context.arena)[0]
+    names = (*generator_table.names, *unsubscribed.names())
+    return cell.polygon, make_claim(tuple([names[bound] for bound in cell.bounding]), generators[[*cell.bounding]])
 
 
 def _centroid(update: Update, cell: np.ndarray) -> tuple[float, float] | None:

@@ -9,8 +9,7 @@ from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig, BirthSettings, FilterSettings, PartitionSettings
 from agents.coverage.cells import cut
 from agents.gossip.table import KAPPA, GossipTable
-from agents.interest.position_table import NO_GENERATORS
-from agents.round import _claim
+from agents.shared_round import claim_of
 from agents.tracking.births import Scan, measurement_births
 from agents.tracking.claims import end_to_end, make_claim
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
@@ -169,7 +168,7 @@ def test_a_claim_made_in_the_round_wins_the_ties_that_its_receivers_let_it_win(n
     """s1 before s2 before s10; receivers go by the names."""
     words = table_of([said("s1", (10.0, 10.0, 0.0)), said("s2", (30.0, 10.0, 0.0)), said("s10", (20.0, 40.0, 0.0))])
     cell = cut(words.names.index(name), words.points, words.radii, rectangle(60.0, 60.0))
-    claim = _claim(words, cell, NO_GENERATORS)
+    claim = claim_of(cell, words.names, words.generators)
     received = make_claim(claim.names, claim.generators)
     assert claim.names[0] == name and len(claim.names) == 3
     assert claim.wins_ties.tolist() == received.wins_ties.tolist() == [order(other) < order(name) for other in claim.names]

@@ -13,7 +13,7 @@ from agents.coverage.control import Lloyd
 from agents.gossip.table import GossipTable, announced_sensor
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer import plausible
-from agents.round import AgentContext, _claim, _nearby_sensors, _own_cell
+from agents.round import AgentContext, _nearby_sensors, _own_cell
 from agents.tracking.belief import Belief, Copies, ParticlePhd
 from agents.tracking.particles import NO_PARTICLES
 from protocol.fields import pack
@@ -41,12 +41,11 @@ def speaking() -> GossipTable:
 def test_generators_that_are_known_but_not_heard_bound_the_cell_and_stand_in_the_claim() -> None:
     """s1 at 20 m, s2 at 60 m, and s3, of which a beacon told, at 30 m: the border is at 25 m."""
     far = UnsubscribedGenerators(np.array([[30.0, 50.0, 0.0]]), ("s2", "s3", "s4"), np.array([True, False, True]))
-    cell = _own_cell(ME, speaking(), far)
-    assert cell.polygon[:, 0].max() == 25.0
-    claim = _claim(speaking(), cell, far)
+    polygon, claim = _own_cell(ME, speaking(), far)
+    assert polygon[:, 0].max() == 25.0
     assert claim.names[0] == "s1" and set(claim.names) == {"s1", "s3", "s4"}
     places = np.array([[20.0, 50.0], [60.0, 50.0], [20.0, 90.0], [30.0, 50.0]])
-    assert np.array_equal(cell.polygon, cut(0, places, np.zeros(4), ARENA).polygon)
+    assert np.array_equal(polygon, cut(0, places, np.zeros(4), ARENA).polygon)
 
 
 def test_only_sensors_that_reach_the_region_around_the_cell_are_fields() -> None:
