@@ -210,8 +210,8 @@ class Agent(Node):
         if own.tick % self.config.timing.estimate_every or own.tick <= self._estimated:
             return []
         self._estimated = own.tick
-        stats = message_builders.RoundStats(self.counters, self._round_seconds, self._pace.current)
-        return [message_builders.estimate(self.context, self.incarnation, outcome, own, stats)]
+        counters, seconds, pace = self.counters, self._round_seconds, self._pace.current
+        return [message_builders.estimate(self.context, self.incarnation, outcome, own, counters, seconds, pace)]
 
     def _ticks_to_last(self, tick: int) -> int:
         """About how long a command of a tick will last: as long as nothing was played before it, at most the pace. 0: it has been given."""
@@ -230,7 +230,7 @@ class Agent(Node):
             seconds = self.config.run.dt * self._pace.current
             command = keep_apart(command, observation.pose[:2], others, self.config.limits, seconds)
         self._own_pose.note_command(command, observation.tick)
-        return [message_builders.command(self.context, self.incarnation, replace(outcome, command=command), observation.tick)]
+        return [message_builders.command(self.context, self.incarnation, command, observation.tick)]
 
     def _open_round(self, observation: Observation, now: float) -> list[Effect]:
         """Open the round: publish the own gossip, and determine which gossips it waits for."""

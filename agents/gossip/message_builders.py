@@ -1,9 +1,10 @@
 """The messages that an agent sends, made of its context and the result of its last round."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from agents.coverage.capacity import to_world
+from agents.coverage.control import ControlInput
 from agents.round import AgentContext, RoundResult
 from agents.tracking.tracker import GossipFields
 from protocol.fields import pack
@@ -85,21 +86,21 @@ def _claim_ages(outcome: RoundResult) -> bytes:
     return found if any(found) else b""
 
 
-def command(context: AgentContext, incarnation: int, outcome: RoundResult, tick: int) -> Command:
+def command(context: AgentContext, incarnation: int, motion: ControlInput, tick: int) -> Command:
     """The command to the own body after the round `tick`."""
-    velocity, turn_rate = outcome.command
+    velocity, turn_rate = motion
     return Command(sender=context.name, incarnation=incarnation, tick=tick, velocity=velocity, turn_rate=turn_rate)
 
 
-class RoundStats(NamedTuple):
-    """What a round cost, for observers."""
-
-    counters: Mapping[str, int]
-    seconds: float  # from the opening of the last shared round to its end, waiting included
-    pace: int  # the agent shares the ticks that this number divides
-
-
-def estimate(context: AgentContext, incarnation: int, outcome: RoundResult, sent: Gossip, stats: RoundStats) -> Estimate:
+def estimate(
+    context: AgentContext,
+    incarnation: int,
+    outcome: RoundResult,
+    sent: Gossip,
+    counters: Mapping[str, int],
+    round_seconds: float,
+    pace: int,
+) -> Estimate:
     """The estimate for observers: a result for the tick of the own gossip `sent`, and what the last shared round cost."""
     return Estimate(
         sender=context.name,
@@ -117,7 +118,7 @@ def estimate(context: AgentContext, incarnation: int, outcome: RoundResult, sent
         labels_bytes=pack(outcome.estimates.labels, "<u8"),
         diagram_hash=outcome.belief.mine.diagram_hash,
         neighbours=outcome.belief.mine.claim.names[1:],
-        counters=dict(stats.counters),
-        round_seconds=stats.seconds,
-        pace=stats.pace,
+        counters=dict(counters),
+        round_seconds=round_seconds,
+        pace=pace,
     )
