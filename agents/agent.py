@@ -152,7 +152,7 @@ class Agent(Node):
             self.counters["rejected.old_observation"] += 1
             return []
         self.membership.world_incarnation = observation.incarnation
-        self.membership.session_watchdog.note_message(observation.sender, now)
+        self.membership.session_watchdog.note_messages((observation.sender,), now)
         self._newest_tick = max(self._newest_tick, observation.tick)
         self._pace.observe(observation.tick, now)
         if not self._pace.is_shared(observation.tick):

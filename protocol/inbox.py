@@ -231,12 +231,7 @@ class Quarantine:
 
     def is_quarantined(self, source: str, now: float) -> bool:
         """Whether messages of the source are discarded unread."""
-        if source not in self._until:
-            return False
-        if now < self._until[source]:
-            return True
-        del self._until[source]
-        return False
+        return now < self._until.get(source, -math.inf)
 
     def is_any_quarantined(self, now: float) -> bool:
         """Whether messages of any source are discarded unread."""

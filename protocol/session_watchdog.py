@@ -53,12 +53,8 @@ class SessionWatchdog:
         self._rest = Rest()
         self._calm_until = NEVER  # until then no expected name can be silent
 
-    def note_message(self, name: str, now: float) -> None:
-        """Note a message of a peer."""
-        self._words[name] = now
-
     def note_messages(self, names: Iterable[str], now: float) -> None:
-        """Note messages of several peers."""
+        """Note a message of each of some peers."""
         self._words.update(dict.fromkeys(names, now))
 
     def note_hello(self, name: str, now: float) -> bool:
@@ -165,11 +161,8 @@ class SessionWatchdog:
             return False
         if now - self._since[name] < PATIENCE or not self._rest.is_over(now):
             return False
-        voters = sum(self._hears(other, now) for other in self._voters if other != name)
+        voters = sum(now - self._words.get(other, NEVER) <= HEARD_LATELY for other in self._voters if other != name)
         return 2 * len(lists) >= voters
-
-    def _hears(self, name: str, now: float) -> bool:
-        return name in self._words and now - self._words[name] <= HEARD_LATELY
 
 
 class ListenerWatchdog:

@@ -179,7 +179,7 @@ class World(Node):
 
     def _obey(self, command: Command, now: float) -> list[Effect]:
         """Keep a command until the tick ends."""
-        self._watchdog.note_message(command.sender, now)
+        self._watchdog.note_messages((command.sender,), now)
         moves = self.started and command.sender in self.scene.sensors
         if not moves or not self._commands.keep(command, self.tick, self._roster.live(command.sender)):
             self.ignored_commands += 1

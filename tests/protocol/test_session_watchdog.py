@@ -31,14 +31,14 @@ def alarms(watchdog: SessionWatchdog, claimants: dict[str, tuple[str, ...]], sec
 def test_heard_are_those_who_greeted_and_spoke_lately_and_have_not_left() -> None:
     watchdog = SessionWatchdog("s1", TEAM)
     assert watchdog.note_hello("s3", 0.0) and watchdog.note_hello("s2", 0.0) and not watchdog.note_hello("s2", 0.5)
-    watchdog.note_message("s4", 0.5)
+    watchdog.note_messages(["s4"], 0.5)
     assert watchdog.heard(1.0) == ("s2", "s3"), "s4 has not greeted"
-    watchdog.note_message("s3", 2.0)
+    watchdog.note_messages(["s3"], 2.0)
     assert watchdog.heard(0.6 + HEARD_LATELY) == ("s3",)
     assert watchdog.heard() == ("s2", "s3"), "before the start nobody is struck off for being slow"
     watchdog.token_vanished("s3", 1)
     assert watchdog.heard(2.0) == ("s2",)
-    watchdog.note_message("s3", 2.5)
+    watchdog.note_messages(["s3"], 2.5)
     assert watchdog.heard(2.5) == ("s2", "s3"), "the next word brings it back"
 
 
@@ -95,13 +95,13 @@ def test_a_time_is_calm_while_all_expected_speak_and_keep_their_tokens() -> None
     watchdog = SessionWatchdog("s1", TEAM)
     watchdog.note_messages(("s2", "s3", "s4"), 0.0)
     assert not watchdog.is_calm(0.0), "the world is silent"
-    watchdog.note_message("world", 0.5)
+    watchdog.note_messages(["world"], 0.5)
     assert watchdog.is_calm(0.5) and watchdog.is_calm(HEARD_LATELY) and not watchdog.is_calm(HEARD_LATELY + 0.1)
     watchdog.note_messages(TEAM, 4.0)
     assert watchdog.is_calm(4.0)
     watchdog.token_vanished("s3", 1)
     assert not watchdog.is_calm(4.0)
-    watchdog.note_message("s3", 4.5)
+    watchdog.note_messages(["s3"], 4.5)
     assert not watchdog.is_calm(4.5), "it speaks without a token"
     watchdog.token_appeared("s3", 1)
     assert watchdog.is_calm(4.5)
