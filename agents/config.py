@@ -141,8 +141,8 @@ class TimingSettings(Section, frozen=True, kw_only=True):
     tile: Annotated[float, msgspec.Meta(ge=10.0, le=1.0e9)] = 35.0  # side of the squares in which beacons are said, m
 
 
-class AgentConfig(CommonSettings, frozen=True, kw_only=True):
-    """The settings of an agent process."""
+class AgentConfig(CommonSettings, frozen=True, kw_only=True, eq=False):
+    """The settings of an agent process. Only the same object is equal to it, so that pure memos find results by their configuration."""
 
     filter: FilterSettings = FilterSettings()
     mixture: MixtureSettings = MixtureSettings()

@@ -61,7 +61,7 @@ class StudySettings(Section, frozen=True, kw_only=True):
     cutoff: Positive = 10.0  # of OSPA and GOSPA, m
 
 
-class Scenario(AgentConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Scenario(AgentConfig, frozen=True, kw_only=True, eq=True, forbid_unknown_fields=True):
     """A whole scenario, all sections; unknown ones are refused."""
 
     run: WorldRun = WorldRun()

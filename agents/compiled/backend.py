@@ -6,7 +6,6 @@ Rules. Importing this file imports numba. The plain functions compute the region
 """
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -80,25 +79,17 @@ def motion(step: Step) -> MotionArguments:
     )
 
 
-# A pure memo of the births of the last two (configuration, tick), because in virtual time all agents of a process need them.
-_BORN: deque[tuple[AgentConfig, int, Particles]] = deque(maxlen=2)
-
-
+@lru_cache(maxsize=8)
 def background_births(step: Step) -> Particles:
     """See `births.background_births`."""
     config, tick = step
-    for known, at, found in _BORN:
-        if at == tick and known is config:
-            return found
     birth, arena, mass = config.birth, config.arena, inflow(config.run.dt, config.filter, config.arena)
     count, salt = birth.background_particles, np.uint64(random_key(config.filter.seed, "background", tick))
     if not birth.background or mass <= 0.0:
         return NO_PARTICLES
     on_border = starting_on_border(config.filter, birth)
     states, ids = birth_kernels.background(count, on_border, salt, arena.width, arena.height, config.filter.speed, DIRECTIONS)
-    found = unlabelled(states, np.full(count, mass / count), ids)
-    _BORN.append((config, tick, found))
-    return found
+    return unlabelled(states, np.full(count, mass / count), ids)
 
 
 def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
@@ -116,15 +107,11 @@ def merge(received: Particles, counts: np.ndarray, copies: Particles, free: np.n
 
 _NO_CORNERS = np.empty((0, 2))  # writable, because a read-only array would need a second compilation
 _NOTHING_STATED = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty(0, np.uint64), np.empty((0, COLUMNS))
-# A pure memo of the settings and keys of the last eight configurations, because all agents of a simulation share one.
-_PREPARED: deque[tuple[AgentConfig, np.ndarray, np.ndarray]] = deque(maxlen=8)
 
 
+@lru_cache(maxsize=8)
 def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Settings and keys of a run, in the columns of agents/compiled/region_kernels.py."""
-    for known, settings, keys in _PREPARED:
-        if known is config:
-            return settings, keys
+    """Settings and keys of a run, in the columns of agents/compiled/region_kernels.py; a pure memo: a simulation has one of both."""
     filters, birth, noise = config.filter, config.birth, config.detection.noise
     step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
     numbers = [*motion(step)[3:], filters.halo, step.max_displacement, noise, width, (filters.gate * width) ** 2]
@@ -134,9 +121,7 @@ def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
     numbers += [config.extraction.bin, config.extraction.threshold, config.extraction.beside]
     numbers += [filters.gate, kernel_variance(filters)]
     salts = [random_key(config.filter.seed, purpose) for purpose in ("turn", "east", "north", "birth", "split")]
-    settings, keys = np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
-    _PREPARED.append((config, settings, keys))
-    return settings, keys
+    return np.array(numbers, dtype=float), np.array(salts, dtype=np.uint64)
 
 
 def stated_near(table: GossipTable, region: RegionInput, step: Step) -> tuple[np.ndarray, ...]:

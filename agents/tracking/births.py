@@ -101,24 +101,19 @@ def prior_around(
     return select(everywhere, np.sort(np.concatenate(groups))) if groups else NO_PARTICLES
 
 
+@lru_cache(maxsize=8)
 def background_births(step: Step) -> Particles:
-    """New particles of a tick over the whole arena, a pure function of (seed, tick).
+    """New particles of a tick over the whole arena, a pure function of (seed, tick) and a memo: all agents of a process need it.
 
     Their mass is the `inflow`. The first `starting_on_border` of them start on the border with headings inward (cosine law), the
     others anywhere.
     """
-    config = step.config
-    return _background_births(config.filter.seed, step.tick, config.run.dt, config.filter, config.birth, config.arena)
-
-
-@lru_cache(maxsize=8)
-def _background_births(seed: int, tick: int, dt: float, settings: FilterSettings, birth: BirthSettings, arena: ArenaSettings) -> Particles:
-    """`background_births`, a pure memo, because in virtual time all agents of a process need it."""
-    mass, count = inflow(dt, settings, arena), birth.background_particles
+    settings, birth, arena = step.config.filter, step.config.birth, step.config.arena
+    mass, count = inflow(step.config.run.dt, settings, arena), birth.background_particles
     if not birth.background or mass <= 0.0:
         return NO_PARTICLES
     width, height = arena.width, arena.height
-    ids = _numbered(random_key(seed, "background", tick), count)
+    ids = _numbered(random_key(settings.seed, "background", step.tick), count)
     on_border = np.arange(count) < starting_on_border(settings, birth)
     along = uniform(scramble(ids, 1)) * (2.0 * (width + height))
     sideways = 2.0 * uniform(scramble(ids, 2)) - 1.0  # the sine of a cosine-law heading is uniform
