@@ -16,6 +16,7 @@ from agents.tracking.births import background_births
 from agents.tracking.merge import merge, remote_copies
 from agents.tracking.particles import Particles
 from agents.tracking.step import Step
+from agents.tracking.tracker import RegionUpdate
 
 
 class Backend(NamedTuple):
@@ -23,7 +24,7 @@ class Backend(NamedTuple):
 
     cut_cells: Callable[..., list[Cell]]
     background_births: Callable[[Step], Particles]
-    update_regions: Callable[..., list[regions.RegionUpdate]]
+    update_regions: Callable[..., list[RegionUpdate]]
     resolve_conflicts: Callable[..., np.ndarray]
     orphaned: Callable[..., np.ndarray]
     remote_copies: Callable[..., Particles]

@@ -25,7 +25,7 @@ from agents.gossip.table import AnnouncedSensor, GossipTable, gossip_table
 from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.claims import NO_CLAIM
 from agents.tracking.step import Step
-from agents.tracking.tracker import Diagram, RegionInput, TrackerState
+from agents.tracking.tracker import Belief, Diagram, RegionInput
 from protocol.keys import order
 from protocol.messages import Gossip
 
@@ -38,7 +38,7 @@ class OpenRound(NamedTuple):
     """A round that is still to be played."""
 
     gossip: Gossip  # the own one
-    belief: TrackerState  # when that was published
+    belief: Belief  # when that was published
 
 
 class RecentTicks:
@@ -50,7 +50,7 @@ class RecentTicks:
         self._most_ticks = 2 * (2 * most + WINDOW_TICKS)  # twice what `keep` leaves
         self._said: dict[int, dict[str, tuple[Gossip, AnnouncedSensor]]] = {}
         self._blurred: dict[int, AgentConfig] = {}  # by ticks
-        self._beliefs: deque[TrackerState] = deque(maxlen=most + 2 if most else 0)  # none where no round is played late
+        self._beliefs: deque[Belief] = deque(maxlen=most + 2 if most else 0)  # none where no round is played late
 
     def put(self, gossip: Gossip, announced: AnnouncedSensor) -> bool:
         """Keep a gossip; whether it is the first one of its sender and tick.
@@ -64,7 +64,7 @@ class RecentTicks:
         heard[gossip.sender] = gossip, announced
         return is_new
 
-    def keep(self, belief: TrackerState) -> None:
+    def keep(self, belief: Belief) -> None:
         """Keep the belief after a round. Drop the gossips that no round will need, and those of a tick so far ahead that it is wrong."""
         self._beliefs.append(belief)
         oldest = belief.stamp - self._most  # the next replay begins with the belief of this tick
@@ -100,7 +100,7 @@ class RecentTicks:
         """Keep an own gossip."""
         self._said.setdefault(gossip.tick, {})[gossip.sender] = gossip, self._context.announced
 
-    def at_or_before(self, stamp: int, newest: TrackerState) -> TrackerState:
+    def at_or_before(self, stamp: int, newest: Belief) -> Belief:
         """The newest belief that is not later than the tick `stamp`, `newest` included; the oldest that is kept if all are later."""
         if newest.stamp <= stamp:
             return newest
@@ -143,14 +143,13 @@ def replayed_density(
     return density
 
 
-def advance(context: AgentContext, density: Any, table: GossipTable, polygon: np.ndarray) -> TrackerState:
+def advance(context: AgentContext, density: Any, table: GossipTable, polygon: np.ndarray) -> Belief:
     """The belief of nobody at the tick of `table`, from the density one tick before: corrected around a polygon, elsewhere only moved."""
     step = Step(context.config, table.gossips[0].tick)
     row = table.names.index(context.name)
     region = RegionInput(NOBODY, row, context.sensor, table.gossips[row].pose, polygon, NO_CLAIM)
     update = context.tracker.update(density, table, [region], step)[0]
-    state: TrackerState = context.tracker.belief_after(density, region, update, Diagram(0, frozenset(), None, np.inf), step)
-    return state
+    return context.tracker.belief_after(density, region, update, Diagram(0, frozenset(), None, np.inf), step)
 
 
 def _influence(step: Step) -> float:

@@ -12,7 +12,7 @@ from agents.lag import Lag
 from agents.look_ahead import OpenRound, RecentTicks, replayed_density
 from agents.membership.peer import Peer
 from agents.round import AgentContext, Replay
-from agents.tracking.tracker import TrackerState
+from agents.tracking.tracker import Belief
 from protocol.messages import Gossip
 
 
@@ -39,7 +39,7 @@ class OpenRounds:
         follows = bool(self._rounds) and stamp == self._rounds[0].gossip.tick - 1
         return tick - 1 - stamp if follows and tick - 1 - stamp <= self.lag.most else 0
 
-    def open(self, gossip: Gossip, belief: TrackerState, now: float) -> None:
+    def open(self, gossip: Gossip, belief: Belief, now: float) -> None:
         """Open the round of the own `gossip`."""
         self._rounds.append(OpenRound(gossip, belief))
         if self.lag.most:

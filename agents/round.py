@@ -27,7 +27,7 @@ from agents.tracking.claims import NO_CLAIM, Claim, make_claim
 from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates
 from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.step import Step
-from agents.tracking.tracker import AnyTracker, Diagram, RegionInput, TrackerState, Update
+from agents.tracking.tracker import Belief, Diagram, RegionInput, RegionUpdate, Tracker
 from protocol.geometry import EMPTY, distances, polygon_centroid, rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -45,7 +45,7 @@ class AgentContext(NamedTuple):
     announced: AnnouncedSensor  # the same sensor, as peers know it
     law: ControlLaw
     backend: Backend
-    tracker: AnyTracker
+    tracker: Tracker
     config: AgentConfig
     arena: np.ndarray  # corners (4, 2), m
     sensor_class: str
@@ -54,7 +54,7 @@ class AgentContext(NamedTuple):
 def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
     """The context of the agent `name` with a sensor of that class. Raises BadSetting for an unknown class."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
-    tracker: AnyTracker = MixturePhd(backend) if config.filter.kind == "gaussian-mixture" else ParticlePhd(backend)
+    tracker: Tracker = MixturePhd(backend) if config.filter.kind == "gaussian-mixture" else ParticlePhd(backend)
     announced = announced_sensor(name, sensor, config.detection.clutter)
     return AgentContext(name, sensor, announced, control_law(config, backend), backend, tracker, config, corners, sensor_class)
 
@@ -73,7 +73,7 @@ Replay = Callable[[GossipTable, np.ndarray], Any]  # see `look_ahead.replayed_de
 class RoundResult:
     """The result of a round."""
 
-    belief: TrackerState
+    belief: Belief
     unused: float  # U, m^2
     load: float = 0.0  # expected targets in the footprint
     mass: float = 0.0  # expected targets in the cell
@@ -134,10 +134,10 @@ def result_of(
     context: AgentContext,
     own: Gossip,
     round_cell: RoundCell,
-    update: Update,
+    update: RegionUpdate,
     table: GossipTable,
     density: Any,
-    belief: TrackerState,
+    belief: Belief,
     ticks: int,
 ) -> RoundResult:
     """The result of an `update` of the own cell at the pose of `own`; `ticks`: how long the command is to last, 0: there is none."""
@@ -157,7 +157,7 @@ def result_of(
         command=command,
         intent=context.law.intent if isinstance(context.law, SearchAndTrack) else None,
         round_cell=round_cell,
-        density=context.tracker.nearby(update),
+        density=update.updated,
     )
 
 
@@ -165,7 +165,7 @@ def _surroundings(
     context: AgentContext,
     own: Gossip,
     density: Any,
-    update: Update,
+    update: RegionUpdate,
     table: GossipTable,
     generator_table: GossipTable,
 ) -> Surroundings:
@@ -176,7 +176,7 @@ def _surroundings(
     partners[:, :3], partners[:, 3], partners[:row, 4], partners[row:, 4] = generator_table.plans, generator_table.table[:, REACH], 1.0, 0.0
     return Surroundings(
         density=context.tracker.weighted_points(density),
-        around=update.updated,
+        around=context.tracker.weighted_points(update.updated),
         table=table,
         partners=partners[others],
         goal=own.goal if own.goal is not None else own.pose[:2],
@@ -233,7 +233,7 @@ def _own_cell(context: AgentContext, generator_table: GossipTable, unsubscribed:
     return cell.polygon, make_claim(tuple([names[bound] for bound in cell.bounding]), generators[[*cell.bounding]])
 
 
-def _centroid(update: Update, cell: np.ndarray) -> tuple[float, float] | None:
+def _centroid(update: RegionUpdate, cell: np.ndarray) -> tuple[float, float] | None:
     """The centroid in m of the PHD in the cell (17). Without mass it is that of the cell's area; None without a cell."""
     if update.mass > 0.0:
         return update.moment_x / update.mass, update.moment_y / update.mass
@@ -244,7 +244,7 @@ def _centroid(update: Update, cell: np.ndarray) -> tuple[float, float] | None:
 
 
 def _situation(
-    context: AgentContext, own: Gossip, cell: np.ndarray, update: Update, generator_table: GossipTable, table: GossipTable, ticks: int
+    context: AgentContext, own: Gossip, cell: np.ndarray, update: RegionUpdate, generator_table: GossipTable, table: GossipTable, ticks: int
 ) -> Situation:
     """What the control law reads; `ticks`: how long the command is to last."""
     config = context.config
@@ -257,7 +257,7 @@ def _situation(
         control_point=own.pose[:2] if config.partition.kind == "voronoi" else own.cod,
         cell=cell,
         centroid=_centroid(update, cell),
-        particles=update.own,
+        particles=context.tracker.weighted_points(update.own),
         sensor=context.sensor,
         limits=config.limits,
         heading=config.control.heading,

@@ -15,7 +15,7 @@ from agents.coverage.capacity import to_world
 from agents.gossip.table import gossip_table
 from agents.round import AgentContext, RoundCell, RoundResult, result_of
 from agents.tracking.step import Step
-from agents.tracking.tracker import TrackerState
+from agents.tracking.tracker import Belief
 from protocol.message import Vector
 from protocol.messages import Gossip, Observation
 
@@ -35,7 +35,7 @@ def local_gossip(context: AgentContext, incarnation: int, last: RoundResult, obs
     )
 
 
-def is_claim_valid(config: AgentConfig, belief: TrackerState, tick: int, pace: int) -> bool:
+def is_claim_valid(config: AgentConfig, belief: Belief, tick: int, pace: int) -> bool:
     """Whether the claim of a belief still counts at a later tick: for as long as peers keep the generator of a silent agent."""
     most = max(config.ticks_of_silence, config.timing.silent_rounds * pace)
     return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
@@ -64,6 +64,6 @@ def update_without_gossips(context: AgentContext, last: RoundResult, own: Gossip
         said = own if tick == own.tick else replace(own, tick=tick, scanned=False, detections_bytes=b"")
         table, step = gossip_table([said], [context.announced], context.config), Step(context.config, tick)
         before, update = density, tracker.update(density, table, [region], step)[0]
-        density = tracker.nearby(update)
+        density = update.updated
     belief = tracker.keep_claim(last.belief, Step(context.config, own.tick + 1), update)
     return result_of(context, own, RoundCell(region, round_cell.generator_table), update, table, before, belief, ticks)

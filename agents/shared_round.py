@@ -15,7 +15,7 @@ from agents.coverage.cells import Cell
 from agents.gossip.table import GossipTable
 from agents.tracking.claims import NO_CLAIM, Claim
 from agents.tracking.step import Step
-from agents.tracking.tracker import AnyTracker, RegionInput, Update
+from agents.tracking.tracker import RegionInput, RegionUpdate, Tracker
 
 _SHARED: deque[Step] = deque(maxlen=1)  # of the last shared round: the agents that shared it will share the next one
 ASKED = "asked"  # one agent has asked for the table, or several are certain to ask
@@ -25,12 +25,12 @@ class SharedRound(NamedTuple):
     """The regions of all senders in a table, in its order, and their updates."""
 
     step: Step
-    tracker: AnyTracker
+    tracker: Tracker
     regions: list[RegionInput]
-    updates: list[Update]
+    updates: list[RegionUpdate]
 
 
-def shared_round(table: GossipTable, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound | None:
+def shared_round(table: GossipTable, backend: Backend, tracker: Tracker, step: Step, arena: np.ndarray) -> SharedRound | None:
     """The shared round of a table, computed on the second request, or on the first one if that of the tick before was shared.
 
     None for another first request, where agents hear neighbours only, and while a sender listens.
@@ -47,7 +47,7 @@ def shared_round(table: GossipTable, backend: Backend, tracker: AnyTracker, step
     return table.shared
 
 
-def _computed(table: GossipTable, backend: Backend, tracker: AnyTracker, step: Step, arena: np.ndarray) -> SharedRound:
+def _computed(table: GossipTable, backend: Backend, tracker: Tracker, step: Step, arena: np.ndarray) -> SharedRound:
     """All regions of a table and their updates."""
     cells = backend.cut_cells(range(len(table.names)), table.points, table.radii, arena)
     regions = [

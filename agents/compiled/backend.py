@@ -27,9 +27,8 @@ from agents.tracking.claims import Claim, Claims
 from agents.tracking.extraction import TargetEstimates
 from agents.tracking.measurement_likelihood import kernel_variance
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
-from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
-from agents.tracking.tracker import RegionInput
+from agents.tracking.tracker import RegionInput, RegionUpdate
 from protocol import geometry
 from protocol.compact_particles import DIRECTIONS
 from protocol.random_streams import random_key

@@ -1,6 +1,6 @@
 """The replicated PHD: the belief of one agent, and its merge with the particles that other agents own.
 
-Data types: `Belief` holds the owned state and the `Copies` of all other particles; `ParticlePhd` is the `Tracker` of them.
+Data types: a `Belief` holds owned `Particles` and the `Copies` of all other particles; `ParticlePhd` is the `Tracker` of them.
 
 Rules. The owner of a cell is the authority for the particles in it. All other agents keep copies and move them with the same keyed
 noise. A belief is stamped with the tick of its last round. No particle is handed over: a particle that crosses a border lands in
@@ -21,9 +21,9 @@ from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.births import prior, prior_around, prior_size
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, join, select
-from agents.tracking.regions import RegionUpdate, predict
+from agents.tracking.regions import predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import Diagram, GossipFields, OwnedState, RegionInput, claims_tile_arena, unknown_senders
+from agents.tracking.tracker import Belief, Diagram, GossipFields, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
 from protocol.compact_particles import packed, quantised
 from protocol.fields import pack, pack_labels
 from protocol.messages import Gossip
@@ -87,23 +87,6 @@ def worth_keeping(copies: Particles, per_target: int) -> Particles:
     return select(copies, np.sort(heaviest))
 
 
-@dataclass
-class Belief:
-    """The belief of an agent after the round of tick `stamp`: its owned state, and copies of all other particles."""
-
-    stamp: int
-    mine: OwnedState
-    copies: Copies
-    generator_names: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
-    known_names: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
-    kept_since: int | None = None  # the claim was cut in this round and kept over skipped ones; None: it was cut at `stamp`
-
-    @property
-    def claim_tick(self) -> int:
-        """The tick of the round in which the claim was cut."""
-        return self.stamp if self.kept_since is None else self.kept_since
-
-
 def start(prior: Particles, name: str) -> Belief:
     """The belief before the first round: copies of the prior, and no owned particle."""
     return Belief(stamp=-1, mine=OwnedState(name, NO_CLAIM, NO_PARTICLES, 0), copies=Copies(prior))
@@ -111,7 +94,7 @@ def start(prior: Particles, name: str) -> Belief:
 
 def _without_claim(belief: Belief) -> Belief:
     """The belief without a claim: all particles are copies."""
-    particles = canonical(join([belief.mine.particles, belief.copies.compute()]))
+    particles = canonical(join([belief.mine.targets, belief.copies.compute()]))
     return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, NO_PARTICLES, 0), Copies(particles))
 
 
@@ -136,7 +119,7 @@ class ParticlePhd(NamedTuple):
 
     def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> GossipFields:
         """See `Tracker.gossip_fields`."""
-        states, weights, ids, labels = mine.particles
+        states, weights, ids, labels = mine.targets
         if not len(ids):
             return {}
         table, numbers = pack_labels(labels)
@@ -172,12 +155,12 @@ class ParticlePhd(NamedTuple):
         if alone is not None:
             particles = alone.resampled
         else:
-            particles = belief.mine.particles
+            particles = belief.mine.targets
             for each in missed:
                 particles = predict(particles, each)
             particles = select(particles, particles.weights > 0.0)
             particles = particles._replace(states=particles.states.astype(WIRE_TYPE).astype(float))
-        mine = belief.mine._replace(particles=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
+        mine = belief.mine._replace(targets=as_stated(particles, belief.mine.owner, step._replace(tick=step.tick - 1)))
         copies = Copies(belief.copies.near, belief.copies.inputs, (*belief.copies.skipped_steps, *missed))
         return Belief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, kept_since=belief.claim_tick)
 
@@ -199,7 +182,7 @@ class ParticlePhd(NamedTuple):
         claims = end_to_end([each.claim for each in owned])
         # the complement of an unknown agent's hash is the hash of no other diagram
         hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
-        received, sizes = join([each.particles for each in owned]), [len(each.particles.ids) for each in owned]
+        received, sizes = join([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
         counts = self.backend.resolve_conflicts(received.states, sizes, claims, hashes, config.timing.overlap)
         copies = belief.copies.compute()
         free = self.backend.orphaned(copies.states, claims, config.arena)
@@ -210,10 +193,6 @@ class ParticlePhd(NamedTuple):
     ) -> list[RegionUpdate]:
         """See `Tracker.update` and `regions.update_regions`."""
         return self.backend.update_regions(table, density, self.backend.background_births(step), regions, step)
-
-    def nearby(self, update: RegionUpdate) -> Particles:
-        """See `Tracker.nearby`."""
-        return update.updated
 
     def belief_after(
         self, density: GossipTable | Particles, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step

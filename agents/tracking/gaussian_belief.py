@@ -7,7 +7,7 @@ there are few, and so agents that hear everybody compute the same bits.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 from agents.backend import Backend
@@ -32,65 +32,16 @@ from agents.tracking.gaussians import (
 )
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
-from agents.tracking.tracker import Diagram, GossipFields, RegionInput, claims_tile_arena, unknown_senders
+from agents.tracking.tracker import Belief, Diagram, GossipFields, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
 from protocol import geometry
 from protocol.messages import Gossip
 
 PEAK_RADIUS_BINS = 2.0  # bins around a component that are one peak
 
 
-class OwnedMixture(NamedTuple):
-    """The state that one agent owns after a round."""
-
-    owner: str
-    claim: Claim
-    mixture: Mixture
-    diagram_hash: int
-
-
-@dataclass
-class MixtureBelief:
-    """The belief of an agent after the round of tick `stamp`: its owned state, and copies of all other components."""
-
-    stamp: int
-    mine: OwnedMixture
-    copies: Mixture
-    generator_names: frozenset[str] = frozenset()
-    known_names: frozenset[str] | None = None
-    kept_since: int | None = None
-
-    @property
-    def claim_tick(self) -> int:
-        """The tick of the round in which the claim was cut."""
-        return self.stamp if self.kept_since is None else self.kept_since
-
-
-class MixtureUpdate(NamedTuple):
-    """The result of a round for one owner."""
-
-    around: Mixture  # all components after all scans
-    inside: Mixture  # those in the cell, for the next gossip
-    mass: float
-    moment_x: float
-    moment_y: float
-    load: float
-    detected: float
-    estimates: TargetEstimates
-
-    @property
-    def updated(self) -> Particles:
-        """The density around the cell as weighted points."""
-        return weighted_points(self.around)
-
-    @property
-    def own(self) -> Particles:
-        """The density in the cell as weighted points."""
-        return weighted_points(self.inside)
-
-
-def owned_by_sender(gossip: Gossip) -> OwnedMixture:
+def owned_by_sender(gossip: Gossip) -> OwnedState:
     """The state that the sender of a gossip owns."""
-    return OwnedMixture(gossip.sender, make_claim(gossip.claim_names, gossip.claim), unpacked(gossip.components), gossip.diagram_hash)
+    return OwnedState(gossip.sender, make_claim(gossip.claim_names, gossip.claim), unpacked(gossip.components), gossip.diagram_hash)
 
 
 def as_mixture(density: GossipTable | Mixture) -> Mixture:
@@ -126,10 +77,10 @@ def _tidied(mixture: Mixture, step: Step) -> Mixture:
     return unpacked(packed(pick(whole, whole.weights >= step.config.mixture.pruned)))
 
 
-def _without_claim(belief: MixtureBelief) -> MixtureBelief:
+def _without_claim(belief: Belief) -> Belief:
     """The belief without a claim: all components are copies."""
-    everything = in_order(chain([belief.mine.mixture, belief.copies]))
-    return MixtureBelief(belief.stamp, OwnedMixture(belief.mine.owner, NO_CLAIM, EMPTY, 0), everything)
+    everything = in_order(chain([belief.mine.targets, belief.copies]))
+    return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, EMPTY, 0), everything)
 
 
 class MixturePhd(NamedTuple):
@@ -137,23 +88,23 @@ class MixturePhd(NamedTuple):
 
     backend: Backend
 
-    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> MixtureBelief:
+    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> Belief:
         """See `Tracker.start`."""
         known = gaussian_phd.prior(step.config)
         if box is not None:
             x, y = known.means[:, 0], known.means[:, 1]
             known = pick(known, (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3]))
-        return MixtureBelief(-1, OwnedMixture(name, NO_CLAIM, EMPTY, 0), known)
+        return Belief(-1, OwnedState(name, NO_CLAIM, EMPTY, 0), known)
 
-    def gossip_fields(self, mine: OwnedMixture, settings: FilterSettings) -> GossipFields:
+    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> GossipFields:
         """See `Tracker.gossip_fields`."""
-        return {"components_bytes": packed(mine.mixture).tobytes()}
+        return {"components_bytes": packed(mine.targets).tobytes()}
 
     def weighted_points(self, density: GossipTable | Mixture) -> Particles:
         """See `Tracker.weighted_points`."""
         return weighted_points(as_mixture(density))
 
-    def catch_up(self, belief: MixtureBelief, step: Step) -> MixtureBelief:
+    def catch_up(self, belief: Belief, step: Step) -> Belief:
         """See `Tracker.catch_up`: all components become copies, and move by the missed ticks."""
         if belief.stamp >= step.tick - 1:
             return belief
@@ -163,16 +114,16 @@ class MixturePhd(NamedTuple):
             copies = _moved(copies, step._replace(tick=missed))
         return replace(released, stamp=step.tick - 1, copies=copies)
 
-    def keep_claim(self, belief: MixtureBelief, step: Step, alone: MixtureUpdate | None = None) -> MixtureBelief:
+    def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
         """See `Tracker.keep_claim`: all components move by the missed ticks, and those in the kept claim are owned."""
         moved = _without_claim(belief).copies
         for tick in range(belief.stamp + 1, step.tick):
             moved = _moved(moved, step._replace(tick=tick))
-        mine = belief.mine._replace(mixture=take(moved, belief.mine.claim, step) if alone is None else alone.inside)
+        mine = belief.mine._replace(targets=take(moved, belief.mine.claim, step) if alone is None else alone.resampled)
         copies = pick(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
-        return MixtureBelief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, kept_since=belief.claim_tick)
+        return Belief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, kept_since=belief.claim_tick)
 
-    def merge(self, belief: MixtureBelief, table: GossipTable, step: Step) -> GossipTable | Mixture:
+    def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Mixture:
         """The components that count at `belief.stamp`; the rules are those of `ParticlePhd.merge`."""
         if claims_tile_arena(belief, table):
             return table
@@ -183,39 +134,35 @@ class MixturePhd(NamedTuple):
         owned.insert(0, belief.mine)
         stated = end_to_end([each.claim for each in owned])
         hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
-        received, sizes = chain([each.mixture for each in owned]), [len(each.mixture.ids) for each in owned]
+        received, sizes = chain([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
         counts = self.backend.resolve_conflicts(received.means, sizes, stated, hashes, config.timing.overlap)
         free = self.backend.orphaned(belief.copies.means, stated, config.arena)
         return in_order(chain([pick(received, counts), pick(belief.copies, free)]))
 
-    def update(self, density: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> list[MixtureUpdate]:
+    def update(self, density: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
         """See `Tracker.update`."""
         peaks, corrected = filter_step(as_mixture(density), table, step)
         return [_region_of(corrected, peaks, region, step) for region in regions]
 
-    def nearby(self, update: MixtureUpdate) -> Mixture:
-        """See `Tracker.nearby`."""
-        return update.around
-
     def belief_after(
-        self, density: GossipTable | Mixture, region: RegionInput, update: MixtureUpdate, diagram: Diagram, step: Step
-    ) -> MixtureBelief:
+        self, density: GossipTable | Mixture, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step
+    ) -> Belief:
         """See `Tracker.belief_after`: copies are the corrected components in the arena, outside the cell and within the horizon of it."""
-        means, arena = update.around.means, step.config.arena
+        means, arena = update.updated.means, step.config.arena
         others = ~claims.owned(means, region.claim, arena) & claims.in_arena(means, arena)
         if diagram.horizon < math.inf:
             others &= geometry.distances(region.polygon, means) <= diagram.horizon
-        mine = OwnedMixture(region.owner, region.claim, update.inside, diagram.hash)
-        return MixtureBelief(step.tick, mine, pick(update.around, others), diagram.generator_names, diagram.known_names)
+        mine = OwnedState(region.owner, region.claim, update.resampled, diagram.hash)
+        return Belief(step.tick, mine, pick(update.updated, others), diagram.generator_names, diagram.known_names)
 
 
-def _region_of(corrected: Mixture, peaks: TargetEstimates, region: RegionInput, step: Step) -> MixtureUpdate:
+def _region_of(corrected: Mixture, peaks: TargetEstimates, region: RegionInput, step: Step) -> RegionUpdate:
     """The part of the corrected mixture, and of the estimates, that falls to an owner."""
     inside = take(corrected, region.claim, step)
     load, detected = _in_view(corrected, region)
     estimates = select_estimates(peaks, claims.owned(peaks.positions, region.claim, step.config.arena))
     mass, moment_x, moment_y = (total(inside.weights * column) for column in (1.0, inside.means[:, 0], inside.means[:, 1]))
-    return MixtureUpdate(corrected, inside, mass, moment_x, moment_y, load, detected, estimates)
+    return RegionUpdate(corrected, inside, inside, mass, moment_x, moment_y, load, detected, estimates)
 
 
 def _in_view(mixture: Mixture, region: RegionInput) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """The computation of a round: the update of the PHD around the cell of each owner, step by step.
 
-Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the result.
+Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the result: the particles within the halo of the cell, those in
+it, and those drawn from the latter.
 
 Rules. All particles are predicted, and those around the cell are corrected with all scans that reach it. Targets are estimated, and some
 particles around those in the cell are renamed. Then those in the cell are resampled. These functions are the reference;
@@ -8,35 +9,20 @@ agents/compiled/region_kernels.py computes the same bits.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking import claims, phd
 from agents.tracking.births import near_part
-from agents.tracking.extraction import NO_ESTIMATES, TargetEstimates, estimate_targets, select_estimates
+from agents.tracking.extraction import NO_ESTIMATES, estimate_targets, select_estimates
 from agents.tracking.labels import renamed
 from agents.tracking.measurement_likelihood import BEARING, model_of
 from agents.tracking.particles import Particles, canonical, join, select, total
 from agents.tracking.step import Step
-from agents.tracking.tracker import RegionInput
+from agents.tracking.tracker import RegionInput, RegionUpdate
 from protocol import geometry
 from protocol.sensing import Pose, SensorModel, measurement_of
-
-
-class RegionUpdate(NamedTuple):
-    """The result of a round for one owner: the particles around its cell, with moments and estimates."""
-
-    updated: Particles  # within the halo of the cell, after all scans
-    own: Particles  # those in the cell
-    resampled: Particles  # drawn from `own`
-    mass: float  # in the cell, expected targets
-    moment_x: float  # the mass-weighted sums of x and y in the cell, m (17)
-    moment_y: float
-    load: float  # the integrals of v and of p_d v over the footprint (10), expected targets
-    detected: float
-    estimates: TargetEstimates  # estimates in the cell
 
 
 def update_regions(

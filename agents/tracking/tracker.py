@@ -1,14 +1,15 @@
 """The interface between a round and a tracker. `round.context_of` chooses the tracker; a gossip has fields for the targets of each.
 
-Data types: a `RegionInput` is an owner with its cell; a `TrackerState` is the belief between two rounds; an `Update` is the result for
-one cell; an `OwnedState` goes into the next gossip.
+Data types: a `RegionInput` is an owner with its cell; a `RegionUpdate` is the result for it; a `Belief` is held between two rounds; its
+`OwnedState` goes into the next gossip. The density, the owned targets and the copies in them are of the tracker's own types.
 
 Rules. A round knows agents, cells and claims; the tracker alone knows how targets are represented. A `Tracker` is a set
 of functions that give new values and keep their arguments; `belief.ParticlePhd` is one. Copies of others are computed when first needed.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, TypedDict
 
 import numpy as np
 
@@ -41,40 +42,18 @@ class Diagram(NamedTuple):
     horizon: float  # m from its cell: it keeps no copies farther away
 
 
-class Update(Protocol):
-    """The result of a round for the region of one owner."""
+class RegionUpdate(NamedTuple):
+    """The result of a round for one owner: the density around its cell as the tracker represents it, with moments and estimates."""
 
-    @property
-    def updated(self) -> Particles:
-        """The density around the cell as weighted points, in no order."""
-
-    @property
-    def own(self) -> Particles:
-        """The density in the cell as weighted points, for control laws that use it."""
-
-    @property
-    def mass(self) -> float:
-        """Expected targets in the cell."""
-
-    @property
-    def moment_x(self) -> float:
-        """The integral of x over the density in the cell, m (17)."""
-
-    @property
-    def moment_y(self) -> float:
-        """The integral of y over the density in the cell, m (17)."""
-
-    @property
-    def load(self) -> float:
-        """The integral of the density over the footprint (10), expected targets."""
-
-    @property
-    def detected(self) -> float:
-        """The integral of p_d times the density over the footprint (10), expected targets."""
-
-    @property
-    def estimates(self) -> TargetEstimates:
-        """Estimates in the cell, with identities."""
+    updated: Any  # around the cell, after all scans, in no order
+    own: Any  # in the cell
+    resampled: Any  # in the cell, for the next gossip: drawn from `own`, or `own` itself
+    mass: float  # in the cell, expected targets
+    moment_x: float  # the integrals of x and y over the density in the cell, m (17)
+    moment_y: float
+    load: float  # the integrals of v and of p_d v over the footprint (10), expected targets
+    detected: float
+    estimates: TargetEstimates  # in the cell, with identities
 
 
 class OwnedState(NamedTuple):
@@ -82,8 +61,25 @@ class OwnedState(NamedTuple):
 
     owner: str
     claim: Claim
-    particles: Particles
+    targets: Any  # as the tracker represents them
     diagram_hash: int  # of the diagram that its cell was cut from
+
+
+@dataclass
+class Belief:
+    """The belief of an agent after the round of tick `stamp`: its owned state, and copies of what the others own."""
+
+    stamp: int  # the tick of its last round, or of the last prediction
+    mine: OwnedState
+    copies: Any  # as the tracker represents them
+    generator_names: frozenset[str] = frozenset()  # the agents with a generator in the diagram of `mine`
+    known_names: frozenset[str] | None = None  # the agents known in that round; None if the agent receives all gossips
+    kept_since: int | None = None  # the claim was cut in this round and kept over skipped ones; None: it was cut at `stamp`
+
+    @property
+    def claim_tick(self) -> int:
+        """The tick of the round in which the claim was cut."""
+        return self.stamp if self.kept_since is None else self.kept_since
 
 
 class GossipFields(TypedDict, total=False):
@@ -98,25 +94,12 @@ class GossipFields(TypedDict, total=False):
     components_bytes: bytes
 
 
-class TrackerState(Protocol):
-    """The belief that an agent holds between two rounds."""
-
-    stamp: int  # the tick of its last round, or of the last prediction
-    mine: Any  # the owned state, stated in the next gossip: owner, claim and hash of the diagram, and what the tracker says of its targets
-    generator_names: frozenset[str]  # see `Diagram`
-    known_names: frozenset[str] | None  # see `Diagram`
-
-    @property
-    def claim_tick(self) -> int:
-        """The tick of the round in which the claim was cut."""
-
-
-def unknown_senders(belief: TrackerState, table: GossipTable) -> frozenset[str]:
+def unknown_senders(belief: Belief, table: GossipTable) -> frozenset[str]:
     """The senders in a table that the agent did not know in its last round: they have cut other diagrams, whatever hash they state."""
     return frozenset() if belief.known_names is None else table.name_set - belief.known_names - {belief.mine.owner}
 
 
-def claims_tile_arena(belief: TrackerState, table: GossipTable) -> bool:
+def claims_tile_arena(belief: Belief, table: GossipTable) -> bool:
     """Whether all agents of the diagram of the belief state claims of it: then what they own is the whole density.
 
     All newcomers share the hash of an empty diagram, 0. It claims nothing, so that their copies count.
@@ -125,46 +108,38 @@ def claims_tile_arena(belief: TrackerState, table: GossipTable) -> bool:
     return agreed and bool(belief.generator_names) and belief.generator_names <= table.name_set and not unknown_senders(belief, table)
 
 
-B = TypeVar("B", bound=TrackerState)
-R = TypeVar("R")
-U = TypeVar("U", bound=Update)
+class Tracker(Protocol):
+    """The functions of a tracker: pure functions of beliefs, gossips and regions.
 
+    A density is of the tracker's own type, or a table of gossips: then what these state counts, and nothing else.
+    """
 
-class Tracker(Protocol[B, R, U]):
-    """The functions of a tracker: pure functions of beliefs, gossips and regions."""
-
-    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> B:
+    def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> Belief:
         """The belief before the first round: the prior, and nothing owned; of the surroundings of a rectangle alone, if one is given.
 
         A rectangle is west, south, east and north, m.
         """
 
-    def gossip_fields(self, mine: Any, settings: FilterSettings) -> GossipFields:
+    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> GossipFields:
         """What a gossip carries of an owned state."""
 
-    def weighted_points(self, density: R | GossipTable) -> Particles:
+    def weighted_points(self, density: Any) -> Particles:
         """The density that counts as weighted points, for control laws that search."""
 
-    def catch_up(self, belief: B, step: Step) -> B:
+    def catch_up(self, belief: Belief, step: Step) -> Belief:
         """The belief at the tick before `step.tick`, without a claim if that round was missed. `update` predicts the rest."""
 
-    def keep_claim(self, belief: B, step: Step, alone: U | None = None) -> B:
+    def keep_claim(self, belief: Belief, step: Step, alone: RegionUpdate | None = None) -> Belief:
         """The belief at the tick before `step.tick`, of an agent that skipped rounds: it keeps its claim.
 
         `alone`: its own update of that tick, if there was one; what that left in the cell is owned.
         """
 
-    def merge(self, belief: B, table: GossipTable, step: Step) -> R | GossipTable:
+    def merge(self, belief: Belief, table: GossipTable, step: Step) -> Any:
         """The density that counts at the tick before, given the gossips of this tick; the table itself if nothing else counts."""
 
-    def update(self, density: R | GossipTable, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> Sequence[U]:
+    def update(self, density: Any, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> Sequence[RegionUpdate]:
         """For each owner the density around its cell one step later, corrected with the scans of the table, with moments and estimates."""
 
-    def nearby(self, update: U) -> R:
-        """The density around the cell after an update."""
-
-    def belief_after(self, density: R | GossipTable, region: RegionInput, update: U, diagram: Diagram, step: Step) -> B:
+    def belief_after(self, density: Any, region: RegionInput, update: RegionUpdate, diagram: Diagram, step: Step) -> Belief:
         """The belief after the round: the owned state for the next gossip, and the copies of the others."""
-
-
-AnyTracker = Tracker[Any, Any, Any]

@@ -14,11 +14,11 @@ from agents import agent
 from agents.compiled.warmup import warm
 from agents.membership.peer_table import PeerTable
 from agents.round import AgentContext, RoundResult
-from agents.tracking.belief import Belief, Copies
+from agents.tracking.belief import Copies
 from agents.tracking.claims import make_claim
 from agents.tracking.extraction import TargetEstimates
 from agents.tracking.particles import NO_PARTICLES, unlabelled
-from agents.tracking.tracker import OwnedState
+from agents.tracking.tracker import Belief, OwnedState
 from deploy import __main__ as command_line
 from deploy.installation import command
 from deploy.live import zygote

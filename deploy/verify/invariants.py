@@ -12,8 +12,7 @@ from agents.agent import Agent
 from agents.gossip.inbox import WINDOW_TICKS, RoundInbox
 from agents.round import RoundResult
 from agents.tracking import gaussian_belief
-from agents.tracking.belief import MOST_COPIES, Belief, owned_by_sender
-from agents.tracking.gaussian_belief import MixtureBelief
+from agents.tracking.belief import MOST_COPIES, owned_by_sender
 from agents.tracking.gaussians import Mixture, chain, in_order
 from agents.tracking.particles import Particles
 from deploy.simulation import Simulation
@@ -226,7 +225,7 @@ class InvariantChecker:
             self._compare_mixtures(tick, stated)
             return
         told = {name: owned_by_sender(said) for name, said in stated.items()}
-        owned = united({name: each.particles for name, each in told.items()})
+        owned = united({name: each.targets for name, each in told.items()})
         if len(np.unique(owned.ids)) < len(owned.ids):
             need(self._is_spoilt, f"tick {tick}: a particle is owned by two agents though healed")
             self._central_filter = None
@@ -242,7 +241,7 @@ class InvariantChecker:
     def _compare_mixtures(self, tick: int, stated: dict[str, Gossip]) -> None:
         """The same of Gaussian mixtures, to the last bit."""
         told = {name: gaussian_belief.owned_by_sender(said) for name, said in stated.items()}
-        owned = chain([each.mixture for each in told.values()])
+        owned = chain([each.targets for each in told.values()])
         if len(np.unique(owned.ids)) < len(owned.ids):
             need(self._is_spoilt, f"tick {tick}: a component is owned by two agents though healed")
             self._central_mixture = None
@@ -260,15 +259,12 @@ def check_round(agent: Agent, is_first: bool) -> None:
     """What must hold of an agent whenever it has played a round."""
     outcome, name = agent.outcome, agent.name
     belief = outcome.belief
-    owned: Particles | Mixture
+    owned: Particles | Mixture = belief.mine.targets
     near: Particles | Mixture
-    if isinstance(belief, Belief):
-        owned, near = belief.mine.particles, belief.copies.near
-        states = [owned.states]
+    if isinstance(owned, Particles):
+        near, states = belief.copies.near, [owned.states]
     else:
-        assert isinstance(belief, MixtureBelief)
-        owned, near = belief.mine.mixture, belief.copies
-        states = [owned.means, owned.covariances]
+        near, states = belief.copies, [owned.means, owned.covariances]
     need(all(bool(np.all(np.isfinite(numbers))) for numbers in states), f"{name}: a part of the PHD that is nowhere")
     need(bool(np.all(np.isfinite(owned.weights)) and np.all(owned.weights >= 0.0)), f"{name}: a weight that is no mass")
     need(bool(np.all(owned.ids[1:] > owned.ids[:-1])), f"{name}: ids that do not ascend")

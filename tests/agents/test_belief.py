@@ -6,12 +6,12 @@ import pytest
 from agents.backend import PLAIN
 from agents.config import AgentConfig, TimingSettings
 from agents.gossip.table import GossipTable, as_particles
-from agents.tracking.belief import MOST_COPIES, Belief, Copies, CopyInputs, ParticlePhd, owned_by_sender, start, worth_keeping
+from agents.tracking.belief import MOST_COPIES, Copies, CopyInputs, ParticlePhd, owned_by_sender, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, unlabelled
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import OwnedState
+from agents.tracking.tracker import Belief, OwnedState
 from protocol.fields import pack
 from protocol.keys import order
 from protocol.messages import Gossip
@@ -56,9 +56,9 @@ def words(belief: Belief, others: list[OwnedState], tick: int = 5) -> GossipTabl
             claim_names=held.claim.names,
             claim_bytes=pack(held.claim.generators, "<f8"),
             diagram_hash=held.diagram_hash,
-            weight=float(held.particles.weights[0]) if len(held.particles.weights) else 0.0,
-            states_bytes=pack(held.particles.states, "<f4"),
-            ids_bytes=pack(held.particles.ids, "<u8"),
+            weight=float(held.targets.weights[0]) if len(held.targets.weights) else 0.0,
+            states_bytes=pack(held.targets.states, "<f4"),
+            ids_bytes=pack(held.targets.ids, "<u8"),
         )
         said.append(gossip)
     return table(said, config=CONFIG)
@@ -127,12 +127,12 @@ def test_a_gossip_says_what_its_sender_owns() -> None:
     said = owned_by_sender(gossip)
     assert (said.owner, said.claim.names, said.diagram_hash) == ("s2", ("s2", "s1"), 7)
     assert said.claim.wins_ties.tolist() == [False, True]
-    assert all((ours == theirs).all() for ours, theirs in zip(said.particles, held))
+    assert all((ours == theirs).all() for ours, theirs in zip(said.targets, held))
 
 
 def test_a_gossip_without_a_claim_owns_nothing() -> None:
     gossip = Gossip(sender="s2", incarnation=1, tick=5, pose=(0.0, 0.0, 0.0), cod=(0.0, 0.0), power_radius=0.0, unused=0.0)
-    assert owned_by_sender(gossip).claim.names == () and len(owned_by_sender(gossip).particles.ids) == 0
+    assert owned_by_sender(gossip).claim.names == () and len(owned_by_sender(gossip).targets.ids) == 0
 
 
 def test_copies_of_what_was_told_are_moved_on_but_for_those_that_were_corrected() -> None:

@@ -11,7 +11,7 @@ from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSet
 from agents.tracking import gaussian_belief, gaussian_phd
 from agents.tracking.births import Scan
 from agents.tracking.claims import NO_CLAIM, Claim, make_claim
-from agents.tracking.gaussian_belief import MixtureBelief, MixturePhd, OwnedMixture
+from agents.tracking.gaussian_belief import MixturePhd
 from agents.tracking.gaussian_reduction import ALIKE, STRIP, _near_pairs, estimate_and_label, limited, merged
 from agents.tracking.gaussians import (
     EMPTY,
@@ -26,6 +26,7 @@ from agents.tracking.gaussians import (
     weighted_points,
 )
 from agents.tracking.step import Step
+from agents.tracking.tracker import Belief, OwnedState
 from protocol.fields import pack
 from protocol.messages import Gossip
 from protocol.sensing import Measurement, Pose, WedgeSensor
@@ -278,11 +279,11 @@ def test_an_agent_that_skipped_rounds_moves_its_components_and_its_copies_as_one
     close = [component(19.9, 20.0, 1.0, weight=0.3, velocity=(0.0, 2.0)), component(20.3, 20.0, 1.0, weight=0.2, velocity=(0.0, 2.0), id=2)]
     step, tracker, held = Step(config(), 6), MixturePhd(PLAIN), []
     for number, claim in enumerate(halves(20.1)):
-        mine = OwnedMixture(claim.names[0], claim, close[number], 1)
-        held.append(tracker.keep_claim(MixtureBelief(3, mine, close[1 - number], frozenset("ab")), step))
-    assert [len(one.mine.mixture.ids) for one in held] == [1, 0] and [len(one.copies.ids) for one in held] == [0, 1]
-    assert all(np.array_equal(one, other) for one, other in zip(held[0].mine.mixture, held[1].copies))
-    assert held[0].mine.mixture.weights == pytest.approx([0.5]) and held[0].claim_tick == 3
+        mine = OwnedState(claim.names[0], claim, close[number], 1)
+        held.append(tracker.keep_claim(Belief(3, mine, close[1 - number], frozenset("ab")), step))
+    assert [len(one.mine.targets.ids) for one in held] == [1, 0] and [len(one.copies.ids) for one in held] == [0, 1]
+    assert all(np.array_equal(one, other) for one, other in zip(held[0].mine.targets, held[1].copies))
+    assert held[0].mine.targets.weights == pytest.approx([0.5]) and held[0].claim_tick == 3
 
 
 def gossip_of_scan(pose: Pose, detections: list[tuple[float, float]]) -> Gossip:
@@ -293,7 +294,7 @@ def gossip_of_scan(pose: Pose, detections: list[tuple[float, float]]) -> Gossip:
 
 def after(mixture: Mixture, settings: AgentConfig = config()) -> Mixture:
     """The mixture one step later, when nothing is heard."""
-    belief = MixtureBelief(3, OwnedMixture("a", NO_CLAIM, EMPTY, 0), mixture)
+    belief = Belief(3, OwnedState("a", NO_CLAIM, EMPTY, 0), mixture)
     return MixturePhd(PLAIN).catch_up(belief, Step(settings, 5)).copies
 
 

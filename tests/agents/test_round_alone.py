@@ -199,7 +199,7 @@ def test_particles_stay_in_the_cell_of_the_last_round() -> None:
         swarm.see(tick, TARGET)
     belief, round_cell = swarm.agent.outcome.belief, swarm.agent.outcome.round_cell
     assert round_cell is not None and belief.mine.claim is round_cell.region.claim
-    assert (belief.mine.particles.states[:, 0] <= round_cell.region.polygon[:, 0].max() + 1e-6).all()
+    assert (belief.mine.targets.states[:, 0] <= round_cell.region.polygon[:, 0].max() + 1e-6).all()
     moved = swarm.agent.context.tracker.keep_claim(belief, Step(swarm.agent.config, 5))
     assert moved.stamp == 4 and moved.claim_tick == 0
 

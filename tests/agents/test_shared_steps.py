@@ -14,9 +14,8 @@ from agents.tracking.births import Scan, measurement_births
 from agents.tracking.claims import end_to_end, make_claim
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.phd import sample_offset
-from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
-from agents.tracking.tracker import RegionInput
+from agents.tracking.tracker import RegionInput, RegionUpdate
 from deploy.simulation import compiled
 from protocol.fields import pack
 from protocol.geometry import rectangle

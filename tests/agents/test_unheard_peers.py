@@ -14,8 +14,9 @@ from agents.gossip.table import GossipTable, announced_sensor
 from agents.interest.position_table import UnsubscribedGenerators
 from agents.membership.peer import plausible
 from agents.round import AgentContext, _nearby_sensors, _own_cell
-from agents.tracking.belief import Belief, Copies, ParticlePhd
+from agents.tracking.belief import Copies, ParticlePhd
 from agents.tracking.particles import NO_PARTICLES
+from agents.tracking.tracker import Belief
 from protocol.fields import pack
 from protocol.geometry import rectangle
 from protocol.messages import Gossip

@@ -20,9 +20,8 @@ from agents.membership.peer_table import Peer, PeerTable
 from agents.round import AgentContext, RoundResult
 from agents.tracking import regions
 from agents.tracking.particles import Particles, select
-from agents.tracking.regions import RegionUpdate
 from agents.tracking.step import Step
-from agents.tracking.tracker import RegionInput
+from agents.tracking.tracker import RegionInput, RegionUpdate
 from deploy.verify import fuzz
 from deploy.verify.fuzz import Case
 from protocol.messages import Gossip, Observation

@@ -37,7 +37,7 @@ def test_nothing_is_gained_or_lost_when_nothing_is_born_or_detected() -> None:
 def test_no_particle_is_owned_by_two_agents_and_all_lie_in_the_cells_of_their_owners() -> None:
     def check(tick: int, simulation: Simulation) -> None:
         stated = [agent.outcome.belief.mine for agent in simulation.agents.values()]
-        ids = [number for each in stated for number in each.particles.ids.tolist()]
+        ids = [number for each in stated for number in each.targets.ids.tolist()]
         assert len(ids) == len(set(ids)) and (tick < 2 or len(ids) > 200)
 
     watch(tracking(), at_tick=check)

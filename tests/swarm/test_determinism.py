@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from agents.backend import PLAIN, Backend
-from agents.tracking.regions import RegionUpdate
+from agents.tracking.tracker import RegionUpdate
 from deploy.simulation import Simulation, compiled
 from tests.swarm.scene import fault, tracking, watch
 

@@ -37,7 +37,7 @@ def differences(scenario: Scenario, said: Said) -> list[float]:
     central: CentralMixture | None = None
     for tick in sorted(said)[:-1]:
         stated = {name: owned_by_sender(gossip) for name, gossip in said[tick + 1].items() if gossip.claim_names}
-        owned = in_order(chain([each.mixture for each in stated.values()]))
+        owned = in_order(chain([each.targets for each in stated.values()]))
         if central is None:
             central = CentralMixture(scenario, owned, tick)
             continue

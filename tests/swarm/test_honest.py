@@ -53,7 +53,7 @@ def nees(seed: int, **settings: Any) -> float:
     def judge(truth: Truth) -> None:
         target = np.array(truth.targets)[0, :2]
         for agent in simulation.agents.values():
-            held = agent.outcome.belief.mine.particles
+            held = agent.outcome.belief.mine.targets
             near = np.hypot(*(held.states[:, :2] - target).T) < 2.0
             if agent.outcome.belief.stamp == truth.tick and truth.time >= SETTLED and near.sum() >= 5:
                 apart = held.states[near, :2] - target

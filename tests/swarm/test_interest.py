@@ -7,7 +7,7 @@ import pytest
 
 from agents.membership.peer_table import LOCAL_DIAGRAM
 from agents.round import COPY_HORIZON
-from agents.tracking.belief import Belief
+from agents.tracking.belief import Copies
 from deploy.bench.simulations import crowd
 from deploy.scenario import FaultSettings, Scenario, resolve
 from deploy.simulation import Simulation
@@ -64,7 +64,7 @@ def farthest_copy(interest: str) -> float:
     ways = []
     for agent in simulation.agents.values():
         belief = agent.outcome.belief
-        assert isinstance(belief, Belief)
+        assert isinstance(belief.copies, Copies)
         if len(agent.outcome.cell):
             ways.append(float(distances(agent.outcome.cell, belief.copies.compute().states[:, :2]).max()))
     return max(ways)

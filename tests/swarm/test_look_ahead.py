@@ -102,7 +102,7 @@ def replayed(scenario: Scenario, owned: Particles, ticks: list[dict[str, Gossip]
 
 
 def told(gossips: dict[str, Gossip]) -> Particles:
-    return canonical(join([owned_by_sender(gossip).particles for gossip in gossips.values()]))
+    return canonical(join([owned_by_sender(gossip).targets for gossip in gossips.values()]))
 
 
 @pytest.mark.parametrize(("lag", "speed", "side"), [(1, 2.0, 40.0), (2, 2.0, 40.0), (4, 8.0, 60.0)])
@@ -135,10 +135,10 @@ def test_the_swarm_is_one_filter_that_draws_its_particles_once_in_so_many_ticks(
 def test_an_owner_keeps_the_particles_that_it_states_in_few_bytes() -> None:
     seen = watch(tracking(run__dt=DT, run__seconds=6.0, filter__compact=True), clock="realtime")
     for agent in seen.agents.values():
-        mine = agent.outcome.belief.mine.particles
+        mine = agent.outcome.belief.mine.targets
         states, ids = quantised(mine.states, seen.simulation.scenario.filter.speed, agent.name, agent.outcome.belief.stamp)
         assert np.array_equal(states, mine.states) and np.array_equal(ids, mine.ids)
-    assert sum(len(agent.outcome.belief.mine.particles.ids) for agent in seen.agents.values()) > 100
+    assert sum(len(agent.outcome.belief.mine.targets.ids) for agent in seen.agents.values()) > 100
 
 
 def test_a_density_that_was_moved_on_shows_weak_targets_and_none_twice() -> None:
