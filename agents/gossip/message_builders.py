@@ -6,7 +6,6 @@ from typing import Any
 from agents.coverage.capacity import to_world
 from agents.coverage.control import ControlInput
 from agents.round import AgentContext, RoundResult
-from agents.tracking.tracker import GossipFields
 from protocol.fields import pack
 from protocol.message import SharedSettings, Vector
 from protocol.messages import UNKNOWN_AGE, Command, Gossip, Hello, Observation
@@ -50,7 +49,7 @@ def gossip(
     """
     owned = outcome.belief.mine
     current = outcome.belief.stamp == observation.tick - 1 - behind
-    said: GossipFields = context.tracker.gossip_fields(owned, context.config.filter) if current else {}
+    said = context.tracker.gossip_fields(owned, context.config.filter) if current else {}
     plan: dict[str, Any] = {} if outcome.intent is None else {"goal": outcome.intent.goal, "goal_utilisation": outcome.intent.utilisation}
     return Gossip(
         sender=context.name,

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, join, select
 from agents.tracking.regions import predict
 from agents.tracking.step import Step
-from agents.tracking.tracker import Belief, Diagram, GossipFields, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
+from agents.tracking.tracker import Belief, Diagram, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
 from protocol.compact_particles import packed, quantised
 from protocol.fields import pack, pack_labels
 from protocol.messages import Gossip
@@ -117,7 +117,7 @@ class ParticlePhd(NamedTuple):
         count = prior_size(filters, arena)
         return start(prior(seed, count, filters, arena) if box is None else prior_around(seed, count, filters, arena, box), name)
 
-    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> GossipFields:
+    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> dict[str, Any]:
         """See `Tracker.gossip_fields`."""
         states, weights, ids, labels = mine.targets
         if not len(ids):
@@ -129,7 +129,7 @@ class ParticlePhd(NamedTuple):
             "ids_bytes": pack(ids, "<u8"),
             "labels_bytes": table,
             "label_numbers_bytes": numbers,
-            "particles": packed(states, settings.speed) if settings.compact else b"",
+            "particles": packed(states, settings.speed) if settings.compact else b"",  # states and ids in few bytes
         }
 
     def weighted_points(self, density: GossipTable | Particles) -> Particles:

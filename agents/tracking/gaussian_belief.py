@@ -8,7 +8,7 @@ there are few, and so agents that hear everybody compute the same bits.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from agents.backend import Backend
 from agents.config import FilterSettings
@@ -32,7 +32,7 @@ from agents.tracking.gaussians import (
 )
 from agents.tracking.particles import Particles, total
 from agents.tracking.step import Step
-from agents.tracking.tracker import Belief, Diagram, GossipFields, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
+from agents.tracking.tracker import Belief, Diagram, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
 from protocol import geometry
 from protocol.messages import Gossip
 
@@ -96,7 +96,7 @@ class MixturePhd(NamedTuple):
             known = pick(known, (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3]))
         return Belief(-1, OwnedState(name, NO_CLAIM, EMPTY, 0), known)
 
-    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> GossipFields:
+    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> dict[str, Any]:
         """See `Tracker.gossip_fields`."""
         return {"components_bytes": packed(mine.targets).tobytes()}
 

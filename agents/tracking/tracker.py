@@ -9,7 +9,7 @@ of functions that give new values and keep their arguments; `belief.ParticlePhd`
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, TypedDict
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -82,18 +82,6 @@ class Belief:
         return self.stamp if self.kept_since is None else self.kept_since
 
 
-class GossipFields(TypedDict, total=False):
-    """The fields of a gossip that state an owned state (protocol/messages.py); what a tracker has no use for is missing."""
-
-    weight: float
-    states_bytes: bytes
-    ids_bytes: bytes
-    labels_bytes: bytes
-    label_numbers_bytes: bytes
-    particles: bytes  # states and ids in few bytes, if `filter.compact`
-    components_bytes: bytes
-
-
 def unknown_senders(belief: Belief, table: GossipTable) -> frozenset[str]:
     """The senders in a table that the agent did not know in its last round: they have cut other diagrams, whatever hash they state."""
     return frozenset() if belief.known_names is None else table.name_set - belief.known_names - {belief.mine.owner}
@@ -120,8 +108,8 @@ class Tracker(Protocol):
         A rectangle is west, south, east and north, m.
         """
 
-    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> GossipFields:
-        """What a gossip carries of an owned state."""
+    def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> dict[str, Any]:
+        """The fields of a gossip that state an owned state (protocol/messages.py), without those that the tracker has no use for."""
 
     def weighted_points(self, density: Any) -> Particles:
         """The density that counts as weighted points, for control laws that search."""
