@@ -57,17 +57,10 @@ def weight_by_label(labels: np.ndarray, weights: np.ndarray) -> dict[int, float]
 
 
 def heaviest(labels: np.ndarray, weights: np.ndarray) -> tuple[int, float]:
-    """The label other than 0 with the most weight, the smallest of equals, and its weight; (0, 0.0) if there is none.
-
-    Weights add up in the order of the rows.
-    """
-    known, places = np.unique(labels, return_inverse=True)
-    sums = np.bincount(places, weights, len(known))
-    sums[known == NO_LABEL] = 0.0
-    if not len(known) or sums.max() <= 0.0:
-        return NO_LABEL, 0.0
-    first = int(sums.argmax())
-    return int(known[first]), float(sums[first])
+    """The label other than 0 with the most weight, the smallest of equals, and its weight; (0, 0.0) if there is none."""
+    found = weight_by_label(labels, weights)
+    label = max(found, key=lambda label: (found[label], -label), default=NO_LABEL)
+    return label, found.get(label, 0.0)
 
 
 def mean_positions(particles: Particles) -> dict[int, tuple[float, float]]:
