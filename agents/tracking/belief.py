@@ -113,9 +113,9 @@ class ParticlePhd(NamedTuple):
 
     def start(self, name: str, step: Step, box: tuple[float, float, float, float] | None = None) -> Belief:
         """See `Tracker.start`."""
-        seed, filters, arena = step.config.filter.seed, step.config.filter, step.config.arena
-        count = prior_size(filters, arena)
-        return start(prior(seed, count, filters, arena) if box is None else prior_around(seed, count, filters, arena, box), name)
+        filters, arena = step.config.filter, step.config.arena
+        everywhere = prior(filters.seed, prior_size(filters, arena), filters, arena)
+        return start(everywhere if box is None else prior_around(everywhere, box), name)
 
     def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> dict[str, Any]:
         """See `Tracker.gossip_fields`."""

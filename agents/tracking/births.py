@@ -22,7 +22,7 @@ from protocol.random_streams import normal, random_key, scramble, uniform
 from protocol.sensing import Pose, SensorModel, measurement_of
 from protocol.settings import ArenaSettings
 
-SQUARE = 25.0  # m, side of the squares by which the prior is sorted
+SQUARE = 25.0  # m, side of the squares of the prior in which an agent starts
 
 
 class Scan(NamedTuple):
@@ -73,32 +73,12 @@ def prior(seed: int, count: int, settings: FilterSettings, arena: ArenaSettings)
     return canonical(unlabelled(states.astype(WIRE_TYPE).astype(float), np.full(count, mass / count), ids))
 
 
-@lru_cache(maxsize=2)
-def _prior_by_square(
-    seed: int, count: int, settings: FilterSettings, arena: ArenaSettings
-) -> tuple[Particles, dict[tuple[int, int], np.ndarray]]:
-    """The prior, and the indices of its particles by (column, row) of their square of side `SQUARE`."""
-    everywhere = prior(seed, count, settings, arena)
-    columns, rows = (everywhere.states[:, :2] // SQUARE).astype(np.int64).T
-    order = np.lexsort((rows, columns))
-    breaks = np.flatnonzero(np.diff(columns[order]) | np.diff(rows[order])) + 1
-    groups = np.split(order, breaks) if len(order) else []
-    return everywhere, {(int(columns[group[0]]), int(rows[group[0]])): group for group in groups}
-
-
-def prior_around(
-    seed: int, count: int, settings: FilterSettings, arena: ArenaSettings, box: tuple[float, float, float, float]
-) -> Particles:
-    """The particles of the prior in all squares that touch a rectangle: west, south, east, north in m.
-
-    The squares are memoised, because in virtual time all agents of a process need them.
-    """
-    everywhere, squares = _prior_by_square(seed, count, settings, arena)
-    west, south = (max(0, int(side // SQUARE)) for side in box[:2])
-    east, north = int(min(box[2], arena.width) // SQUARE), int(min(box[3], arena.height) // SQUARE)
-    found = [squares.get((column, row)) for column in range(west, east + 1) for row in range(south, north + 1)]
-    groups = [group for group in found if group is not None]
-    return select(everywhere, np.sort(np.concatenate(groups))) if groups else NO_PARTICLES
+def prior_around(everywhere: Particles, box: tuple[float, float, float, float]) -> Particles:
+    """The particles of the prior in all squares of side `SQUARE` that touch a rectangle: west, south, east, north in m."""
+    x, y = everywhere.states[:, :2].T
+    west, south = (side // SQUARE * SQUARE for side in box[:2])
+    east, north = ((side // SQUARE + 1.0) * SQUARE for side in box[2:])
+    return select(everywhere, (x >= west) & (x < east) & (y >= south) & (y < north))
 
 
 @lru_cache(maxsize=8)
