@@ -31,11 +31,6 @@ DETAILS = 6
 NO_ESTIMATES = TargetEstimates(np.empty((0, 2)), np.empty((0, DETAILS)), np.empty(0, dtype=np.uint64))
 
 
-def select_estimates(estimates: TargetEstimates, chosen: np.ndarray) -> TargetEstimates:
-    """The estimates chosen by a mask (M,) bool."""
-    return TargetEstimates(*(part[chosen] for part in estimates))
-
-
 def estimate_targets(particles: Particles, settings: ExtractionSettings = ExtractionSettings(), tick: int = 0) -> TargetEstimates:
     """Estimated targets of a tick, heaviest first.
 

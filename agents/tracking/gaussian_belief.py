@@ -15,22 +15,19 @@ from agents.config import FilterSettings
 from agents.gossip.table import GossipTable
 from agents.tracking import claims, gaussian_phd
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
-from agents.tracking.extraction import TargetEstimates, select_estimates
+from agents.tracking.extraction import TargetEstimates
 from agents.tracking.gaussian_reduction import estimate_and_label, limited, merged
 from agents.tracking.gaussians import (
     EMPTY,
     Mixture,
-    chain,
     clamped,
-    in_order,
     packed,
-    pick,
     quadrature_mean,
     quadrature_points,
     unpacked,
     weighted_points,
 )
-from agents.tracking.particles import Particles, total
+from agents.tracking.particles import Particles, canonical, join, select, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import Belief, Diagram, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
 from protocol import geometry
@@ -51,12 +48,12 @@ def as_mixture(density: GossipTable | Mixture) -> Mixture:
 
 def take(mixture: Mixture, claim: Claim, step: Step) -> Mixture:
     """What an owner states: the components in its cell, the heaviest if they exceed `mixture.most_components`."""
-    return limited(pick(mixture, claims.owned(mixture.means, claim, step.config.arena)), step.config.mixture.most_components)
+    return limited(select(mixture, claims.owned(mixture.means, claim, step.config.arena)), step.config.mixture.most_components)
 
 
 def filter_step(density: Mixture, table: GossipTable, step: Step) -> tuple[TargetEstimates, Mixture]:
     """The estimates and the PHD one step later, after all scans of a table, background births included; in canonical order."""
-    born = chain([gaussian_phd.predict(in_order(density), step), gaussian_phd.background_births(step)])
+    born = join([gaussian_phd.predict(canonical(density), step), gaussian_phd.background_births(step)])
     corrected, settings = _tidied(gaussian_phd.correct(born, table.scans(), step), step), step.config.extraction
     return estimate_and_label(corrected, settings.threshold, settings.beside, PEAK_RADIUS_BINS * settings.bin)
 
@@ -72,14 +69,14 @@ def _tidied(mixture: Mixture, step: Step) -> Mixture:
     A scan moves means, but no target out of the arena: what lies beyond the border would belong to no cell.
     Two parts of a swarm that do not hear each other should hold the same components of what neither sees. So no cell enters here.
     """
-    inside = clamped(in_order(mixture), step.config.arena)
-    whole = in_order(merged(inside, step.config.mixture))
-    return unpacked(packed(pick(whole, whole.weights >= step.config.mixture.pruned)))
+    inside = clamped(canonical(mixture), step.config.arena)
+    whole = canonical(merged(inside, step.config.mixture))
+    return unpacked(packed(select(whole, whole.weights >= step.config.mixture.pruned)))
 
 
 def _without_claim(belief: Belief) -> Belief:
     """The belief without a claim: all components are copies."""
-    everything = in_order(chain([belief.mine.targets, belief.copies]))
+    everything = canonical(join([belief.mine.targets, belief.copies]))
     return Belief(belief.stamp, OwnedState(belief.mine.owner, NO_CLAIM, EMPTY, 0), everything)
 
 
@@ -93,7 +90,7 @@ class MixturePhd(NamedTuple):
         known = gaussian_phd.prior(step.config)
         if box is not None:
             x, y = known.means[:, 0], known.means[:, 1]
-            known = pick(known, (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3]))
+            known = select(known, (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3]))
         return Belief(-1, OwnedState(name, NO_CLAIM, EMPTY, 0), known)
 
     def gossip_fields(self, mine: OwnedState, settings: FilterSettings) -> dict[str, Any]:
@@ -120,7 +117,7 @@ class MixturePhd(NamedTuple):
         for tick in range(belief.stamp + 1, step.tick):
             moved = _moved(moved, step._replace(tick=tick))
         mine = belief.mine._replace(targets=take(moved, belief.mine.claim, step) if alone is None else alone.resampled)
-        copies = pick(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
+        copies = select(moved, ~claims.owned(moved.means, belief.mine.claim, step.config.arena))
         return Belief(step.tick - 1, mine, copies, belief.generator_names, belief.known_names, kept_since=belief.claim_tick)
 
     def merge(self, belief: Belief, table: GossipTable, step: Step) -> GossipTable | Mixture:
@@ -134,10 +131,10 @@ class MixturePhd(NamedTuple):
         owned.insert(0, belief.mine)
         stated = end_to_end([each.claim for each in owned])
         hashes = [~each.diagram_hash if each.owner in unknown else each.diagram_hash for each in owned]
-        received, sizes = chain([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
+        received, sizes = join([each.targets for each in owned]), [len(each.targets.ids) for each in owned]
         counts = self.backend.resolve_conflicts(received.means, sizes, stated, hashes, config.timing.overlap)
         free = self.backend.orphaned(belief.copies.means, stated, config.arena)
-        return in_order(chain([pick(received, counts), pick(belief.copies, free)]))
+        return canonical(join([select(received, counts), select(belief.copies, free)]))
 
     def update(self, density: GossipTable | Mixture, table: GossipTable, regions: Sequence[RegionInput], step: Step) -> list[RegionUpdate]:
         """See `Tracker.update`."""
@@ -153,14 +150,14 @@ class MixturePhd(NamedTuple):
         if diagram.horizon < math.inf:
             others &= geometry.distances(region.polygon, means) <= diagram.horizon
         mine = OwnedState(region.owner, region.claim, update.resampled, diagram.hash)
-        return Belief(step.tick, mine, pick(update.updated, others), diagram.generator_names, diagram.known_names)
+        return Belief(step.tick, mine, select(update.updated, others), diagram.generator_names, diagram.known_names)
 
 
 def _region_of(corrected: Mixture, peaks: TargetEstimates, region: RegionInput, step: Step) -> RegionUpdate:
     """The part of the corrected mixture, and of the estimates, that falls to an owner."""
     inside = take(corrected, region.claim, step)
     load, detected = _in_view(corrected, region)
-    estimates = select_estimates(peaks, claims.owned(peaks.positions, region.claim, step.config.arena))
+    estimates = select(peaks, claims.owned(peaks.positions, region.claim, step.config.arena))
     mass, moment_x, moment_y = (total(inside.weights * column) for column in (1.0, inside.means[:, 0], inside.means[:, 1]))
     return RegionUpdate(corrected, inside, inside, mass, moment_x, moment_y, load, detected, estimates)
 

@@ -19,16 +19,14 @@ from agents.tracking.gaussians import (
     KERNEL_SHARE,
     QUADRATURE_WEIGHTS,
     Mixture,
-    chain,
     largest_variances,
-    pick,
     quadrature_mean,
     quadrature_points,
     unlabelled,
 )
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
 from agents.tracking.measurement_likelihood import BEARING, POSE_SPREAD, model_of, noise_of
-from agents.tracking.particles import column_sums
+from agents.tracking.particles import column_sums, join, select
 from agents.tracking.phd import exp_minus
 from agents.tracking.step import Step
 from protocol.random_streams import random_key, scramble
@@ -102,7 +100,7 @@ def _split(mixture: Mixture, step: Step) -> Mixture:
     wide = np.flatnonzero(largest_variances(mixture) > step.config.mixture.spread**2)
     if not len(wide):
         return mixture
-    halves = pick(mixture, wide)
+    halves = select(mixture, wide)
     xx, xy, yy = halves.covariances[:, 0, 0], halves.covariances[:, 0, 1], halves.covariances[:, 1, 1]
     variance = largest_variances(halves)
     east, north = np.where(xx >= yy, variance - yy, xy), np.where(xx >= yy, xy, variance - xx)
@@ -115,7 +113,7 @@ def _split(mixture: Mixture, step: Step) -> Mixture:
     covariances = halves.covariances - shift[:, :, None] * shift[:, None, :]
     first = halves._replace(weights=0.5 * halves.weights, means=halves.means + shift, covariances=covariances)
     again = scramble(halves.ids, random_key(step.config.filter.seed, "split", step.tick))
-    return chain([_put(mixture, wide, first), first._replace(means=halves.means - shift, ids=again)])
+    return join([_put(mixture, wide, first), first._replace(means=halves.means - shift, ids=again)])
 
 
 def _put(mixture: Mixture, rows: np.ndarray, others: Mixture) -> Mixture:
@@ -137,7 +135,7 @@ def _in_arena(mixture: Mixture, step: Step) -> Mixture:
             means[:, axis + 2] = np.where(low | high, -means[:, axis + 2], means[:, axis + 2])
             signs[:, axis] = signs[:, axis + 2] = np.where(low | high, -1.0, 1.0)
         mixture = mixture._replace(means=means, covariances=mixture.covariances * signs[:, :, None] * signs[:, None, :])
-    return pick(mixture, in_arena(mixture.means, arena))
+    return select(mixture, in_arena(mixture.means, arena))
 
 
 def correct(mixture: Mixture, scans: Sequence[Scan], step: Step) -> Mixture:
@@ -158,7 +156,7 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     width = 3.0 * np.sqrt(largest_variances(mixture)) + (scan.sensor.reach + POSE_SPREAD * scan.pose_noise[0])
     dx, dy = mixture.means[:, 0] - x, mixture.means[:, 1] - y
     close = dx * dx + dy * dy <= width * width
-    near, noise = pick(mixture, close), measured_covariances(scan, config)
+    near, noise = select(mixture, close), measured_covariances(scan, config)
     seen = scan.probability(quadrature_points(near).reshape(-1, 2)).reshape(-1, len(QUADRATURE_WEIGHTS))
     rows, columns, found, likelihood = _detected(near, scan, noise, step)
     terms = np.zeros((len(near.ids), len(scan.detections)))
@@ -176,8 +174,8 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
     left = missed(near, seen, gained, scan.detections, born.weights, config)
     stays = np.ones(len(mixture.ids), dtype=bool)
     stays[close] = (left.weights >= config.mixture.pruned) | (quadrature_mean(seen) < 0.5)
-    parts = [pick(_put(mixture, np.flatnonzero(close), left), stays)]
-    return chain([*parts, *(pick(part, part.weights >= config.mixture.pruned) for part in (found, born))])
+    parts = [select(_put(mixture, np.flatnonzero(close), left), stays)]
+    return join([*parts, *(select(part, part.weights >= config.mixture.pruned) for part in (found, born))])
 
 
 def measured_covariances(scan: Scan, config: AgentConfig) -> np.ndarray:
@@ -259,7 +257,7 @@ def missed(
     total = quadrature_mean(factors)
     left = mixture._replace(weights=mixture.weights * total)
     cut = np.flatnonzero((factors != factors[:, :1]).any(axis=1) & (left.weights > 0.0))
-    return _put(left, cut, _reshaped(pick(left, cut), factors[cut] / total[cut, None])) if len(cut) else left
+    return _put(left, cut, _reshaped(select(left, cut), factors[cut] / total[cut, None])) if len(cut) else left
 
 
 def _nearby(places: np.ndarray, others: np.ndarray, values: np.ndarray, radius: float) -> np.ndarray:

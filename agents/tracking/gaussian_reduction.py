@@ -9,9 +9,9 @@ import numpy as np
 
 from agents.config import MixtureSettings
 from agents.tracking.extraction import DETAILS, TargetEstimates
-from agents.tracking.gaussians import Mixture, chain, factors, largest_variances, pick
+from agents.tracking.gaussians import Mixture, factors, largest_variances
 from agents.tracking.labels import name_peaks, weight_by_label
-from agents.tracking.particles import total
+from agents.tracking.particles import join, select, total
 
 STRIP = 1024  # components whose pairs are looked at together, so that they take little memory
 ALIKE = 9.0  # a component merges with one of at most this many times its variance
@@ -38,7 +38,7 @@ def merged(mixture: Mixture, settings: MixtureSettings) -> Mixture:
             continue
         taken[[heaviest, *group]] = True
         found.append(whole)
-    return chain([pick(mixture, np.array(alone, dtype=np.int64)), *found])
+    return join([select(mixture, np.array(alone, dtype=np.int64)), *found])
 
 
 def _close_pairs(mixture: Mixture, most: float) -> dict[int, list[int]]:
@@ -92,7 +92,7 @@ def _squared(apart: np.ndarray, factor: np.ndarray) -> np.ndarray:
 
 def _as_one(mixture: Mixture, rows: list[int]) -> Mixture:
     """The one component with mass, mean and covariance of several; id and label are those of the first."""
-    group = pick(mixture, np.array(rows))
+    group = select(mixture, np.array(rows))
     mass = total(group.weights)
     mean, covariance = _moments(group, mass)
     return Mixture(np.array([mass]), mean[None], covariance[None], group.ids[:1], group.labels[:1])
@@ -114,7 +114,7 @@ def limited(mixture: Mixture, most: int) -> Mixture:
     if len(mixture.ids) <= most:
         return mixture
     heaviest = np.sort(np.lexsort((mixture.ids, -mixture.weights))[:most])
-    found = pick(mixture, heaviest)
+    found = select(mixture, heaviest)
     return found._replace(weights=found.weights * (total(mixture.weights) / total(found.weights)))
 
 
@@ -142,7 +142,7 @@ def estimate_and_label(mixture: Mixture, threshold: float, beside: float, radius
         mass = total(left[near])
         if mass < threshold:
             continue
-        peak = pick(mixture, near)
+        peak = select(mixture, near)
         mean, covariance = _moments(peak, mass)
         number = max(1, math.floor(mass + 1.0 - further))
         found += [(*mean.tolist(), covariance[0, 0], covariance[0, 1], covariance[1, 1], min(1.0, mass / number))] * number

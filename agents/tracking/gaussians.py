@@ -43,22 +43,6 @@ def unlabelled(weights: np.ndarray, means: np.ndarray, covariances: np.ndarray, 
     return Mixture(weights, means, covariances, ids, np.zeros(len(ids), dtype=np.uint64))
 
 
-def chain(parts: list[Mixture]) -> Mixture:
-    """All components of several mixtures, in order."""
-    return Mixture(*(np.concatenate(columns) for columns in zip(*parts))) if parts else EMPTY
-
-
-def pick(mixture: Mixture, chosen: np.ndarray) -> Mixture:
-    """The components chosen by a mask (N,) bool or by an array of indices."""
-    return Mixture(*(column[chosen] for column in mixture))
-
-
-def in_order(mixture: Mixture) -> Mixture:
-    """The same components in ascending order of id, the first of equal ids only."""
-    _, first = np.unique(mixture.ids, return_index=True)
-    return pick(mixture, first)
-
-
 def clamped(mixture: Mixture, arena: ArenaSettings) -> Mixture:
     """The components with their means in the arena, those outside on its border; the border is rounded inwards as on the wire."""
     sides = np.array([arena.width, arena.height])

@@ -1,12 +1,14 @@
 """Weighted particles, and the operations that keep their order.
 
-Data types: `Particles` hold states, weights, 64-bit ids and labels (agents/tracking/labels.py) side by side.
+Data types: `Particles` hold states, weights, 64-bit ids and labels (agents/tracking/labels.py) side by side. Mixtures and estimates
+also are columns side by side, so `join` and `select` take them too, and `canonical` takes mixtures.
 
 Rules. The canonical order is by ascending id. Sums run one after the other in the order of the particles, so that a particle that
 contributes zero changes no bit.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,6 +23,7 @@ class Particles(NamedTuple):
 
 
 NO_PARTICLES = Particles(np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.uint64), np.empty(0, dtype=np.uint64))
+T = TypeVar("T", bound=NamedTuple)  # of arrays of equal length
 WIRE_TYPE = np.float32  # the precision of states on the wire
 
 
@@ -29,32 +32,25 @@ def unlabelled(states: np.ndarray, weights: np.ndarray, ids: np.ndarray) -> Part
     return Particles(states, weights, ids, np.zeros(len(ids), dtype=np.uint64))
 
 
-def join(parts: list[Particles]) -> Particles:
-    """All particles of several sets, in order."""
-    if not parts:
-        return NO_PARTICLES
-    return Particles(
-        np.concatenate([part.states for part in parts]),
-        np.concatenate([part.weights for part in parts]),
-        np.concatenate([part.ids for part in parts]),
-        np.concatenate([part.labels for part in parts]),
-    )
+def join(parts: Sequence[T]) -> T:
+    """All rows of several sets, at least one, in order."""
+    return parts[0]._make(map(np.concatenate, zip(*parts)))
 
 
-def select(particles: Particles, chosen: np.ndarray) -> Particles:
-    """The particles chosen by a mask (N,) bool or by an array of indices."""
+def select(columns: T, chosen: np.ndarray) -> T:
+    """The rows chosen by a mask (N,) bool or by an array of indices."""
     rows = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
-    states, weights, ids, labels = particles
-    return Particles(states.take(rows, axis=0), weights.take(rows), ids.take(rows), labels.take(rows))
+    return columns._make([column.take(rows, axis=0) for column in columns])
 
 
-def canonical(particles: Particles) -> Particles:
-    """The same particles in ascending order of id, the first of equal ids only."""
-    order = np.argsort(particles.ids, kind="stable")
-    ids = particles.ids[order]
+def canonical(columns: T) -> T:
+    """The same rows in ascending order of id, the first of equal ids only."""
+    ids: np.ndarray = columns.ids  # type: ignore[attr-defined]  # of particles or of a mixture
+    order = np.argsort(ids, kind="stable")
+    ids = ids[order]
     if len(ids) > 1:
         order = order[np.concatenate([[True], ids[1:] != ids[:-1]])]
-    return select(particles, order)
+    return select(columns, order)
 
 
 def total(values: np.ndarray) -> float:

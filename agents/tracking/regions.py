@@ -15,7 +15,7 @@ import numpy as np
 from agents.gossip.table import GossipTable, as_particles
 from agents.tracking import claims, phd
 from agents.tracking.births import near_part
-from agents.tracking.extraction import NO_ESTIMATES, estimate_targets, select_estimates
+from agents.tracking.extraction import NO_ESTIMATES, estimate_targets
 from agents.tracking.labels import renamed
 from agents.tracking.measurement_likelihood import BEARING, model_of
 from agents.tracking.particles import Particles, canonical, join, select, total
@@ -44,7 +44,7 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     estimates = NO_ESTIMATES
     if claim.names:
         estimates = estimate_targets(updated, config.extraction, step.tick)
-        estimates = select_estimates(estimates, claims.owned(estimates.positions, claim, config.arena))
+        estimates = select(estimates, claims.owned(estimates.positions, claim, config.arena))
         updated = updated._replace(labels=renamed(updated, owned, near, estimates.positions, config.extraction.bin))
     own = canonical(select(updated, owned))
     mass, moment_x, moment_y = moments(own)

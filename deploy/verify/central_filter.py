@@ -19,7 +19,7 @@ from agents.tracking.belief import as_stated
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, Claim, owned
 from agents.tracking.extraction import estimate_targets
-from agents.tracking.gaussians import Mixture, chain, in_order
+from agents.tracking.gaussians import EMPTY, Mixture
 from agents.tracking.labels import renamed
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, select
 from agents.tracking.regions import predict
@@ -66,7 +66,7 @@ class CentralMixture:
         self.stamp += 1
         step, table = Step(self.config, self.stamp), _all(gossips, self._classes, self.config)
         _, self.updated = gaussian_belief.filter_step(self.mixture, table, step)
-        self.mixture = in_order(chain([gaussian_belief.take(self.updated, claim, step) for claim in claims.values()]))
+        self.mixture = canonical(join([EMPTY, *(gaussian_belief.take(self.updated, claim, step) for claim in claims.values())]))
 
 
 def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: AgentConfig) -> GossipTable:
@@ -80,7 +80,7 @@ def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: Agen
 def drawn(updated: Particles, predicted: Particles, claims: Mapping[str, Claim], step: Step) -> Particles:
     """What the owners draw of the particles in their claims, some of which they rename before; `predicted` is before the scans."""
     arena, filters = step.config.arena, step.config.filter
-    places, parts = estimate_targets(updated, step.config.extraction).positions, list[Particles]()
+    places, parts = estimate_targets(updated, step.config.extraction).positions, [NO_PARTICLES]
     for owner, claim in claims.items():
         mine = owned(updated.states, claim, arena)
         labels = renamed(updated, mine, predicted, places[owned(places, claim, arena)], step.config.extraction.bin)
@@ -131,6 +131,5 @@ def mixture_difference(one: Mixture, other: Mixture) -> float:
 
 def united(owned: Mapping[str, Particles]) -> Particles:
     """Everything that the agents own, in ascending order of id; an id that two of them own occurs twice."""
-    parts = [owned[name] for name in sorted(owned, key=order)]
-    everything = join(parts) if parts else NO_PARTICLES
+    everything = join([NO_PARTICLES, *(owned[name] for name in sorted(owned, key=order))])
     return select(everything, np.argsort(everything.ids, kind="stable"))

@@ -13,8 +13,8 @@ from agents.gossip.inbox import WINDOW_TICKS, RoundInbox
 from agents.round import RoundResult
 from agents.tracking import gaussian_belief
 from agents.tracking.belief import MOST_COPIES, owned_by_sender
-from agents.tracking.gaussians import Mixture, chain, in_order
-from agents.tracking.particles import Particles
+from agents.tracking.gaussians import EMPTY, Mixture
+from agents.tracking.particles import Particles, canonical, join
 from deploy.simulation import Simulation
 from deploy.verify.central_filter import CentralFilter, CentralMixture, mixture_difference, particle_difference, united
 from protocol.geometry import polygon_area
@@ -241,16 +241,16 @@ class InvariantChecker:
     def _compare_mixtures(self, tick: int, stated: dict[str, Gossip]) -> None:
         """The same of Gaussian mixtures, to the last bit."""
         told = {name: gaussian_belief.owned_by_sender(said) for name, said in stated.items()}
-        owned = chain([each.targets for each in told.values()])
+        owned = join([EMPTY, *(each.targets for each in told.values())])
         if len(np.unique(owned.ids)) < len(owned.ids):
             need(self._is_spoilt, f"tick {tick}: a component is owned by two agents though healed")
             self._central_mixture = None
             return
         if self._central_mixture is None:
-            self._central_mixture = CentralMixture(self._simulation.injector.scenario, in_order(owned), tick)
+            self._central_mixture = CentralMixture(self._simulation.injector.scenario, canonical(owned), tick)
             return
         self._central_mixture.play(self._collector.gossips[tick], {name: each.claim for name, each in told.items()})
-        apart = mixture_difference(in_order(owned), self._central_mixture.mixture)
+        apart = mixture_difference(canonical(owned), self._central_mixture.mixture)
         need(apart == 0.0, f"tick {tick}: not the central mixture: {apart}")
         self._comparisons += 1
 

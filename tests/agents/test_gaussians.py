@@ -16,15 +16,14 @@ from agents.tracking.gaussian_reduction import ALIKE, STRIP, _near_pairs, estima
 from agents.tracking.gaussians import (
     EMPTY,
     Mixture,
-    chain,
     clamped,
-    in_order,
     packed,
     quadrature_mean,
     quadrature_points,
     unpacked,
     weighted_points,
 )
+from agents.tracking.particles import canonical, join
 from agents.tracking.step import Step
 from agents.tracking.tracker import Belief, OwnedState
 from protocol.fields import pack
@@ -139,7 +138,7 @@ def test_the_noise_of_ranges_and_bearings_lies_along_and_across_the_ray() -> Non
 
 def test_a_detection_shares_its_weight_among_two_components_and_the_clutter() -> None:
     kappa = 0.01
-    two = chain([component(19.0, 20.0, 3.0, weight=0.6), component(22.0, 20.0, 1.0, weight=0.5, id=2)])
+    two = join([component(19.0, 20.0, 3.0, weight=0.6), component(22.0, 20.0, 1.0, weight=0.5, id=2)])
     found = gaussian_phd.correct(two, [scan([(20.0, 20.0)], clutter=kappa)], Step(config(), 3))
     first = 0.6 * 0.8 * math.exp(-0.5 / 4.0) / (2.0 * math.pi * 4.0)
     second = 0.5 * 0.8 * math.exp(-0.5 * 4.0 / 2.0) / (2.0 * math.pi * 2.0)
@@ -182,7 +181,7 @@ def test_a_birth_has_the_noise_of_the_sensor_and_the_share_of_the_least_density(
 
 
 def test_two_close_components_become_one_of_the_same_mass_mean_and_covariance() -> None:
-    two = chain([component(10.0, 10.0, 1.0, weight=0.3), component(11.0, 10.0, 1.0, weight=0.1, id=2)])
+    two = join([component(10.0, 10.0, 1.0, weight=0.3), component(11.0, 10.0, 1.0, weight=0.1, id=2)])
     one = merged(two, MixtureSettings())
     assert one.weights == pytest.approx([0.4]) and one.ids.tolist() == [1]
     assert one.means[0] == pytest.approx([10.25, 10.0, 2.0, 0.0])
@@ -197,18 +196,18 @@ def test_components_far_apart_in_place_in_velocity_or_in_size_stay_two() -> None
         component(10.0, 10.0, 1.0, velocity=(-2.0, 0.0), id=2),
         component(10.0, 10.0, 10.0, id=2),
     ):
-        assert len(merged(chain([first, other]), MixtureSettings()).ids) == 2
+        assert len(merged(join([first, other]), MixtureSettings()).ids) == 2
 
 
 def test_a_difference_below_the_precision_of_the_wire_does_not_decide_what_merges() -> None:
     places = [(10.0, 1), (11.5, 2), (13.0, 3)]
     even, uneven = ([component(x, 5.0, 1.0, weight=0.5 + grown * id, id=id) for x, id in places] for grown in (0.0, 1e-12))
-    found = [in_order(merged(chain(parts), MixtureSettings())).means[:, 0] for parts in (even, uneven)]
+    found = [canonical(merged(join(parts), MixtureSettings())).means[:, 0] for parts in (even, uneven)]
     assert len(found[0]) == 2 and found[1] == pytest.approx(found[0])
 
 
 def test_of_too_many_components_the_heaviest_are_kept_with_the_mass_of_all() -> None:
-    mixture = chain([component(float(x), 1.0, 1.0, weight=weight, id=x) for x, weight in ((1, 0.5), (2, 1e-6), (3, 0.3), (4, 0.2))])
+    mixture = join([component(float(x), 1.0, 1.0, weight=weight, id=x) for x, weight in ((1, 0.5), (2, 1e-6), (3, 0.3), (4, 0.2))])
     left = limited(mixture, 2)
     assert left.ids.tolist() == [1, 3]
     assert left.weights.sum() == pytest.approx(mixture.weights.sum()) and left.weights[0] / left.weights[1] == pytest.approx(5.0 / 3.0)
@@ -216,7 +215,7 @@ def test_of_too_many_components_the_heaviest_are_kept_with_the_mass_of_all() -> 
 
 def test_an_estimate_is_a_peak_of_at_least_the_threshold_and_two_targets_are_two() -> None:
     parts = [(10.0, 0.3, 1), (10.5, 0.3, 2), (20.0, 0.4, 3), (30.0, 1.8, 4)]
-    mixture = chain([component(x, 5.0, 0.1, weight=weight, id=number) for x, weight, number in parts])
+    mixture = join([component(x, 5.0, 0.1, weight=weight, id=number) for x, weight, number in parts])
     assert estimate_and_label(mixture, 0.5, 0.0, 2.0)[0].positions == pytest.approx(np.array([[30.0, 5.0], [30.0, 5.0], [10.25, 5.0]]))
 
 
@@ -242,14 +241,14 @@ def test_a_component_without_a_label_takes_that_of_its_detection() -> None:
 def test_moving_and_splitting_keep_labels_and_a_merged_component_has_that_of_the_heavier_one() -> None:
     wide = component(20.0, 20.0, 40.0, label=77)
     assert gaussian_phd.predict(wide, Step(config(), 3)).labels.tolist() == [77, 77]
-    two = chain([component(10.0, 10.0, 1.0, weight=0.3, label=5), component(10.5, 10.0, 1.0, weight=0.1, id=2, label=3)])
+    two = join([component(10.0, 10.0, 1.0, weight=0.3, label=5), component(10.5, 10.0, 1.0, weight=0.1, id=2, label=3)])
     assert merged(two, MixtureSettings()).labels.tolist() == [5]
 
 
 def test_no_two_estimates_have_one_label_and_the_components_of_the_second_take_the_new_one() -> None:
     places = [(10.0, 0.9, 1), (20.0, 0.8, 2), (20.4, 0.1, 3), (30.0, 0.7, 4)]
     parts = [component(x, 5.0, 0.1, weight=weight, id=number, label=9 if x < 25.0 else 0) for x, weight, number in places]
-    estimates, mixture = estimate_and_label(chain(parts), 0.5, 0.0, 2.0)
+    estimates, mixture = estimate_and_label(join(parts), 0.5, 0.0, 2.0)
     first, second, third = estimates.labels.tolist()
     assert first == 9 and second not in (0, 9) and third == 0
     assert mixture.labels.tolist() == [9, second, second, 0]
@@ -267,10 +266,10 @@ def halves(border: float) -> list[Claim]:
 def test_what_the_agents_hold_together_does_not_depend_on_their_cells() -> None:
     """40 components in one cell, or divided between two."""
     parts = [component(4.0 + 8.0 * (n % 5), 2.5 + 5.0 * (n // 5), 1.0, weight=1e-3 * n + 1e-3, id=n) for n in range(40)]
-    whole = chain(parts)
+    whole = join(parts)
     for border in (20.0, 34.9, 39.0):
         taken = [gaussian_belief.take(whole, claim, Step(config(), 3)) for claim in halves(border)]
-        together = in_order(chain(taken))
+        together = canonical(join(taken))
         assert all(np.array_equal(one, other) for one, other in zip(together, whole))
 
 
@@ -299,13 +298,13 @@ def after(mixture: Mixture, settings: AgentConfig = config()) -> Mixture:
 
 
 def test_light_components_are_dropped_in_view_or_not() -> None:
-    assert after(chain([component(10.0, 10.0, 1.0, weight=2e-4), component(30.0, 10.0, 1.0, weight=0.5e-4, id=2)])).ids.tolist() == [1]
+    assert after(join([component(10.0, 10.0, 1.0, weight=2e-4), component(30.0, 10.0, 1.0, weight=0.5e-4, id=2)])).ids.tolist() == [1]
 
 
 def test_a_detection_beyond_the_border_is_a_target_at_the_border() -> None:
     """Else it would belong to no cell. The border of 33.3 m is rounded inwards, as it lies between two numbers of the wire."""
     arena = ArenaSettings(width=33.3, height=40.0)
-    moved = clamped(chain([component(-0.2, 20.0, 1.0), component(33.5, 41.0, 1.0)]), arena)
+    moved = clamped(join([component(-0.2, 20.0, 1.0), component(33.5, 41.0, 1.0)]), arena)
     assert moved.means[0, :2].tolist() == [0.0, 20.0] and moved.means[1, 1] == 40.0
     assert 33.3 - 4e-6 < float(np.float32(moved.means[1, 0])) <= 33.3
 
@@ -315,7 +314,7 @@ def test_what_a_scan_moves_beyond_the_border_stays_in_a_cell() -> None:
     seen = gossip_of_scan((1.0, 20.0, 0.0), [(-0.5, 20.0)])
     step = Step(config(birth=BirthSettings(background=False)), 5)
     _, corrected = gaussian_belief.filter_step(component(0.2, 20.0, 1.0, velocity=(0.0, 0.0)), table([seen], DISC, step.config), step)
-    owned = chain([gaussian_belief.take(corrected, claim, step) for claim in halves(20.0)])
+    owned = join([gaussian_belief.take(corrected, claim, step) for claim in halves(20.0)])
     assert corrected.weights.sum() > 0.9 and owned.weights.sum() == corrected.weights.sum()
 
 
@@ -347,17 +346,17 @@ def test_the_quadrature_points_have_the_mean_and_but_for_the_kernel_the_covarian
 
 
 def test_two_labels_of_a_target_each_are_two_places_however_close() -> None:
-    close = chain([component(10.0, 5.0, 0.1, weight=0.9, label=7), component(11.0, 5.0, 0.1, weight=0.8, id=2, label=8)])
+    close = join([component(10.0, 5.0, 0.1, weight=0.9, label=7), component(11.0, 5.0, 0.1, weight=0.8, id=2, label=8)])
     estimates, mixture = estimate_and_label(close, 0.5, 0.0, 2.0)
     assert estimates.positions[:, 0].tolist() == [10.0, 11.0] and estimates.labels.tolist() == [7, 8] and mixture.labels.tolist() == [7, 8]
-    heavy = chain([component(10.0, 5.0, 0.1, weight=1.8, label=7)])
+    heavy = join([component(10.0, 5.0, 0.1, weight=1.8, label=7)])
     estimates, mixture = estimate_and_label(heavy, 0.5, 0.0, 2.0)
     assert estimates.labels[0] == 7 and estimates.labels[1] not in (0, 7) and mixture.labels.tolist() == [7]
 
 
 def test_order_is_by_id_and_equal_ids_count_once() -> None:
-    mixture = chain([component(1.0, 1.0, 1.0, id=5), component(2.0, 1.0, 1.0, id=3), component(3.0, 1.0, 1.0, id=5)])
-    assert in_order(mixture).means[:, 0].tolist() == [2.0, 1.0]
+    mixture = join([component(1.0, 1.0, 1.0, id=5), component(2.0, 1.0, 1.0, id=3), component(3.0, 1.0, 1.0, id=5)])
+    assert canonical(mixture).means[:, 0].tolist() == [2.0, 1.0]
 
 
 def test_the_prior_has_its_mass_everywhere() -> None:

@@ -13,7 +13,8 @@ import pytest
 from agents.config import AgentConfig, BirthSettings, FilterSettings, MixtureSettings
 from agents.tracking import gaussian_phd
 from agents.tracking.births import Scan
-from agents.tracking.gaussians import Mixture, chain, unlabelled
+from agents.tracking.gaussians import Mixture, unlabelled
+from agents.tracking.particles import join
 from agents.tracking.step import Step
 from protocol.sensing import WedgeSensor
 from protocol.settings import DetectionSettings
@@ -47,8 +48,8 @@ def test_a_scan_corrects_as_the_paper_of_the_filter_prints_it(seed: int) -> None
     detections = np.array([50.0, 50.0]) + rng.uniform(-3.0, 3.0, (3, 2))
     sensor = WedgeSensor(2.0 * math.pi, 900.0, PROBABILITY)
     scan = Scan(7, sensor, (100.0, 50.0, 0.0), detections, np.arange(3, dtype=np.uint64), CLUTTER)
-    ours = gaussian_phd.correct(chain([near, far]), [scan], Step(CONFIG, 3))
-    known = chain([near, far])
+    ours = gaussian_phd.correct(join([near, far]), [scan], Step(CONFIG, 3))
+    known = join([near, far])
     theirs = detected(components(known), detections, NOISE**2 * np.eye(2), PROBABILITY, CLUTTER) + missed(components(far), PROBABILITY)
     rest = components(ours)
     for weight, mean, covariance in theirs:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.tracking.gaussian_belief import owned_by_sender
-from agents.tracking.gaussians import chain, in_order
+from agents.tracking.particles import canonical, join
 from deploy.cli.scenario_checks import check_scenario
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import Simulation, compiled
@@ -37,7 +37,7 @@ def differences(scenario: Scenario, said: Said) -> list[float]:
     central: CentralMixture | None = None
     for tick in sorted(said)[:-1]:
         stated = {name: owned_by_sender(gossip) for name, gossip in said[tick + 1].items() if gossip.claim_names}
-        owned = in_order(chain([each.targets for each in stated.values()]))
+        owned = canonical(join([each.targets for each in stated.values()]))
         if central is None:
             central = CentralMixture(scenario, owned, tick)
             continue
