@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.config import BirthSettings, CapacitySettings, FilterSettings
+from agents.config import AgentConfig, CapacitySettings, FilterSettings
 from agents.coverage.capacity import centroid_of_detection, detecting_capability, power_radius, unused_capacity
 from agents.coverage.cells import power_cell
 from agents.coverage.control import STAND, Lloyd, Situation, approach
@@ -21,6 +21,7 @@ from agents.tracking.claims import power_distances
 from agents.tracking.particles import NO_PARTICLES, Particles, unlabelled
 from agents.tracking.phd import correct, resample
 from agents.tracking.regions import in_view, moments
+from agents.tracking.step import Step
 from deploy.scenario import TeamSettings, resolve, team_counts
 from deploy.simulation import simulate
 from protocol.geometry import EMPTY, distances, polygon_area, polygon_centroid, rectangle
@@ -402,8 +403,9 @@ def test_claim_the_phd_filter_needs_no_association_and_counts_targets() -> None:
     truth = np.array([[48.0, 50.0], [53.0, 52.0]])
     sensor, particles = SENSOR_CLASSES["H"], prior(1, 3000, FilterSettings(), ArenaSettings())
     for tick in range(10):
+        step = Step(AgentConfig(filter=FilterSettings(seed=1)), tick)
         scan = Scan(1, sensor, (45.0, 50.0, 0.0), truth, np.arange(2, dtype=np.uint64), 0.1 / sensor.area)
-        particles = resample(correct(particles, [scan], tick, 1, 0.25, FilterSettings(), BirthSettings()), "s1", tick, 1, FilterSettings())
+        particles = resample(correct(particles, [scan], step), "s1", step)
     near = np.hypot(*(particles.states[:, None, :2] - truth).transpose(2, 0, 1)).min(axis=1) < 2.0
     assert particles.weights[near].sum() == pytest.approx(2.0, abs=0.05)
 

@@ -21,7 +21,7 @@ from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.births import prior, prior_around, prior_size
 from agents.tracking.claims import NO_CLAIM, Claim, end_to_end, make_claim
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, join, select
-from agents.tracking.regions import predict
+from agents.tracking.phd import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import Belief, Diagram, OwnedState, RegionInput, RegionUpdate, claims_tile_arena, unknown_senders
 from protocol.compact_particles import packed, quantised

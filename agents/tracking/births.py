@@ -163,23 +163,14 @@ def least_density(clutter_density: float, birth: BirthSettings) -> float:
     return max(birth.least_density, min(birth.least_share * clutter_density, 0.5 * birth.most_density))
 
 
-def measurement_births(
-    scan: Scan,
-    per_particle: np.ndarray,
-    labels: np.ndarray,
-    tick: int,
-    seed: int,
-    noise: float,
-    settings: FilterSettings,
-    birth: BirthSettings,
-) -> Particles:
+def measurement_births(scan: Scan, per_particle: np.ndarray, labels: np.ndarray, step: Step) -> Particles:
     """New particles around each detection, of weight `per_particle` (M,) and with the labels (M,) of the detections.
 
     Ids and offsets from the detection are pure functions of (seed, sensor, detection number, tick, number of the particle).
     """
-    count = birth.measurement_particles
+    settings, noise, count = step.config.filter, step.config.detection.noise, step.config.birth.measurement_particles
     numbers = np.repeat(scan.numbers * np.uint64(count), count) + np.tile(np.arange(count, dtype=np.uint64), len(scan.numbers))
-    ids = scramble(numbers, random_key(seed, "birth", tick, scan.salt))
+    ids = scramble(numbers, random_key(settings.seed, "birth", step.tick, scan.salt))
     places = np.repeat(scan.detections, count, axis=0)
     if scan.rays is not None:
         scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
@@ -191,6 +182,7 @@ def measurement_births(
     return Particles(np.column_stack([places, velocities]), np.repeat(per_particle, count), ids, np.repeat(labels, count))
 
 
-def founded_labels(scan: Scan, tick: int, seed: int, birth: BirthSettings) -> np.ndarray:
+def founded_labels(scan: Scan, step: Step) -> np.ndarray:
     """The labels (M,) that the detections of a scan found, each from the id of the first of its births."""
-    return birth_labels(scramble(scan.numbers * np.uint64(birth.measurement_particles), random_key(seed, "birth", tick, scan.salt)), tick)
+    first = scan.numbers * np.uint64(step.config.birth.measurement_particles)
+    return birth_labels(scramble(first, random_key(step.config.filter.seed, "birth", step.tick, scan.salt)), step.tick)

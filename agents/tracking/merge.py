@@ -11,7 +11,7 @@ import numpy as np
 from agents.tracking import claims
 from agents.tracking.claims import Claim
 from agents.tracking.particles import Particles, canonical, join, select
-from agents.tracking.regions import predict
+from agents.tracking.phd import predict
 from agents.tracking.step import Step
 from protocol import geometry
 

@@ -8,29 +8,31 @@ bit. A filter of one cell and a filter of the whole arena therefore agree to the
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from agents.config import BirthSettings, FilterSettings
+from agents.config import FilterSettings
 from agents.tracking.births import Scan, birth_density, founded_labels, measurement_births, survival_probability
 from agents.tracking.extraction import block_sums
 from agents.tracking.labels import ADOPTED_SHARE, NO_LABEL, given_labels
 from agents.tracking.measurement_likelihood import distances_and_peaks, kernel_variance, model_of, noise_of
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, join, squared_distances
+from agents.tracking.step import Step
 from protocol.random_streams import normal, random_key, scramble
 from protocol.sensing import measurement_of
-from protocol.settings import ArenaSettings
 
 BINS_IN_VICINITY = 3.0  # bins in the length `vicinity`; two bins to each side of its own bin are near a particle
 
 
-def predict(particles: Particles, tick: int, seed: int, dt: float, settings: FilterSettings, arena: ArenaSettings) -> Particles:
-    """The particles at `tick`, one step of `dt` s later: constant speed, keyed heading and position noise, survival.
+def predict(particles: Particles, step: Step) -> Particles:
+    """The particles one step later: constant speed, keyed heading and position noise, survival.
 
     The heading turns by the Cayley map of a small angle, so that only exactly rounded operations occur. Particles that leave the
     arena stay in the array with weight 0, unless the border reflects.
     """
-    states = particles.states
+    settings, arena, dt = step.config.filter, step.config.arena, step.config.run.dt
+    seed, tick, states = settings.seed, step.tick, particles.states
     turn = normal(scramble(particles.ids, random_key(seed, "turn", tick))) * (0.5 * settings.heading_noise * math.sqrt(dt))
     scale = settings.speed / np.maximum(np.sqrt(states[:, 2] * states[:, 2] + states[:, 3] * states[:, 3]), 1e-12)
     cos, sin = (1.0 - turn * turn) / (1.0 + turn * turn), 2.0 * turn / (1.0 + turn * turn)
@@ -76,15 +78,7 @@ def likelihood_noise(noise: float, settings: FilterSettings) -> float:
     return math.sqrt(noise * noise + kernel_variance(settings))
 
 
-def correct(
-    particles: Particles,
-    scans: list[Scan],
-    tick: int,
-    seed: int,
-    noise: float,
-    settings: FilterSettings,
-    birth: BirthSettings,
-) -> Particles:
+def correct(particles: Particles, scans: Sequence[Scan], step: Step) -> Particles:
     """The PHD after all scans of a tick, one after the other in their order (iterated corrector), births behind in the order of detections.
 
     For each scan with clutter density kappa: w <- w m + sum over detections z of w p_d g(z) / (kappa + p_d(z) b(z) +
@@ -93,28 +87,19 @@ def correct(
     """
     predicted = particles
     for scan in scans:
-        founded = founded_labels(scan, tick, seed, birth)
-        corrected, per_particle, labels, given = correct_scan(particles, predicted, scan, founded, noise, settings, birth)
+        corrected, per_particle, labels, given = correct_scan(particles, predicted, scan, step)
         particles = Particles(particles.states, corrected, particles.ids, labels)
-        if birth.measurement and len(scan.detections):
-            born = measurement_births(scan, per_particle, given, tick, seed, noise, settings, birth)
-            particles = join([particles, born])
+        if step.config.birth.measurement and len(scan.detections):
+            particles = join([particles, measurement_births(scan, per_particle, given, step)])
     return particles
 
 
 def correct_scan(
-    particles: Particles,
-    predicted: Particles,
-    scan: Scan,
-    founded: np.ndarray,
-    noise: float,
-    settings: FilterSettings,
-    birth: BirthSettings,
+    particles: Particles, predicted: Particles, scan: Scan, step: Step
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The weights (N,) after one scan, the weight of each copy of a birth at each detection (M,), and the labels of both.
-
-    `founded` (M,) are the labels that the detections found if no living label explains them (`labels.given_labels`).
-    """
+    """The weights (N,) after one scan, the weight of each copy of a birth at each detection (M,), and the labels of both."""
+    noise, settings, birth = step.config.detection.noise, step.config.filter, step.config.birth
+    founded = founded_labels(scan, step) if birth.measurement else np.zeros_like(scan.numbers)
     probability = scan.probability(particles.states[:, :2])
     if scan.rays is not None:
         scan_noise = noise_of(model_of(measurement_of(scan.sensor)), noise, kernel_variance(settings), scan.pose_noise)
@@ -137,7 +122,7 @@ def correct_scan(
         gained = gained + terms[:, number] / norms[number]
     born = fresh / norms
     corrected = particles.weights * missed(particles, probability, gained, scan.detections, born, settings) + gained
-    labels, given = _labels_after(particles.labels, corrected, terms, norms, founded if birth.measurement else np.zeros_like(founded))
+    labels, given = _labels_after(particles.labels, corrected, terms, norms, founded)
     return corrected, born / birth.measurement_particles, labels, given
 
 
@@ -146,7 +131,8 @@ def _labels_after(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The labels of the particles (N,) and of the births (M,) after a scan, by the rules of agents/tracking/labels.py.
 
-    `terms` (N, M) are the terms w p_d g(z) of the particles with new `weights` (N,), and `norms` (M,) the sums N(z).
+    `terms` (N, M) are the terms w p_d g(z) of the particles with new `weights` (N,), and `norms` (M,) the sums N(z). `founded` (M,) are
+    the labels that the detections found if no living label explains them (`labels.given_labels`).
     """
     after, given = labels.copy(), given_labels(labels, terms, norms, founded)
     for number in range(len(norms)):
@@ -196,7 +182,7 @@ def sample_offset(seed: int, owner: str, tick: int) -> float:
     return (random_key(seed, "resample", owner, tick) >> 11) * 2.0**-53
 
 
-def resample(particles: Particles, owner: str, tick: int, seed: int, settings: FilterSettings) -> Particles:
+def resample(particles: Particles, owner: str, step: Step) -> Particles:
     """Equally weighted particles of the same mass: systematic resampling with one uniform keyed by (seed, owner, tick).
 
     The first draw of a particle keeps its id, and further draws get new ids. States are rounded to the precision of the wire, so
@@ -206,7 +192,7 @@ def resample(particles: Particles, owner: str, tick: int, seed: int, settings: F
     mass = float(sums[-1]) if len(sums) else 0.0
     if mass <= 0.0:
         return NO_PARTICLES
-    count = sample_size(mass, settings)
+    tick, seed, count = step.tick, step.config.filter.seed, sample_size(mass, step.config.filter)
     marks = (np.arange(count) + sample_offset(seed, owner, tick)) * (mass / count)
     parents = np.minimum(np.searchsorted(sums, marks, side="right"), len(sums) - 1)
     repeats = np.arange(count) - np.searchsorted(parents, parents, side="left")

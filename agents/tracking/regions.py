@@ -19,6 +19,7 @@ from agents.tracking.extraction import NO_ESTIMATES, estimate_targets
 from agents.tracking.labels import renamed
 from agents.tracking.measurement_likelihood import BEARING, model_of
 from agents.tracking.particles import Particles, canonical, join, select, total
+from agents.tracking.phd import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput, RegionUpdate
 from protocol import geometry
@@ -50,14 +51,8 @@ def _update_region(table: GossipTable, predicted: Particles, births: Particles, 
     mass, moment_x, moment_y = moments(own)
     near_load, near_detected = in_view(updated, region.sensor, region.pose)
     far_load, far_detected = in_view(far, region.sensor, region.pose)
-    resampled = phd.resample(own, region.owner, step.tick, config.filter.seed, config.filter)
+    resampled = phd.resample(own, region.owner, step)
     return RegionUpdate(updated, own, resampled, mass, moment_x, moment_y, near_load + far_load, near_detected + far_detected, estimates)
-
-
-def predict(particles: Particles, step: Step) -> Particles:
-    """The particles one step later (`phd.predict`)."""
-    config = step.config
-    return phd.predict(particles, step.tick, config.filter.seed, config.run.dt, config.filter, config.arena)
 
 
 def split_by_halo(predicted: Particles, births: Particles, region: RegionInput, step: Step) -> tuple[Particles, Particles]:
@@ -74,16 +69,15 @@ def split_by_halo(predicted: Particles, births: Particles, region: RegionInput, 
 
 def correct(particles: Particles, table: GossipTable, polygon: np.ndarray, step: Step) -> Particles:
     """The PHD around a cell after all scans that reach its halo, by their detections within the halo (`phd.correct`)."""
-    config, close = step.config, []
+    halo, close = step.config.filter.halo, []
     for scan in table.scans():
         apart = geometry.distances(polygon, np.array([scan.pose]))[0]
-        if apart <= config.filter.halo + scan.sensor.reach:
-            near = geometry.distances(polygon, scan.detections) <= config.filter.halo
+        if apart <= halo + scan.sensor.reach:
+            near = geometry.distances(polygon, scan.detections) <= halo
             if model_of(measurement_of(scan.sensor))[0] == BEARING:  # its beam may come near although its middle does not
                 near |= True
             close.append(near_part(scan, near))
-    noise = config.detection.noise
-    return phd.correct(particles, close, step.tick, config.filter.seed, noise, config.filter, config.birth)
+    return phd.correct(particles, close, step)
 
 
 def moments(particles: Particles) -> tuple[float, float, float]:

@@ -47,7 +47,7 @@ def our_scan(backend: Backend) -> Any:
 
     def scan() -> Particles:
         [found] = backend.update_regions(words, particles, backend.background_births(step), [region], step)
-        return phd.resample(found.updated, "s1", step.tick, step.config.filter.seed, step.config.filter)
+        return phd.resample(found.updated, "s1", step)
 
     assert len(scan().ids) >= PARTICLES // 4
     return scan

@@ -14,7 +14,7 @@ import numpy as np
 from agents.backend import PLAIN, Backend
 from agents.config import AgentConfig
 from agents.gossip.table import GossipTable, announced_sensor, gossip_table
-from agents.tracking import gaussian_belief, phd
+from agents.tracking import gaussian_belief
 from agents.tracking.belief import as_stated
 from agents.tracking.births import background_births
 from agents.tracking.claims import NO_CLAIM, Claim, owned
@@ -22,7 +22,7 @@ from agents.tracking.extraction import estimate_targets
 from agents.tracking.gaussians import EMPTY, Mixture
 from agents.tracking.labels import renamed
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, select
-from agents.tracking.regions import predict
+from agents.tracking.phd import predict, resample
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config
@@ -79,12 +79,12 @@ def _all(gossips: Mapping[str, Gossip], classes: Mapping[str, str], config: Agen
 
 def drawn(updated: Particles, predicted: Particles, claims: Mapping[str, Claim], step: Step) -> Particles:
     """What the owners draw of the particles in their claims, some of which they rename before; `predicted` is before the scans."""
-    arena, filters = step.config.arena, step.config.filter
+    arena = step.config.arena
     places, parts = estimate_targets(updated, step.config.extraction).positions, [NO_PARTICLES]
     for owner, claim in claims.items():
         mine = owned(updated.states, claim, arena)
         labels = renamed(updated, mine, predicted, places[owned(places, claim, arena)], step.config.extraction.bin)
-        found = phd.resample(canonical(select(updated._replace(labels=labels), mine)), owner, step.tick, filters.seed, filters)
+        found = resample(canonical(select(updated._replace(labels=labels), mine)), owner, step)
         parts.append(as_stated(found, owner, step))
     return canonical(join(parts))
 

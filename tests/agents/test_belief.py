@@ -9,7 +9,7 @@ from agents.gossip.table import GossipTable, as_particles
 from agents.tracking.belief import MOST_COPIES, Copies, CopyInputs, ParticlePhd, owned_by_sender, start, worth_keeping
 from agents.tracking.claims import NO_CLAIM, make_claim
 from agents.tracking.particles import NO_PARTICLES, Particles, canonical, join, unlabelled
-from agents.tracking.regions import predict
+from agents.tracking.phd import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import Belief, OwnedState
 from protocol.fields import pack

@@ -27,10 +27,15 @@ def scan(places: list[tuple[float, float]], numbers: list[int] | None = None) ->
     return Scan(99, DISC, (50.0, 30.0, 0.0), points, np.array(numbers or range(len(points)), dtype=np.uint64), 3e-4)
 
 
+def step(seed: int, tick: int, filters: FilterSettings = FILTER, birth: BirthSettings = BIRTH) -> Step:
+    """A step of half a second in the arena of these tests."""
+    seeded = msgspec.structs.replace(filters, seed=seed)
+    return Step(AgentConfig(run=RunSettings(dt=0.5), arena=ARENA, filter=seeded, birth=birth), tick)
+
+
 def born(seed: int, tick: int, filters: FilterSettings, birth: BirthSettings) -> Particles:
     """The background births of half a second in the arena of these tests."""
-    seeded = msgspec.structs.replace(filters, seed=seed)
-    return background_births(Step(AgentConfig(run=RunSettings(dt=0.5), arena=ARENA, filter=seeded, birth=birth), tick))
+    return background_births(step(seed, tick, filters, birth))
 
 
 def test_the_prior_is_uniform_and_has_its_density() -> None:
@@ -85,9 +90,7 @@ def test_births_of_different_ticks_have_different_ids() -> None:
 
 
 def test_measurement_births_lie_around_their_detections_and_share_their_mass() -> None:
-    births = measurement_births(
-        scan([(50.0, 30.0), (55.0, 31.0)]), np.array([0.01, 0.02]), np.array([8, 9], np.uint64), 7, 1, 0.25, FILTER, BIRTH
-    )
+    births = measurement_births(scan([(50.0, 30.0), (55.0, 31.0)]), np.array([0.01, 0.02]), np.array([8, 9], np.uint64), step(1, 7))
     assert births.weights.tolist() == [0.01] * 10 + [0.02] * 10
     apart = births.states[:, :2] - np.repeat([(50.0, 30.0), (55.0, 31.0)], 10, axis=0)
     assert np.abs(apart).max() < 0.25 * 2.0 * math.sqrt(3.0)
@@ -97,9 +100,9 @@ def test_measurement_births_lie_around_their_detections_and_share_their_mass() -
 def test_a_birth_is_the_same_for_whoever_hears_a_part_of_the_scan() -> None:
     """The number of a detection in the whole scan is its key, not its place among those that matter here."""
     whole = measurement_births(
-        scan([(45.0, 30.0), (50.0, 30.0), (55.0, 31.0)]), np.full(3, 0.01), np.arange(3, dtype=np.uint64), 7, 1, 0.25, FILTER, BIRTH
+        scan([(45.0, 30.0), (50.0, 30.0), (55.0, 31.0)]), np.full(3, 0.01), np.arange(3, dtype=np.uint64), step(1, 7)
     )
-    part = measurement_births(scan([(55.0, 31.0)], [2]), np.full(1, 0.01), np.full(1, 2, np.uint64), 7, 1, 0.25, FILTER, BIRTH)
+    part = measurement_births(scan([(55.0, 31.0)], [2]), np.full(1, 0.01), np.full(1, 2, np.uint64), step(1, 7))
     assert (whole.states[20:] == part.states).all() and (whole.ids[20:] == part.ids).all()
 
 

@@ -7,21 +7,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.compiled import label_kernels
-from agents.config import BirthSettings, FilterSettings
+from agents.config import AgentConfig, FilterSettings
 from agents.tracking.births import Scan, founded_labels
 from agents.tracking.extraction import estimate_targets
 from agents.tracking.labels import birth_labels, derived_label, heaviest, mean_positions, name_peaks, renamed
 from agents.tracking.particles import NO_PARTICLES, Particles, join
 from agents.tracking.phd import correct, resample
+from agents.tracking.step import Step
 from deploy.scoring.tracks import UniqueLabels
 from protocol.codec import decode, encode
 from protocol.fields import Malformed, pack, pack_labels, read_labels
 from protocol.messages import Gossip
 from protocol.observer_messages import Estimate
 from protocol.sensing import SENSOR_CLASSES
+from protocol.settings import DetectionSettings
 
-FILTER = FilterSettings(vicinity=6.0)
-BIRTH = BirthSettings()
+CONFIG = AgentConfig(detection=DetectionSettings(noise=0.3), filter=FilterSettings(seed=1, vicinity=6.0))
 EYE = SENSOR_CLASSES["A"]
 
 
@@ -37,7 +38,7 @@ def seen(particles: Particles, *detections: tuple[float, float], tick: int = 5) 
     """The particles after a scan by a sensor 3 m to the west of (10, 10), with little clutter."""
     found = np.array(detections).reshape(-1, 2)
     scan = Scan(77, EYE, (7.0, 10.0, 0.0), found, np.arange(len(found), dtype=np.uint64), 1e-3)
-    return correct(particles, [scan], tick, 1, 0.3, FILTER, BIRTH)
+    return correct(particles, [scan], Step(CONFIG, tick))
 
 
 def test_a_detection_of_nothing_known_founds_a_label_and_its_births_bear_it() -> None:
@@ -45,13 +46,13 @@ def test_a_detection_of_nothing_known_founds_a_label_and_its_births_bear_it() ->
     labels = np.unique(born.labels)
     assert len(labels) == 2 and 0 not in labels and labels.max() < 2**53
     scan = Scan(77, EYE, (7.0, 10.0, 0.0), np.zeros((2, 2)), np.arange(2, dtype=np.uint64), 1e-3)
-    assert set(labels.tolist()) == set(founded_labels(scan, 5, 1, BIRTH).tolist())
+    assert set(labels.tolist()) == set(founded_labels(scan, Step(CONFIG, 5)).tolist())
 
 
 def test_labels_of_later_ticks_are_larger_and_those_of_another_sensor_seed_or_detection_differ() -> None:
     def founded(salt: int, tick: int, seed: int, number: int) -> int:
         scan = Scan(salt, EYE, (0.0, 0.0, 0.0), np.zeros((1, 2)), np.array([number], dtype=np.uint64), 1e-3)
-        return int(founded_labels(scan, tick, seed, BIRTH)[0])
+        return int(founded_labels(scan, Step(AgentConfig(filter=FilterSettings(seed=seed)), tick))[0])
 
     assert founded(77, 5, 1, 0) == founded(77, 5, 1, 0) < founded(78, 6, 2, 1)
     assert len({founded(77, 5, 1, 0), founded(78, 5, 1, 0), founded(77, 5, 2, 0), founded(77, 5, 1, 1)}) == 4
@@ -59,7 +60,7 @@ def test_labels_of_later_ticks_are_larger_and_those_of_another_sensor_seed_or_de
 
 def test_births_beside_a_living_track_bear_its_label() -> None:
     born = seen(cloud(10.0, 10.0, 1.0, 9), (10.0, 10.0))
-    assert len(born.ids) == 50 + BIRTH.measurement_particles and set(born.labels.tolist()) == {9}
+    assert len(born.ids) == 50 + CONFIG.birth.measurement_particles and set(born.labels.tolist()) == {9}
 
 
 def test_births_at_a_detection_that_the_track_hardly_explains_found_a_label_of_their_own() -> None:
@@ -76,7 +77,7 @@ def test_a_particle_without_a_label_takes_that_of_the_detection_that_it_lives_of
 
 def test_all_copies_of_a_drawn_particle_keep_its_label() -> None:
     both = Particles(*(np.concatenate(parts) for parts in zip(cloud(10.0, 10.0, 0.9, 4), cloud(20.0, 10.0, 0.1, 6, first=100))))
-    drawn = resample(both, "s1", 3, 1, FILTER)
+    drawn = resample(both, "s1", Step(CONFIG, 3))
     assert (drawn.labels == np.where(drawn.states[:, 0] < 15.0, 4, 6)).all() and len(drawn.ids) > 60
 
 

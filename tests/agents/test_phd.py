@@ -7,17 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.config import BirthSettings, FilterSettings
+from agents.config import AgentConfig, BirthSettings, FilterSettings
 from agents.tracking.births import Scan, survival_probability
 from agents.tracking.particles import NO_PARTICLES, Particles, select, total, unlabelled
 from agents.tracking.phd import correct, exp_minus, likelihood_noise, predict, resample, sample_size
+from agents.tracking.step import Step
 from protocol.random_streams import scramble
 from protocol.sensing import Pose, WedgeSensor
-from protocol.settings import ArenaSettings
+from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 
 ARENA = ArenaSettings(width=40.0, height=40.0)
-FILTER = FilterSettings()
-POINTS = FilterSettings(roughening=0.0)  # a particle stands for its own place alone
+FILTER = FilterSettings(seed=1)
+POINTS = FilterSettings(seed=1, roughening=0.0)  # a particle stands for its own place alone
 NO_BIRTH = BirthSettings(measurement=False)
 NOISE = 0.25
 DISC = WedgeSensor(2.0 * math.pi, 10.0, 0.8)
@@ -39,9 +40,15 @@ def scan(detections: list[tuple[float, float]], pose: Pose = (20.0, 20.0, 0.0), 
     return Scan(salt, sensor, pose, points, np.arange(len(points), dtype=np.uint64), 0.1 / sensor.area)
 
 
+def step(tick: int, filters: FilterSettings = FILTER, birth: BirthSettings = NO_BIRTH) -> Step:
+    """A step of half a second in the arena of these tests."""
+    detection = DetectionSettings(noise=NOISE)
+    return Step(AgentConfig(run=RunSettings(dt=0.5), arena=ARENA, detection=detection, filter=filters, birth=birth), tick)
+
+
 def correct_all(particles: Particles, scans: list[Scan], birth: BirthSettings = NO_BIRTH, settings: FilterSettings = POINTS) -> Particles:
     """The PHD after all scans of tick 5."""
-    return correct(particles, scans, 5, 1, NOISE, settings, birth)
+    return correct(particles, scans, step(5, settings, birth))
 
 
 def test_a_gaussian_prior_is_corrected_as_the_closed_form_says() -> None:
@@ -193,14 +200,14 @@ def test_no_particles_and_no_scans_are_cases() -> None:
 def test_whoever_holds_a_copy_moves_it_to_the_same_place(seed: int, border: str) -> None:
     motion = FilterSettings(border=border)  # type: ignore[arg-type]
     particles, some = cloud(seed, 40), np.random.default_rng(seed).random(40) < 0.5
-    whole, part = predict(particles, 9, 1, 0.5, motion, ARENA), predict(select(particles, some), 9, 1, 0.5, motion, ARENA)
+    whole, part = predict(particles, step(9, motion)), predict(select(particles, some), step(9, motion))
     assert all((ours == theirs).all() for ours, theirs in zip(select(whole, some), part))
 
 
 def test_prediction_is_a_straight_step_where_there_is_no_noise() -> None:
     still = FilterSettings(heading_noise=0.0, position_noise=0.0, lifetime=0.0)
     particle = unlabelled(np.array([[10.0, 10.0, 1.2, -1.6]]), np.array([0.5]), np.array([3], dtype=np.uint64))
-    moved = predict(particle, 1, 1, 0.5, still, ARENA)
+    moved = predict(particle, step(1, still))
     assert moved.states[0] == pytest.approx([10.6, 9.2, 1.2, -1.6])
     assert moved.weights.tolist() == [0.5]
 
@@ -209,7 +216,7 @@ def test_prediction_noise_has_the_moments_of_the_settings() -> None:
     """20000 particles that head east for 0.5 s: heading s.d. 0.3 sqrt(0.5) rad, place s.d. 0.1 m north plus 2 x 0.5 x sin(turn)."""
     count = 20000
     states = np.tile([20.0, 20.0, 2.0, 0.0], (count, 1))
-    moved = predict(unlabelled(states, np.ones(count), np.arange(count, dtype=np.uint64)), 4, 1, 0.5, FILTER, ARENA)
+    moved = predict(unlabelled(states, np.ones(count), np.arange(count, dtype=np.uint64)), step(4))
     turns = np.arctan2(moved.states[:, 3], moved.states[:, 2])
     assert turns.mean() == pytest.approx(0.0, abs=4 * 0.21 / math.sqrt(count))
     assert turns.std() == pytest.approx(0.3 * math.sqrt(0.5), rel=0.02)
@@ -222,8 +229,8 @@ def test_prediction_noise_has_the_moments_of_the_settings() -> None:
 def test_a_particle_that_crosses_the_border_loses_its_mass_or_is_reflected() -> None:
     particle = unlabelled(np.array([[0.2, 10.0, -2.0, 0.0]]), np.ones(1), np.ones(1, dtype=np.uint64))
     quiet = {"heading_noise": 0.0, "position_noise": 0.0, "lifetime": 0.0}
-    crossed = predict(particle, 1, 1, 0.5, FilterSettings(border="cross", **quiet), ARENA)
-    mirrored = predict(particle, 1, 1, 0.5, FilterSettings(border="reflect", **quiet), ARENA)
+    crossed = predict(particle, step(1, FilterSettings(border="cross", **quiet)))
+    mirrored = predict(particle, step(1, FilterSettings(border="reflect", **quiet)))
     assert (crossed.states[0, 0], crossed.weights[0]) == (pytest.approx(-0.8), 0.0)
     assert mirrored.states[0].tolist() == pytest.approx([0.8, 10.0, 2.0, 0.0]) and mirrored.weights[0] == 1.0
 
@@ -238,7 +245,7 @@ def test_survival_in_many_short_steps_is_survival_in_one_long_step() -> None:
 def test_resampling_keeps_the_mass_and_every_parent_its_share(seed: int, count: int, mass: float) -> None:
     """Systematic: a parent of weight w has floor(n w / m) or one more children, n the number of the sample."""
     before = cloud(seed, count, mass)
-    after = resample(before, "s3", 12, 1, FILTER)
+    after = resample(before, "s3", step(12))
     number = sample_size(total(before.weights), FILTER)
     assert len(after.weights) == number and after.weights.sum() == pytest.approx(mass)
     assert (after.weights == after.weights[0]).all()
@@ -252,15 +259,15 @@ def test_resampling_keeps_the_mass_and_every_parent_its_share(seed: int, count: 
 
 def test_the_first_copy_keeps_its_id_and_the_owner_keeps_what_it_said() -> None:
     before = cloud(9, 3, mass=1.0)
-    after = resample(before, "s3", 12, 1, FILTER)
+    after = resample(before, "s3", step(12))
     assert len(after.ids) == 75 and set(before.ids.tolist()) <= set(after.ids.tolist())
-    again = resample(after, "s3", 13, 1, FILTER)
+    again = resample(after, "s3", step(13))
     assert set(again.ids.tolist()) == set(after.ids.tolist())  # equal weights: every particle once
 
 
 def test_no_mass_leaves_no_particles() -> None:
-    assert len(resample(NO_PARTICLES, "s1", 1, 1, FILTER).ids) == 0
-    assert len(resample(cloud(1, 5)._replace(weights=np.zeros(5)), "s1", 1, 1, FILTER).ids) == 0
+    assert len(resample(NO_PARTICLES, "s1", step(1)).ids) == 0
+    assert len(resample(cloud(1, 5)._replace(weights=np.zeros(5)), "s1", step(1)).ids) == 0
 
 
 def test_the_size_of_a_sample_stays_within_its_limits() -> None:

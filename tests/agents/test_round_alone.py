@@ -7,7 +7,7 @@ from agents.agent import Agent
 from agents.backend import Backend
 from agents.compiled.backend import FAST
 from agents.config import AgentConfig, FilterSettings
-from agents.tracking.regions import predict
+from agents.tracking.phd import predict
 from agents.tracking.step import Step
 from deploy.scenario import resolve
 from deploy.simulation import Simulation

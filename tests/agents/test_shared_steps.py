@@ -208,7 +208,7 @@ def test_measurement_births_are_spread_by_the_noise_in_east_and_north() -> None:
     """4000 copies: a standard error of 1.1 % of a standard deviation."""
     places = np.random.default_rng(1).random((400, 2)) * 60.0
     scan = Scan(random_key("sensor", "s1"), SENSOR, POSE, places, np.arange(400, dtype=np.uint64), 0.01)
-    born = measurement_births(scan, np.full(400, 0.1), np.full(400, 9, np.uint64), 5, 1, 0.5, CONFIG.filter, CONFIG.birth)
+    born = measurement_births(scan, np.full(400, 0.1), np.full(400, 9, np.uint64), Step(CONFIG, 5))
     offsets = born.states[:, :2] - np.repeat(places, CONFIG.birth.measurement_particles, axis=0)
     assert offsets.std(axis=0) == pytest.approx([0.5, 0.5], rel=0.05)
     assert abs(np.corrcoef(offsets.T)[0, 1]) < 0.08

@@ -12,6 +12,7 @@ from agents.coverage import cells
 from agents.tracking import phd
 from agents.tracking.claims import make_claim, owned
 from agents.tracking.particles import Particles, unlabelled
+from agents.tracking.step import Step
 from protocol.geometry import polygon_area, rectangle
 from protocol.random_streams import random_key
 from protocol.settings import ArenaSettings
@@ -43,7 +44,7 @@ def test_its_particles_move_as_ours_do(stranger: ModuleType, border: str) -> Non
     rng = np.random.default_rng(5)
     states = np.column_stack([rng.uniform(0.0, 30.0, 200), rng.uniform(0.0, 20.0, 200), rng.normal(0.0, 2.0, (200, 2))])
     particles = unlabelled(states, np.full(200, 0.25), rng.integers(0, 2**64, 200, dtype=np.uint64))
-    moved = phd.predict(particles, 17, config.filter.seed, config.run.dt, config.filter, config.arena)
+    moved = phd.predict(particles, Step(config, 17))
     ours = [row for row in rows_of(moved) if row[4] > 0.0]
     assert stranger.move(rows_of(particles), 17, config.shared_settings()) == ours
     assert len(ours) == 200 if border == "reflect" else len(ours) < 200

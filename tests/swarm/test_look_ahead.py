@@ -21,7 +21,7 @@ from agents.tracking.extraction import estimate_targets
 from agents.tracking.gaussian_reduction import estimate_and_label
 from agents.tracking.gaussians import Mixture
 from agents.tracking.particles import Particles, canonical, join, select
-from agents.tracking.regions import predict
+from agents.tracking.phd import predict
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from deploy.scenario import Scenario, agent_config, resolve
