@@ -15,7 +15,7 @@ import numpy as np
 from agents.config import BirthSettings, FilterSettings
 from agents.tracking.labels import birth_labels
 from agents.tracking.measurement_likelihood import BEARING, EXACT_POSE, birth_places, kernel_variance, model_of, noise_of, sigma_poses
-from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, select, squared_distances, unlabelled
+from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, mass_within, select, unlabelled
 from agents.tracking.step import Step
 from protocol.compact_particles import DIRECTIONS
 from protocol.random_streams import normal, random_key, scramble, uniform
@@ -150,10 +150,8 @@ def birth_density(predicted: Particles, scan: Scan, explained: np.ndarray, birth
         return np.zeros(len(scan.detections))
     if model_of(measurement_of(scan.sensor))[0] == BEARING:  # the place along the beam is not known
         return np.full(len(scan.detections), min(least_density(scan.clutter_density, birth), birth.most_density))
-    radius2, near = birth.radius * birth.radius, squared_distances(predicted.states, scan.detections)
-    masses = column_sums(np.where(near <= radius2, predicted.weights[:, None], 0.0))
-    others = np.column_stack([scan.detections, scan.detections])
-    known = column_sums(np.where(squared_distances(others, scan.detections) <= radius2, explained[:, None], 0.0))
+    masses = mass_within(scan.detections, predicted.states, predicted.weights, birth.radius)
+    known = mass_within(scan.detections, scan.detections, explained, birth.radius)
     local = (masses - known) / (math.pi * birth.radius * birth.radius)
     return np.minimum(np.maximum(local, least_density(scan.clutter_density, birth)), birth.most_density)
 

@@ -26,7 +26,7 @@ from agents.tracking.gaussians import (
 )
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
 from agents.tracking.measurement_likelihood import BEARING, POSE_SPREAD, model_of, noise_of
-from agents.tracking.particles import column_sums, join, select
+from agents.tracking.particles import column_sums, join, mass_within, select
 from agents.tracking.phd import exp_minus
 from agents.tracking.step import Step
 from protocol.random_streams import random_key, scramble
@@ -244,26 +244,18 @@ def missed(
     `seen` (N, 9) is p_d at the quadrature points. M is the mass in view of the components within `vicinity` m, and r is M less what they
     and the births there gained (`phd.missed`). Mean and covariance become those of the weighed points; the velocity follows by regression.
     """
-    settings = config.filter
+    means, vicinity = mixture.means, config.filter.vicinity
     in_view = mixture.weights * quadrature_mean((seen > 0.0).astype(float))
-    masses = _nearby(mixture.means, mixture.means, in_view, settings.vicinity)
-    explained = _nearby(mixture.means, mixture.means, gained, settings.vicinity) + _nearby(
-        mixture.means, detections, born, settings.vicinity
-    )
+    masses = mass_within(means, means, in_view, vicinity)
+    explained = mass_within(means, means, gained, vicinity) + mass_within(means, detections, born, vicinity)
     rest = np.maximum(masses - explained, 0.0)
     share = rest / np.where(masses > 0.0, masses, 1.0)
-    odds = (1.0 - seen) / (1.0 - seen * np.minimum(rest, settings.certainty)[:, None])
+    odds = (1.0 - seen) / (1.0 - seen * np.minimum(rest, config.filter.certainty)[:, None])
     factors = np.where(seen > 0.0, share[:, None] * odds, 1.0)
     total = quadrature_mean(factors)
     left = mixture._replace(weights=mixture.weights * total)
     cut = np.flatnonzero((factors != factors[:, :1]).any(axis=1) & (left.weights > 0.0))
     return _put(left, cut, _reshaped(select(left, cut), factors[cut] / total[cut, None])) if len(cut) else left
-
-
-def _nearby(places: np.ndarray, others: np.ndarray, values: np.ndarray, radius: float) -> np.ndarray:
-    """The sums (N,) of the values (M,) of the other places (M, 2 or more columns) within `radius` m of each place."""
-    dx, dy = others[:, 0, None] - places[None, :, 0], others[:, 1, None] - places[None, :, 1]
-    return column_sums(np.where(dx * dx + dy * dy <= radius * radius, values[:, None], 0.0))
 
 
 def _reshaped(mixture: Mixture, factors: np.ndarray) -> Mixture:

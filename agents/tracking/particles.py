@@ -68,3 +68,8 @@ def squared_distances(states: np.ndarray, points: np.ndarray) -> np.ndarray:
 def column_sums(values: np.ndarray) -> np.ndarray:
     """Sums of the columns of (N, M), one row after the other: (M,)."""
     return np.add.accumulate(values, axis=0)[-1] if len(values) else np.zeros(values.shape[1])
+
+
+def mass_within(places: np.ndarray, others: np.ndarray, masses: np.ndarray, radius: float) -> np.ndarray:
+    """The sums (N,) of the masses (M,) of other places within `radius` m of each place; places have 2 or more columns, m."""
+    return column_sums(np.where(squared_distances(others, places) <= radius * radius, masses[:, None], 0.0))
