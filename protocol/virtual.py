@@ -10,6 +10,7 @@ import heapq
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from protocol import codec
@@ -29,10 +30,6 @@ class Link(Protocol):
         """(delay s, payload) of each copy that arrives; the same object `payload` unless the copy is corrupt."""
 
 
-class _Done:
-    """The event that a slow node has finished its work."""
-
-
 @dataclass
 class _Call:
     """The event that a function is due."""
@@ -40,7 +37,7 @@ class _Call:
     function: Callable[[], None]
 
 
-_Entry = tuple[BusEndpoint, Item | _Done] | Delivery | _Call  # of the queue
+_Entry = tuple[BusEndpoint, Item] | Delivery | _Call  # of the queue
 
 
 class VirtualBus:
@@ -188,9 +185,6 @@ class VirtualBus:
             self._deliver(entry)
         elif isinstance(entry, _Call):
             entry.function()
-        elif isinstance(entry[1], _Done):
-            entry[0].at_work = False
-            self._wake(entry[0])
         else:
             self._hand(entry[0], event_of(entry[1]))
         return True
@@ -251,7 +245,7 @@ class VirtualBus:
             return
         if endpoint.work > 0.0 and any(isinstance(effect, Gossip) for effect in effects):
             endpoint.at_work = True
-            self._schedule(endpoint, _Done(), endpoint.work)
+            self.call_later(endpoint.work, partial(self._end_work, endpoint))
         elif endpoint.deadline() != endpoint.armed:
             self._rearm(endpoint)
 
@@ -264,7 +258,11 @@ class VirtualBus:
 
         endpoint.at_work = True
         self.call_later(0.5 * seconds, finish)
-        self._schedule(endpoint, _Done(), seconds)
+        self.call_later(seconds, partial(self._end_work, endpoint))
+
+    def _end_work(self, endpoint: BusEndpoint) -> None:
+        endpoint.at_work = False
+        self._wake(endpoint)
 
     def _time_of(self, endpoint: BusEndpoint) -> float:
         """The time of a node's clock; rounded up to a deadline within 1 us, because its timer would fire for ever otherwise."""
@@ -287,7 +285,7 @@ class VirtualBus:
         """Call a function in `delay` s."""
         self._push(self.now + delay, _Call(function))
 
-    def _schedule(self, endpoint: BusEndpoint, event: Item | _Done, delay: float) -> None:
+    def _schedule(self, endpoint: BusEndpoint, event: Item, delay: float) -> None:
         if delay <= 0.0:
             self._ready.append((endpoint, event))
         else:
