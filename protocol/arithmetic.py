@@ -19,3 +19,17 @@ def elementwise(function: Callable[..., float], *columns: np.ndarray) -> np.ndar
         raise ValueError(f"arrays of the shapes {' and '.join(str(column.shape) for column in columns)}: should be of one shape")
     found = map(function, *(column.ravel().tolist() for column in columns))
     return np.fromiter(found, float, columns[0].size).reshape(shape)
+
+
+def exp_minus(values: np.ndarray) -> np.ndarray:
+    """exp(-x) for x >= 0, relative error below 2e-12 up to 18 (a gate of 6), from multiplications alone and so bit-equal everywhere.
+
+    A Taylor polynomial of x/64 by Horner's rule, squared six times. Compiled loops use it for single numbers.
+    """
+    small = values * (1.0 / 64.0)
+    result = 1.0 / 362880 - small * (1.0 / 3628800)
+    for coefficient in (1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0):
+        result = result * -small + coefficient
+    for _ in range(6):
+        result = result * result
+    return result

@@ -2,7 +2,8 @@
 
 There are two kinds. `stream` returns a numpy Generator for values that are drawn in sequence (target tracks, start poses).
 `random_key`, `scramble`, `uniform` and `normal` are counter-based: pure functions of integers, vectorised. They consist of integer
-operations and exact floating-point steps only, so every process and every machine computes the same bits.
+operations and exact floating-point steps only, so every process and every machine computes the same bits. `scramble`, `uniform` and
+`normal` take arrays or single numbers, and compiled loops are made of them (agents/compiled/particle_kernels.py).
 """
 
 import math
@@ -49,7 +50,7 @@ def scramble(words: np.ndarray, salt: int | np.ndarray) -> np.ndarray:
 
 def uniform(bits: np.ndarray) -> np.ndarray:
     """Uniform variates in [0, 1) from 64-bit hashes: the top 53 bits."""
-    return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    return (bits >> np.uint64(11)) * 2.0**-53
 
 
 NORMAL_BOUND = 2.0 * math.sqrt(3.0)  # bound of |normal|, which keeps prediction local
@@ -62,4 +63,4 @@ def normal(bits: np.ndarray) -> np.ndarray:
     """
     low = np.uint64(0xFFFF)
     total = (bits & low) + (bits >> np.uint64(16) & low) + (bits >> np.uint64(32) & low) + (bits >> np.uint64(48))
-    return (total.astype(np.float64) - 131070.0) * (math.sqrt(3.0) / 65536.0)
+    return (total - 131070.0) * (math.sqrt(3.0) / 65536.0)

@@ -6,18 +6,11 @@ Rules as in agents/compiled/particle_kernels.py.
 import math
 
 import numpy as np
-from numba import njit
 
 from agents.compiled.cache import cached
-from agents.compiled.particle_kernels import scramble
+from agents.compiled.particle_kernels import scramble, uniform
 
-_S11, _S52 = np.uint64(11), np.uint64(52)
-
-
-@njit
-def uniform(bits: np.uint64) -> float:
-    """Twin of `protocol.random_streams.uniform`."""
-    return np.float64(bits >> _S11) * 2.0**-53
+_S52 = np.uint64(52)
 
 
 @cached

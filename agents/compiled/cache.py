@@ -22,7 +22,7 @@ from typing import Any
 from protocol.settings import BadSetting
 
 HERE = Path(__file__).resolve().parent
-# Compiled loops depend on each other, on the columns of tables, and on constants of their plain twins.
+# Compiled loops depend on each other, on the columns of tables, and on constants and functions of their plain twins.
 SOURCES = (
     "agents/compiled/*kernels.py",
     "agents/coverage/cells.py",
@@ -32,6 +32,8 @@ SOURCES = (
     "agents/interest/selection.py",
     "agents/tracking/labels.py",
     "agents/tracking/measurement_likelihood.py",
+    "protocol/arithmetic.py",
+    "protocol/random_streams.py",
 )
 COMPLETE = "complete"  # the file in that folder which says that all loops have been compiled
 MOST_FOLDERS = 4  # one for each state of sources and versions, this one included; a recent state needs no compilation

@@ -17,7 +17,7 @@ from agents.compiled.extraction_kernels import block
 from agents.compiled.label_kernels import birth_label, label_scan
 from agents.compiled.measuring_kernels import birth_place, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
-from agents.compiled.particle_kernels import blank, normal, scramble, sigma_sensors, wedge
+from agents.compiled.particle_kernels import blank, exp_minus, normal, scramble, sigma_sensors, wedge
 from agents.gossip.table import (
     COS,
     COS_HALF,
@@ -38,19 +38,6 @@ from agents.gossip.table import (
 from agents.tracking.measurement_likelihood import BEARING, LARGEST_DEVIATION, POSITION
 
 _S52 = np.uint64(52)
-_TAYLOR = (1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1.0, 1.0)
-
-
-@njit
-def exp_minus(value: float) -> float:
-    """Twin of `phd.exp_minus` for one value."""
-    small = value * (1.0 / 64.0)
-    result = 1.0 / 3628800.0
-    for coefficient in _TAYLOR:
-        result = result * -small + coefficient
-    for _ in range(6):
-        result = result * result
-    return result
 
 
 @cached

@@ -10,9 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
-from agents.compiled.birth_kernels import uniform
 from agents.compiled.cache import cached
-from agents.compiled.particle_kernels import normal, scramble
+from agents.compiled.particle_kernels import normal, scramble, uniform
 from agents.gossip.table import BEARING_NOISE, HEADING_NOISE, MODEL, PLACE_NOISE, RANGE_NOISE, REACH, X, Y
 from agents.tracking.measurement_likelihood import BEARING, POSITION, TINY
 

@@ -10,6 +10,7 @@ their signatures. No fast-math: the order and the rounding of each operation are
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -33,29 +34,16 @@ from agents.gossip.table import (
     Y,
 )
 from agents.tracking.measurement_likelihood import POSE_SPREAD
+from protocol import arithmetic, random_streams
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_MIX1, _MIX2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
-_LOW = np.uint64(0xFFFF)
-_NORMAL_SCALE = 3.0**0.5 / 65536.0
 _MOST_BITS, _FULLEST = 14, 64  # most bits of an id that choose its bucket, and most ids in a bucket
 
 
-@njit
-def scramble(word: np.uint64, salt: np.uint64) -> np.uint64:
-    """Twin of `protocol.random_streams.scramble`."""
-    word = (word ^ salt) + _GOLDEN
-    word = (word ^ (word >> _S30)) * _MIX1
-    word = (word ^ (word >> _S27)) * _MIX2
-    return word ^ (word >> _S31)
-
-
-@njit
-def normal(bits: np.uint64) -> float:
-    """Twin of `protocol.random_streams.normal`."""
-    total = (bits & _LOW) + ((bits >> _S16) & _LOW) + ((bits >> _S32) & _LOW) + (bits >> _S48)
-    return (np.float64(total) - 131070.0) * _NORMAL_SCALE
+# The plain functions of arrays, compiled for single numbers
+scramble: Any = njit(random_streams.scramble)
+uniform: Any = njit(random_streams.uniform)
+normal: Any = njit(random_streams.normal)
+exp_minus: Any = njit(arithmetic.exp_minus)
 
 
 @njit

@@ -17,7 +17,7 @@ from agents.compiled.claim_kernels import owned
 from agents.compiled.correction_kernels import correct
 from agents.compiled.extraction_kernels import ESTIMATE, estimate_targets
 from agents.compiled.label_kernels import rename, stamp_of
-from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take
+from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take, uniform
 from agents.gossip.table import PARTICLES, REACH, WEIGHT, X, Y
 
 BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
@@ -29,8 +29,6 @@ DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, ST
 CERTAINTY, MISS_BIN, BIRTHS, BIRTHS_PER_DETECTION, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
 PER_TARGET, LEAST, MOST, BIN, THRESHOLD, BESIDE, GATE, KERNEL = range(21, 29)
 TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
-
-_S11 = np.uint64(11)
 
 
 @cached
@@ -251,7 +249,7 @@ def _update_region(
     drawn_states, drawn_ids, drawn_labels, each = np.empty((0, 4)), np.empty(0, np.uint64), np.empty(0, np.uint64), 0.0
     if mass > 0.0:
         count = int(min(max(np.rint(settings[PER_TARGET] * mass), settings[LEAST]), settings[MOST]))
-        offset = np.float64(scramble(now, owner) >> _S11) * 2.0**-53
+        offset = uniform(scramble(now, owner))
         resampled = resample(own_states, own_weights, own_ids, own_labels, mass, count, offset, scramble(now, keys[SPLIT]))
         drawn_states, drawn_ids, drawn_labels = resampled
         each = mass / count

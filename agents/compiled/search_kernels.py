@@ -12,8 +12,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
-from agents.compiled.correction_kernels import exp_minus
-from agents.compiled.particle_kernels import sort_by_id
+from agents.compiled.particle_kernels import exp_minus, sort_by_id
 from agents.coverage.search_plan import (
     CAPACITY_ANGLE,
     DECAY_LENGTH,
@@ -21,18 +20,17 @@ from agents.coverage.search_plan import (
     FIRST_TURN,
     HEADING_MARGIN,
     LEAST_OFFSET,
-    LEAST_RADIUS,
     NEVER_SEEN,
     NEW_PARTICLE_AGE,
     OUTSIDE_VALUE,
     PARTNER_MARGIN,
     PLAN_MARGIN,
-    REACH_MARGIN,
     REGAIN_TIME,
     SECTORS,
     UNSURE_MASSES,
     VALUE_IN_VIEW,
     WINDOW_SHARE,
+    service_radius,
 )
 from agents.gossip.table import COS as SENSOR_COS
 from agents.gossip.table import COS_HALF, KIND, WEDGE
@@ -47,10 +45,7 @@ NOW, DT, X, Y, COS, SIN, REACH, ANGLE, OFFSET, WIDTH, HEIGHT, SPEED, TURN_RATE, 
 GOAL_EAST, GOAL_NORTH, UTILISATION, PARTNER_REACH, FIRST = range(5)  # columns of a partner
 
 
-@njit
-def _service_radius(reach: float, side: float) -> float:
-    """Twin of `search_plan.service_radius`."""
-    return max(reach - REACH_MARGIN * side, LEAST_RADIUS * side)
+_service_radius = njit(service_radius)
 
 
 @njit

@@ -18,7 +18,7 @@ import numpy as np
 from agents.config import SearchSettings
 from agents.gossip.table import GossipTable
 from agents.tracking.particles import Particles, select, total
-from agents.tracking.phd import exp_minus
+from protocol.arithmetic import exp_minus
 from protocol.sensing import Pose, SensorModel, WedgeSensor
 
 REACH_MARGIN = 0.75  # bins of the reach that a goal leaves for the motion of the targets

@@ -27,8 +27,8 @@ from agents.tracking.gaussians import (
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
 from agents.tracking.measurement_likelihood import BEARING, POSE_SPREAD, model_of, noise_of
 from agents.tracking.particles import column_sums, join, mass_within, select
-from agents.tracking.phd import exp_minus
 from agents.tracking.step import Step
+from protocol.arithmetic import exp_minus
 from protocol.random_streams import random_key, scramble
 from protocol.sensing import measurement_of
 from protocol.settings import BadSetting

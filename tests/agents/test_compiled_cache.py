@@ -166,9 +166,8 @@ def test_compiled_loops_are_made_of_nothing_but_what_their_folder_is_named_after
     for path in compiled:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in ("agents", "protocol"):
-                files = {ROOT / (node.module.replace(".", "/") + ".py")}
-                if node.module == "agents.compiled":
-                    files = {HERE / f"{alias.name}.py" for alias in node.names}
+                place = ROOT / node.module.replace(".", "/")
+                files = {place / f"{alias.name}.py" for alias in node.names} if place.is_dir() else {place.with_suffix(".py")}
                 assert files <= sources | {HERE / "cache.py"}, f"{path.name} imports {node.module}"
                 imported |= files
     assert sources <= imported | {*compiled}, "a source on which no loop depends"

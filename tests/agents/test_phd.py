@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agents.config import AgentConfig, BirthSettings, FilterSettings
 from agents.tracking.births import Scan, survival_probability
 from agents.tracking.particles import NO_PARTICLES, Particles, select, total, unlabelled
-from agents.tracking.phd import correct, exp_minus, likelihood_noise, predict, resample, sample_size
+from agents.tracking.phd import correct, likelihood_noise, predict, resample, sample_size
 from agents.tracking.step import Step
 from protocol.random_streams import scramble
 from protocol.sensing import Pose, WedgeSensor
@@ -272,8 +272,3 @@ def test_no_mass_leaves_no_particles() -> None:
 
 def test_the_size_of_a_sample_stays_within_its_limits() -> None:
     assert [sample_size(mass, FILTER) for mass in (1e-9, 0.4, 2.0, 1e6)] == [30, 30, 150, 2000]
-
-
-def test_the_exponential_is_right_to_the_twelfth_digit() -> None:
-    values = np.linspace(0.0, 18.0, 20001)  # the gate of 6 sigma is at 18
-    assert np.abs(exp_minus(values) / np.exp(-values) - 1.0).max() < 2e-12
