@@ -17,7 +17,7 @@ from agents.compiled.extraction_kernels import block
 from agents.compiled.label_kernels import birth_label, label_scan
 from agents.compiled.measuring_kernels import birth_place, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
-from agents.compiled.particle_kernels import blank, exp_minus, normal, scramble, sigma_sensors, wedge
+from agents.compiled.particle_kernels import blank, exp_minus, normal, scramble, sigma_sensors, uniform, wedge
 from agents.gossip.table import (
     COS,
     COS_HALF,
@@ -380,11 +380,13 @@ def correct(
                 number = np.uint64(picked[starts[s] + m] - begins[s])
                 for copy in range(each):
                     new_id = scramble(number * np.uint64(each) + np.uint64(copy), salt)
+                    first, second = normal(scramble(new_id, np.uint64(1))), normal(scramble(new_id, np.uint64(2)))
                     if has_rays:
-                        x[count], y[count] = birth_place(new_id, sensor, points[m], point_rays[m], scan_noise)
+                        at, share = (sensor[X], sensor[Y]), uniform(scramble(new_id, np.uint64(4)))
+                        place = birth_place((first, second), share, at, points[m], point_rays[m], sensor[REACH], scan_noise)
+                        x[count], y[count] = place
                     else:
-                        x[count] = points[m, 0] + normal(scramble(new_id, np.uint64(1))) * noise
-                        y[count] = points[m, 1] + normal(scramble(new_id, np.uint64(2))) * noise
+                        x[count], y[count] = points[m, 0] + first * noise, points[m, 1] + second * noise
                     direction = np.int64(scramble(new_id, np.uint64(3)) >> _S52)
                     at_columns[count], at_rows[count] = _bin(x[count], y[count], miss[1], raster[0], raster[1])
                     new_states[count, 0], new_states[count, 1] = x[count], y[count]

@@ -5,8 +5,8 @@ births may lie from the detection's place, m).
 
 Rules. Only operations that round exactly: a difference of angles e enters as 2 tan(e / 2), which is e within 1 % up to 18 degrees. A
 density of measurements is stated per m^2 of the plane, so that clutter and births have one unit for all sensors: that of a range and
-a bearing is divided by the range, that of a bearing alone by half the squared radius. agents/compiled/measuring_kernels.py computes
-the same bits.
+a bearing is divided by the range, that of a bearing alone by half the squared radius. `noise_of`, `distance_and_peak` and `birth_place`
+are compiled for single numbers (agents/compiled/measuring_kernels.py).
 """
 
 import math
@@ -78,14 +78,25 @@ def distances_and_peaks(
     states: np.ndarray, pose: tuple[float, ...], points: np.ndarray, rays: np.ndarray, radius: float, noise: Noise
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared Mahalanobis distances (N, M) of detections at `points` (M, 2) from particles, and peaks (N, M) of the densities, per m^2."""
-    dx, dy = states[:, 0, None] - pose[0], states[:, 1, None] - pose[1]
-    east, north, ranges = rays[None, :, 0], rays[None, :, 1], rays[None, :, 2]
+    x, y = states[:, 0, None], states[:, 1, None]
+    squared, peaks = np.broadcast_arrays(*distance_and_peak(x, y, pose, points.T[:, None], rays.T[:, None], radius, noise))
+    return squared, peaks
+
+
+def distance_and_peak(
+    x: np.ndarray, y: np.ndarray, at: tuple[float, ...], point: np.ndarray, ray: np.ndarray, radius: float, noise: Noise
+) -> tuple[np.ndarray, np.ndarray]:
+    """Squared Mahalanobis distance of a detection from a particle at x, y, and peak of its density, per m^2, for a sensor `at` x, y in m.
+
+    `point` and `ray` are those of the detection. They, x and y hold numbers, or arrays that broadcast.
+    """
+    east, north, far = ray[0], ray[1], ray[2]
     if noise.model == POSITION:
-        ex, ey = states[:, 0, None] - points[None, :, 0], states[:, 1, None] - points[None, :, 1]
+        ex, ey = x - point[0], y - point[1]
         along, across = ex * east + ey * north, east * ey - north * ex
-        wide = noise.across + noise.bearing * (ranges * ranges)
-        squared = along * along / noise.along + across * across / wide
-        return squared, 1.0 / (2.0 * math.pi * np.sqrt(noise.along * wide)) + np.zeros(squared.shape)
+        wide = noise.across + noise.bearing * (far * far)
+        return along * along / noise.along + across * across / wide, 1.0 / (2.0 * math.pi * np.sqrt(noise.along * wide))
+    dx, dy = x - at[0], y - at[1]
     range2 = dx * dx + dy * dy
     distance = np.sqrt(range2)
     along, across = dx * east + dy * north, east * dy - north * dx
@@ -93,30 +104,44 @@ def distances_and_peaks(
     wide = noise.bearing + noise.across / np.maximum(range2, TINY)
     squared = angle * angle / wide
     if noise.model == BEARING:
-        return squared, 1.0 / (np.sqrt(2.0 * math.pi * wide) * (0.5 * radius * radius)) + np.zeros(squared.shape)
-    apart = distance - ranges
-    return squared + apart * apart / noise.along, 1.0 / (2.0 * math.pi * np.sqrt(noise.along * wide) * np.maximum(ranges, TINY))
+        return squared, 1.0 / (np.sqrt(2.0 * math.pi * wide) * (0.5 * radius * radius))
+    apart = distance - far
+    return squared + apart * apart / noise.along, 1.0 / (2.0 * math.pi * np.sqrt(noise.along * wide) * np.maximum(far, TINY))
 
 
 def birth_places(ids: np.ndarray, pose: tuple[float, ...], points: np.ndarray, rays: np.ndarray, radius: float, noise: Noise) -> np.ndarray:
-    """The places (N, 2) of births with these ids, each at a detection at `points` (N, 2) with its ray (N, 4).
+    """The places (N, 2) of births with these ids, each at a detection at `points` (N, 2) with its ray (N, 4)."""
+    normals = normal(scramble(ids, 1)), normal(scramble(ids, 2))
+    return np.column_stack(birth_place(normals, uniform(scramble(ids, 4)), pose, points.T, rays.T, radius, noise))
 
-    A bearing alone bears particles along its ray, uniform in the area of the beam.
+
+def birth_place(
+    normals: tuple[np.ndarray, np.ndarray],
+    share: np.ndarray,
+    at: tuple[float, ...],
+    point: np.ndarray,
+    ray: np.ndarray,
+    radius: float,
+    noise: Noise,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The place x, y of a birth at a detection, from two normal variates and one in [0, 1), for a sensor `at` x, y in m.
+
+    A bearing alone bears particles along its ray, uniform in the area of the beam. `normals`, `share`, `point` and `ray` hold numbers, or
+    arrays (N,).
     """
-    first, second = normal(scramble(ids, 1)), normal(scramble(ids, 2))
-    east, north, ranges = rays[:, 0], rays[:, 1], rays[:, 2]
+    (first, second), east, north, far = normals, ray[0], ray[1], ray[2]
     if noise.model == POSITION:
-        along = first * math.sqrt(noise.along)
-        across = second * np.sqrt(noise.across + noise.bearing * (ranges * ranges))
-        return np.column_stack([points[:, 0] + (along * east - across * north), points[:, 1] + (along * north + across * east)])
+        along = first * np.sqrt(noise.along)
+        across = second * np.sqrt(noise.across + noise.bearing * (far * far))
+        return point[0] + (along * east - across * north), point[1] + (along * north + across * east)
     if noise.model == BEARING:
-        distance = radius * np.sqrt(uniform(scramble(ids, 4)))
+        distance = radius * np.sqrt(share)
     else:
-        distance = ranges + first * math.sqrt(noise.along)
+        distance = far + first * np.sqrt(noise.along)
     half = 0.5 * (second * np.sqrt(noise.bearing + noise.across / np.maximum(distance * distance, TINY)))
     half = np.minimum(np.maximum(half, -1.0), 1.0)
     cos, sin = (1.0 - half * half) / (1.0 + half * half), 2.0 * half / (1.0 + half * half)
-    return np.column_stack([pose[0] + distance * (cos * east - sin * north), pose[1] + distance * (sin * east + cos * north)])
+    return at[0] + distance * (cos * east - sin * north), at[1] + distance * (sin * east + cos * north)
 
 
 def spread_of(model: float, ranges: float, radius: float, noise: Noise) -> float:
