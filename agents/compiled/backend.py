@@ -56,28 +56,6 @@ def orphaned(points: np.ndarray, claims: Claims, arena: ArenaSettings) -> np.nda
     return claim_kernels.orphaned(points, *claims[1:], arena.width, arena.height)  # type: ignore[no-any-return]
 
 
-MotionArguments = tuple[np.uint64, np.uint64, np.uint64, float, float, float, float, float, bool, float, float]
-
-
-def motion(step: Step) -> MotionArguments:
-    """The arguments of a step of prediction: three keys, dt, half the turn per deviation, speed, noise, survival, border, arena."""
-    config, tick = step.config, step.tick
-    run, settings, arena = config.run, config.filter, config.arena
-    return (
-        np.uint64(random_key(settings.seed, "turn", tick)),
-        np.uint64(random_key(settings.seed, "east", tick)),
-        np.uint64(random_key(settings.seed, "north", tick)),
-        run.dt,
-        0.5 * settings.heading_noise * math.sqrt(run.dt),
-        settings.speed,
-        settings.position_noise,
-        survival_probability(run.dt, settings),
-        settings.border == "reflect",
-        arena.width,
-        arena.height,
-    )
-
-
 @lru_cache(maxsize=8)
 def background_births(step: Step) -> Particles:
     """See `births.background_births`."""
@@ -93,10 +71,8 @@ def background_births(step: Step) -> Particles:
 
 def remote_copies(near: Particles, density: Particles, polygon: np.ndarray, claim: Claim, horizon: float, step: Step) -> Particles:
     """See `merge.remote_copies`."""
-    cell, halo, moved = polygon if len(polygon) else _NO_CORNERS, step.config.filter.halo, motion(step)
-    return Particles(
-        *merge_kernels.remote_copies(tuple(near), tuple(density), cell, claim.generators, claim.wins_ties, halo, horizon, moved)
-    )
+    cell, run = polygon if len(polygon) else _NO_CORNERS, (*prepared(step.config), step.tick)
+    return Particles(*merge_kernels.remote_copies(tuple(near), tuple(density), cell, claim.generators, claim.wins_ties, horizon, *run))
 
 
 def merge(received: Particles, counts: np.ndarray, copies: Particles, free: np.ndarray) -> Particles:
@@ -110,10 +86,12 @@ _NOTHING_STATED = np.empty((0, 4), np.float32), np.empty(0, np.uint64), np.empty
 
 @lru_cache(maxsize=8)
 def prepared(config: AgentConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Settings and keys of a run, in the columns of agents/compiled/region_kernels.py; a pure memo: a simulation has one of both."""
+    """Settings and keys of a run, in the columns of agents/compiled/run_columns.py; a pure memo: a simulation has one of both."""
     filters, birth, noise = config.filter, config.birth, config.detection.noise
     step, width = Step(config, 0), phd.likelihood_noise(noise, filters)
-    numbers = [*motion(step)[3:], filters.halo, step.max_displacement, noise, width, (filters.gate * width) ** 2]
+    numbers = [config.run.dt, 0.5 * filters.heading_noise * math.sqrt(config.run.dt), filters.speed, filters.position_noise]
+    numbers += [survival_probability(config.run.dt, filters), filters.border == "reflect", config.arena.width, config.arena.height]
+    numbers += [filters.halo, step.max_displacement, noise, width, (filters.gate * width) ** 2]
     numbers += [filters.certainty, filters.vicinity / phd.BINS_IN_VICINITY]
     numbers += [birth.measurement, birth.measurement_particles, birth.radius, birth.least_density, birth.least_share, birth.most_density]
     numbers += [filters.particles_per_target, filters.least_particles, filters.most_particles]

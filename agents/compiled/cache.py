@@ -25,6 +25,7 @@ HERE = Path(__file__).resolve().parent
 # Compiled loops depend on each other, on the columns of tables, and on constants and functions of their plain twins.
 SOURCES = (
     "agents/compiled/*kernels.py",
+    "agents/compiled/run_columns.py",
     "agents/coverage/cells.py",
     "agents/coverage/search_plan.py",
     "agents/gossip/table.py",

@@ -1,6 +1,6 @@
-"""The compiled corrector: the bit-for-bit twin of `regions.correct`, with the measurement births of agents/tracking/births.py.
+"""The compiled corrector: the bit-for-bit twin of `regions.correct`.
 
-Data types: the arguments `noises`, `miss` and `birth` are tuples in the order that `correct` states.
+Data types: the settings of a run are an array (agents/compiled/run_columns.py).
 
 Rules as in agents/compiled/particle_kernels.py. Work on several particles at once stands in loops of its own without branches, so that
 the compiler emits vector instructions.
@@ -11,63 +11,31 @@ import math
 import numpy as np
 from numba import njit
 
+from agents.compiled import run_columns
+from agents.compiled.birth_kernels import add_births, birth_densities, nearby
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import around, distance
 from agents.compiled.extraction_kernels import block
 from agents.compiled.label_kernels import birth_label, label_scan
-from agents.compiled.measuring_kernels import birth_place, noise_of
+from agents.compiled.measuring_kernels import has_rays, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
-from agents.compiled.particle_kernels import blank, exp_minus, normal, scramble, sigma_sensors, uniform, wedge
+from agents.compiled.particle_kernels import blank, exp_minus, scramble, sigma_sensors
 from agents.gossip.table import (
     COS,
     COS_HALF,
     DETECTIONS,
     FAR_PROB,
-    HEADING_NOISE,
     KAPPA,
     KIND,
     MODEL,
     NO_SCAN,
-    PLACE_NOISE,
     PROB,
     REACH,
     SIN,
     X,
     Y,
 )
-from agents.tracking.measurement_likelihood import BEARING, LARGEST_DEVIATION, POSITION
-
-_S52 = np.uint64(52)
-
-
-@cached
-def _nearby(x: np.ndarray, y: np.ndarray, weights: np.ndarray, detections: np.ndarray, radius: float) -> np.ndarray:
-    """The masses (M,) within `radius` m of the detections (M, 2) of all scans, for `_birth_densities`."""
-    number = len(detections)
-    at_x, at_y, found = detections[:, 0].copy(), detections[:, 1].copy(), np.zeros(number)
-    for n in range(len(weights)):  # one particle after the other, as the order of the sums demands; without branches
-        px, py, weight = x[n], y[n], weights[n]
-        for m in range(number):
-            dx, dy = px - at_x[m], py - at_y[m]
-            found[m] += weight if dx * dx + dy * dy <= radius * radius else 0.0
-    return found
-
-
-@njit
-def _birth_densities(points: np.ndarray, sums: np.ndarray, kappa: float, nearby: np.ndarray, birth: tuple) -> None:
-    """Twin of `births.birth_density` for the detections (M, 2) of a scan: densities per m^2 replace the masses in `nearby` (M,).
-
-    `sums` (M,) are the sums of w p_d g(z) of the particles for each detection.
-    """
-    _, _, radius, least, least_share, most, _, _, _, _ = birth
-    lowest, area = max(least, min(least_share * kappa, 0.5 * most)), math.pi * radius * radius
-    for m in range(len(points)):
-        known = 0.0
-        for other in range(len(points)):
-            dx, dy = points[other, 0] - points[m, 0], points[other, 1] - points[m, 1]
-            if dx * dx + dy * dy <= radius * radius and sums[other] > 0.0:
-                known += sums[other] / (kappa + sums[other])
-        nearby[m] = min(max((nearby[m] - known) / area, lowest), most)
+from agents.tracking.measurement_likelihood import BEARING, LARGEST_DEVIATION, Noise
 
 
 @njit
@@ -105,14 +73,14 @@ def _missed(
     seen: np.ndarray,
     points: np.ndarray,
     born: np.ndarray,
-    miss: tuple,
+    settings: np.ndarray,
     raster: tuple,
 ) -> None:
     """Twin of `phd.missed`: multiply the weights of the rows in view, `seen`, by their factors.
 
     `columns` and `rows` (N,) are the bins of all particles. The raster is restored for the next scan.
     """
-    certainty, side = miss
+    certainty, side = settings[run_columns.CERTAINTY], settings[run_columns.MISS_BIN]
     left, low, masses, explained, rests, shares = raster
     for n in seen:
         masses[rows[n], columns[n]] += weights[n]
@@ -164,15 +132,6 @@ def _add_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: n
         apart = math.sqrt(range2)
         inside = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * apart)
         probabilities[n] += max(near + slope * apart, far) if inside else 0.0
-
-
-@njit
-def _seen(x: float, y: float, sensors: np.ndarray) -> float:
-    """p_d of one point, the mean over `sigma_sensors`."""
-    found = 0.0
-    for k in range(len(sensors)):
-        found += wedge(x, y, sensors[k])
-    return found / np.float64(len(sensors))
 
 
 @cached
@@ -270,9 +229,91 @@ def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: f
 
 
 @njit
-def _has_rays(sensor: np.ndarray) -> bool:
-    """Whether the detections of a scan are anything but exact positions; `sensor` is a row of the gossip table."""
-    return sensor[MODEL] != POSITION or sensor[PLACE_NOISE] > 0.0 or sensor[HEADING_NOISE] > 0.0
+def _reaching(table: np.ndarray, all_detections: np.ndarray, all_rays: np.ndarray, polygon: np.ndarray, settings: np.ndarray) -> tuple:
+    """The scans that reach the halo of the cell, and their detections in it, scan after scan.
+
+    These are the rows of the scans in the table (S,), the first detections of these rows (S,), the starts (S + 1,) of the scans among the
+    detections in the halo, the numbers (M,), places (M, 2) and rays of those, and how far births may lie from them, m (M,).
+    """
+    box, halo = around(polygon, 0.0), settings[run_columns.HALO]
+    sensors, begins = _scans(table, polygon, box, halo)
+    starts, picked, close = np.zeros(len(sensors) + 1, np.int64), np.empty(len(all_detections), np.int64), 0
+    for s in range(len(sensors)):
+        close = starts[s + 1] = _pick(table[sensors[s]], begins[s], polygon, box, halo, all_detections, picked, close)
+    detections, rays = np.empty((close, 2)), np.empty((close, all_rays.shape[1]))
+    for m in range(close):
+        detections[m], rays[m] = all_detections[picked[m]], all_rays[picked[m]]
+    spreads = np.full(close, LARGEST_DEVIATION * settings[run_columns.NOISE])
+    for s in range(len(sensors)):
+        if has_rays(table[sensors[s]]):
+            spreads[starts[s] : starts[s + 1]] = rays[starts[s] : starts[s + 1], 3]
+    return sensors, begins, starts, picked[:close], detections, rays, spreads
+
+
+@njit
+def _terms(
+    seen: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    weights: np.ndarray,
+    probabilities: np.ndarray,
+    sensor: np.ndarray,
+    points: np.ndarray,
+    rays: np.ndarray,
+    noise: Noise,
+    settings: np.ndarray,
+    found: tuple,
+) -> tuple[int, tuple]:
+    """The number of pairs of a particle in view, `seen`, and a detection within its gate, and the arrays that hold these pairs.
+
+    The arrays are `found`, or longer ones: row of the particle, number of the detection, squared distance, and term w p_d g(z).
+    """
+    seen_x, seen_y, seen_weights, seen_probabilities = x[seen], y[seen], weights[seen], probabilities[seen]
+    with_rays, pairs = has_rays(sensor), -1
+    while pairs < 0:
+        if with_rays:
+            pairs = ray_pairs(seen_x, seen_y, seen_probabilities, sensor, points, rays, noise, settings[run_columns.GATE], found)
+        else:
+            pairs = _pairs(seen_x, seen_y, seen_weights, seen_probabilities, points, settings[run_columns.GATE2], found)
+        if pairs < 0:
+            found = _pair_buffers(4 * len(found[0]))
+    rows, _, squares, terms = found
+    if with_rays:
+        for p in range(pairs):
+            terms[p] = seen_weights[rows[p]] * seen_probabilities[rows[p]] * (exp_minus(squares[p] * 0.5) * terms[p])
+    else:
+        _likelihoods(squares[:pairs], terms[:pairs], settings[run_columns.LIKELIHOOD_NOISE])
+    for p in range(pairs):
+        rows[p] = seen[rows[p]]
+    return pairs, found
+
+
+@njit
+def _norms(
+    points: np.ndarray,
+    columns: np.ndarray,
+    terms: np.ndarray,
+    born: np.ndarray,
+    sensor: np.ndarray,
+    sigma_rows: np.ndarray,
+    settings: np.ndarray,
+) -> np.ndarray:
+    """The sums N(z) (M,) of clutter, births and terms at the detections of a scan; weights of births replace the masses in `born` (M,).
+
+    A term belongs to the detection whose number is in `columns`.
+    """
+    norms, chances = np.zeros(len(points)), np.empty(len(points))
+    for p in range(len(terms)):
+        norms[columns[p]] += terms[p]
+    if settings[run_columns.BIRTHS] != 0.0:
+        birth_densities(points, norms, sensor, born, settings)
+    _probabilities(points[:, 0].copy(), points[:, 1].copy(), sigma_rows, chances, np.empty(len(points), np.int64))
+    for m in range(len(points)):
+        fresh = chances[m] * born[m]
+        norm = sensor[KAPPA] + fresh + norms[m]
+        norms[m] = norm if norm > 0.0 else 1.0
+        born[m] = fresh / norms[m]
+    return norms
 
 
 @cached
@@ -283,114 +324,65 @@ def correct(
     all_detections: np.ndarray,
     all_rays: np.ndarray,
     polygon: np.ndarray,
-    halo: float,
-    noises: tuple,
-    miss: tuple,
-    birth: tuple,
+    settings: np.ndarray,
+    births_key: np.uint64,
+    directions: np.ndarray,
+    stamp: np.uint64,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Twin of `regions.correct` for wedges: states, weights, ids and labels of the particles after all scans, the births last.
 
-    `noises` are the deviations of the sensors and of the likelihood in m, the squared gate in m^2, the gate in deviations, and the variance
-    of a particle's kernel in m^2. `all_rays` has no columns if all detections are exact positions; a scan of these never uses its rays.
-    `miss` is (certainty, side of a bin). `birth` is (on, particles each, radius, least, least share, most, speed, key of the births,
-    directions, stamp of the labels).
+    `all_rays` has no columns if all detections are exact positions; a scan of these never uses its rays. `births_key` is the key of the
+    births in this tick, and `stamp` that of the labels which they found.
     """
     states, weights, ids, labels = particles
-    on, each, radius, _, _, _, speed, births_key, directions, stamp = birth
-    noise, likelihood_noise, gate2, gate, kernel = noises
-    box = around(polygon, 0.0)
-    sensors, begins = _scans(table, polygon, box, halo)
-    scans, starts, close = len(sensors), np.zeros(len(sensors) + 1, np.int64), 0
-    picked = np.empty(len(all_detections), np.int64)
-    for s in range(scans):
-        close = starts[s + 1] = _pick(table[sensors[s]], begins[s], polygon, box, halo, all_detections, picked, close)
+    on, each, side = (
+        settings[run_columns.BIRTHS] != 0.0,
+        np.int64(settings[run_columns.BIRTHS_PER_DETECTION]),
+        settings[run_columns.MISS_BIN],
+    )
+    sensors, begins, starts, picked, detections, rays, spreads = _reaching(table, all_detections, all_rays, polygon, settings)
     count = len(weights)
-    capacity = count + (close * each if on else 0)
+    capacity = count + (len(picked) * each if on else 0)
     new_states, new_weights, new_ids, new_labels = blank(capacity)
     new_states[:count], new_weights[:count], new_ids[:count], new_labels[:count] = states, weights, ids, labels
     x, y, probabilities = np.empty(capacity), np.empty(capacity), np.empty(capacity)
     x[:count], y[:count] = states[:, 0], states[:, 1]
-    detections, densities, spreads = np.empty((close, 2)), np.zeros(close), np.full(close, LARGEST_DEVIATION * noise)
-    rays = np.empty((close, all_rays.shape[1]))
-    for m in range(close):
-        detections[m], rays[m] = all_detections[picked[m]], all_rays[picked[m]]
-    for s in range(scans):
-        if _has_rays(table[sensors[s]]):
-            spreads[starts[s] : starts[s + 1]] = rays[starts[s] : starts[s + 1], 3]
+    densities = np.zeros(len(picked))
     if on:
-        densities = _nearby(x[:count], y[:count], weights, detections, radius)
+        densities = nearby(x[:count], y[:count], weights, detections, settings[run_columns.BIRTH_RADIUS])
     found, gained, in_view = _pair_buffers(2 * count + 256), np.empty(capacity), np.empty(capacity + 1, np.int64)
-    raster = _raster(x[:count], y[:count], detections, spreads, miss[1])
+    raster = _raster(x[:count], y[:count], detections, spreads, side)
     at_columns, at_rows = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
     for n in range(count):
-        at_columns[n], at_rows[n] = _bin(x[n], y[n], miss[1], raster[0], raster[1])
-    for s in range(scans):
-        sensor, points = table[sensors[s]], detections[starts[s] : starts[s + 1]]
-        sigma_rows, has_rays = sigma_sensors(sensor), _has_rays(sensor)
+        at_columns[n], at_rows[n] = _bin(x[n], y[n], side, raster[0], raster[1])
+    for s in range(len(sensors)):
+        sensor, part = table[sensors[s]], slice(starts[s], starts[s + 1])
+        points, point_rays, born, sigma_rows = detections[part], rays[part], densities[part], sigma_sensors(sensor)
         seen = in_view[: _probabilities(x[:count], y[:count], sigma_rows, probabilities, in_view)]
         for n in seen:
             gained[n] = 0.0
         if len(points) == 0:  # nobody gains by a detection
-            _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, densities[:0], miss, raster)
+            _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, born, settings, raster)
             continue
-        seen_x, seen_y, seen_weights, seen_probabilities = x[seen], y[seen], new_weights[seen], probabilities[seen]
-        point_rays, scan_noise = rays[starts[s] : starts[s + 1]], noise_of(sensor, noise, kernel)
-        pairs = -1
-        while pairs < 0:
-            if has_rays:
-                pairs = ray_pairs(seen_x, seen_y, seen_probabilities, sensor, points, point_rays, scan_noise, gate, found)
-            else:
-                pairs = _pairs(seen_x, seen_y, seen_weights, seen_probabilities, points, gate2, found)
-            if pairs < 0:
-                found = _pair_buffers(4 * len(found[0]))
-        rows, columns, squares, terms = found
-        if has_rays:
-            for p in range(pairs):
-                terms[p] = seen_weights[rows[p]] * seen_probabilities[rows[p]] * (exp_minus(squares[p] * 0.5) * terms[p])
-        else:
-            _likelihoods(squares[:pairs], terms[:pairs], likelihood_noise)
-        norms = np.zeros(len(points))
-        for p in range(pairs):
-            rows[p] = seen[rows[p]]
-            norms[columns[p]] += terms[p]
-        born = densities[starts[s] : starts[s + 1]]
-        if on:
-            if sensor[MODEL] == BEARING:
-                born[:] = min(max(birth[3], min(birth[4] * sensor[KAPPA], 0.5 * birth[5])), birth[5])
-            else:
-                _birth_densities(points, norms, sensor[KAPPA], born, birth)
-        for m in range(len(points)):
-            fresh = _seen(points[m, 0], points[m, 1], sigma_rows) * born[m]
-            norm = sensor[KAPPA] + fresh + norms[m]
-            norms[m] = norm if norm > 0.0 else 1.0
-            born[m] = fresh / norms[m]
+        noise = noise_of(sensor, settings[run_columns.NOISE], settings[run_columns.KERNEL])
+        pairs, found = _terms(seen, x, y, new_weights, probabilities, sensor, points, point_rays, noise, settings, found)
+        rows, columns, terms = found[0][:pairs], found[1][:pairs], found[3][:pairs]
+        norms = _norms(points, columns, terms, born, sensor, sigma_rows, settings)
         for p in range(pairs):
             gained[rows[p]] += terms[p] / norms[columns[p]]
-        _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, born, miss, raster)
+        _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, born, settings, raster)
         for n in seen:
             new_weights[n] += gained[n]
-        salt, given = scramble(salts[sensors[s]], births_key), np.zeros(len(points), np.uint64)
+        salt, numbers, given = scramble(salts[sensors[s]], births_key), np.empty(len(points), np.uint64), np.zeros(len(points), np.uint64)
         if on:
             for m in range(len(points)):
-                number = np.uint64(picked[starts[s] + m] - begins[s])
-                given[m] = birth_label(scramble(number * np.uint64(each), salt), stamp)
-        label_scan(new_labels, new_weights, rows[:pairs], columns[:pairs], terms[:pairs], norms, given)
+                numbers[m] = np.uint64(picked[starts[s] + m] - begins[s]) * np.uint64(each)
+                given[m] = birth_label(scramble(numbers[m], salt), stamp)
+        label_scan(new_labels, new_weights, rows, columns, terms, norms, given)
         if on:
-            for m in range(len(points)):
-                number = np.uint64(picked[starts[s] + m] - begins[s])
-                for copy in range(each):
-                    new_id = scramble(number * np.uint64(each) + np.uint64(copy), salt)
-                    first, second = normal(scramble(new_id, np.uint64(1))), normal(scramble(new_id, np.uint64(2)))
-                    if has_rays:
-                        at, share = (sensor[X], sensor[Y]), uniform(scramble(new_id, np.uint64(4)))
-                        place = birth_place((first, second), share, at, points[m], point_rays[m], sensor[REACH], scan_noise)
-                        x[count], y[count] = place
-                    else:
-                        x[count], y[count] = points[m, 0] + first * noise, points[m, 1] + second * noise
-                    direction = np.int64(scramble(new_id, np.uint64(3)) >> _S52)
-                    at_columns[count], at_rows[count] = _bin(x[count], y[count], miss[1], raster[0], raster[1])
-                    new_states[count, 0], new_states[count, 1] = x[count], y[count]
-                    new_states[count, 2], new_states[count, 3] = directions[direction, 0] * speed, directions[direction, 1] * speed
-                    new_ids[count], new_weights[count], new_labels[count] = new_id, born[m] / np.float64(each), given[m]
-                    count += 1
+            new, known = (new_states, new_weights, new_ids, new_labels), count
+            count = add_births(new, count, points, point_rays, numbers, salt, born, given, sensor, noise, settings, directions)
+            for birth in range(known, count):
+                x[birth], y[birth] = new_states[birth, 0], new_states[birth, 1]
+                at_columns[birth], at_rows[birth] = _bin(x[birth], y[birth], side, raster[0], raster[1])
     return new_states, new_weights, new_ids, new_labels

@@ -13,7 +13,7 @@ from numba import njit
 from agents.compiled.cache import cached
 from agents.gossip.table import BEARING_NOISE, HEADING_NOISE, MODEL, PLACE_NOISE, RANGE_NOISE, REACH, X, Y
 from agents.tracking import measurement_likelihood
-from agents.tracking.measurement_likelihood import Noise
+from agents.tracking.measurement_likelihood import POSITION, Noise
 
 # The plain functions, compiled for single numbers
 _noise_of: Any = njit(measurement_likelihood.noise_of)
@@ -26,6 +26,12 @@ def noise_of(sensor: np.ndarray, position_noise: float, kernel: float) -> Noise:
     """See `measurement_likelihood.noise_of`; `sensor` is a row of the gossip table."""
     model, pose_noise = (sensor[MODEL], sensor[RANGE_NOISE], sensor[BEARING_NOISE]), (sensor[PLACE_NOISE], sensor[HEADING_NOISE])
     return _noise_of(model, position_noise, kernel, pose_noise)
+
+
+@njit
+def has_rays(sensor: np.ndarray) -> bool:
+    """Whether the detections of a scan are anything but exact positions; `sensor` is a row of the gossip table."""
+    return sensor[MODEL] != POSITION or sensor[PLACE_NOISE] > 0.0 or sensor[HEADING_NOISE] > 0.0
 
 
 @cached

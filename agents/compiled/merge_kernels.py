@@ -8,10 +8,11 @@ import math
 import numpy as np
 from numba import njit
 
+from agents.compiled import run_columns
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import apart, around
 from agents.compiled.claim_kernels import owned
-from agents.compiled.particle_kernels import blank, move_one, sort_by_id
+from agents.compiled.particle_kernels import blank, motion_at, move_one, sort_by_id
 
 _Particles = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -40,14 +41,16 @@ def remote_copies(
     polygon: np.ndarray,
     generators: np.ndarray,
     wins_ties: np.ndarray,
-    halo: float,
     horizon: float,
-    motion: tuple,
+    settings: np.ndarray,
+    keys: np.ndarray,
+    tick: int,
 ) -> _Particles:
-    """Twin of `merge.remote_copies`: states, weights, ids and labels of the copies; `motion` is the tuple of `backend.motion`."""
+    """Twin of `merge.remote_copies`: states, weights, ids and labels of the copies."""
     near_states, near_weights, near_ids, near_labels = near
     states, weights, ids, labels = density
-    width, height = motion[9], motion[10]
+    motion, survival = motion_at(settings, keys, np.uint64(tick)), settings[run_columns.SURVIVAL]
+    width, height, halo = settings[run_columns.WIDTH], settings[run_columns.HEIGHT], settings[run_columns.HALO]
     found, found_weights, found_ids, found_labels = blank(len(near_ids) + len(ids))
     mine, count = owned(near_states, generators, wins_ties, width, height), 0
     for n in range(len(near_ids)):
@@ -61,7 +64,7 @@ def remote_copies(
     rows, east, north = np.empty(len(ids), np.int64), np.empty(len(ids)), np.empty(len(ids))
     for n in range(len(ids)):
         x, y, vx, vy, inside = move_one(states[n, 0], states[n, 1], states[n, 2], states[n, 3], ids[n], motion)
-        weight = weights[n] * motion[7] if inside else 0.0
+        weight = weights[n] * survival if inside else 0.0
         if weight > 0.0:
             moved[number, 0], moved[number, 1], moved[number, 2], moved[number, 3] = x, y, vx, vy
             moved_weights[number], rows[number], east[number], north[number] = weight, n, x, y

@@ -1,8 +1,7 @@
 """Compiled particle kernels: prediction, selection and resampling for numba, each the bit-for-bit twin of a numpy function.
 
 Data types: particles are arrays of states (N, 4), weights (N,), ids and labels (N,) uint64. A sensor is a row of `GossipTable.table`
-(agents/gossip/table.py). The arguments of a step of prediction are the tuple of `motion`
-(agents/compiled/backend.py).
+(agents/gossip/table.py). The settings and the keys of a run are arrays (agents/compiled/run_columns.py).
 
 Rules of all kernels. The numpy functions are the reference and the oracle of the tests; agents/compiled/backend.py wraps the loops in
 their signatures. No fast-math: the order and the rounding of each operation are those of the reference. Compiled code is cached on disk
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from agents.compiled import run_columns
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import insert
 from agents.gossip.table import (
@@ -47,9 +47,29 @@ exp_minus: Any = njit(arithmetic.exp_minus)
 
 
 @njit
+def motion_at(settings: np.ndarray, keys: np.ndarray, now: np.uint64) -> tuple:
+    """What `move_one` needs in a tick: three keys, dt, half the turn per deviation, speed, noise, border, width and height."""
+    return (
+        scramble(now, keys[run_columns.TURN]),
+        scramble(now, keys[run_columns.EASTWARD]),
+        scramble(now, keys[run_columns.NORTHWARD]),
+        settings[run_columns.DT],
+        settings[run_columns.HALF_TURN],
+        settings[run_columns.SPEED],
+        settings[run_columns.POSITION_NOISE],
+        settings[run_columns.REFLECT] != 0.0,
+        settings[run_columns.WIDTH],
+        settings[run_columns.HEIGHT],
+    )
+
+
+@njit
 def move_one(x: float, y: float, vx: float, vy: float, particle_id: np.uint64, motion: tuple) -> tuple[float, float, float, float, bool]:
-    """Twin of `phd.predict` for one particle: x, y in m and vx, vy in m/s one step later, and True if it stays in the arena."""
-    turn_salt, east_salt, north_salt, dt, half_turn, speed, position_noise, _, reflect, width, height = motion
+    """Twin of `phd.predict` for one particle: x, y in m and vx, vy in m/s one step later, and True if it stays in the arena.
+
+    `motion` is that of `motion_at`.
+    """
+    turn_salt, east_salt, north_salt, dt, half_turn, speed, position_noise, reflect, width, height = motion
     turn = normal(scramble(particle_id, turn_salt)) * half_turn
     scale = speed / max(math.sqrt(vx * vx + vy * vy), 1e-12)
     cos, sin = (1.0 - turn * turn) / (1.0 + turn * turn), 2.0 * turn / (1.0 + turn * turn)

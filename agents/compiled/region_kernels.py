@@ -1,7 +1,7 @@
 """The compiled computation of a round: the bit-for-bit twin of `regions.update_regions` for wedges, one call for all owners.
 
-Data types: the settings and the keys of a run are arrays with the columns below; a result is a row of SIZES and SUMS columns. The stated
-particles are states (N, 4) float32, ids and labels (N,), and the rows of the gossip table that state them.
+Data types: a result is a row of SIZES and SUMS columns. The stated particles are states (N, 4) float32, ids and labels (N,), and the rows
+of the gossip table that state them.
 
 Rules as in agents/compiled/particle_kernels.py. Particles that cannot come near an owner are not predicted. The others are sorted and
 predicted once, and each owner gates its part. Filters write each index and advance the count without branches, because such branches
@@ -11,24 +11,30 @@ are unpredictable.
 import numpy as np
 from numba import njit
 
+from agents.compiled import run_columns
 from agents.compiled.cache import cached
 from agents.compiled.cell_kernels import around, near
 from agents.compiled.claim_kernels import owned
 from agents.compiled.correction_kernels import correct
 from agents.compiled.extraction_kernels import ESTIMATE, estimate_targets
 from agents.compiled.label_kernels import rename, stamp_of
-from agents.compiled.particle_kernels import blank, first_moments, in_view, move_one, resample, scramble, sort_by_id, take, uniform
+from agents.compiled.particle_kernels import (
+    blank,
+    first_moments,
+    in_view,
+    motion_at,
+    move_one,
+    resample,
+    scramble,
+    sort_by_id,
+    take,
+    uniform,
+)
 from agents.gossip.table import PARTICLES, REACH, WEIGHT, X, Y
 
 BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
 SIZES = 4  # first columns of a result: the numbers of updated, own and resampled particles, and of estimated targets
 SUMS = 5  # next columns: mass, its sums of x and y, load and detected
-
-# Columns of the settings; and of the keys, each without the tick.
-DT, HALF_TURN, SPEED, POSITION_NOISE, SURVIVAL, REFLECT, WIDTH, HEIGHT, HALO, STEP, NOISE, LIKELIHOOD_NOISE, GATE2 = range(13)
-CERTAINTY, MISS_BIN, BIRTHS, BIRTHS_PER_DETECTION, BIRTH_RADIUS, LEAST_DENSITY, LEAST_SHARE, MOST_DENSITY = range(13, 21)
-PER_TARGET, LEAST, MOST, BIN, THRESHOLD, BESIDE, GATE, KERNEL = range(21, 29)
-TURN, EASTWARD, NORTHWARD, BIRTH, SPLIT = range(5)
 
 
 @cached
@@ -97,7 +103,7 @@ def _candidates(stated: tuple, others: tuple, box: BoxLimits, disc: tuple) -> tu
 
 
 @njit
-def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple) -> tuple:
+def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: tuple, motion: tuple, survival: float) -> tuple:
     """The candidates one step later, each id once and ids ascending, then the births: x, y, states, weights, ids, labels.
 
     The seventh value is the number of particles before the births.
@@ -119,7 +125,7 @@ def _predict(stated: tuple, others: tuple, births: tuple, box: BoxLimits, disc: 
             moved = move_one(others[0][n, 0], others[0][n, 1], others[0][n, 2], others[0][n, 3], candidate_ids[k], motion)
             labels[known] = others[3][n]
         states[known, 0], states[known, 1], states[known, 2], states[known, 3], inside = moved
-        weights[known], ids[known] = masses[k] * motion[7] if inside else 0.0, candidate_ids[k]
+        weights[known], ids[known] = masses[k] * survival if inside else 0.0, candidate_ids[k]
         known += 1
     end = known + born
     for k in range(born):  # numba takes seconds to compile an assignment of arrays whose shapes it must check
@@ -175,24 +181,6 @@ def _rows(
 
 
 @njit
-def _motion(settings: np.ndarray, keys: np.ndarray, now: np.uint64) -> tuple:
-    """Twin of `backend.motion` for a tick."""
-    return (
-        scramble(now, keys[TURN]),
-        scramble(now, keys[EASTWARD]),
-        scramble(now, keys[NORTHWARD]),
-        settings[DT],
-        settings[HALF_TURN],
-        settings[SPEED],
-        settings[POSITION_NOISE],
-        settings[SURVIVAL],
-        settings[REFLECT] != 0.0,
-        settings[WIDTH],
-        settings[HEIGHT],
-    )
-
-
-@njit
 def _update_region(
     settings: np.ndarray,
     keys: np.ndarray,
@@ -211,36 +199,18 @@ def _update_region(
 ) -> tuple:
     """The fields of a `regions.RegionUpdate` for one owner from its particles, parted by the halo; `sensor` is its row of the table."""
     near_states, near_weights, near_ids, near_labels, far_states, far_weights, _, _ = parted
-    halo = settings[HALO]
-    birth = (
-        settings[BIRTHS] != 0.0,
-        np.int64(settings[BIRTHS_PER_DETECTION]),
-        settings[BIRTH_RADIUS],
-        settings[LEAST_DENSITY],
-        settings[LEAST_SHARE],
-        settings[MOST_DENSITY],
-        settings[SPEED],
-        scramble(now, keys[BIRTH]),
-        directions,
-        stamp_of(now),
-    )
-    noise = (
-        settings[NOISE],
-        settings[LIKELIHOOD_NOISE],
-        settings[GATE2],
-        settings[GATE],
-        settings[KERNEL],
-    )
-    miss = settings[CERTAINTY], settings[MISS_BIN]
-    near = near_states, near_weights, near_ids, near_labels
-    states, weights, ids, labels = correct(near, table, salts, detections, rays, polygon, halo, noise, miss, birth)
-    mine = owned(states, generators, wins_ties, settings[WIDTH], settings[HEIGHT])
+    near, births_key, stamp = (near_states, near_weights, near_ids, near_labels), scramble(now, keys[run_columns.BIRTH]), stamp_of(now)
+    states, weights, ids, labels = correct(near, table, salts, detections, rays, polygon, settings, births_key, directions, stamp)
+    width, height, side = settings[run_columns.WIDTH], settings[run_columns.HEIGHT], settings[run_columns.BIN]
+    mine = owned(states, generators, wins_ties, width, height)
     targets, names = np.empty((0, ESTIMATE)), np.empty(0, np.uint64)
     if len(generators) > 0 and len(weights) > 0:
-        targets, names = estimate_targets(states, weights, labels, settings[BIN], settings[THRESHOLD], settings[BESIDE], stamp_of(now))
-        inside = owned(targets, generators, wins_ties, settings[WIDTH], settings[HEIGHT])
+        targets, names = estimate_targets(
+            states, weights, labels, side, settings[run_columns.THRESHOLD], settings[run_columns.BESIDE], stamp
+        )
+        inside = owned(targets, generators, wins_ties, width, height)
         targets, names = targets[inside], names[inside]
-        labels = rename((states, weights, labels), mine, (near_weights, near_labels), targets, settings[BIN])
+        labels = rename((states, weights, labels), mine, (near_weights, near_labels), targets, side)
     own = take(states, weights, ids, labels, mine)
     own_states, own_weights, own_ids, own_labels = own
     mass, moment_x, moment_y = first_moments(own_states, own_weights)
@@ -248,9 +218,9 @@ def _update_region(
     far_load, far_detected = in_view(far_states, far_weights, sensor)
     drawn_states, drawn_ids, drawn_labels, each = np.empty((0, 4)), np.empty(0, np.uint64), np.empty(0, np.uint64), 0.0
     if mass > 0.0:
-        count = int(min(max(np.rint(settings[PER_TARGET] * mass), settings[LEAST]), settings[MOST]))
+        count = int(min(max(np.rint(settings[run_columns.PER_TARGET] * mass), settings[run_columns.LEAST]), settings[run_columns.MOST]))
         offset = uniform(scramble(now, owner))
-        resampled = resample(own_states, own_weights, own_ids, own_labels, mass, count, offset, scramble(now, keys[SPLIT]))
+        resampled = resample(own_states, own_weights, own_ids, own_labels, mass, count, offset, scramble(now, keys[run_columns.SPLIT]))
         drawn_states, drawn_ids, drawn_labels = resampled
         each = mass / count
     drawn = drawn_states, np.full(len(drawn_ids), each), drawn_ids, drawn_labels
@@ -303,9 +273,9 @@ def update_regions(
     The results (K, SIZES + SUMS) hold the sizes and sums of K owners. `spans` (K, 3) are the row of each owner in the table, its number of
     corners and its number of generators. `draws` (K,) are the keys of the resampling of each owner.
     """
-    now, number, halo, step = np.uint64(tick), len(spans), settings[HALO], settings[STEP]
+    now, number, halo, step = np.uint64(tick), len(spans), settings[run_columns.HALO], settings[run_columns.STEP]
     box, disc = _surroundings(corners, table, spans, halo + step, step)
-    predicted = _predict(stated, others, births, box, disc, _motion(settings, keys, now))
+    predicted = _predict(stated, others, births, box, disc, motion_at(settings, keys, now), settings[run_columns.SURVIVAL])
     size = len(predicted[0])
     scratch = np.empty(size, np.bool_), np.empty(size, np.bool_), np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
     updated, own, drawn, targets, names = blank(0), blank(0), blank(0), np.empty((0, ESTIMATE)), np.empty(0, np.uint64)
