@@ -45,17 +45,13 @@ def warm() -> None:
     from agents.compiled.backend import FAST
 
     if not is_switched_off():
-        _warm(FAST)
+        with _one_by_one():
+            if not compiled_before() and len(os.sched_getaffinity(0)) > 1:
+                _compile_on_two_cores(FAST)
+            _play_all(FAST)
+            note_complete()
+            tidy()
     convert({"members": {"s1": "A"}}, AgentConfig, "")  # types are inspected once here, and not again in every forked child
-
-
-def _warm(fast: Backend) -> None:
-    with _one_by_one():
-        if not compiled_before() and len(os.sched_getaffinity(0)) > 1:
-            _compile_on_two_cores(fast)
-        _play_all(fast)
-        note_complete()
-        tidy()
 
 
 def _compile_on_two_cores(fast: Backend) -> None:
