@@ -19,7 +19,7 @@ from agents.compiled.extraction_kernels import block
 from agents.compiled.label_kernels import birth_label, label_scan
 from agents.compiled.measuring_kernels import has_rays, noise_of
 from agents.compiled.measuring_kernels import pairs as ray_pairs
-from agents.compiled.particle_kernels import blank, exp_minus, scramble, sigma_sensors
+from agents.compiled.particle_kernels import blank, exp_minus, scramble, sigma_sensors, wedge
 from agents.gossip.table import (
     COS,
     COS_HALF,
@@ -132,6 +132,15 @@ def _add_view(x: np.ndarray, y: np.ndarray, sensor: np.ndarray, probabilities: n
         apart = math.sqrt(range2)
         inside = (range2 <= reach2) & (dx * cos + dy * sin >= cos_half * apart)
         probabilities[n] += max(near + slope * apart, far) if inside else 0.0
+
+
+@njit
+def _seen(x: float, y: float, sensors: np.ndarray) -> float:
+    """p_d of one point, the mean over `sigma_sensors`."""
+    found = 0.0
+    for k in range(len(sensors)):
+        found += wedge(x, y, sensors[k])
+    return found / np.float64(len(sensors))
 
 
 @cached
@@ -302,14 +311,13 @@ def _norms(
 
     A term belongs to the detection whose number is in `columns`.
     """
-    norms, chances = np.zeros(len(points)), np.empty(len(points))
+    norms = np.zeros(len(points))
     for p in range(len(terms)):
         norms[columns[p]] += terms[p]
     if settings[run_columns.BIRTHS] != 0.0:
         birth_densities(points, norms, sensor, born, settings)
-    _probabilities(points[:, 0].copy(), points[:, 1].copy(), sigma_rows, chances, np.empty(len(points), np.int64))
     for m in range(len(points)):
-        fresh = chances[m] * born[m]
+        fresh = _seen(points[m, 0], points[m, 1], sigma_rows) * born[m]
         norm = sensor[KAPPA] + fresh + norms[m]
         norms[m] = norm if norm > 0.0 else 1.0
         born[m] = fresh / norms[m]

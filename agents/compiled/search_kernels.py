@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from agents.compiled.cache import cached
-from agents.compiled.particle_kernels import exp_minus, sort_by_id, wedge
+from agents.compiled.particle_kernels import exp_minus, sort_by_id
 from agents.coverage.search_plan import (
     CAPACITY_ANGLE,
     DECAY_LENGTH,
@@ -32,8 +32,10 @@ from agents.coverage.search_plan import (
     WINDOW_SHARE,
     service_radius,
 )
-from agents.gossip.table import KIND, WEDGE
+from agents.gossip.table import COS as SENSOR_COS
+from agents.gossip.table import COS_HALF, KIND, WEDGE
 from agents.gossip.table import REACH as SENSOR_REACH
+from agents.gossip.table import SIN as SENSOR_SIN
 from agents.gossip.table import X as SENSOR_X
 from agents.gossip.table import Y as SENSOR_Y
 
@@ -54,11 +56,15 @@ def _mark_view(seen: np.ndarray, table: np.ndarray, now: float, side: float) -> 
         if table[k, KIND] != WEDGE:
             continue
         x, y, reach = table[k, SENSOR_X], table[k, SENSOR_Y], table[k, SENSOR_REACH]
+        cos, sin, cos_half = table[k, SENSOR_COS], table[k, SENSOR_SIN], table[k, COS_HALF]
         west, east = max(int(np.floor((x - reach) / side)), 0), min(int(np.floor((x + reach) / side)), columns - 1)
         south, north = max(int(np.floor((y - reach) / side)), 0), min(int(np.floor((y + reach) / side)), rows - 1)
         for row in range(south, north + 1):
+            dy = (row + 0.5) * side - y
             for column in range(west, east + 1):
-                if wedge((column + 0.5) * side, (row + 0.5) * side, table[k]) > 0.0:
+                dx = (column + 0.5) * side - x
+                range2 = dx * dx + dy * dy
+                if (range2 <= reach * reach) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2)):
                     seen[row, column] = now
 
 
@@ -265,8 +271,11 @@ def _last_sight(
         x, y, reach = table[k, SENSOR_X], table[k, SENSOR_Y], table[k, SENSOR_REACH]
         if table[k, KIND] != WEDGE or x + reach < west or x - reach > east or y + reach < south or y - reach > north:
             continue
+        cos, sin, cos_half = table[k, SENSOR_COS], table[k, SENSOR_SIN], table[k, COS_HALF]
         for n in range(len(ids)):
-            if wedge(states[n, 0], states[n, 1], table[k]) > 0.0:
+            dx, dy = states[n, 0] - x, states[n, 1] - y
+            range2 = dx * dx + dy * dy
+            if (range2 <= reach * reach) & (dx * cos + dy * sin >= cos_half * math.sqrt(range2)):
                 last[n] = now
     return last
 
