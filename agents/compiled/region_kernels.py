@@ -197,7 +197,7 @@ def _update_region(
     owner: np.uint64,
     directions: np.ndarray,
 ) -> tuple:
-    """The fields of a `regions.RegionUpdate` for one owner from its particles, parted by the halo; `sensor` is its row of the table."""
+    """The fields of a `tracker.RegionUpdate` for one owner from its particles, parted by the halo; `sensor` is its row of the table."""
     near_states, near_weights, near_ids, near_labels, far_states, far_weights, _, _ = parted
     near, births_key, stamp = (near_states, near_weights, near_ids, near_labels), scramble(now, keys[run_columns.BIRTH]), stamp_of(now)
     states, weights, ids, labels = correct(near, table, salts, detections, rays, polygon, settings, births_key, directions, stamp)
