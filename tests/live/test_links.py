@@ -18,9 +18,10 @@ def test_a_partition_covers_the_arena_twice_and_heals_to_one_claim_per_place(cov
     code, said, _ = covey.run("partition", "s1,s2,s3")
     assert (code, said) == (0, "cut off s1, s2, s3\n")
     apart = covey.wait(lambda data: data["swarm"]["overlap"] > 0.99 and data["swarm"]["hole"] <= 1e-6)
-    assert covey.run("kill", "s1")[0] == 0 == covey.run("restart", "s1")[0]
-    covey.wait(lambda data: not rows(data)["s1"]["cell"])
-    back = covey.wait(lambda data: rows(data)["s1"]["cell"])["swarm"]["tick"]
+    assert covey.run("kill", "s1")[0] == 0
+    last = rows(covey.wait(lambda data: not rows(data)["s1"]["alive"]))["s1"]["tick"]
+    assert covey.run("restart", "s1")[0] == 0
+    back = covey.wait(lambda data: rows(data)["s1"]["alive"] and rows(data)["s1"]["tick"] > last)["swarm"]["tick"]
     looks = [covey.wait(lambda data, at=back + 8 + look: data["swarm"]["tick"] >= at) for look in range(9)]  # type: ignore[misc]
     assert statistics.median(look["swarm"]["overlap"] for look in looks) > 0.99, "who comes back is cut off too"
     apart = looks[-1]
