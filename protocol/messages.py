@@ -5,8 +5,8 @@ numbers, and `check` the other rules of a message alone. Rules that need the con
 `codec`, the limits of the announced sensor in the agent. All lengths in m, times in s, angles in rad.
 """
 
-import math
 import struct
+from math import cos, hypot, inf, pi, sin
 
 import msgspec
 import numpy as np
@@ -128,8 +128,9 @@ GOSSIP_NUMBERS = 14  # x, y, cosine and sine of the heading, COD x, y, power rad
 _pack_numbers = struct.Struct(f"<{GOSSIP_NUMBERS}d").pack
 _pack_plan = struct.Struct("<3d").pack
 _pack_position = struct.Struct("<6d").pack
-_unpack_radius = struct.Struct("<d").unpack_from  # of a row of a claim, from its byte 16 on
-_NO_BOX = struct.pack("<4d", math.inf, math.inf, -math.inf, -math.inf)
+_unpack_radius = struct.Struct("<16xd").unpack_from  # of the first row of a claim
+_EXACT = (0.0, 0.0)  # noise of a pose
+_NO_BOX = struct.pack("<4d", inf, inf, -inf, -inf)
 
 
 class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
@@ -198,11 +199,10 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     @cached_attribute
     def numbers(self) -> bytes:
         """The single numbers of the message, `GOSSIP_NUMBERS` of float64; a gossip table joins those of many gossips."""
-        (x, y, heading), (east, north) = self.pose, self.cod
-        counts = len(self.detections_bytes) // 8, len(self.ids_bytes) // 8
-        ahead = math.cos(heading), math.sin(heading)
-        noise = self.pose_noise or (0.0, 0.0)
-        return _pack_numbers(x, y, *ahead, east, north, self.power_radius, self.unused, self.weight, *counts, self.scanned, *noise)
+        (x, y, heading), (east, north), noise = self.pose, self.cod, self.pose_noise or _EXACT
+        pose, generator = (x, y, cos(heading), sin(heading)), (east, north, self.power_radius)
+        detections, particles = len(self.detections_bytes) // 8, len(self.ids_bytes) // 8
+        return _pack_numbers(*pose, *generator, self.unused, self.weight, detections, particles, self.scanned, *noise)
 
     @cached_attribute
     def extent(self) -> tuple[float, float]:
@@ -210,9 +210,11 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
 
         The area is the largest of U and of the discs with the power radius and with that in the own claim.
         """
-        claimed = _unpack_radius(self.claim_bytes, 16)[0] if self.claim_bytes else 0.0
-        radius = max(self.power_radius, abs(claimed))
-        return max(self.unused, math.pi * radius**2), math.dist(self.cod, self.pose[:2])
+        (x, y, _), (east, north), radius = self.pose, self.cod, self.power_radius
+        if self.claim_bytes:
+            (claimed,) = _unpack_radius(self.claim_bytes)
+            radius = max(radius, abs(claimed))
+        return max(self.unused, pi * radius * radius), hypot(east - x, north - y)
 
     @cached_attribute
     def plan(self) -> bytes:
@@ -235,12 +237,12 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     def check_lengths(self) -> None:
         """Refuse arrays that do not fit each other, and what no array states."""
         DETECTIONS.count(self.detections_bytes)
-        self._check_claim(CLAIM.count(self.claim_bytes))
-        states, count = STATES.count(self.states_bytes), IDS.count(self.ids_bytes)
-        if count != states:
-            raise Malformed("shape", f"ids: {count} ids for {states} states")
+        self._check_claim()
+        count = IDS.count(self.ids_bytes)
+        if len(self.states_bytes) != STATES.size * count:
+            raise Malformed("shape", f"ids: {count} ids for {STATES.count(self.states_bytes)} states")
         check_mass("weight: the particles", self.weight * count)
-        check_label_numbers(*self.label_part)
+        check_label_numbers(self.labels_bytes, self.label_numbers_bytes, count)
 
     def check_contents(self) -> None:
         """Refuse numbers of an array that are out of range, and ids and labels that do not ascend."""
@@ -253,16 +255,17 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
             raise Malformed("range", f"labels: should be strictly ascending and at most {LARGEST_LABEL}")
         check_components(self.components_bytes)
 
-    def _check_claim(self, generators: int) -> None:
-        if len(self.claim_names) != generators:
-            raise Malformed("shape", f"claim_names: {len(self.claim_names)} names for {generators} generators")
-        if len(self.claim_ages) not in (0, generators):
+    def _check_claim(self) -> None:
+        names, generators = self.claim_names, len(self.claim_names)
+        if len(self.claim_bytes) != CLAIM.size * generators:
+            raise Malformed("shape", f"claim_names: {generators} names for {CLAIM.count(self.claim_bytes)} generators")
+        if self.claim_ages and len(self.claim_ages) != generators:
             raise Malformed("shape", f"claim_ages: {len(self.claim_ages)} ages for {generators} generators")
-        if self.claim_names and self.claim_names[0] != self.sender:
-            raise Malformed("sender", f"claim_names: the first should be the sender, not {self.claim_names[0][:64]!r}")
-        if self.states_bytes and not self.claim_names:
+        if names and names[0] != self.sender:
+            raise Malformed("sender", f"claim_names: the first should be the sender, not {names[0][:64]!r}")
+        if self.states_bytes and not names:
             raise Malformed("shape", "states: particles without a claim")
-        if self.components_bytes and not self.claim_names:
+        if self.components_bytes and not names:
             raise Malformed("shape", "components: a mixture without a claim")
         if self.claim_tick and self.claim_tick >= self.tick:
             raise Malformed("range", f"claim_tick = {self.claim_tick}: should be earlier than tick = {self.tick}")
