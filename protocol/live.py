@@ -143,6 +143,8 @@ class Driver:
             return await self._stopped
         finally:
             self._disarm()
+            if self._delay_timer is not None:
+                self._delay_timer.cancel()
             if self._reopening is not None:
                 self._reopening.cancel()
                 await asyncio.wait([self._reopening])

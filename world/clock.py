@@ -50,10 +50,14 @@ class TickClock:
         self._heard[name] = now - tick * self._period, now
 
     def listen(self, names: Iterable[str], now: float) -> bool:
-        """Correct the anchor by what these neighbours say, or take theirs before the run has begun; whether it has changed."""
+        """Correct the anchor by what these neighbours say, or take theirs before the run has begun; whether it has changed.
+
+        What others have said is forgotten.
+        """
         since = now - max(RECENT, 4.0 * self._period)
         names = tuple(names)
-        anchors = [self._heard[name][0] for name in names if name in self._heard and self._heard[name][1] >= since]
+        self._heard = {name: self._heard[name] for name in names if name in self._heard}
+        anchors = [anchor for anchor, when in self._heard.values() if when >= since]
         if 2 * len(anchors) <= len(names):
             return False
         if self.anchor is None:
@@ -79,9 +83,10 @@ class TickCount:
         self._heard[name] = tick
 
     def majority(self, names: Iterable[str]) -> int:
-        """The tick that most of these neighbours have reached; -1: it is not known."""
+        """The tick that most of these neighbours have reached; -1: it is not known. What others have said is forgotten."""
         names = tuple(names)
-        ticks = [self._heard[name] for name in names if name in self._heard]
+        self._heard = {name: self._heard[name] for name in names if name in self._heard}
+        ticks = [*self._heard.values()]
         return -int(_middle([-tick for tick in ticks])) if 2 * len(ticks) > len(names) else -1
 
 

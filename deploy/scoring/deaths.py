@@ -7,6 +7,8 @@ import numpy as np
 from deploy.scoring.chronicle import ScoredTick, is_taken
 from deploy.scoring.result import Kill
 
+MOST_DEATHS = 4096  # kept of a run: one that comes and goes all the time fills no memory
+
 
 @dataclass(slots=True)
 class _Death:
@@ -27,8 +29,9 @@ class Deaths:
         self._deaths: list[_Death] = []
 
     def lose(self, name: str, tick: int, time: float, now: float, cell: np.ndarray) -> None:
-        """Note that an agent died at a tick and world time, s; `cell` (K, 2) m is its last one."""
-        self._deaths.append(_Death(name, tick, time, now, cell))
+        """Note that an agent died at a tick and world time, s; `cell` (K, 2) m is its last one. Of too many deaths the first are kept."""
+        if len(self._deaths) < MOST_DEATHS:
+            self._deaths.append(_Death(name, tick, time, now, cell))
 
     def regain(self, name: str, time: float) -> None:
         """An agent whose token was lost at a world time, s, is back in the same process: if that was noted as a death, it was none."""

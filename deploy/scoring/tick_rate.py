@@ -3,6 +3,8 @@
 import math
 import os
 from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from deploy.scenario import Scenario
 from deploy.scoring.status import TickRate
@@ -36,6 +38,22 @@ def too_small(scenario: Scenario) -> str:
     return f"{agents} agents at {ticks:g} ticks/s will be late on {room}: take --rate {fits:.2g} or less, fewer agents, or --lockstep"
 
 
+class _Counts(NamedTuple):
+    """Rounds that an agent has played, skipped, closed late, and played alone because it had no time for a shared one."""
+
+    rounds: int
+    skipped: int
+    late: int
+    spared: int
+
+
+_NOTHING = _Counts(0, 0, 0, 0)
+
+
+def _sum(counts: Sequence[_Counts]) -> _Counts:
+    return _Counts(*map(sum, zip(_NOTHING, *counts)))
+
+
 class TickRateMeter:
     """Measures the tick rate from the ticks of the world and the counters of the agents."""
 
@@ -45,7 +63,8 @@ class TickRateMeter:
         self._asked = asked_per_s(scenario)
         self._ticks: deque[tuple[float, int]] = deque()  # times and ticks of the last `WINDOW` s
         self._first: tuple[float, int] | None = None
-        self._counts: dict[tuple[str, int], tuple[int, int, int, int]] = {}  # rounds, skipped, late, spared by name and incarnation
+        self._counts: dict[str, tuple[int, _Counts]] = {}  # by name: the newest incarnation and what it has counted
+        self._ended: dict[str, _Counts] = {}  # by name: what all earlier incarnations had counted
         self._paces: dict[str, int] = {}
         self._excused: set[str] = set()  # agents that were paused on request
         self._stalls: dict[str, tuple[int, float]] = {}  # ms of all stalls of an agent so far, and when the last one showed
@@ -60,8 +79,10 @@ class TickRateMeter:
     def count(self, estimate: Estimate) -> None:
         """Take the counters and the pace of an agent."""
         name, counters = estimate.sender, estimate.counters
-        rounds, skipped, late, spared = (counters.get(field, 0) for field in ("rounds", "skipped", "late", "spared"))
-        self._counts[name, estimate.incarnation] = rounds, skipped, late, spared
+        incarnation, counted = self._counts.get(name, (estimate.incarnation, _NOTHING))
+        if incarnation != estimate.incarnation:
+            self._ended[name] = _sum([self._ended.get(name, _NOTHING), counted])
+        self._counts[name] = estimate.incarnation, _Counts(*[counters.get(field, 0) for field in _Counts._fields])
         self._paces[name] = estimate.pace
         stalled = counters.get("stalled_ms", 0)
         if stalled and stalled != self._stalls.get(name, (0, 0.0))[0]:
@@ -78,7 +99,11 @@ class TickRateMeter:
     @property
     def rounds(self) -> int:
         """Rounds that all agents have played."""
-        return sum(count[0] for count in self._counts.values())
+        return self._sum_of(self._counts).rounds
+
+    def _sum_of(self, names: Iterable[str]) -> _Counts:
+        """What all incarnations of these agents have counted."""
+        return _sum([*(self._counts[name][1] for name in names), *(self._ended[name] for name in names if name in self._ended)])
 
     def at(self, now: float) -> TickRate:
         """The rate of the last seconds at a time of the clock, s: where ticks fail to come, at most what one more tick would make it."""
@@ -97,7 +122,7 @@ class TickRateMeter:
         speed = None
         if start is not None and self._ticks[-1][0] > start[0]:
             speed = (self._ticks[-1][1] - start[1]) / (self._ticks[-1][0] - start[0])
-        rounds, skipped, late, spared = (sum(column) for column in zip(*self._counts.values())) if self._counts else (0, 0, 0, 0)
+        rounds, skipped, late, spared = self._sum_of(self._counts)
         found = TickRate(ticks_per_s=speed, asked_per_s=self._asked, rounds=rounds, skipped=skipped, late=late, spared=spared)
         found.pace = max(self._paces.values(), default=1)
         found.slowest = [name for name, pace in self._paces.items() if pace == found.pace > 1]
@@ -115,8 +140,7 @@ class TickRateMeter:
 
     def _advice(self, found: TickRate) -> str:
         """A line when rounds are skipped or ticks fall behind; empty in lockstep, where a slow machine takes longer and loses nothing."""
-        counts = [count for (name, _), count in self._counts.items() if name not in self._excused]
-        rounds, skipped = (sum(count[column] for count in counts) for column in (0, 1))
+        rounds, skipped, _, _ = self._sum_of(self._counts.keys() - self._excused)
         run, share = self._scenario.run, skipped / max(1, rounds + skipped)
         if run.clock != "realtime":
             return ""

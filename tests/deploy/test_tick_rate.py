@@ -55,6 +55,16 @@ def test_the_rate_falls_when_no_tick_comes_and_stays_while_slow_ticks_come_on_ti
     assert [slow.at(130.0 + seconds).ticks_per_s for seconds in (0.0, 5.0, 10.0)] == pytest.approx([0.1, 0.1, 0.1])
 
 
+def test_an_agent_that_starts_anew_all_the_time_takes_one_row_and_no_round_of_it_is_forgotten() -> None:
+    meter = TickRateMeter(scenario())
+    for incarnation in range(1, 2001):
+        meter.count(told("s1", incarnation, {"rounds": 1}))
+        meter.count(told("s1", incarnation, {"rounds": 2, "late": 1}))
+    meter.count(told("s2", 1, {"rounds": 5}))
+    assert meter.rounds == 4005 and meter.whole().late == 2000
+    assert max(len(held) for held in vars(meter).values() if isinstance(held, dict)) == 2
+
+
 def test_rounds_are_counted_over_all_incarnations() -> None:
     pace = TickRateMeter(scenario())
     pace.count(told("s1", 1, {"rounds": 10, "skipped": 2, "late": 1}))

@@ -62,6 +62,14 @@ def test_an_old_word_does_not_count() -> None:
     assert not found.listen(FIVE, 103.0)
 
 
+def test_what_former_neighbours_have_said_is_forgotten() -> None:
+    found, count = clock(dict.fromkeys(FIVE, 1.0)), TickCount()
+    for name in FIVE:
+        count.hear(name, 7)
+    assert not found.listen(("s8", "s9"), 100.0) and count.majority(("s8", "s9")) == -1
+    assert not found.listen(FIVE, 100.0) and count.majority(FIVE) == -1
+
+
 def test_before_the_run_has_begun_the_majority_says_when_it_began() -> None:
     found = TickClock(DT)
     for name in FIVE[:2]:
