@@ -43,12 +43,12 @@ class Agent(Node):
     """The Node of one sensor. Its rounds follow the ticks of the observations; `counters` counts what happened, by name."""
 
     role = "agent"
-    coalesced_keys = "/gossip/"  # a driver may hold gossips back until `wake_up_count` of them have come
 
     def __init__(self, config: AgentConfig, name: str, incarnation: int = 1, backend: Backend = PLAIN, sensor_class: str = "") -> None:
         """`incarnation` grows with every restart under the same name; `sensor_class` empty: the one that the roster names."""
         self.name, self.incarnation, self.run = name, incarnation, config.run.name
         self.config = config
+        self.coalesced_keys = "" if config.timing.look_ahead else "/gossip/"  # no gossip waits where it is measured how late they come
         self.sensor_class = sensor_class or config.members[name]  # empty: the class that the roster names
         self.counters: Counter[str] = Counter()
         self.peer_table = PeerTable(config, name)
@@ -148,12 +148,12 @@ class Agent(Node):
 
     def _on_observation(self, observation: Observation, now: float) -> list[Effect]:
         """Close a round that is still open, and open that of the observation. An old observation is counted and ignored."""
-        if observation.incarnation < self.membership.world_incarnation or observation.tick <= self.tick:
+        if observation.incarnation < self.membership.world_incarnation or observation.tick <= self._newest_tick:
             self.counters["rejected.old_observation"] += 1
             return []
         self.membership.world_incarnation = observation.incarnation
         self.membership.session_watchdog.note_messages((observation.sender,), now)
-        self._newest_tick = max(self._newest_tick, observation.tick)
+        self._newest_tick = observation.tick
         self._pace.observe(observation.tick, now)
         if not self._pace.is_shared(observation.tick):
             self._take_gossip_free(observation)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from protocol.message import SharedSettings
+from protocol.sensing import SensorModel, measurement_of
 from protocol.settings import CommonSettings, Fraction, NotNegative, Positive, Section, Seed
 from protocol.settings_digest import common_sections, shared_settings
 
@@ -173,6 +174,17 @@ class AgentConfig(CommonSettings, frozen=True, kw_only=True, eq=False):
         The roster is a hint: it names the agents expected at the start, may be empty, and other agents may join.
         """
         return [other for other in self.members if other != name]
+
+    def why_not(self, sensor: SensorModel) -> str:
+        """Why a swarm with these settings cannot use a sensor; empty: it can."""
+        measures, far = measurement_of(sensor), math.hypot(self.arena.width, self.arena.height)
+        if measures is None or measures.kind != "bearing":
+            return ""
+        if self.filter.kind == "gaussian-mixture":
+            return 'measures = "bearing": a Gaussian mixture needs places or ranges; should be range-bearing, or filter.kind = "particles"'
+        if sensor.reach > far:  # births lie along the whole beam, and the corrector's grid spans them
+            return f'radius = {sensor.reach:g}: should be at most {far:.4g}, the diagonal of the arena in m, with measures = "bearing"'
+        return ""
 
     @property
     def ticks_of_silence(self) -> int:

@@ -34,7 +34,7 @@ class OpenRounds:
     def behind(self, tick: int, stamp: int) -> int:
         """The number of ticks before `tick` whose rounds are still to be played, if that of `stamp` was played before them.
 
-        0 after a skipped tick, and where the belief of `stamp` is too old for a replay: it then counts as that of the tick before.
+        0 where that of `stamp` is not the one before the oldest open round, and where it is too old for a replay.
         """
         follows = bool(self._rounds) and stamp == self._rounds[0].gossip.tick - 1
         return tick - 1 - stamp if follows and tick - 1 - stamp <= self.lag.most else 0

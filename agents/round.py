@@ -32,7 +32,7 @@ from protocol.geometry import EMPTY, distances, polygon_centroid, rectangle
 from protocol.keys import order
 from protocol.messages import Gossip
 from protocol.sensing import Pose, SensorModel
-from protocol.settings import sensor_of
+from protocol.settings import BadSetting, sensor_of
 
 COPY_HORIZON = 40.0  # m around the own cell; with neighbours only, an agent keeps no older copies of particles farther away
 
@@ -52,8 +52,10 @@ class AgentContext(NamedTuple):
 
 
 def context_of(config: AgentConfig, name: str, sensor_class: str, backend: Backend) -> AgentContext:
-    """The context of the agent `name` with a sensor of that class. Raises BadSetting for an unknown class."""
+    """The context of the agent `name` with a sensor of that class. Raises BadSetting for a class that is unknown or cannot be used."""
     sensor, corners = sensor_of(config, sensor_class), rectangle(config.arena.width, config.arena.height)
+    if reason := config.why_not(sensor):
+        raise BadSetting(f"sensors.{sensor_class}.{reason}")
     tracker: Tracker = MixturePhd(backend) if config.filter.kind == "gaussian-mixture" else ParticlePhd(backend)
     announced = announced_sensor(name, sensor, config.detection.clutter)
     return AgentContext(name, sensor, announced, control_law(config, backend), backend, tracker, config, corners, sensor_class)

@@ -36,7 +36,7 @@ def local_gossip(context: AgentContext, incarnation: int, last: RoundResult, obs
 
 
 def is_claim_valid(config: AgentConfig, belief: Belief, tick: int, pace: int) -> bool:
-    """Whether the claim of a belief still counts at a later tick: for as long as peers keep the generator of a silent agent."""
+    """Whether the claim of a belief still counts at a later tick: for as long as peers of this pace keep a silent agent's generator."""
     most = max(config.ticks_of_silence, config.timing.silent_rounds * pace)
     return 0 <= belief.claim_tick <= belief.stamp < tick <= belief.claim_tick + most
 

@@ -55,12 +55,20 @@ class RateLimiter:
         ] = {}  # (key, session) -> messages left in its bucket, and the time of that figure, s
 
     def admits(self, key: str, origin: Any, now: float) -> bool:
-        """Count one message; True within the limit. Beyond a fixed number the keys that were quiet for longest are forgotten."""
-        if now >= self._second or len(self._counts) > self.MOST_KEYS:
+        """Count one message; True within the limit.
+
+        Beyond a fixed number of keys in a second all others count as one suspect key. Of the suspect keys those quiet for longest are
+        forgotten.
+        """
+        if now >= self._second:
             self._counts, self._second = {}, now + 1.0
-        count = self._counts[key] = self._counts.get(key, 0) + 1
-        if count <= self._most and key not in self._suspect:
-            return True
+        count = self._counts.get(key, 0) + 1
+        if count > 1 or len(self._counts) < self.MOST_KEYS:
+            self._counts[key] = count
+            if count <= self._most and key not in self._suspect:
+                return True
+        else:
+            key = ""
         with self._lock:
             self._suspect.pop(key, None)
             self._suspect[key] = None  # at the end

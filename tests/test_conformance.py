@@ -16,7 +16,7 @@ import msgpack
 import msgspec
 import pytest
 
-from agents.membership.peer_table import OWN, UNASKED, PeerTable
+from agents.membership.peer_table import OWN, UNASKED, UNKNOWN_SENSOR, PeerTable
 from protocol.codec import decode, encode
 from protocol.fields import Malformed
 from protocol.keys import message_key
@@ -469,7 +469,7 @@ def test_the_keys_of_the_page_are_those_of_the_code() -> None:
 def test_the_page_gives_every_reason_for_which_an_agent_refuses_a_gossip() -> None:
     listed = re.findall(r"^\| `(\w+)` \|", PAGE.partition("### When a gossip counts")[2].partition("\n## ")[0], re.MULTILINE)
     source = inspect.getsource(PeerTable._judge).partition('"""')[2].partition('"""')[2]
-    assert set(listed) == {OWN, UNASKED, *re.findall(r'"(\w+)"', source)} and len(listed) == len(set(listed))
+    assert set(listed) == {OWN, UNASKED, UNKNOWN_SENSOR, *re.findall(r'"(\w+)"', source)} and len(listed) == len(set(listed))
 
 
 def test_the_example_in_bytes_is_what_the_encoder_writes() -> None:

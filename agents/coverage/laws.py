@@ -10,6 +10,7 @@ from agents.config import AgentConfig
 from agents.coverage.control import ControlInput, ControlLaw, Lloyd, RandomWalk, Situation, Static, UniformDensity
 from agents.coverage.pursuit import Pursuit
 from agents.coverage.search_and_track import SearchAndTrack
+from protocol.pose import clip_velocity
 from protocol.settings import BadSetting, load_named
 from protocol.user_classes import as_bad_setting, shown
 
@@ -42,14 +43,14 @@ def control_law(config: AgentConfig, backend: Backend = PLAIN) -> ControlLaw:
 
 
 class CheckedLaw:
-    """A control law of the user; an answer that is no command raises BadSetting with the name of the class."""
+    """A control law of the user, within the limits of the body; an answer that is no command raises BadSetting with the class's name."""
 
     def __init__(self, law: ControlLaw, name: str) -> None:
         self._law, self._name = law, name
         self.uses_nearby_sensors = bool(getattr(law, "uses_nearby_sensors", False))
 
     def command(self, situation: Situation) -> ControlInput:
-        """The command of the law, checked; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""
+        """The command of the law, clipped to the limits; raises BadSetting if it is not ((vx, vy), turn rate) of finite numbers."""
         with as_bad_setting(f"{self._name}.command"):
             answer = self._law.command(situation)
         try:
@@ -61,4 +62,5 @@ class CheckedLaw:
             raise BadSetting(
                 f"{self._name}.command returned {shown(answer)}: should be ((vx, vy), turn_rate), finite numbers in m/s and rad/s"
             )
-        return (numbers[0], numbers[1]), numbers[2]
+        most = situation.limits.turn_rate
+        return clip_velocity((numbers[0], numbers[1]), situation.limits.speed), max(-most, min(most, numbers[2]))

@@ -247,7 +247,7 @@ class InterestManager:
         )
 
     def _covers_beacons(self, place: tuple[float, float]) -> bool:
-        """Whether all agents that were lately at a place are known."""
+        """Whether all agents that were lately at a place are known; true before the first selection, when nothing is."""
         return self.known_area is None or self.known_area.contains(Rectangle(*place, *place).wider(self._ground.drift))
 
     def _covers_generator(self, place: tuple[float, float]) -> bool:
@@ -367,7 +367,7 @@ def _union(one: TileBlock, other: TileBlock | None) -> TileBlock:
 
 def _common(one: TileBlock, other: TileBlock) -> TileBlock:
     """The tiles that lie in both blocks; at least a tile of the second."""
-    west, south = max(one.west, other.west), max(one.south, other.south)
+    west, south = min(max(one.west, other.west), other.east), min(max(one.south, other.south), other.north)
     return TileBlock(west, south, max(west, min(one.east, other.east)), max(south, min(one.north, other.north)))
 
 

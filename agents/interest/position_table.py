@@ -150,7 +150,10 @@ class PositionTable:
             self._numbers[SIZE * row : SIZE * (row + 1)] = self._numbers[end : end + SIZE]
 
     def forget_outside(self, since: int, until: int) -> list[str]:
-        """Remove the rows older than the tick `since`, and those later than `until`, whose ticks are wrong; return their names."""
+        """Remove the rows older than the tick `since`, and with them those later than `until`, whose ticks are wrong; return their names.
+
+        Without a row that old all stay: a wrong tick is worth no search in every round.
+        """
         if since <= self._oldest:
             return []
         self._oldest = min(self._ticks, default=since)

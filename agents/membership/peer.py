@@ -40,10 +40,12 @@ def with_peer(peers: dict[str, Peer], peer: Peer) -> dict[str, Peer]:
 
 
 def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSensor | None:
-    """The sensor that a message announces; None when its class is unknown here."""
+    """The sensor that a message announces; None when its class is unknown here, or cannot be used with these settings."""
     try:
         sensor = sensor_of(config, message.sensor_class) if message.sensor is None else message.sensor
     except BadSetting:
+        return None
+    if config.why_not(sensor):
         return None
     return announced_sensor(message.sender, sensor, config.detection.clutter)
 

@@ -34,6 +34,7 @@ from protocol.settings_digest import differing_settings, settings_digest
 LOCAL_DIAGRAM = 1  # in place of a hash: agents that hear neighbours and have complete interest sets cut parts of one diagram
 ACCEPTED = ""
 OWN, UNASKED = "own", "unasked"  # reasons without a fault of the sender
+UNKNOWN_SENSOR = "unknown_sensor"
 MOST_STRANGERS = 256  # kept where the tokens of all peers are seen: more than may greet before their tokens are seen
 
 
@@ -114,11 +115,10 @@ class PeerTable:
             self._exclude(peer, differs)
         if differs:
             return "settings"
-        if peer.announced is None or (hello.sensor is not None and hello.sensor != peer.announced.sensor):
-            announced = announced_by(hello, self._config)
-            if announced is None:
-                return "sensor"
-            peer.announced = announced
+        announced = announced_by(hello, self._config)
+        if announced is None:
+            return "sensor"
+        peer.announced = announced
         return None
 
     def _exclude(self, peer: Peer, differs: tuple[str, ...]) -> None:
@@ -134,7 +134,7 @@ class PeerTable:
         for hello in hellos:
             peer = peers.get(hello.sender)
             announced = peer.announced if peer is not None and peer.incarnation == hello.incarnation and hello.role == "agent" else None
-            if announced is None or (hello.sensor is not None and hello.sensor != announced.sensor):
+            if announced is None or announced_by(hello, self._config) is not announced:
                 found.append(hello)
         return found
 
@@ -164,6 +164,11 @@ class PeerTable:
                 awaited.discard(gossip.sender)
                 if not awaited:
                     break
+        if UNKNOWN_SENSOR in reasons:  # this may be a younger incarnation of an earlier row's sender, which counts no more
+            for row, gossip in enumerate(batch.messages[start : start + len(reasons)]):
+                if not reasons[row] and gossip.incarnation != self.interest_set[gossip.sender].incarnation:
+                    reasons[row] = "incarnation"
+                    accepted.remove(gossip)
         self.inbox.put(accepted)
         return reasons
 
@@ -177,12 +182,12 @@ class PeerTable:
             if self.local and name not in self.interest_set:
                 return UNASKED
             if name not in self.peers:
-                return "unknown_sensor"
+                return UNKNOWN_SENSOR
             peer = self._get_or_create(name, gossip.incarnation)
             if peer is None:
                 return "incarnation"
         if peer.announced is None:
-            return "settings" if peer.differs else "unknown_sensor"
+            return "settings" if peer.differs else UNKNOWN_SENSOR
         if self.inbox.is_closed(name, tick):
             return "closed"
         if peer.left_at is not None and tick <= peer.left_at:
@@ -236,7 +241,7 @@ class PeerTable:
             gossip = fresh.get(name) or claimed.get(name)
             if gossip is None or gossip.listening:
                 continue
-            if gossip.tick >= oldest - limit * (gossip.pace - 1):
+            if gossip.tick >= oldest - limit * max(0, gossip.pace - self.pace):
                 found[name] = gossip
         return found
 

@@ -25,13 +25,12 @@ from agents.tracking.gaussians import (
     unlabelled,
 )
 from agents.tracking.labels import NO_LABEL, birth_labels, given_labels
-from agents.tracking.measurement_likelihood import BEARING, POSE_SPREAD, model_of, noise_of
+from agents.tracking.measurement_likelihood import POSE_SPREAD, model_of, noise_of
 from agents.tracking.particles import column_sums, join, mass_within, select
 from agents.tracking.step import Step
 from protocol.arithmetic import exp_minus
 from protocol.random_streams import random_key, scramble
 from protocol.sensing import measurement_of
-from protocol.settings import BadSetting
 
 SPLIT_OFFSET = 0.7  # where the halves of a split component lie, in its standard deviations
 PRIOR_DEVIATION = 0.7  # standard deviation of a component of the prior in units of the largest one; half of their distance
@@ -179,12 +178,10 @@ def _corrected(mixture: Mixture, scan: Scan, step: Step) -> Mixture:
 
 
 def measured_covariances(scan: Scan, config: AgentConfig) -> np.ndarray:
-    """Covariances (M, 2, 2) in m^2 of the places of detections: of the sensor and of the own pose; BadSetting for bearings alone."""
+    """Covariances (M, 2, 2) in m^2 of the places of detections: of the sensor and of the own pose."""
     model, noise = model_of(measurement_of(scan.sensor)), config.detection.noise
     if scan.rays is None:
         return np.tile(np.eye(2) * (noise * noise), (len(scan.detections), 1, 1))
-    if model[0] == BEARING:
-        raise BadSetting('filter.kind = "gaussian-mixture": knows no sensor that measures bearings alone; should be "particles"')
     found = noise_of(model, noise, 0.0, scan.pose_noise)
     east, north, far = scan.rays[:, 0], scan.rays[:, 1], scan.rays[:, 2]
     along, across = found.along, found.across + found.bearing * (far * far)

@@ -18,6 +18,7 @@ from deploy.scenario import (
     ORACLE,
     FaultSettings,
     Scenario,
+    agent_config,
     check_names,
     recording_remarks,
     spelled_out,
@@ -28,7 +29,7 @@ from deploy.scenario import (
 from protocol.endpoints import check_endpoints
 from protocol.gaussian_components import MOST_MASS
 from protocol.geometry import rectangle
-from protocol.sensing import WedgeSensor, measurement_of
+from protocol.sensing import WedgeSensor
 from protocol.setting_errors import mistakes
 from protocol.settings import BadSetting, sensor_of
 from world.bodies import check_given, start_poses
@@ -165,10 +166,8 @@ def _told(section: str, attempt: Callable[[], object]) -> Iterator[tuple[str, st
 
 def _try_sensor(scenario: Scenario, sensor_class: str) -> None:
     sensor = sensor_of(scenario, sensor_class)
-    measures = measurement_of(sensor)
-    if scenario.filter.kind == "gaussian-mixture" and measures is not None and measures.kind == "bearing":
-        line = f'sensors.{sensor_class}.measures = "bearing"'
-        raise BadSetting(f'{line}: a Gaussian mixture needs places or ranges too; should be range-bearing, or filter.kind = "particles"')
+    if reason := agent_config(scenario).why_not(sensor):
+        raise BadSetting(f"sensors.{sensor_class}.{reason}")
     if not isinstance(sensor, WedgeSensor):
         try:
             check_sensor(sensor, scenario.sensors[sensor_class].model)

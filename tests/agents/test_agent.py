@@ -3,18 +3,21 @@
 import math
 
 import msgspec
+import numpy as np
 import pytest
 
 from agents.agent import Agent
-from agents.config import AgentConfig, ControlSettings, TimingSettings
+from agents.config import AgentConfig, ControlSettings, FilterSettings, TimingSettings
 from agents.coverage.control import ControlInput, Situation
 from agents.membership.announcements import EARLY_CROWD, EARLY_PERIOD, REPLY_DELAY
 from agents.membership.membership import EXIT_FENCED
+from protocol.fields import pack
+from protocol.measuring import Measurement
 from protocol.message import Message
 from protocol.messages import Beacon, Command, Gossip, Hello, Observation
 from protocol.node import NO_EFFECTS, Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
 from protocol.observer_messages import Estimate
-from protocol.sensing import SENSOR_CLASSES
+from protocol.sensing import SENSOR_CLASSES, WedgeSensor
 from protocol.settings import ArenaSettings, BadSetting, LimitSettings, RunSettings
 from protocol.settings_digest import settings_digest
 
@@ -175,6 +178,25 @@ def test_an_old_observation_and_an_old_world_change_nothing() -> None:
     assert agent.handle(see(5, incarnation=2), 1.1) == [] and agent.handle(see(4, incarnation=2), 1.1) == []
     assert agent.handle(see(9, incarnation=1), 1.1) == []
     assert agent.counters["rejected.old_observation"] == 3 and agent.tick == 5
+
+
+@pytest.mark.parametrize(("kind", "radius"), [("gaussian-mixture", 10.0), ("particles", 1.0e6)])
+def test_a_peer_whose_sensor_cannot_be_used_is_refused_and_ends_nobody(kind: str, radius: float) -> None:
+    """A sensor of bearings alone: a mixture has no use for it, and a beam of 1000 km would need a grid of that size."""
+    agent = Agent(msgspec.structs.replace(CONFIG, filter=FilterSettings(kind=kind)), "s1")  # type: ignore[arg-type]
+    agent.handle(Started(), 0.0)
+    agent.handle(Alive("agent", "s2", 1), 0.0)
+    agent.handle(hello(sensor=WedgeSensor(1.0, radius, 0.9, Measurement("bearing", 0.01))), 0.0)
+    for tick in range(3):
+        agent.handle(see(tick), 0.25 * tick)
+        agent.handle(word(tick, detections_bytes=pack(np.array([[0.0, 0.3]]), "<f4")), 0.25 * tick + 0.05)
+        agent.handle(Timer(), 0.25 * tick + 0.2)
+    assert agent.counters["rounds"] == 3 and agent.counters["rejected.sensor"] == 1 and agent.counters["rejected.unknown_sensor"] == 3
+
+
+def test_gossips_are_held_back_only_where_nobody_measures_how_late_they_come() -> None:
+    late = msgspec.structs.replace(CONFIG, timing=TimingSettings(look_ahead=1.0))
+    assert Agent(CONFIG, "s1").coalesced_keys == "/gossip/" and Agent(late, "s1").coalesced_keys == ""
 
 
 def test_a_newcomer_listens_until_it_has_heard_everybody() -> None:

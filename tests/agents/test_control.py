@@ -64,6 +64,13 @@ class Spin:
         return (0.0, 0.0), 1.0
 
 
+class Reckless:
+    """A law that asks for more than a body can do, with its heading."""
+
+    def command(self, situation: Situation) -> ControlInput:
+        return (30.0, -40.0), -100.0
+
+
 class NoLaw:
     """It has no method command."""
 
@@ -157,6 +164,8 @@ def test_laws_by_name_and_of_ones_own() -> None:
     for name, law in CONTROL_LAWS.items():
         assert type(control_law(AgentConfig(control=ControlSettings(mode=name)))) is law
     assert control_law(AgentConfig(control=ControlSettings(mode=f"{__name__}:Spin"))).command(situation()) == ((0.0, 0.0), 1.0)
+    velocity, turn_rate = control_law(AgentConfig(control=ControlSettings(mode=f"{__name__}:Reckless"))).command(situation())
+    assert velocity == pytest.approx((1.2, -1.6)) and turn_rate == -LimitSettings().turn_rate
 
 
 def test_a_law_that_cannot_be_had_is_refused_with_what_there_is() -> None:

@@ -376,7 +376,8 @@ def test_news_are_what_the_table_does_not_hold_and_all_that_other_roles_say() ->
         other_sensor,
         hello("s2", 2),
     ]
-    assert peers.take_hello(other_sensor) is None and peers.new_announcements([known, other_sensor]) == []
+    assert peers.take_hello(other_sensor) is None and peers.new_announcements([known, other_sensor]) == [known]
+    assert peers.take_hello(known) is None and peers.new_announcements([known, other_sensor]) == [other_sensor]
 
 
 def test_the_token_of_an_older_incarnation_replaces_none_whose_own_token_is_doubted() -> None:

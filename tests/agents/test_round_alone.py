@@ -185,6 +185,15 @@ def test_an_old_observation_is_not_played() -> None:
     assert not said(swarm.see(1, TARGET), Command) and swarm.agent.outcome.belief is belief
 
 
+def test_a_repeated_observation_and_one_that_was_overtaken_are_ignored() -> None:
+    """Between two shared rounds too: a report that counts twice would seem twice as certain."""
+    swarm = Swarm(4)
+    swarm.see(2, TARGET)
+    for tick in (2, 1, 2):
+        assert swarm.see(tick, TARGET) == []
+    assert swarm.agent.counters["rejected.old_observation"] == 3 and swarm.agent.counters["spared"] == 1
+
+
 def test_a_claim_is_kept_no_longer_than_peers_keep_the_generator() -> None:
     """Peers keep the generator of a silent agent for 4 rounds of this pace, or a second: 16 ticks."""
     swarm = Swarm(4)

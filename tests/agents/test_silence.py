@@ -59,6 +59,33 @@ def test_ticks_in_which_the_agent_itself_was_paused_are_no_silence_of_its_peers(
     assert found == [20, 21, 22, 23]
 
 
+@pytest.mark.parametrize("pace", [1, 2, 4, 8])
+def test_at_any_pace_a_silent_peer_stays_for_as_many_rounds(pace: int) -> None:
+    """And for no longer than it keeps its own claim, whether or not it is the one that needs the pace."""
+    for need in {1, pace}:
+        peers = table()
+        peers.keep_pace(pace)
+        hear(peers, msgspec.structs.replace(gossip("s2", pace), pace=need))
+        hear(peers, gossip("s3", pace))
+        peers.close(pace)
+        found = []
+        for tick in range(2 * pace, 12 * pace, pace):
+            hear(peers, gossip("s3", tick))
+            found += [tick] if "s2" in generators(peers, tick) else []
+            peers.close(tick)
+        assert found == [pace * (1 + number) for number in range(1, ROUNDS + 1)]
+
+
+def test_a_peer_of_a_slower_pace_than_ones_own_may_be_silent_between_its_rounds() -> None:
+    peers = table()
+    for tick in range(1, 9):
+        hear(peers, gossip("s3", tick))
+        if tick == 4:
+            hear(peers, msgspec.structs.replace(gossip("s2", tick), pace=4))
+        peers.close(tick)
+    assert "s2" in generators(peers, 9)
+
+
 def test_a_claim_that_keeps_an_old_generator_keeps_nobody_alive() -> None:
     """s3 has not heard s2 since tick 1 either, and says so."""
     assert present(table(), {tick: claim(tick, tick - 2) for tick in range(2, 12)}) == [1, 2, 3, 4, 5]

@@ -36,6 +36,7 @@ FILES = {
     "wedge.toml": b"[sensors.A]\nparameters = {far = 1}\n",
     "ray.toml": b"[sensors.A]\nmeasures = 'bearing'\n",
     "far.toml": b"[sensors.A]\nmeasures = 'bearing'\nbearing_noise = 2.0\nrange_noise = 1.0\n",
+    "beam.toml": b"[sensors.A]\nmeasures = 'bearing'\nbearing_noise = 2.0\nradius = 1000.0\n",
     "suffix.toml": b"[sensors.A]\nmodel = 'mine.py:Camera'\n",
     "dash.toml": b"[sensors.cam-1]\nangle = 90.0\nradius = 5.0\n[team]\ncomposition = '2cam-1'\n",
     "robot.toml": b"[bodies]\nhost = 'own'\nplatform = 'no_such_lab:Robot'\n",

@@ -128,11 +128,21 @@ def test_who_stays_below_the_rate_is_never_suspect_and_never_asked_for_its_name(
         all(flow.admits("k", UNKNOWN, 40.0) for number in range(101))
 
 
+def test_made_up_keys_take_the_limit_off_no_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one key as much as ever; of all keys beyond the fixed number as much as of one."""
+    monkeypatch.setattr(RateLimiter, "MOST_KEYS", 8)
+    flow, admitted, others = RateLimiter(most=100), 0, 0
+    for burst in range(10):
+        admitted += sum(flow.admits("k", "one", 0.0) for _ in range(100))
+        others += sum(flow.admits(f"x{burst}.{number}", "one", 0.0) for number in range(100))
+    assert admitted == 200 and others == 7 + 100
+
+
 def test_the_flow_remembers_a_bounded_number_of_keys() -> None:
     flow = RateLimiter(most=1)
     for number in range(9 * RateLimiter.MOST_KEYS):
         flow.admits(f"k{number // 3}", "x", 0.0)
-    assert len(flow._left) == len(flow._suspect) == RateLimiter.MOST_KEYS and len(flow._counts) <= RateLimiter.MOST_KEYS + 1
+    assert len(flow._left) == len(flow._suspect) == RateLimiter.MOST_KEYS and len(flow._counts) == RateLimiter.MOST_KEYS
 
 
 def test_of_too_many_suspect_keys_the_one_that_was_quiet_for_longest_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
