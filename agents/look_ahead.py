@@ -1,6 +1,6 @@
 """Rounds that are played late, with all that has come for them, and the copy of the belief that is moved on to now.
 
-Data types: `RecentTicks` hold the gossips and the beliefs of the last ticks. An `OpenRound` is a round that is still to be played.
+Data types: `GossipHistory` hold the gossips and the beliefs of the last ticks. An `OpenRound` is a round that is still to be played.
 
 Rules. Gossips that come L ticks late are heard by a round that is played L ticks late. The gossip of tick k then states the claim and the
 particles of tick k - 1 - L, because no later round has been played. So the round of tick k begins with particles that are L ticks older
@@ -41,7 +41,7 @@ class OpenRound(NamedTuple):
     belief: Belief  # when that was published
 
 
-class RecentTicks:
+class GossipHistory:
     """The gossips that an agent has accepted, its own ones and its beliefs, of the last ticks."""
 
     def __init__(self, context: AgentContext, most: int) -> None:
@@ -121,7 +121,7 @@ class RecentTicks:
 
 
 def replayed_density(
-    recent: RecentTicks, context: AgentContext, opened: OpenRound, most: int, table: GossipTable, polygon: np.ndarray
+    recent: GossipHistory, context: AgentContext, opened: OpenRound, most: int, table: GossipTable, polygon: np.ndarray
 ) -> Any:
     """The density that counts one tick before a round, around its cell `polygon` (K, 2) m; `table`: the gossips of the round.
 
@@ -167,7 +167,7 @@ def rectangle_around(polygon: np.ndarray, own: Gossip, reach: float, margin: flo
     return np.array([[west, south], [east, south], [east, north], [west, north]])
 
 
-def look_ahead(recent: RecentTicks, context: AgentContext, last: RoundResult, own: Gossip, ticks: int) -> RoundResult:
+def look_ahead(recent: GossipHistory, context: AgentContext, last: RoundResult, own: Gossip, ticks: int) -> RoundResult:
     """The result of a round as it stands at the tick of `own`, a later one: all of now but the belief, which stays that of the round.
 
     `ticks`: how long the command is to last; 0: there is none.

@@ -1,6 +1,6 @@
 """The rounds of an agent that are still to be played, and when each is due: at its own tick, or later when gossips come late.
 
-Data type: `OpenRounds`, made of the `Lag` that says how late, and of the `RecentTicks` from which rounds are played late.
+Data type: `OpenRounds`, made of the `Lag` that says how late, and of the `GossipHistory` from which rounds are played late.
 """
 
 from collections import deque
@@ -9,7 +9,7 @@ from functools import partial
 from operator import attrgetter
 
 from agents.lag import Lag
-from agents.look_ahead import OpenRound, RecentTicks, replayed_density
+from agents.look_ahead import GossipHistory, OpenRound, replayed_density
 from agents.membership.peer import Peer
 from agents.round import AgentContext, Replay
 from agents.tracking.tracker import Belief
@@ -23,7 +23,7 @@ class OpenRounds:
         config = context.config
         period, timeout, measured = config.run.dt / config.run.rate, config.gossip_timeout(missed=False), config.run.clock == "realtime"
         self.lag = Lag(period, timeout, config.timing.look_ahead, measured=measured)
-        self.recent = RecentTicks(context, self.lag.most)
+        self.recent = GossipHistory(context, self.lag.most)
         self.due: int | None = None  # tick of the oldest round, if it is due
         self._context = context
         self._rounds: deque[OpenRound] = deque()

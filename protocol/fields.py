@@ -74,7 +74,7 @@ def rows_of(field: str, number: np.dtype, columns: int) -> Rows:
     return Rows(field, number, columns, number.itemsize * columns)
 
 
-def rows_in(field: str, rows: Rows) -> cached_attribute[np.ndarray]:
+def array_field(field: str, rows: Rows) -> cached_attribute[np.ndarray]:
     """An attribute of a message: the rows that it holds as bytes in a field, read-only."""
     return cached_attribute(lambda message: rows.read(getattr(message, field)))
 

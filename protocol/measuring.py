@@ -1,7 +1,7 @@
 """What a sensor measures of a target: its position, range and bearing, or the bearing alone.
 
-Data types: `Measurement` is the kind of a sensor's detections and their noise. A detection is a row of two numbers: x and y in m in the
-frame of the world for a position, else range in m (0 for a bearing alone) and bearing in rad from the heading, to the left positive.
+Data types: `MeasurementModel` is the kind of a sensor's detections and their noise. A detection is a row of two numbers: x and y in m in
+the frame of the world for a position, else range in m (0 for a bearing alone) and bearing in rad from the heading, to the left positive.
 """
 
 import math
@@ -15,7 +15,7 @@ from protocol.geometry import wrap_angle
 MEDIAN_RANGE = math.sqrt(0.5)  # of the radius of a wedge: half of its area lies nearer
 
 
-class Measurement(msgspec.Struct, frozen=True):
+class MeasurementModel(msgspec.Struct, frozen=True):
     """Kind and standard deviations of the detections of a sensor; without one it measures positions with `detection.noise`."""
 
     kind: Literal["range-bearing", "bearing"]
@@ -29,7 +29,7 @@ class Measurement(msgspec.Struct, frozen=True):
             raise ValueError(f"range_noise = {self.range_noise}: should lie in [1e-4, 1e6] m")
 
 
-def to_measurements(measurement: Measurement | None, pose: tuple[float, float, float], points: np.ndarray) -> np.ndarray:
+def to_measurements(measurement: MeasurementModel | None, pose: tuple[float, float, float], points: np.ndarray) -> np.ndarray:
     """The detections (N, 2) without noise of points (N, 2) in the plane."""
     if measurement is None:
         return points
@@ -39,7 +39,7 @@ def to_measurements(measurement: Measurement | None, pose: tuple[float, float, f
     return np.column_stack([ranges if measurement.kind == "range-bearing" else np.zeros(len(points)), bearings])
 
 
-def to_places(measurement: Measurement | None, radius: float, pose: tuple[float, float, float], detections: np.ndarray) -> np.ndarray:
+def to_places(measurement: MeasurementModel | None, radius: float, pose: tuple[float, float, float], detections: np.ndarray) -> np.ndarray:
     """The places (N, 2) in m of detections (N, 2); of a bearing alone the middle of the beam of a sensor of that radius, m."""
     if measurement is None or not len(detections):
         return detections

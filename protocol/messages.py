@@ -28,12 +28,12 @@ from protocol.fields import (
     Malformed,
     Name,
     are_labels,
+    array_field,
     ascend,
     check_label_numbers,
     check_rows,
     pack,
     read_labels,
-    rows_in,
 )
 from protocol.gaussian_components import check_components, check_mass, read_components
 from protocol.message import (
@@ -166,10 +166,10 @@ class Gossip(Message, frozen=True, kw_only=True, dict=True, tag="gossip"):
     pose_noise: tuple[Magnitude, Magnitude] | None = None  # standard deviations of the pose, m on each axis and rad; None: it is exact
     claim_ages: bytes = b""  # ticks before `claim_tick` of each generator of the claim; empty: all are of it
 
-    detections = rows_in("detections_bytes", DETECTIONS)  # (M, 2) float32
-    claim = rows_in("claim_bytes", CLAIM)  # (G, 3) float64
-    states = rows_in("states_bytes", STATES)  # (N, 4) float32
-    ids = rows_in("ids_bytes", IDS)  # (N,) uint64, ascending
+    detections = array_field("detections_bytes", DETECTIONS)  # (M, 2) float32
+    claim = array_field("claim_bytes", CLAIM)  # (G, 3) float64
+    states = array_field("states_bytes", STATES)  # (N, 4) float32
+    ids = array_field("ids_bytes", IDS)  # (N,) uint64, ascending
 
     def __hash__(self) -> int:
         """A hash that reads no arrays, for pure memos."""
@@ -294,8 +294,8 @@ class Observation(Message, frozen=True, kw_only=True, dict=True, tag="observatio
     detections_bytes: RowsOf8Bytes = msgspec.field(name="detections", default=b"")  # (M, 2) float32
     obstacles_bytes: RowsOf16Bytes = msgspec.field(name="obstacles", default=b"")  # (K, 2) float64: centres of the bodies close by
 
-    detections = rows_in("detections_bytes", DETECTIONS)  # (M, 2) float32
-    obstacles = rows_in("obstacles_bytes", OBSTACLES)  # (K, 2) float64
+    detections = array_field("detections_bytes", DETECTIONS)  # (M, 2) float32
+    obstacles = array_field("obstacles_bytes", OBSTACLES)  # (K, 2) float64
 
     def check(self) -> None:
         check_rows(DETECTIONS, self.detections_bytes)

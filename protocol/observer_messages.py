@@ -17,8 +17,8 @@ from protocol.fields import (
     TARGETS,
     U8,
     Malformed,
+    array_field,
     check_rows,
-    rows_in,
 )
 from protocol.message import (
     Area,
@@ -57,8 +57,8 @@ class Estimate(Message, frozen=True, kw_only=True, dict=True, tag="estimate"):
     round_seconds: Duration = 0.0  # from the opening of the last shared round to its end, waiting included; 0 in virtual time
     pace: PaceNumber = 1  # the sender shares with its peers the ticks that this number divides
 
-    cell = rows_in("cell_bytes", CELL)  # (V, 2) float64
-    targets = rows_in("targets_bytes", TARGETS)  # (M, 2) float64
+    cell = array_field("cell_bytes", CELL)  # (V, 2) float64
+    targets = array_field("targets_bytes", TARGETS)  # (M, 2) float64
 
     def targets_at(self, tick: int, dt: float) -> np.ndarray:
         """(M, 2) m: the targets at another tick, for a watcher that has heard nothing newer. Each moves on by its velocity; `dt` in s."""
@@ -99,9 +99,9 @@ class Truth(Message, frozen=True, kw_only=True, dict=True, tag="truth"):
     in_view: int = 0  # targets inside the field of view of some live agent's body
     alive: tuple[str, ...] = ()  # the agents with a token that the world sees
 
-    targets = rows_in("targets_bytes", TARGETS)  # (T, 2) float64
-    ids = rows_in("ids_bytes", IDS)  # (T,) uint64
-    poses = rows_in("poses_bytes", POSES)  # (B, 3) float64
+    targets = array_field("targets_bytes", TARGETS)  # (T, 2) float64
+    ids = array_field("ids_bytes", IDS)  # (T,) uint64
+    poses = array_field("poses_bytes", POSES)  # (B, 3) float64
 
     def check(self) -> None:
         targets, poses = check_rows(TARGETS, self.targets_bytes), check_rows(POSES, self.poses_bytes)

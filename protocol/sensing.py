@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from protocol.arithmetic import elementwise
-from protocol.measuring import Measurement
+from protocol.measuring import MeasurementModel
 
 Pose = tuple[float, float, float]
 
@@ -57,7 +57,7 @@ class WedgeSensor(msgspec.Struct, frozen=True, dict=True, omit_defaults=True):
     angle: float
     radius: float
     prob_detection: float
-    measures: Measurement | None = None
+    measures: MeasurementModel | None = None
     prob_detection_far: float | None = None
 
     def __post_init__(self) -> None:
@@ -125,7 +125,7 @@ def wedge_probabilities(sensors: Sequence[WedgeSensor], poses: Sequence[Pose], w
     return np.where(inside, np.maximum(near + (far - near) / radius * distance, far), 0.0)
 
 
-def measurement_of(sensor: SensorModel) -> Measurement | None:
+def measurement_of(sensor: SensorModel) -> MeasurementModel | None:
     """What a sensor measures; None: positions. Only a wedge measures anything else."""
     return sensor.measures if isinstance(sensor, WedgeSensor) else None
 

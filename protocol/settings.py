@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import msgspec
 
 from protocol.fields import Name
-from protocol.measuring import Measurement
+from protocol.measuring import MeasurementModel
 from protocol.sensing import LEAST_RADIUS, SENSOR_CLASSES, SensorModel, WedgeSensor
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1.0e9)]
@@ -125,13 +125,13 @@ class SensorSettings(Section, frozen=True, kw_only=True):
         probe(checked, self.model)
         return checked
 
-    def _measurement(self) -> Measurement | None:
+    def _measurement(self) -> MeasurementModel | None:
         """What a wedge measures; raises ValueError naming the noise that is missing or superfluous."""
         if self.measures == "position":
             if self.range_noise or self.bearing_noise:
                 raise ValueError("range_noise, bearing_noise: a sensor of positions has the noise of [detection]")
             return None
-        return Measurement(self.measures, math.radians(self.bearing_noise), self.range_noise)
+        return MeasurementModel(self.measures, math.radians(self.bearing_noise), self.range_noise)
 
 
 class NetworkSettings(Section, frozen=True, kw_only=True):

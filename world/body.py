@@ -26,8 +26,8 @@ from world.commands import CommandBook
 from world.config import WorldConfig
 from world.halt import Hold
 from world.platform import Physical, Platform, Simulated, build_platform, fenced
+from world.presence import Presence
 from world.proximity import around
-from world.roster import Roster
 from world.scene import Scene
 
 LOOK_PERIOD = 0.25  # s between two looks at the start line
@@ -53,7 +53,7 @@ class Body(Node):
         if restored is not None and name in restored.bodies and isinstance(self.platform, Simulated | Physical):
             x, y, heading = restored.poses[restored.bodies.index(name)].tolist()
             self.platform.put((x, y, heading))
-        self._config, self._roster = config, Roster(config.members)
+        self._config, self._presence = config, Presence(config.members)
         self._scene = Scene(config)
         self._scene.sensors[name] = sensor_of(config, config.members[name])
         self._lockstep = config.run.clock == "lockstep"
@@ -65,7 +65,7 @@ class Body(Node):
         self._clock = TickClock(self._period, epoch - unix if epoch else None)
         self._count = TickCount()
         self._watchdog = ListenerWatchdog(config.members)
-        self._bodies = Roster()  # of their tokens
+        self._bodies = Presence()  # of their tokens
         self._alive: dict[str, set[str]] = {"agent": set(), "body": {name}}  # by role: names with a token
         self._others: dict[str, Pose] = {}  # where the other bodies said last that they are
         self._ring: tuple[str, ...] = ()  # the neighbours to whom the clock listens
@@ -162,8 +162,8 @@ class Body(Node):
     def _hear(self, hello: Hello, now: float) -> list[Effect]:
         if hello.role != "agent":
             return []
-        is_new = self._roster.hear(hello)
-        if not self._roster.admits(hello.sender):
+        is_new = self._presence.hear(hello)
+        if not self._presence.admits(hello.sender):
             return []
         if is_new:
             self._changed = now
@@ -172,7 +172,7 @@ class Body(Node):
     def _greet(self, event: Alive, now: float) -> list[Effect]:
         self._alive[event.role].add(event.name)
         effects = self._listen_around()
-        is_new = self._roster_of(event).appear(event.name, event.incarnation)
+        is_new = self._presence_of(event).appear(event.name, event.incarnation)
         if event.role == "body" or not is_new:
             return effects
         self._changed = now
@@ -182,9 +182,9 @@ class Body(Node):
 
     def _bury(self, event: Gone, now: float) -> list[Effect]:
         """Somebody has gone; without its agent the body stands still at once and waits for no command."""
-        roster = self._roster_of(event)
-        if roster.vanish(event.name, event.incarnation):
-            if roster.live(event.name) is None:
+        presence = self._presence_of(event)
+        if presence.vanish(event.name, event.incarnation):
+            if presence.live(event.name) is None:
                 self._alive[event.role].discard(event.name)
             if event.role == "agent" and event.name == self.name:
                 return [*self._listen_around(), *self._dismiss(now)]
@@ -196,8 +196,8 @@ class Body(Node):
         self._stand()
         return self._end_of_wait(now) if self._waiting else []
 
-    def _roster_of(self, event: Alive | Gone) -> Roster:
-        return self._bodies if event.role == "body" else self._roster
+    def _presence_of(self, event: Alive | Gone) -> Presence:
+        return self._bodies if event.role == "body" else self._presence
 
     def _listen_around(self) -> list[Effect]:
         """The effects that subscribe to the gossips of the neighbours in the ring of those who have agent and body."""
@@ -215,7 +215,7 @@ class Body(Node):
         """The first tick, once all expected agents are ready, or when long nobody has come; with an epoch the clock says when."""
         if self._started or self._due is None or self._clock.anchor is not None:
             return []
-        complete = self._roster.is_complete(self._expected, "")
+        complete = self._presence.is_complete(self._expected, "")
         if (not complete and now - self._changed < self._patience) or not self._alive["agent"]:
             return []
         if self._strict and not complete:
@@ -228,7 +228,7 @@ class Body(Node):
         if self._due is None:
             return []
         if self._lockstep:
-            if not self._started and self.name in self._alive["agent"] and not self._roster.speaks(self.name):
+            if not self._started and self.name in self._alive["agent"] and not self._presence.speaks(self.name):
                 return []  # its first tick would not wait for the command
             tick = self._count.majority(self._ring)
             late = tick - self.tick >= (2 if self._waiting else 1)  # an agent that answers may be one tick behind the fastest
@@ -257,7 +257,7 @@ class Body(Node):
             self._stand()
         if tick >= self._config.run.ticks:
             return self._stop(0, "done")
-        self.tick, self._waiting = tick, self._roster.speaks(self.name)
+        self.tick, self._waiting = tick, self._presence.speaks(self.name)
         if self._lockstep:
             self._not_before = max(self._not_before, now - self._pause) + self._pause
             self._due = max(now + (self._config.run.patience if self._waiting else self._period), self._not_before)
@@ -288,10 +288,10 @@ class Body(Node):
 
     def _obey(self, command: Command, now: float) -> list[Effect]:
         """Drive the platform; in lockstep the tick ends with its command."""
-        if not self._started or not self._commands.keep(command, self.tick, self._roster.live(self.name)):
+        if not self._started or not self._commands.keep(command, self.tick, self._presence.live(self.name)):
             self.ignored_commands += 1
             return []
-        self._roster.note_spoken(command.sender, command.incarnation)
+        self._presence.note_spoken(command.sender, command.incarnation)
         end = self._end_of(command, now)
         if not self.hold.holds and end > now:
             self._drive(command)

@@ -13,7 +13,7 @@ import numpy as np
 
 from protocol.arithmetic import elementwise
 from protocol.fields import MAX_DETECTIONS
-from protocol.measuring import Measurement, to_measurements
+from protocol.measuring import MeasurementModel, to_measurements
 from protocol.random_streams import random_key, scramble, uniform
 from protocol.sensing import Pose, SensorModel, WedgeSensor, measurement_of, wedge_probabilities
 from protocol.settings import DetectionSettings
@@ -166,7 +166,7 @@ class Detector:
         return busy[owners], np.vstack([points, *more])
 
 
-def with_noise(measurement: Measurement, exact: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+def with_noise(measurement: MeasurementModel, exact: np.ndarray, deviations: np.ndarray) -> np.ndarray:
     """Ranges and bearings (M, 2) with standard normal `deviations` (M, 2) of their noise; no range is below 1 mm."""
     if measurement.kind == "bearing":
         ranges = exact[:, 0]

@@ -25,8 +25,8 @@ from world.bodies import check_given, free_pose, pose_with_error
 from world.commands import CommandBook
 from world.config import WorldConfig
 from world.halt import Hold
+from world.presence import Presence
 from world.proximity import around
-from world.roster import Roster
 from world.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ class World(Node):
         self.ignored_commands = 0  # stale, of an old incarnation, or of nobody with a body
         self.rejected_messages = 0
         self.re_anchored = 0  # real time: how often the world was too late to catch up
-        self._config, self._roster = config, Roster(config.members)
+        self._config, self._presence = config, Presence(config.members)
         self._watchdog = SessionWatchdog(self.name, config.members)
         self._lockstep = config.run.clock == "lockstep"
         self._period = config.run.dt / config.run.rate
@@ -139,9 +139,9 @@ class World(Node):
 
     def _hear(self, hello: Hello, now: float) -> list[Effect]:
         """Take a Hello; whoever speaks for the first time after the start is answered."""
-        known = self._roster.hellos.get(hello.sender)
-        is_new = self._roster.hear(hello)
-        if not self._roster.admits(hello.sender):
+        known = self._presence.hellos.get(hello.sender)
+        is_new = self._presence.hear(hello)
+        if not self._presence.admits(hello.sender):
             return []
         if known is None or len(hello.heard) > len(known.heard):
             self._changed = now
@@ -157,7 +157,7 @@ class World(Node):
 
     def _greet(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has appeared; what an older incarnation of it was asked or told is void."""
-        is_new = self._roster.appear(name, incarnation)
+        is_new = self._presence.appear(name, incarnation)
         self._watchdog.token_appeared(name, incarnation)
         self._embody_guest(name)
         if not self.started:
@@ -171,7 +171,7 @@ class World(Node):
     def _bury(self, name: str, incarnation: int, now: float) -> list[Effect]:
         """An agent has gone; its body stands still at once and nobody waits for it."""
         self._watchdog.token_vanished(name, incarnation)
-        if not self._roster.vanish(name, incarnation):
+        if not self._presence.vanish(name, incarnation):
             return []
         self._commands.drop(name)
         self._refused.pop(name, None)
@@ -181,10 +181,10 @@ class World(Node):
         """Keep a command until the tick ends."""
         self._watchdog.note_messages((command.sender,), now)
         moves = self.started and command.sender in self.scene.sensors
-        if not moves or not self._commands.keep(command, self.tick, self._roster.live(command.sender)):
+        if not moves or not self._commands.keep(command, self.tick, self._presence.live(command.sender)):
             self.ignored_commands += 1
             return []
-        self._roster.note_spoken(command.sender, command.incarnation)
+        self._presence.note_spoken(command.sender, command.incarnation)
         return self._no_longer_wait(command.sender, now) if command.tick == self.tick else []
 
     def _no_longer_wait(self, name: str, now: float) -> list[Effect]:
@@ -204,7 +204,7 @@ class World(Node):
 
         The time before the first agent does not count, however long agents take to start. A strict world stops instead.
         """
-        complete = self._roster.is_complete(self._expected, self.name)
+        complete = self._presence.is_complete(self._expected, self.name)
         if self._due is None or (not complete and now - self._changed < self._patience) or not self._present():
             return []
         if self._strict and not complete:
@@ -217,7 +217,7 @@ class World(Node):
         """What everybody sees at this tick."""
         present = self._present()
         scans, in_view = self.scene.scans({name: self.bodies.poses[name] for name in present})
-        self._waiting = {name for name in present if self._roster.speaks(name)}
+        self._waiting = {name for name in present if self._presence.speaks(name)}
         if self._lockstep:
             self._not_before = max(self._not_before, now - self._pause) + self._pause  # late by less than a pause is made up for
             self._due = max(now + (self._config.run.patience if self._waiting else self._period), self._not_before)
@@ -259,12 +259,12 @@ class World(Node):
 
     def _present(self) -> list[str]:
         """Names of the live agents that have a body and a sensor that is known, in team order."""
-        return [name for name in self.bodies.poses if name in self.scene.sensors and self._roster.live(name) is not None]
+        return [name for name in self.bodies.poses if name in self.scene.sensors and self._presence.live(name) is not None]
 
     def _embody_guest(self, name: str) -> None:
         """Give a body to a live agent that is no member but has said what its sensor is."""
-        hello = self._roster.hellos.get(name)
-        if name in self.scene.sensors or hello is None or hello.sensor is None or self._roster.live(name) != hello.incarnation:
+        hello = self._presence.hellos.get(name)
+        if name in self.scene.sensors or hello is None or hello.sensor is None or self._presence.live(name) != hello.incarnation:
             return
         if self._refused.get(name) == hello.incarnation or len({*self.bodies.poses, name}) > MAX_NAMES:
             return
@@ -293,7 +293,7 @@ class World(Node):
         self._expected, self._patience, self._strict = truth.alive, min(self._patience, RESTORE_TIMEOUT), False
 
     def _hello(self) -> Hello:
-        self._watchdog.keep(self._roster.names())
+        self._watchdog.keep(self._presence.names())
         heard = tuple(sorted(self._watchdog.heard(), key=order))
         return Hello(sender=self.name, incarnation=self.incarnation, role=self.role, heard=heard, settings=self._settings)
 

@@ -238,7 +238,9 @@ def _beyond(box: tuple[float, float, float, float], x: float, y: float, width: f
 
 
 @njit
-def _reaching(table: np.ndarray, all_detections: np.ndarray, all_rays: np.ndarray, polygon: np.ndarray, settings: np.ndarray) -> tuple:
+def _scans_in_reach(
+    table: np.ndarray, all_detections: np.ndarray, all_rays: np.ndarray, polygon: np.ndarray, settings: np.ndarray
+) -> tuple:
     """The scans that reach the halo of the cell, and their detections in it, scan after scan.
 
     These are the rows of the scans in the table (S,), the first detections of these rows (S,), the starts (S + 1,) of the scans among the
@@ -260,7 +262,7 @@ def _reaching(table: np.ndarray, all_detections: np.ndarray, all_rays: np.ndarra
 
 
 @njit
-def _terms(
+def _gated_terms(
     seen: np.ndarray,
     x: np.ndarray,
     y: np.ndarray,
@@ -298,7 +300,7 @@ def _terms(
 
 
 @njit
-def _norms(
+def _normalisers(
     points: np.ndarray,
     columns: np.ndarray,
     terms: np.ndarray,
@@ -348,7 +350,7 @@ def correct(
         np.int64(settings[run_columns.BIRTHS_PER_DETECTION]),
         settings[run_columns.MISS_BIN],
     )
-    sensors, begins, starts, picked, detections, rays, spreads = _reaching(table, all_detections, all_rays, polygon, settings)
+    sensors, begins, starts, picked, detections, rays, spreads = _scans_in_reach(table, all_detections, all_rays, polygon, settings)
     count = len(weights)
     capacity = count + (len(picked) * each if on else 0)
     new_states, new_weights, new_ids, new_labels = blank(capacity)
@@ -373,9 +375,9 @@ def correct(
             _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, born, settings, raster)
             continue
         noise = noise_of(sensor, settings[run_columns.NOISE], settings[run_columns.KERNEL])
-        pairs, found = _terms(seen, x, y, new_weights, probabilities, sensor, points, point_rays, noise, settings, found)
+        pairs, found = _gated_terms(seen, x, y, new_weights, probabilities, sensor, points, point_rays, noise, settings, found)
         rows, columns, terms = found[0][:pairs], found[1][:pairs], found[3][:pairs]
-        norms = _norms(points, columns, terms, born, sensor, sigma_rows, settings)
+        norms = _normalisers(points, columns, terms, born, sensor, sigma_rows, settings)
         for p in range(pairs):
             gained[rows[p]] += terms[p] / norms[columns[p]]
         _missed(at_columns, at_rows, new_weights, probabilities, gained, seen, points, born, settings, raster)

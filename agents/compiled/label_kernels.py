@@ -16,8 +16,8 @@ from agents.tracking.labels import (
     FAINT_MASS,
     HASH_BITS,
     INNER_RADIUS,
+    INTRUDER_MASS,
     OUTER_RADIUS,
-    STRANGER_MASS,
     TICK_BITS,
     YOUNG_TICKS,
 )
@@ -230,7 +230,7 @@ def rename(updated: tuple, owned: np.ndarray, predicted: tuple, places: np.ndarr
                     masses[k, 0 if apart <= inner * inner else 1] += weights[n] if owned[n] else predicted[0][n]
         strange, home, heaviest = masses[:number, 1] > masses[:number, 0], -1, -1
         for k in range(number):
-            strange[k] &= masses[k, 1] >= STRANGER_MASS
+            strange[k] &= masses[k, 1] >= INTRUDER_MASS
             if heaviest < 0 or masses[k, 0] > masses[heaviest, 0] or (masses[k, 0] == masses[heaviest, 0] and known[k] < known[heaviest]):
                 heaviest = k
             better = home < 0 or masses[k, 0] > masses[home, 0] or (masses[k, 0] == masses[home, 0] and known[k] < known[home])

@@ -20,7 +20,7 @@ class Peer:
     incarnation: int
     token: bool = False  # its liveliness token is up
     announced: AnnouncedSensor | None = None
-    left_at: int | None = None  # gossips of later ticks were sent after its token vanished, and revive the peer
+    dead_until: int | None = None  # gossips of later ticks were sent after its token vanished, and revive the peer
     missed: int = 0  # rounds without a gossip in a row
     doubted: bool = False  # its token vanished while this agent was late itself
     beacon: Beacon | None = None  # the newest one
@@ -52,7 +52,7 @@ def announced_by(message: Hello | Beacon, config: AgentConfig) -> AnnouncedSenso
 
 def all_acceptable(peers: Iterable[Peer], local: bool) -> bool:
     """Whether every well-formed gossip of the next tick by these peers will be accepted. `local`: tokens are not seen of all peers."""
-    return all(peer.left_at is None and not peer.missed and peer.announced is not None and (peer.token or local) for peer in peers)
+    return all(peer.dead_until is None and not peer.missed and peer.announced is not None and (peer.token or local) for peer in peers)
 
 
 def plausible(gossip: Gossip, announced: AnnouncedSensor, arena: ArenaSettings) -> bool:

@@ -69,9 +69,9 @@ class PeerTable:
         """A token appeared."""
         peer = self._get_or_create(name, incarnation, token=True)
         if peer:
-            self.selection_outdated |= peer.left_at is not None
+            self.selection_outdated |= peer.dead_until is not None
             self._strangers.pop(name, None)
-            peer.token, peer.left_at, peer.doubted = True, None, False
+            peer.token, peer.dead_until, peer.doubted = True, None, False
             if peer.beacon is not None:
                 self.positions.note(peer, peer.beacon)
 
@@ -91,7 +91,7 @@ class PeerTable:
 
     def _mark_left(self, peer: Peer, tick: int) -> None:
         """A peer has left in the round `tick`. It may have been a tick ahead, and gossips of it may still be on their way."""
-        peer.left_at, peer.doubted = tick + 1, False
+        peer.dead_until, peer.doubted = tick + 1, False
         self.positions.remove(peer.name)
         self.selection_outdated = True
 
@@ -190,30 +190,30 @@ class PeerTable:
             return "settings" if peer.differs else UNKNOWN_SENSOR
         if self.inbox.is_closed(name, tick):
             return "closed"
-        if peer.left_at is not None and tick <= peer.left_at:
+        if peer.dead_until is not None and tick <= peer.dead_until:
             return "dead"
         if not plausible(gossip, peer.announced, self._config.arena):
             return "implausible"
         peer.doubted = False
-        if (peer.missed or peer.left_at is not None) and not self.inbox.is_far_ahead(tick):  # a wrong tick ends no silence
-            self.selection_outdated |= peer.left_at is not None
-            peer.missed, peer.left_at = 0, None
+        if (peer.missed or peer.dead_until is not None) and not self.inbox.is_far_ahead(tick):  # a wrong tick ends no silence
+            self.selection_outdated |= peer.dead_until is not None
+            peer.missed, peer.dead_until = 0, None
         return ACCEPTED
 
     def fresh(self, tick: int) -> dict[str, Gossip]:
         """The gossips of `tick` by live peers, in the order of names."""
         gossips = self.inbox.of(tick)
-        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and peer.left_at is None}
+        return {name: gossips[name] for name, peer in self.interest_set.items() if name in gossips and peer.dead_until is None}
 
     def missing(self, tick: int, *, newcomer: bool = False) -> set[str]:
         """The peers whose gossip of `tick` is missing: alive, heard before, and not silent for long.
 
         A newcomer waits for every live peer, since it has heard none of them yet.
         """
-        expected = self._expected(tick, newcomer=newcomer)
-        return expected - {name for name, pace in self._paces.items() if tick % pace} if self._paces else expected
+        missing = self._missing_at_full_pace(tick, newcomer=newcomer)
+        return missing - {name for name, pace in self._paces.items() if tick % pace} if self._paces else missing
 
-    def _expected(self, tick: int, *, newcomer: bool) -> set[str]:
+    def _missing_at_full_pace(self, tick: int, *, newcomer: bool) -> set[str]:
         """The peers whose gossip of `tick` would be missing if all played every tick."""
         gossips = self.inbox.of(tick)
         if self._all_acceptable:
@@ -222,7 +222,7 @@ class PeerTable:
             return {
                 name
                 for name, peer in self.interest_set.items()
-                if peer.left_at is None and peer.missed < self._silence_limit and name not in gossips
+                if peer.dead_until is None and peer.missed < self._silence_limit and name not in gossips
             }
         limit = self._silence_limit
         others = [peer for name, peer in self.interest_set.items() if name not in gossips and (peer.token or peer.doubted)]
@@ -247,7 +247,7 @@ class PeerTable:
 
     def _newest_known(self, tick: int, fresh: dict[str, Gossip]) -> dict[str, Gossip]:
         """The newest gossip of each live peer that is not `fresh`; its generator is that of the newest claim that names it, if newer."""
-        live = [name for name, peer in self.interest_set.items() if peer.left_at is None and name not in fresh]
+        live = [name for name, peer in self.interest_set.items() if peer.dead_until is None and name not in fresh]
         found = {name: gossip for name in live if (gossip := self.inbox.newest(name, tick)) is not None}
         found |= {name: known for name, known in self._last_known.items() if name in found and known.tick > found[name].tick}
         newest = [fresh.get(name) or self.inbox.newest(name, tick) for name in self.interest_set] if found else []
@@ -294,7 +294,7 @@ class PeerTable:
     def slow_paces(self) -> list[int]:
         """The paces that peers have stated last, where they do not share every tick. Those that have left or fallen silent do not count."""
         peers = [(self.interest_set.get(name), pace) for name, pace in self._paces.items()]
-        return [pace for peer, pace in peers if peer is not None and peer.left_at is None and peer.missed < self._silence_limit]
+        return [pace for peer, pace in peers if peer is not None and peer.dead_until is None and peer.missed < self._silence_limit]
 
     def keep_pace(self, pace: int) -> None:
         """From now on share the ticks that `pace` divides: a silence of some seconds lasts fewer rounds."""
@@ -352,10 +352,10 @@ class PeerTable:
             self.positions.remove(peer.name)
         if peer.announced is None:
             peer.announced = announced_by(beacon, self._config)
-        back = peer.left_at is not None and beacon.tick > peer.left_at + 1  # a beacon states the position of the next tick
+        back = peer.dead_until is not None and beacon.tick > peer.dead_until + 1  # a beacon states the position of the next tick
         silent = peer.missed >= self._silence_limit
         if back or silent:
-            peer.left_at, peer.missed, self.selection_outdated = None if back else peer.left_at, 0, True
+            peer.dead_until, peer.missed, self.selection_outdated = None if back else peer.dead_until, 0, True
         is_first, peer.beacon = peer.beacon is None, beacon
         if is_first and peer is known:  # its token came before
             self.selection_outdated |= self.positions.matters(beacon)
@@ -367,7 +367,7 @@ class PeerTable:
         self.positions.catch_up(self.peers, all_live=self._all_acceptable)
         old = self.positions.forget_outside(since, until)
         if len(self.peers) - len(old) > len(self.positions):
-            old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.left_at or -1) < since]
+            old += [name for name, peer in self.peers.items() if name not in self.positions and (peer.dead_until or -1) < since]
         if old:
             self._remove({*old})
         return bool(old)
@@ -432,7 +432,7 @@ class PeerTable:
         peer = self.peers.get(name)
         younger = peer is not None and incarnation > peer.incarnation and (token or not peer.token)
         guessed = (
-            peer is not None and token and incarnation != peer.incarnation and not (peer.token or peer.doubted) and peer.left_at is None
+            peer is not None and token and incarnation != peer.incarnation and not (peer.token or peer.doubted) and peer.dead_until is None
         )
         if peer is None or younger or guessed:
             is_new, peer = peer is None, Peer(name, incarnation)

@@ -31,7 +31,7 @@ ADOPTION_RADIUS = 5.0  # between a peak and the mean of the label that it takes 
 FAINT_MASS = 0.02  # mass below which a label is not taken so, expected targets
 ALONE_RADIUS = 3.0  # around an estimate without another estimate
 INNER_RADIUS, OUTER_RADIUS = 2.5, 6.0  # around an estimate: its particles are nearer than the first, those around it nearer than the second
-STRANGER_MASS = 0.5  # that a label must have around an estimate to be a stranger there, expected targets
+INTRUDER_MASS = 0.5  # that a label must have around an estimate to be an intruder there, expected targets
 
 
 def birth_labels(hashes: np.ndarray, tick: int) -> np.ndarray:
@@ -142,8 +142,8 @@ def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places:
     """The labels (N,) of `updated` after the owner of the particles marked in `owned` (N,) has renamed some of them.
 
     `predicted` are the first rows of `updated` before the scans, and `places` (M, 2) the estimates in the cell, m. Bins have the side
-    `size` m. A label is a stranger at an estimate if it has more mass around than here, and at least `STRANGER_MASS`. Where an estimate is
-    alone, the owned particles of strangers take the heaviest label here that is no stranger. If all are strangers, they take a label
+    `size` m. A label is an intruder at an estimate if it has more mass around than here, and at least `INTRUDER_MASS`. Where an estimate is
+    alone, the owned particles of intruders take the heaviest label here that is none. If all are intruders, they take a label
     derived from the heaviest.
     """
     labels, count = updated.labels.copy(), len(predicted.ids)
@@ -159,7 +159,7 @@ def renamed(updated: Particles, owned: np.ndarray, predicted: Particles, places:
         here, near = away[:, number] <= inner * inner, away[:, number] <= outer * outer
         known = np.unique(before[here & owned & (before != NO_LABEL)])
         masses = [(total(weights[here & (before == label)]), total(weights[near & ~here & (before == label)])) for label in known]
-        strange = np.array([around > inside and around >= STRANGER_MASS for inside, around in masses], dtype=bool)
+        strange = np.array([around > inside and around >= INTRUDER_MASS for inside, around in masses], dtype=bool)
         if not strange.any():
             continue
         at_home = [(-inside, int(label)) for (inside, _), label, is_strange in zip(masses, known, strange) if not is_strange]

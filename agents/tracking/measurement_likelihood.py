@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.config import FilterSettings
-from protocol.measuring import Measurement
+from protocol.measuring import MeasurementModel
 from protocol.random_streams import normal, scramble, uniform
 
 POSITION, RANGE_BEARING, BEARING = 0.0, 1.0, 2.0  # models of a scan, a column of the gossip table
-MODELS = {"range-bearing": RANGE_BEARING, "bearing": BEARING}  # by `Measurement.kind`
+MODELS = {"range-bearing": RANGE_BEARING, "bearing": BEARING}  # by `MeasurementModel.kind`
 LARGEST_DEVIATION = 3.47  # deviations: above all keyed normal numbers (`protocol.random_streams.NORMAL_BOUND`)
 TINY = 1e-12
 EXACT_POSE = (0.0, 0.0)  # the noise of a pose that is exact
@@ -35,7 +35,7 @@ class Noise(NamedTuple):
     bearing: float  # of the bearing, rad^2
 
 
-def model_of(measurement: Measurement | None) -> tuple[float, float, float]:
+def model_of(measurement: MeasurementModel | None) -> tuple[float, float, float]:
     """Model, standard deviation of a range in m and of a bearing in rad; 0 for a sensor of positions."""
     if measurement is None:
         return POSITION, 0.0, 0.0

@@ -12,7 +12,7 @@ from agents.coverage.control import ControlInput, Situation
 from agents.membership.announcements import EARLY_CROWD, EARLY_PERIOD, REPLY_DELAY
 from agents.membership.membership import EXIT_FENCED
 from protocol.fields import pack
-from protocol.measuring import Measurement
+from protocol.measuring import MeasurementModel
 from protocol.message import Message
 from protocol.messages import Beacon, Command, Gossip, Hello, Observation
 from protocol.node import NO_EFFECTS, Alive, Effect, Gone, Received, Rejected, Started, Stop, Subscribe, Timer, Warn, received
@@ -186,7 +186,7 @@ def test_a_peer_whose_sensor_cannot_be_used_is_refused_and_ends_nobody(kind: str
     agent = Agent(msgspec.structs.replace(CONFIG, filter=FilterSettings(kind=kind)), "s1")  # type: ignore[arg-type]
     agent.handle(Started(), 0.0)
     agent.handle(Alive("agent", "s2", 1), 0.0)
-    agent.handle(hello(sensor=WedgeSensor(1.0, radius, 0.9, Measurement("bearing", 0.01))), 0.0)
+    agent.handle(hello(sensor=WedgeSensor(1.0, radius, 0.9, MeasurementModel("bearing", 0.01))), 0.0)
     for tick in range(3):
         agent.handle(see(tick), 0.25 * tick)
         agent.handle(word(tick, detections_bytes=pack(np.array([[0.0, 0.3]]), "<f4")), 0.25 * tick + 0.05)

@@ -28,7 +28,7 @@ from agents.tracking.step import Step
 from agents.tracking.tracker import Belief, OwnedState
 from protocol.fields import pack
 from protocol.messages import Gossip
-from protocol.sensing import Measurement, Pose, WedgeSensor
+from protocol.sensing import MeasurementModel, Pose, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
 from tests.agents.gossip_table import table
 
@@ -125,7 +125,7 @@ def test_one_detection_corrects_one_component_as_a_kalman_filter_does() -> None:
 
 def test_the_noise_of_ranges_and_bearings_lies_along_and_across_the_ray() -> None:
     """Against draws of the sensor: a target 10 m away at 45 degrees, sigma .1 m and .05 rad, the own heading unsure by .03 rad."""
-    sensor = WedgeSensor(2.0 * math.pi, 20.0, 0.9, Measurement("range-bearing", bearing_noise=0.05, range_noise=0.1))
+    sensor = WedgeSensor(2.0 * math.pi, 20.0, 0.9, MeasurementModel("range-bearing", bearing_noise=0.05, range_noise=0.1))
     ray = np.array([[math.sqrt(0.5), math.sqrt(0.5), 10.0, 0.0]])
     place = 20.0 + 10.0 * math.sqrt(0.5)
     one = scan([(place, place)], sensor=sensor)._replace(rays=ray, pose_noise=(0.0, 0.03))

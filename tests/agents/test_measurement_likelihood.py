@@ -23,7 +23,7 @@ from agents.tracking.measurement_likelihood import (
 )
 from deploy.scenario import resolve
 from deploy.simulation import Simulation
-from protocol.measuring import Measurement, to_measurements, to_places
+from protocol.measuring import MeasurementModel, to_measurements, to_places
 from protocol.sensing import WedgeSensor
 
 POSE = (3.0, 4.0, 0.7)
@@ -159,9 +159,9 @@ def test_births_of_a_sensor_of_positions_scatter_with_its_heading(far: float) ->
 
 
 def test_places_undo_measurements() -> None:
-    camera, points = Measurement("range-bearing", 0.01, 0.1), np.array([[9.0, 9.0], [-4.0, 1.0], [3.0, -8.0]])
+    camera, points = MeasurementModel("range-bearing", 0.01, 0.1), np.array([[9.0, 9.0], [-4.0, 1.0], [3.0, -8.0]])
     assert to_places(camera, RADIUS, POSE, to_measurements(camera, POSE, points)) == pytest.approx(points)
-    ahead = to_places(Measurement("bearing", 0.01), RADIUS, POSE, np.array([[0.0, 0.0]]))
+    ahead = to_places(MeasurementModel("bearing", 0.01), RADIUS, POSE, np.array([[0.0, 0.0]]))
     assert ahead[0] == pytest.approx([POSE[0] + RADIUS * math.sqrt(0.5) * math.cos(0.7), POSE[1] + RADIUS * math.sqrt(0.5) * math.sin(0.7)])
 
 

@@ -9,7 +9,7 @@ from agents.config import AgentConfig, PoseSettings
 from agents.own_pose import SURPRISE, AveragingWeight, OwnPose
 from protocol.fields import pack
 from protocol.geometry import wrap_angle
-from protocol.measuring import Measurement
+from protocol.measuring import MeasurementModel
 from protocol.messages import Observation
 from protocol.sensing import Pose, WedgeSensor
 from protocol.settings import LimitSettings, RunSettings
@@ -123,7 +123,7 @@ def test_a_body_that_does_not_turn_as_it_should_is_believed_soon() -> None:
 
 
 def test_detections_and_obstacles_move_with_the_pose_and_ranges_and_bearings_do_not() -> None:
-    camera = WedgeSensor(2.0, 8.0, 0.9, Measurement("range-bearing", 0.01, 0.1))
+    camera = WedgeSensor(2.0, 8.0, 0.9, MeasurementModel("range-bearing", 0.01, 0.1))
     for sensor, moves in ((WEDGE, True), (camera, False)):
         pose = own_pose(sensor, position_noise=0.3, heading_noise=0.05, memory=60.0)
         pose.correct(report((0.0, 0.0, 0.0), 0))

@@ -12,7 +12,7 @@ from agents.backend import PLAIN
 from agents.config import ExtractionSettings
 from agents.coverage.control import ControlInput, ControlLaw, Situation
 from agents.gossip.table import announced_sensor, gossip_table
-from agents.look_ahead import RecentTicks
+from agents.look_ahead import GossipHistory
 from agents.round import context_of
 from agents.tracking.belief import owned_by_sender
 from agents.tracking.births import background_births
@@ -145,7 +145,7 @@ def test_a_density_that_was_moved_on_shows_weak_targets_and_none_twice() -> None
     """After 2 s: a quarter of a target is left at its peak, or 1.3 expected targets."""
     scenario = resolve("efficacy", {"run.dt": DT})
     now = scenario.extraction
-    later = RecentTicks(context_of(agent_config(scenario), "s1", "A", PLAIN), 4).blurred_config(4).extraction
+    later = GossipHistory(context_of(agent_config(scenario), "s1", "A", PLAIN), 4).blurred_config(4).extraction
 
     def found(mass: float, settings: ExtractionSettings) -> int:
         places = np.tile([10.5, 10.5, 0.0, 0.0], (10, 1))
@@ -161,7 +161,7 @@ def test_a_mixture_that_was_moved_on_shows_weak_targets_and_none_twice() -> None
     """The same of one component; and what has another label within a peak is a target of its own only if it holds as much."""
     scenario = resolve("efficacy", {"run.dt": DT})
     now = scenario.extraction
-    later = RecentTicks(context_of(agent_config(scenario), "s1", "A", PLAIN), 4).blurred_config(4).extraction
+    later = GossipHistory(context_of(agent_config(scenario), "s1", "A", PLAIN), 4).blurred_config(4).extraction
 
     def found(settings: ExtractionSettings, *masses: float) -> int:
         numbers = np.arange(1, 1 + len(masses), dtype=np.uint64)

@@ -13,7 +13,7 @@ from protocol.settings_digest import common_sections, shared_settings
 from tests.names import names_in
 from tests.world.stage import POSES, command, config, feed, hello, of_kind, started
 from world.config import BodySettings, WorldConfig
-from world.roster import MOST_STRANGERS
+from world.presence import MOST_STRANGERS
 from world.world import EXIT_INCOMPLETE, HELLO_PERIOD, World
 
 # ---------------------------------------------------------------- the start line

@@ -1,4 +1,4 @@
-"""The roster: which agents are there, by their liveliness tokens, and what they have said of themselves."""
+"""Presence: which agents are there, by their liveliness tokens, and what they have said of themselves."""
 
 from collections.abc import Collection
 
@@ -7,7 +7,7 @@ from protocol.messages import Hello
 MOST_STRANGERS = 256  # whose Hello is kept until their token comes
 
 
-class Roster:
+class Presence:
     """Agents by name; of two live incarnations of a name the newer one counts.
 
     Guests, which are no members, count as long as they have a token. Without one they are strangers: anybody can make up names.
