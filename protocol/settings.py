@@ -239,7 +239,7 @@ T = TypeVar("T")
 def read_toml(path: Path) -> dict[str, Any]:
     """The contents of a TOML file; raises BadSetting naming the file."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise BadSetting(f"{path}: there is no such file") from None
     except OSError as error:

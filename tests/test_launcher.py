@@ -153,6 +153,24 @@ def test_packages_of_an_extra_are_installed_when_a_command_asks_for_them_and_kep
     assert "pyarrow" in (tmp_path / ".venv" / "installed").read_text().splitlines()[-1]
 
 
+def test_an_extra_that_is_unknown_or_cannot_be_had_leaves_what_is_there_as_it_is(tmp_path: Path) -> None:
+    fake_environment(tmp_path / ".venv")
+    assert launch(tmp_path, "demo").returncode == 0
+    wrong = launch(tmp_path, "demo", COVEY_EXTRAS="mujuco")
+    assert (wrong.returncode, wrong.stderr.splitlines()[-1]) == (
+        2,
+        "covey: COVEY_EXTRAS = 'mujuco': known are cluster, docs, mujoco, rerun, ros, study, test",
+    )
+    python = tmp_path / ".venv" / "bin" / "python"
+    program = python.read_text()
+    python.write_text(program.replace('[ "$2" = pip ] &&', '[ "$2" = pip ] && exit 1;'))
+    python.chmod(0o755)
+    failed = launch(tmp_path, "demo", COVEY_EXTRAS="cluster")
+    assert failed.returncode == 2 and "set-up failed" in failed.stderr
+    after = launch(tmp_path, "demo")
+    assert (after.returncode, after.stderr) == (0, "")
+
+
 def test_the_environment_finds_the_package_and_the_rooms_from_where_it_lies(tmp_path: Path) -> None:
     fake_environment(tmp_path / ".venv")
     launch(tmp_path, "demo")

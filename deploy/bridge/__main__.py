@@ -3,6 +3,7 @@
 import argparse
 import os
 import sys
+import traceback
 from pathlib import Path
 
 
@@ -31,6 +32,9 @@ def main() -> None:
     except Wrong as error:
         print(f"bridge: {error}", file=sys.stderr)
         code = 2
+    except Exception:
+        traceback.print_exc()
+        code = 1
     sys.stdout.flush()
     os._exit(code)  # a Zenoh session that failed to close could block the end of the interpreter
 

@@ -1,6 +1,7 @@
 """What the bridge reads of a run.toml, and its options."""
 
 import math
+import re
 import time
 import tomllib
 from pathlib import Path
@@ -85,5 +86,7 @@ def check(options: BridgeOptions) -> None:
         raise Wrong(f"--offset {options.offset}: should be from 0 to 10 m")
     if not all(map(math.isfinite, options.origin)):
         raise Wrong(f"--origin {options.origin}: should be three finite numbers x m, y m, heading rad")
+    if not re.fullmatch(r"[a-z0-9-]+/\S+", options.router):
+        raise Wrong(f"--router {options.router!r}: should be an endpoint such as tcp/192.168.1.7:7447")
     if not 0 <= options.domain <= 232:
         raise Wrong(f"--domain {options.domain}: should be a ROS_DOMAIN_ID from 0 to 232")

@@ -16,6 +16,8 @@ def selection(verb: str, names: tuple[str, ...], random: int | None, otherwise: 
         raise BadSetting(f"{verb}: a name is empty; should be names such as s3, a number such as 4, or a share such as 30%")
     if not names and random is None and otherwise is None:
         raise BadSetting(f"{verb}: nobody is named; give names such as s3, a number such as 4, or a share such as 30%")
+    if random is not None and random < 1:
+        raise BadSetting(f"--random {random}: should be 1 or more")
     if random is not None and names:
         raise BadSetting(f"--random {random}: draws agents; {' '.join(names)} names them: give one of both")
     drawn = [name for name in names if name.isdecimal() or name.endswith("%")]

@@ -40,6 +40,11 @@ def guarded(command: Callable[[], int]) -> int:
     except BrokenPipeError:
         lead_nowhere()
         return OK  # the reader of the pipe has closed it
+    except SystemExit as end:
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
+        lead_nowhere()
+        return OK  # Rich has seen the same
     except Exception as error:
         if os.environ.get("COVEY_DEBUG"):
             raise
@@ -72,6 +77,25 @@ def writing(option: str, path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise BadSetting(f"{option} {path}: {error.strerror or error}; should be a place that can be written to") from None
+
+
+@contextlib.contextmanager
+def replacing(option: str, path: Path) -> Iterator[Path]:
+    """A file beside `path` to write to; it takes the place of `path` once all is written. Else `path` stays as it was.
+
+    What is there and no file, such as a pipe, is written to itself.
+    """
+    if path.exists() and not path.is_file():
+        with writing(option, path):
+            yield path
+        return
+    new = path.with_name(f"new.{path.name}")
+    with writing(option, path):
+        try:
+            yield new
+            new.replace(path)
+        finally:
+            new.unlink(missing_ok=True)
 
 
 def complain(text: str, code: int) -> int:

@@ -6,13 +6,18 @@ from pathlib import Path
 from rich.console import Console
 
 from deploy.cli.errors import writing
+from deploy.cli.recordings import open_recording
 from deploy.cli.simulate import ProgressLine
-from deploy.recording.recording import Recording, find_recording
+from protocol.settings import BadSetting
 
 
 def draw(what: str, into: Path | None, animate: bool, explain: bool) -> int:
     """Draw what a name or path stands for: a study, or else a recorded run."""
-    return draw_study(Path(what), into) if is_study(Path(what)) else draw_run(what, into, animate, explain)
+    if not is_study(Path(what)):
+        return draw_run(what, into, animate, explain)
+    if animate or explain:
+        raise BadSetting(f"{what}: is a study; --animate and --explain are for a recorded run")
+    return draw_study(Path(what), into)
 
 
 def is_study(path: Path) -> bool:
@@ -35,7 +40,7 @@ def draw_run(name: str, out: Path | None, animate: bool, explain: bool) -> int:
     from deploy.plots import method_figures  # loads matplotlib
     from deploy.plots.run_figures import write_animation, write_figure  # loads matplotlib
 
-    recording = Recording(find_recording(name))
+    recording = open_recording(name)
     folder = out or recording.path.parent / "figures"
     with writing("--into", folder):
         for file in write_figure(recording, folder):

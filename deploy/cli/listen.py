@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 import os
 import signal
 import sys
@@ -67,8 +68,15 @@ def echo(key: str, count: int | None, run: str | None) -> int:
     return _quietly(live.run(node, scenario.network))
 
 
+def check_seconds(seconds: float | None) -> None:
+    """Refuse a time to listen that never ends or has already."""
+    if seconds is not None and not 0.0 < seconds < math.inf:
+        raise BadSetting(f"--seconds {seconds:g}: should be more than 0")
+
+
 def hz(key: str, seconds: float | None, run: str | None) -> int:
     """Print the message rates and sizes under a key every two seconds."""
+    check_seconds(seconds)
     _, scenario = swarm_to_watch(run)
     rates, console = Rates(), Console(highlight=False)
     shown_at = time.monotonic()
@@ -89,6 +97,7 @@ def hz(key: str, seconds: float | None, run: str | None) -> int:
 
 def ls(seconds: float, run: str | None) -> int:
     """Print the live processes and all keys with messages, after listening for some seconds."""
+    check_seconds(seconds)
     _, scenario = swarm_to_watch(run)
     rates, console = Rates(), Console(highlight=False)
     own = own_name("ls")

@@ -184,7 +184,7 @@ class RunOptions:
         if self.loss is not None and not 0.0 <= self.loss <= 1.0:
             raise BadSetting(f"--loss {self.loss}: should be a share between 0 and 1")
         if self.delay is not None and not 0.0 <= self.delay < 1e6:
-            raise BadSetting(f"--delay {self.delay}: should be a number of seconds, 0 or more")
+            raise BadSetting(f"--delay {self.delay}: should be a number of seconds from 0 to less than 1e6")
         return [("drop", self.loss), ("delay", self.delay)]
 
 

@@ -13,7 +13,7 @@ import msgspec
 from rich.console import Console
 
 from deploy.cli.display import result_table
-from deploy.cli.errors import writing
+from deploy.cli.errors import OK, complain, replacing, writing
 from deploy.cli.terminal import stop_event
 from deploy.installation import need_study_packages
 from deploy.page.address import address_of
@@ -38,14 +38,14 @@ def score(name: str, csv: Path | None, as_json: bool) -> int:
     console = Console(stderr=as_json, highlight=False)
     scorer = rescore(recording)
     result = scorer.result(recording.wall_seconds)
-    whole = "" if recording.is_whole else f"; it {NO_END}, scored is what it had written"
-    console.print(result_table(result, f"{recording.path}: {result.scenario}, seed {result.seed}, {result.agents} agents{whole}"))
+    if csv is not None:  # first, as the reader of the table may go
+        with writing("--csv", csv):
+            write_scores(csv, scorer.scores)
+    console.print(result_table(result, f"{recording.path}: {result.scenario}, seed {result.seed}, {result.agents} agents"))
     apart = difference(recording.path, result)
     if apart is not None:
         console.print(f"largest difference to the figures of the run itself: {apart:.3g}")
     if csv is not None:
-        with writing("--csv", csv):
-            write_scores(csv, scorer.scores)
         console.print(f"{len(scorer.scores)} ticks in {csv}")
     if as_json:
         print(result.to_json())
@@ -69,14 +69,14 @@ def export(name: str, form: str, out: Path | None, origin: tuple[float, float] |
         from deploy.recording.rerun_file import write_rerun
 
         file = out or recording.path.with_suffix(".rrd")
-        with writing("--out", file):
-            ticks = write_rerun(recording, file)
+        with replacing("--out", file) as new:
+            ticks = write_rerun(recording, new)
         print(f"{ticks} ticks in {file}; look at it with: rerun {file}")
         return 0
     if form == "foxglove":
         file = out or recording.path.with_suffix(DRAWING)
-        with writing("--out", file):
-            scenes = write_foxglove(recording, file)
+        with replacing("--out", file) as new:
+            scenes = write_foxglove(recording, new)
         print(f"{scenes} scenes in {file}")
         return 0
     folder = out or recording.path.parent / form
@@ -87,11 +87,26 @@ def export(name: str, form: str, out: Path | None, origin: tuple[float, float] |
 
 
 def _recording_beside(name: str, option: str, out: Path | None) -> Recording:
-    """The recording that is meant; raises BadSetting where `out` would be written in its place."""
-    path = find_recording(name)
-    if out is not None and out.exists() and out.samefile(path):
-        raise BadSetting(f"{option} {out}: is the recording itself; name another file")
-    return Recording(path)
+    """The recording that is meant; raises BadSetting where `out` would be written in its place, or in that of another one."""
+    if out is not None and out.is_file() and (out.samefile(find_recording(name)) or _is_recording(out)):
+        raise BadSetting(f"{option} {out}: is a recording; name another file")
+    return open_recording(name)
+
+
+def open_recording(name: str) -> Recording:
+    """The recording that is meant. One without an end is read as far as it goes, and the user is told."""
+    recording = Recording(find_recording(name))
+    if not recording.is_whole:
+        complain(f"{recording.path}: it {NO_END}; what it had written counts", OK)
+    return recording
+
+
+def _is_recording(path: Path) -> bool:
+    try:
+        Recording(path)
+    except BadSetting:
+        return False
+    return True
 
 
 def _export_mot(recording: Recording, out: Path | None) -> int:
@@ -110,8 +125,8 @@ def _export_on_earth(recording: Recording, form: str, out: Path | None, origin: 
     from deploy.recording.geographic import earth_of, write_cot, write_geojson
 
     earth, file = earth_of(recording, origin, began), out or recording.path.with_suffix(f".{form}")
-    with writing("--out", file):
-        number = write_geojson(recording, earth, file) if form == "geojson" else write_cot(recording, earth, file)
+    with replacing("--out", file) as new:
+        number = write_geojson(recording, earth, new) if form == "geojson" else write_cot(recording, earth, new)
     print(f"{number} {'features' if form == 'geojson' else 'events'} in {file}")
     return 0
 
@@ -124,13 +139,12 @@ def replay(name: str, page: bool | str, speed: float, publish: bool) -> int:
         raise BadSetting(f"--speed {speed:g}: should be a number from {SPEEDS[0]:g} to {SPEEDS[1]:g}")
     if page is False and not publish:
         raise BadSetting("--no-page: should come with --publish, or nothing is shown")
-    recording = Recording(find_recording(name))
+    recording = open_recording(name)
     source, address = ReplaySource(recording, speed), address_of(page)
     server = PageServer(source, address) if address else None
     if server:
         print(f"page: {server.bind()}", flush=True)
-    cut = "" if recording.is_whole else f" (it {NO_END}; shown is what it had written)"
-    print(f"{recording.path}: {recording.scenario.run.scenario}, {recording.seconds:g} s{cut}; Ctrl-C ends it", flush=True)
+    print(f"{recording.path}: {recording.scenario.run.scenario}, {recording.seconds:g} s; Ctrl-C ends it", flush=True)
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_play(source, server, recording, publish))

@@ -1,6 +1,7 @@
 """`init`, `check`, `platform` and `config`: commands on scenario files."""
 
 import os
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -36,7 +37,8 @@ def init(file: Path) -> int:
     except OSError as error:
         file.unlink()  # a partial scenario is not left behind
         raise BadSetting(f"{file}: {error.strerror}") from None
-    print(f"{file}: every section and every default; change it, then: covey check {file}; covey up {file}")
+    word = shlex.quote(str(file))
+    print(f"{file}: every section and every default; change it, then: covey check {word}; covey up {word}")
     return 0
 
 

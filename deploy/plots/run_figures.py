@@ -202,8 +202,10 @@ def write_animation(recording: Recording, folder: Path, progress: Callable[[int,
     """
     folder.mkdir(parents=True, exist_ok=True)
     with_film = shutil.which("ffmpeg") is not None
+    dt = recording.scenario.run.dt
+    ticks = min(recording.scenario.run.ticks, round(recording.seconds / dt) + 1)  # it may have been ended early
     file = folder / ("run.mp4" if with_film else "run.gif")
-    every = max(1, -(-recording.scenario.run.ticks // MOST_FRAMES), round(0.5 / recording.scenario.run.dt))
+    every = max(1, -(-ticks // MOST_FRAMES), round(0.5 / dt))
     with matplotlib.rc_context({**STYLE, "figure.dpi": FILM_DPI}):
         figure = Figure(figsize=(4.0, 4.2), layout="constrained")
         axes = figure.subplots()
@@ -216,7 +218,7 @@ def write_animation(recording: Recording, folder: Path, progress: Callable[[int,
                     draw_moment(axes, picture)
                     axes.set_title(f"t = {picture.shown.time:.1f} s")
                     writer.grab_frame()
-                    progress(picture.shown.tick + 1, recording.scenario.run.ticks)
+                    progress(picture.shown.tick + 1, ticks)
     return file
 
 

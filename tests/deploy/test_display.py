@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from rich.console import Console
 
 from deploy.cli.display import Display, show_result
 from deploy.cli.errors import guarded
@@ -87,6 +88,20 @@ def test_a_refusal_of_the_machine_without_a_file_is_no_error_of_coveys(capsys: p
 
     assert guarded(refused) == 1
     assert capsys.readouterr().err.startswith("covey: this machine refuses: Too many open files; details are in ")
+
+
+def test_a_reader_who_goes_is_no_failure_of_any_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rich ends the process in its own way, with exit code 1."""
+    read, write = os.pipe()
+    os.close(read)
+
+    def tell() -> int:
+        with open(write, "w", buffering=1) as out:
+            Console(file=out).print("a line")
+        return 0
+
+    monkeypatch.setattr("deploy.cli.errors.lead_nowhere", lambda: None)
+    assert guarded(tell) == 0
 
 
 def test_a_simulation_whose_result_cannot_be_kept_shows_it(

@@ -236,6 +236,19 @@ def test_a_moving_picture_has_a_frame_for_every_half_second(run: Run, tmp_path: 
         assert (file.suffix, image.n_frames) == (".gif", 10)  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
+def test_a_moving_picture_of_a_run_that_was_ended_early_is_of_its_own_ticks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    simulation = Simulation(resolve("quick", {"run.seconds": 10_000.0}))
+    recorder = open_recorder(tmp_path / "a.mcap", simulation.scenario, virtual=True)
+    simulation.scorer.on_event = recorder.see
+    while simulation.scorer.truth is None or simulation.scorer.truth.tick < 19:
+        simulation.bus.step()
+    recorder.close()
+    with Image.open(write_animation(Recording(tmp_path / "a.mcap"), tmp_path)) as image:
+        assert image.n_frames >= 9  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize(
     ("option", "command"),
     [

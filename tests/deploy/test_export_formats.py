@@ -37,6 +37,22 @@ def recorded(folder: Path, settings: dict[str, object]) -> Recording:
     return Recording(file)
 
 
+def test_an_export_that_fails_leaves_an_earlier_file_and_other_recordings_as_they_are(tmp_path: Path) -> None:
+    recording, out = recorded(tmp_path, {}), tmp_path / "good.cot"
+    other = tmp_path / "other.mcap"
+    other.write_bytes(recording.path.read_bytes())
+    assert recordings.export(str(recording.path), "cot", out, ORIGIN, BEGAN) == 0
+    before, spoilt = out.read_bytes(), bytearray(recording.path.read_bytes())
+    spoilt[len(spoilt) // 2 : len(spoilt) // 2 + 40] = bytes(40)
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(spoilt)
+    with pytest.raises(BadSetting):
+        recordings.export(str(damaged), "cot", out, ORIGIN, BEGAN)
+    assert out.read_bytes() == before and not (tmp_path / "new.good.cot").exists()
+    with pytest.raises(BadSetting, match="is a recording; name another file"):
+        recordings.export(str(recording.path), "foxglove", other)
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """A run in which every agent reports every tick."""
@@ -196,7 +212,7 @@ def test_without_being_told_the_run_began_when_the_time_of_its_first_truth_was_z
 def test_a_recording_is_never_written_over_by_its_export(recording: Recording, tmp_path: Path, form: str) -> None:
     (tmp_path / "a.mcap").write_bytes(recording.path.read_bytes())
     (tmp_path / "b.mcap").symlink_to("a.mcap")
-    with pytest.raises(BadSetting, match=r"--out .*b\.mcap: is the recording itself; name another file"):
+    with pytest.raises(BadSetting, match=r"--out .*b\.mcap: is a recording; name another file"):
         recordings.export(str(tmp_path / "a.mcap"), form, tmp_path / "b.mcap", ORIGIN if form in recordings.ON_EARTH else None)
     with pytest.raises(BadSetting, match=r"--csv .*b\.mcap: is the recording itself"):
         recordings.score(str(tmp_path / "a.mcap"), tmp_path / "b.mcap", False)

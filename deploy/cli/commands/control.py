@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
+from cyclopts import Parameter
+
 from deploy.cli.app import ACT, AgentChoice, RandomCount, RunName, app
 from deploy.cli.options import WHOLE
 
@@ -102,7 +104,7 @@ def bridge(
     router: str = "tcp/127.0.0.1:7447",
     domain: Annotated[int | None, WHOLE] = None,
     offset: float = 0.0,
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    origin: Annotated[tuple[float, float, float], Parameter(negative="")] = (0.0, 0.0, 0.0),
     keep: Path | None = None,
 ) -> int:
     """Let a robot that speaks ROS 2 be the body of an agent.

@@ -75,7 +75,7 @@ def export(
     *,
     to: Literal["csv", "parquet", "foxglove", "rerun", "mot", "geojson", "cot"] = "csv",
     out: Path | None = None,
-    origin: tuple[float, float] | None = None,
+    origin: Annotated[tuple[float, float] | None, Parameter(negative="")] = None,
     began: str | None = None,
 ) -> int:
     """A recording as tables, or as files of other tools.

@@ -70,7 +70,7 @@ def keys(
     *names: str,
     into: Path = Path("keys"),
     scenario: Annotated[str | None, Parameter(completer=completion.scenarios)] = None,
-    host: tuple[str, ...] = (),
+    host: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     days: Annotated[int, WHOLE] = 730,
     force: Annotated[bool, FLAG] = False,
     in_git: Annotated[bool, FLAG] = False,

@@ -84,6 +84,8 @@ def study(
     from deploy.studies.design import design_fields, design_with, dotted_options
     from protocol.settings import BadSetting
 
+    if workers is not None and workers < 1:
+        raise BadSetting(f"--workers {workers}: should be 1 or more")
     options, folder = dotted_options(triple, capacity, dt, seconds, settings or []), into or default_folder(name, quick)
     if name == "robustness":
         from deploy.cli.robustness import run_robustness_study, settings_of
