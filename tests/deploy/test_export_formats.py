@@ -214,7 +214,7 @@ def test_a_recording_is_never_written_over_by_its_export(recording: Recording, t
     (tmp_path / "b.mcap").symlink_to("a.mcap")
     with pytest.raises(BadSetting, match=r"--out .*b\.mcap: is a recording; name another file"):
         recordings.export(str(tmp_path / "a.mcap"), form, tmp_path / "b.mcap", ORIGIN if form in recordings.ON_EARTH else None)
-    with pytest.raises(BadSetting, match=r"--csv .*b\.mcap: is the recording itself"):
+    with pytest.raises(BadSetting, match=r"--csv .*b\.mcap: is a recording"):
         recordings.score(str(tmp_path / "a.mcap"), tmp_path / "b.mcap", False)
     assert (tmp_path / "a.mcap").read_bytes() == recording.path.read_bytes()
 

@@ -146,6 +146,12 @@ def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path) -> None:
         read_toml(tmp_path)
 
 
+def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    """As editors of Windows write it."""
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbf[run]\nseed = 3\n")
+    assert read_toml(tmp_path / "a.toml") == {"run": {"seed": 3}}
+
+
 @pytest.mark.parametrize("content", [b"[run\n", b"a = \n", b"\xff\xfe", b"a = 1\na = 2\n"])
 def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "broken.toml"
