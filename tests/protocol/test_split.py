@@ -107,14 +107,14 @@ def test_two_whose_session_has_stayed_split_find_each_other_again(first: str, re
             node, name = nodes[one], f"s{other + 1}"
             if isinstance(node, Agent):
                 return not isinstance(nodes[other], Agent) or ((peer := node.peer_table.peers.get(name)) is not None and peer.token)
-            return name in node.alive() if isinstance(node, Scorer) else node._roster.live(name) is not None
+            return name in node.alive() if isinstance(node, Scorer) else node._presence.live(name) is not None
 
         def hears(one: int, other: int) -> bool:
             node, name = nodes[one], f"s{other + 1}"
             if isinstance(node, Agent):
                 heard = node.membership.session_watchdog.heard(asyncio.get_running_loop().time())
                 return not isinstance(nodes[other], Agent) or name in heard
-            return name in (node.greeted if isinstance(node, Scorer) else node._roster.hellos)
+            return name in (node.greeted if isinstance(node, Scorer) else node._presence.hellos)
 
         await until(lambda: all(sees(one, other) and hears(one, other) for one in range(3) for other in range(3) if one != other))
         await asyncio.sleep(2.0)  # both have dialled
