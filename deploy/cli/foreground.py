@@ -47,14 +47,15 @@ def run_in_foreground(
         server, address = page_of(supervisor, showing.page, showing.stays, other), ""
         if server is not None:
             address = server.bind()
+        path = recording_path(showing.record, directory.path)
+        recorder = open_recorder(path, supervisor.scenario) if path else None
+        if server is not None:
             directory.page.write_text(address + "\n", encoding="utf-8")
             display.event(f"page: {address}")
             if showing.open:
                 display.event(open_browser(address))
         display.event(title)
         display.event(too_small(scenario))
-        path = recording_path(showing.record, directory.path)
-        recorder = open_recorder(path, supervisor.scenario) if path else None
         stays = showing.stays and not showing.json and server is not None and is_at_terminal()
 
         async def work() -> int:

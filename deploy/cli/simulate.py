@@ -19,7 +19,7 @@ from deploy.recording.observers import Observers, open_recorder, recording_path
 from deploy.recording.trace import Trace, check_trace
 from deploy.scenario import Scenario, with_run_name
 from deploy.scoring.result import Result
-from deploy.scoring.scores import Score, write_scores
+from deploy.scoring.scores import write_scores
 from deploy.simulation import Simulation, compile_once
 from deploy.storage.kept_runs import link_latest, new_run_directory
 from protocol.observer_messages import Truth
@@ -41,29 +41,40 @@ def simulate_here(
     if trace is not None:
         check_trace(trace)
     check_platform_class(scenario)
+    compile_once()
     if requested_name is None and record is not True:
-        result, _, path, series = _simulate(scenario, clock, recording_path(record, Path()))
+        path = recording_path(record, Path())
+        result, series = _play(_simulation(scenario, clock, path), scenario, clock)
         return _show(result, None, as_json, path, series, trace)
     directory, lock = new_run_directory(requested_name, scenario.run.scenario)
     scenario = with_run_name(scenario, directory.name)
-    directory.write_config(scenario, simulated=True)
+    try:
+        path = recording_path(record, directory.path)
+        simulation = _simulation(scenario, clock, path)
+        directory.write_config(scenario, simulated=True)
+    finally:
+        directory.leave_unless_begun()
     link_latest(directory)
-    result, scores, path, series = _simulate(scenario, clock, recording_path(record, directory.path))
+    result, series = _play(simulation, scenario, clock)
     try:
         directory.result.write_text(result.to_json() + "\n", encoding="utf-8")
-        write_scores(directory.scores, scores)
+        write_scores(directory.scores, simulation.scorer.scores)
     except OSError as error:
         complain(f"{directory.result}: {error.strerror}; the result is not kept", FAILED)
     os.close(lock)
     return _show(result, directory.path, as_json, path, series, trace)
 
 
-def _simulate(
-    scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None
-) -> tuple[Result, list[Score], Path | None, Trace]:
-    """The result, the scores of all ticks, where the run was recorded, and what a trace holds."""
-    compile_once()
+def _simulation(scenario: Scenario, clock: Literal["lockstep", "realtime"], path: Path | None) -> Simulation:
+    """A simulation that can begin, and is recorded into that file; raises BadSetting."""
     simulation = Simulation(scenario, clock=clock)
+    if path is not None:
+        Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
+    return simulation
+
+
+def _play(simulation: Simulation, scenario: Scenario, clock: Literal["lockstep", "realtime"]) -> tuple[Result, Trace]:
+    """The result, and what a trace holds."""
     series = Trace(simulation)
     display = Display(to_stderr=True)
     for remark in fault_remarks(scenario):
@@ -71,8 +82,6 @@ def _simulate(
     if clock == "lockstep" and (remark := faults_without_effect(scenario)):
         display.event(f"covey: {remark}")
     simulation.scorer.on_report = lambda told: display.event(f"[{told.time:.1f} s] {told.text}")
-    if path is not None:
-        Observers(simulation.scorer, open_recorder(path, simulation.scenario, virtual=True))
     with display.console.status("") if display.console.is_terminal else nullcontext() as spinner:
         show = (lambda text: spinner.update(text)) if spinner else display.event
         progress = ProgressLine(show, 0.25 if spinner else 5.0)
@@ -85,7 +94,7 @@ def _simulate(
         with _stopped_by_signals(simulation) as received:
             result = simulation.run()
     code = 128 + received[0] if received else 0
-    return msgspec.structs.replace(result, exit_code=code), simulation.scorer.scores, path, series
+    return msgspec.structs.replace(result, exit_code=code), series
 
 
 @contextmanager

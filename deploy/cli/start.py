@@ -1,6 +1,7 @@
 """`demo` and `up`: commands that run a scenario with real processes. What supervises them is imported while the zygote imports as well."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -36,11 +37,16 @@ def run_live(scenario: Scenario, requested_name: str | None, title: str, showing
     detached = os.environ.pop(DETACHED, None)  # the name that the waiting command has chosen
     directory, lock = new_run_directory(detached or requested_name, scenario.run.scenario)
     scenario = with_run_name(scenario, directory.name)
-    zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
-    from deploy.cli.foreground import run_in_foreground
-
     other = f"; runs/{requested_name} holds an earlier run" if detached is None and requested_name not in (None, directory.name) else ""
-    run_in_foreground(scenario, directory, lock, zygote, f"run {directory.name}{other}: {title}", showing)
+    try:
+        zygote = Zygote(child_environment(), directory.log("zygote")) if spawn == "zygote" else None
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # while modules are imported it would end this process at once
+        from deploy.cli.foreground import run_in_foreground
+
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        run_in_foreground(scenario, directory, lock, zygote, f"run {directory.name}{other}: {title}", showing)
+    finally:
+        directory.leave_unless_begun()
 
 
 def demo(scenario: Scenario, requested_name: str | None, showing: DisplayOptions, spawn: Spawn = "zygote") -> NoReturn:
@@ -90,7 +96,7 @@ def _detach(scenario: Scenario, requested_name: str | None) -> NoReturn:
     directory, lock = new_run_directory(requested_name, scenario.run.scenario)
     os.close(lock)
     words = [word for word in sys.argv[1:] if word not in ("--detach", "-d")]
-    with directory.output.open("wb") as log:
+    with directory.output.open("w+b") as log:
         process = subprocess.Popen(
             [*command("deploy"), *words],
             stdin=subprocess.DEVNULL,
@@ -99,12 +105,14 @@ def _detach(scenario: Scenario, requested_name: str | None) -> NoReturn:
             env={**environment(), "COVEY_RUNS": str(runs_folder()), DETACHED: directory.name},
             start_new_session=True,
         )
-    end = time.monotonic() + DETACH_SECONDS
-    while process.poll() is None and not directory.control.exists() and time.monotonic() < end:
-        time.sleep(0.05)
-    if process.poll() is not None and process.returncode != 0:
-        lines = directory.output.read_text(errors="replace").strip().splitlines()
-        raise BadSetting((lines or ["the run ended at once"])[-1].removeprefix("covey: "))
+        end = time.monotonic() + DETACH_SECONDS
+        while process.poll() is None and not directory.control.exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        if process.poll() is not None and process.returncode != 0:
+            directory.leave_unless_begun()
+            log.seek(0)
+            lines = log.read().decode(errors="replace").strip().splitlines()
+            raise BadSetting((lines or ["the run ended at once"])[-1].removeprefix("covey: "))
     if process.poll() is None and not directory.control.exists():
         raise BadSetting(f"run {directory.name} has not started within {DETACH_SECONDS:g} s; see {directory.output}")
     print(f"run {directory.name} is up, process {process.pid}; covey ps | watch | down --run {directory.name}")

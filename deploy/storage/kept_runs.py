@@ -155,7 +155,7 @@ def _result(directory: RunDirectory) -> dict[str, Any]:
 def removable(name: str) -> RunDirectory:
     """The ended run of that name; raises BadSetting when there is none or it is running."""
     directory = find_run(name)
-    if directory is None or not directory.config.exists():
+    if directory is None or not (directory.config.exists() or directory.is_free()):
         raise BadSetting(f"{name}: there is no run of this name in {runs_folder()}; `covey runs` lists them")
     if directory.is_running():
         raise BadSetting(f"{directory.name}: the run is running; {directory.how_to_end()}")

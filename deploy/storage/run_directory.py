@@ -89,6 +89,11 @@ class RunDirectory:
             self.config.write_bytes(bytes(ROOM))  # a full disk is known before anything starts
             self.config.unlink()
 
+    def leave_unless_begun(self) -> None:
+        """Remove the folder where no run has begun in it: its start was refused or interrupted."""
+        if not self.config.exists():
+            shutil.rmtree(self.path, ignore_errors=True)
+
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
         """Raise BadSetting naming the folder when it cannot be written."""

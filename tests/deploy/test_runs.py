@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import subprocess
 import time
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from deploy.__main__ import app
 from deploy.cli.process_list import ended_run, ps_all
 from deploy.cli.runs import rm, runs
 from deploy.cli.simulate import simulate_here
+from deploy.installation import command, environment
 from deploy.recording.recording import find_recording
 from deploy.scenario import resolve
 from deploy.storage.kept_runs import age_of, find_run, kept_runs, link_latest, new_run_directory
@@ -91,6 +93,33 @@ def test_what_a_start_that_failed_has_left_is_used_again() -> None:
     os.close(lock)
     assert directory.name == "hunt"
     assert list(directory.logs.iterdir()) == []
+
+
+@pytest.mark.parametrize("record", ["mine.txt", "/dev/null/mine.mcap"])
+def test_a_simulation_that_is_refused_leaves_no_run_and_latest_where_it_was(record: str) -> None:
+    play("one")
+    with pytest.raises(BadSetting, match="--record "):
+        simulate_here(resolve("quick", {"run.seconds": 1.0}), "two", False, Path(record))
+    assert {path.name for path in runs_folder().iterdir()} == {"one", LATEST_LINK}
+    assert (runs_folder() / LATEST_LINK).readlink() == Path("one")
+
+
+@pytest.mark.parametrize("words", [("--page", "x"), ("--record", "mine.txt", "--detach")])
+def test_a_live_run_that_is_refused_leaves_no_run(words: tuple[str, ...]) -> None:
+    start = [*command("deploy"), "up", "quick", "--seconds", "1", "--spawn", "exec", "--run", "two", *words]
+    done = subprocess.run(start, env=environment(), capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1 and words[0] in done.stderr
+    assert list(runs_folder().iterdir()) == []
+
+
+def test_what_a_start_that_was_killed_has_left_can_be_removed() -> None:
+    directory, lock = new_run_directory("hunt", "quick")
+    with pytest.raises(BadSetting, match="hunt: the run is running"):
+        rm(["hunt"], False, None, False)
+    os.close(lock)
+    assert rm(["hunt"], False, None, False) == 0
+    assert not directory.path.exists()
 
 
 def test_a_name_whose_run_is_running_is_refused_and_two_unnamed_starts_at_once_get_two_names() -> None:
