@@ -12,6 +12,8 @@ from deploy.bridge.client import Network
 from deploy.bridge.frames import Placement
 from deploy.bridge.ros import ROUTER
 
+ROUTER_FORM = r"(tcp|tls|udp|quic|ws)/[^\s?#]+:\d{1,5}([?#]\S+)?"  # Zenoh dials any other in vain, or ends
+
 
 class Wrong(Exception):
     """An input that cannot be used, in one line."""
@@ -86,7 +88,7 @@ def check(options: BridgeOptions) -> None:
         raise Wrong(f"--offset {options.offset}: should be from 0 to 10 m")
     if not all(map(math.isfinite, options.origin)):
         raise Wrong(f"--origin {options.origin}: should be three finite numbers x m, y m, heading rad")
-    if not re.fullmatch(r"[a-z0-9-]+/\S+", options.router):
+    if not re.fullmatch(ROUTER_FORM, options.router):
         raise Wrong(f"--router {options.router!r}: should be an endpoint such as tcp/192.168.1.7:7447")
     if not 0 <= options.domain <= 232:
         raise Wrong(f"--domain {options.domain}: should be a ROS_DOMAIN_ID from 0 to 232")

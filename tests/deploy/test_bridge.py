@@ -243,7 +243,8 @@ def wrong_inputs(run_file: Path) -> Iterator[tuple[BridgeOptions, str]]:
     yield BridgeOptions(other, "s3"), "sensors.A.measures = 'bearing': a robot reports places here; should be 'position'"
     yield BridgeOptions(run_file, "s3", offset=-1.0), "--offset -1.0: should be from 0 to 10 m"
     yield BridgeOptions(run_file, "s3", origin=(0.0, math.nan, 0.0)), "should be three finite numbers"
-    yield BridgeOptions(run_file, "s3", router="foo"), "--router 'foo': should be an endpoint such as tcp/192.168.1.7:7447"
+    for router in ("foo", "foo/bar:1", "tcp/127.0.0.1", "tcp/127.0.0.1:abc"):
+        yield BridgeOptions(run_file, "s3", router=router), f"--router '{router}': should be an endpoint such as tcp/192.168.1.7:7447"
     yield BridgeOptions(run_file, "s3", domain=300), "--domain 300: should be a ROS_DOMAIN_ID from 0 to 232"
 
 
