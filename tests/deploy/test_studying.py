@@ -1,6 +1,9 @@
 """`covey study` from end to end with the smallest trials, its options, and what it says of the time that is left."""
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +12,7 @@ import pytest
 
 from deploy.cli.study import run_study
 from deploy.cli.study_progress import ProgressBar, RemainingWork, _follow, console_of, remaining, words
+from deploy.installation import ROOT, environment
 from deploy.studies.design import Design, design_fields, design_with, dotted_options
 from deploy.studies.engines import FinishedTrials, TrialFailed, on_a_cluster, on_this_machine, shared_progress
 from deploy.studies.results import StudyFolder
@@ -79,6 +83,22 @@ def test_a_scenario_file_that_changes_in_the_middle_of_a_study_is_named_and_the_
     with folder.claimed(), pytest.raises(BadSetting, match=r"/mine\.toml: was changed while the study ran; .*; 1 of 2 trials are kept$"):
         _follow(engine(), folder, trials, keys, ahead, ProgressBar(tell, ahead, 2, None))
     assert folder.finished().keys() == {keys[0]}
+
+
+def test_a_study_goes_on_when_its_reader_has_gone() -> None:
+    program = """
+import sys
+from deploy.cli.study_progress import console_of
+console = console_of(False)
+for line in ("begun", "the table"):
+    console.print(line)
+sys.stderr.write("kept")
+"""
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([sys.executable, "-c", program], stdout=write, stderr=subprocess.PIPE, cwd=ROOT, env=environment(), check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, b"kept")
 
 
 @pytest.mark.slow
