@@ -186,8 +186,8 @@ def _legend() -> list[Line2D]:
 
 def write_figure(recording: Recording, folder: Path) -> list[Path]:
     """Write `trajectories.pdf` and `.png` into a folder; the files."""
-    folder.mkdir(parents=True, exist_ok=True)
     figure = figure_of(recording)
+    folder.mkdir(parents=True, exist_ok=True)
     files = [folder / "trajectories.pdf", folder / "trajectories.png"]
     with matplotlib.rc_context(STYLE):
         for file in files:

@@ -47,8 +47,10 @@ def _taken(path: Path) -> Path:
 
 
 def open_recorder(path: Path, scenario: Scenario, *, virtual: bool = False) -> Recorder:
-    """A recorder; raises BadSetting naming the file when it cannot be written."""
+    """A recorder; raises BadSetting naming the file when it cannot be written, or holds something already."""
     try:
+        if path.exists() and path.stat().st_size:
+            raise BadSetting(f"--record {path}: holds something already; should be a new file")
         path.parent.mkdir(parents=True, exist_ok=True)
         return Recorder(path, scenario, None) if virtual else Recorder(path, scenario)
     except OSError as error:

@@ -112,9 +112,9 @@ def _table(schema: list[tuple[str, pyarrow.DataType]], rows: list[TableRow]) -> 
 
 def write_tables(recording: Recording, folder: Path, form: str) -> list[Path]:
     """Write the tables as `csv` or `parquet` files into a folder; the files."""
+    found, files = tables(recording), []
     folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for name, table in tables(recording).items():
+    for name, table in found.items():
         file = folder / f"{name}.{form}"
         if form == "csv":
             csv.write_csv(table, file)

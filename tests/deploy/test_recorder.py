@@ -355,6 +355,15 @@ def test_record_names_an_mcap_file_or_means_the_run_directory(tmp_path: Path) ->
         open_recorder(Path("/dev/null/x.mcap"), scenario())
 
 
+def test_a_recording_is_never_written_over_by_another(tmp_path: Path) -> None:
+    file = tmp_path / "kept.mcap"
+    open_recorder(file, scenario()).close()
+    before = file.read_bytes()
+    with pytest.raises(BadSetting, match=r"--record .*kept\.mcap: holds something already; should be a new file"):
+        open_recorder(file, scenario())
+    assert file.read_bytes() == before
+
+
 def test_an_onlooker_that_fails_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:
     simulation = Simulation(scenario())
     onlookers = Observers(simulation.scorer, None)
