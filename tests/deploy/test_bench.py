@@ -1,14 +1,20 @@
 """The benchmarks measure what they say: the central reference tracks as well as the swarm, captured rounds give the results of the run."""
 
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
 import pytest
 
 from agents.round import run_round
-from deploy.__main__ import app
 from deploy.bench import central, empty
 from deploy.bench.__main__ import bench
 from deploy.bench.capture import capture, cold
 from deploy.bench.simulations import scale
 from deploy.bench.timing import in_turns, median_seconds, table
+from deploy.installation import command, environment
 from deploy.scenario import Scenario, resolve
 from deploy.simulation import Simulation, compiled, simulate
 from protocol.settings import BadSetting
@@ -49,6 +55,23 @@ def test_kinds_of_work_take_turns() -> None:
 
 
 @pytest.mark.slow
+def test_ctrl_c_ends_a_benchmark_with_its_swarm_and_leaves_no_folder(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [*command("deploy"), "bench", "live"],
+        env={**environment(), "TMPDIR": str(tmp_path)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # as in a terminal, also under `nohup`
+        start_new_session=True,
+        stderr=subprocess.DEVNULL,
+    )
+    while not any("the first tick" in log.read_text() for log in tmp_path.glob("tmp*/bench/logs/supervisor.jsonl")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(60) == 130
+    assert not list(tmp_path.glob("tmp*"))
+
+
+@pytest.mark.slow
 @pytest.mark.nightly
 def test_growing_crowds_are_measured_in_the_same_ticks() -> None:
     rows = list(scale((24, 48), enough=50))
@@ -77,12 +100,10 @@ def test_an_unknown_benchmark_is_refused_by_name() -> None:
         ("round --seconds 3", "--seconds 3: is for `bench realtime`, from 1 to 86400"),
     ],
 )
-def test_the_command_runs_the_program_and_passes_on_its_complaint_and_its_exit_code(
-    words: str, line: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    code = app(["bench", *words.split()], exit_on_error=False, result_action="return_value")
-    told = capfd.readouterr().err
-    assert code == 2 and told.startswith(f"covey: {line}") and told.count("\n") == 1
+def test_the_command_becomes_the_program(words: str, line: str) -> None:
+    start = [*command("deploy"), "bench", *words.split()]
+    done = subprocess.run(start, env=environment(), capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2 and done.stderr.startswith(f"covey: {line}") and done.stderr.count("\n") == 1
 
 
 def test_agents_with_empty_rounds_say_as_much_and_play_every_tick(monkeypatch: pytest.MonkeyPatch) -> None:

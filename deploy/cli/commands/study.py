@@ -119,12 +119,13 @@ def bench(
     What: round, simulate, live, realtime, tls, scale, start, codec, memory, peers, page, replay, overload, bodies, or all of them.
     --seconds: how long realtime runs each of its swarms; a minute if it is not given.
     """
-    import subprocess
+    import os
 
     from deploy.installation import command, environment
 
     words = [what, *(["--json"] if json else []), *([f"--seconds={seconds:g}"] if seconds is not None else [])]
-    return subprocess.call([*command("deploy.bench"), *words], env=environment())
+    program = [*command("deploy.bench"), *words]
+    os.execve(program[0], program, environment())
 
 
 @app.command(group=STUDY, help_epilogue="Example: covey fuzz --seeds 20")
