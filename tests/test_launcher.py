@@ -171,6 +171,15 @@ def test_an_extra_that_is_unknown_or_cannot_be_had_leaves_what_is_there_as_it_is
     assert (after.returncode, after.stderr) == (0, "")
 
 
+def test_an_extra_of_before_that_is_known_no_more_is_let_go(tmp_path: Path) -> None:
+    fake_environment(tmp_path / ".venv")
+    (tmp_path / ".venv" / "covey-installed").write_text("old mujuco study\n")
+    done = launch(tmp_path, "demo")
+    assert (done.returncode, len(done.stderr.splitlines())) == (0, 1)
+    assert (tmp_path / ".venv" / "covey-installed").read_text().split()[1:] == ["study"]
+    assert "pyarrow" in (tmp_path / ".venv" / "installed").read_text()
+
+
 def test_the_environment_finds_the_package_and_the_rooms_from_where_it_lies(tmp_path: Path) -> None:
     fake_environment(tmp_path / ".venv")
     launch(tmp_path, "demo")
