@@ -21,6 +21,8 @@ from typing import Any
 from deploy.studies.trials import Row
 from protocol.settings import BadSetting
 
+NUMBERS = ("seed", "start_targets", "agents", "steady_ospa", "steady_gospa", "end_in_view")  # columns that figures are drawn from
+
 
 class StudyFolder:
     """Where a study keeps its rows."""
@@ -61,11 +63,19 @@ class StudyFolder:
                 os.truncate(self.trials, whole)
 
     def finished(self) -> dict[str, Row]:
-        """All rows by key."""
+        """All rows by key; raises BadSetting naming a line that is no row."""
         if not self.trials.exists():
             return {}
-        rows = [json.loads(line) for line in self.trials.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
-        return {row["key"]: row for row in rows}
+        found: dict[str, Row] = {}
+        for number, line in enumerate(self.trials.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+            try:
+                row = json.loads(line)
+                found[row["key"]] = row
+            except (ValueError, KeyError, TypeError):
+                raise BadSetting(
+                    f"{self.trials}, line {number}: is no row of a study; without it the study plays that trial anew"
+                ) from None
+        return found
 
     def add(self, row: Row) -> None:
         """Keep a row; it is on the disk when this returns."""
@@ -105,12 +115,17 @@ def _write_parquet(path: Path, rows: Sequence[Row]) -> None:
 def read_results(path: Path) -> list[Row]:
     """The rows of a study: its folder, its results.parquet or its results.csv. Raises BadSetting naming what is wrong."""
     if path.is_dir():
-        path = next((file for file in (path / "results.parquet", path / "results.csv") if file.exists()), path / "results.parquet")
+        folder = StudyFolder(path)
+        path = folder.csv if folder.csv.exists() and not folder.parquet.exists() else folder.parquet
+        if folder.trials.exists() and not path.exists():
+            raise BadSetting(f"{folder.path}: the study has not finished; the command that began it goes on")
     try:
         rows = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise BadSetting(f"{path}: no results of a study: {error}") from None
-    missing = [name for name in ("method", "team", "seed", "start_targets", "steady_ospa") if not rows or name not in rows[0]]
+    if not rows:
+        raise BadSetting(f"{path}: no results of a study: it holds no row")
+    missing = [name for name in ("method", "team", "seed", "start_targets", "steady_ospa") if name not in rows[0]]
     if missing:
         raise BadSetting(f"{path}: no results of a study: the column {missing[0]} is missing")
     return rows
@@ -124,11 +139,19 @@ def _read_parquet(path: Path) -> list[Row]:
 
 
 def _read_csv(path: Path) -> list[Row]:
+    """Raises ValueError naming line and column."""
+    rows: list[Row] = []
     with path.open(newline="", encoding="utf-8") as file:
-        return [{name: _plain(name, value) for name, value in row.items()} for row in csv.DictReader(file)]
+        table = csv.reader(file)
+        head = next(table, [])
+        for cells in filter(None, table):
+            if len(cells) != len(head):
+                raise ValueError(f"line {table.line_num} has {len(cells)} cells; should have {len(head)}, as the first")
+            rows.append({name: _plain(name, cell, table.line_num) for name, cell in zip(head, cells)})
+    return rows
 
 
-def _plain(name: str, value: str) -> Any:
+def _plain(name: str, value: str, line: int) -> Any:
     """A cell of a CSV file as what it was."""
     if name in ("team", "method", "scenario", "triple", "code", "transcript", "version"):
         return value
@@ -137,4 +160,6 @@ def _plain(name: str, value: str) -> Any:
             return kind(value)
         except ValueError:
             continue
+    if name in NUMBERS:
+        raise ValueError(f"line {line}: {name} = {value!r}: should be a number")
     return {"True": True, "False": False}.get(value, value)

@@ -104,3 +104,39 @@ def test_files_that_are_no_results_are_refused_by_name(tmp_path: Path) -> None:
     broken.write_text(json.dumps({}))
     with pytest.raises(BadSetting, match=r"broken\.parquet: no results of a study"):
         read_results(broken)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("9.0,0.9\r\n", "9\r\n", "line 2 has 7 cells; should have 8, as the first"),
+        ("1.0,9.0", "oops,9.0", "line 2: steady_ospa = 'oops': should be a number"),
+        ("2.5,9.0", "2.5,", "line 3: steady_gospa = '': should be a number"),
+    ],
+)
+def test_a_table_that_is_cut_or_spoilt_names_the_line(old: str, new: str, complaint: str, tmp_path: Path) -> None:
+    folder = StudyFolder(tmp_path)
+    folder.publish([row(1), row(2, "voronoi", 2.5)])
+    folder.csv.write_bytes(folder.csv.read_bytes().replace(old.encode(), new.encode(), 1))
+    with pytest.raises(BadSetting, match=rf"results\.csv: no results of a study: {complaint}$"):
+        read_results(folder.csv)
+
+
+def test_a_table_without_a_row_and_a_study_that_has_not_finished_are_told_as_such(tmp_path: Path) -> None:
+    folder = StudyFolder(tmp_path)
+    folder.add(row(1))
+    with pytest.raises(BadSetting, match=f"^{tmp_path}: the study has not finished"):
+        read_results(tmp_path)
+    folder.csv.write_text("method,team,seed,start_targets,steady_ospa\n")
+    with pytest.raises(BadSetting, match=r"results\.csv: no results of a study: it holds no row$"):
+        read_results(tmp_path)
+
+
+@pytest.mark.parametrize("line", ["garbage}", '{"a": 1}', "[]"])
+def test_a_kept_line_that_is_no_row_is_named(line: str, tmp_path: Path) -> None:
+    folder = StudyFolder(tmp_path)
+    folder.add(row(1))
+    with folder.trials.open("a") as file:
+        file.write(line + "\n")
+    with folder.claimed(), pytest.raises(BadSetting, match=r"trials\.jsonl, line 2: is no row of a study"):
+        folder.finished()
