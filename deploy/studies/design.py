@@ -105,6 +105,12 @@ def design_fields(trials: int | None, seed: int | None, teams: str | None, targe
     return {field: value for field, value in named.items() if value is not None}
 
 
+def check_workers(workers: int | None) -> None:
+    """Raise BadSetting for a number of worker processes that is none."""
+    if workers is not None and workers < 1:
+        raise BadSetting(f"--workers {workers}: should be 1 or more")
+
+
 def _parts(text: str | None) -> tuple[str, ...] | None:
     """The words between commas, each once."""
     return None if text is None else tuple(dict.fromkeys(part.strip() for part in text.split(",")))

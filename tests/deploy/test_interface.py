@@ -190,6 +190,12 @@ def test_a_study_gives_its_rows_and_goes_on_where_it_was(tmp_path: Path) -> None
         covey.study("robustness")  # type: ignore[arg-type]
 
 
+def test_a_study_refuses_workers_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(covey.BadSetting, match="--workers 0: should be 1 or more"):
+        covey.study("convergence", workers=0, into=tmp_path / "study")
+    assert not (tmp_path / "study").exists()
+
+
 def plan_of(options: dict[str, object]) -> list[object]:
     """The trials that the command plans for these options."""
     from deploy.studies.design import design_fields, design_with

@@ -81,11 +81,10 @@ def study(
 
     need_study_packages("study")
     from deploy.cli.study import default_folder, run_study
-    from deploy.studies.design import design_fields, design_with, dotted_options
+    from deploy.studies.design import check_workers, design_fields, design_with, dotted_options
     from protocol.settings import BadSetting
 
-    if workers is not None and workers < 1:
-        raise BadSetting(f"--workers {workers}: should be 1 or more")
+    check_workers(workers)
     options, folder = dotted_options(triple, capacity, dt, seconds, settings or []), into or default_folder(name, quick)
     if name == "robustness":
         from deploy.cli.robustness import run_robustness_study, settings_of

@@ -91,12 +91,13 @@ def study(
     from deploy.cli.study import default_folder
     from deploy.cli.study_progress import console_of, run_open_trials
     from deploy.installation import need_study_packages
-    from deploy.studies.design import design_fields, design_with, dotted_options
+    from deploy.studies.design import check_workers, design_fields, design_with, dotted_options
     from deploy.studies.trials import run_trial
 
     need_study_packages("covey.study")
     if name in ("robustness", "bodies"):
         raise BadSetting(f"study {name!r}: run it with the command covey study {name}")
+    check_workers(workers)
     joined = [None if values is None else ",".join(map(str, values)) for values in (teams, targets, methods)]
     given = design_fields(trials, seed, *joined)
     options = {**dotted_options(triple, capacity, dt, seconds, []), **(settings or {})}
