@@ -59,6 +59,12 @@ def earth_of(recording: Recording, origin: tuple[float, float] | None, began: st
         moment = datetime.datetime.fromisoformat(began)
     except ValueError:
         raise BadSetting(f"--began {began}: should be such as 2016-01-12T13:02:11Z") from None
+    try:
+        moment + datetime.timedelta(seconds=recording.seconds + STALE * recording.scenario.run.dt)
+    except OverflowError:
+        raise BadSetting(
+            f"--began {began}: should be early enough for a recording of {recording.seconds:g} s to end before the year 10000"
+        ) from None
     return Earth(LocalFrame(latitude, longitude), moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC))
 
 

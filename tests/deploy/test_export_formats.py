@@ -183,6 +183,15 @@ def test_events_have_the_form_that_pytak_makes_and_hold_the_places(recording: Re
         ("geojson", None, None, "--origin: is missing; a latitude and a longitude in degrees say where (0, 0) of this arena is"),
         ("cot", (95.0, 1.0), None, "--origin 95 1: should be a latitude within +-89 and a longitude within +-180 degrees"),
         ("cot", ORIGIN, "yesterday", "--began yesterday: should be such as 2016-01-12T13:02:11Z"),
+        *(
+            (
+                form,
+                ORIGIN,
+                "9999-12-31T23:59:56Z",
+                "--began 9999-12-31T23:59:56Z: should be early enough for a recording of 4.75 s to end before the year 10000",
+            )
+            for form in ("geojson", "cot")
+        ),
         ("cot", ORIGIN, None, "--began: is missing; {path} does not say when the run began, as one of a simulation"),
         ("mot", ORIGIN, None, "--origin, --began: are for --to geojson and --to cot, not for --to mot"),
     ],
