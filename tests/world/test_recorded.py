@@ -1,5 +1,6 @@
 """Recorded worlds: what the loaders read, what they leave out, and what they refuse, by file and line."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -141,10 +142,12 @@ def test_a_file_of_ships_that_breaks_its_form_is_refused_by_file_and_line(tmp_pa
     assert str(error.value).startswith(f"{file}, {said}")
 
 
-def test_a_time_that_is_none_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["yesterday", "now", "NaT", "", "2016-01-12", "2016-13-12 13:02:11", "20160112 13:02:11"])
+def test_a_time_that_is_none_is_refused(text: str, tmp_path: Path) -> None:
     file = ships(tmp_path, "0 1 50 -1")
-    file.write_text(file.read_text().replace("2016-01-12", "yesterday"))
-    with pytest.raises(BadSetting, match=r"line 2: Time = 'yesterday .*should be such as 2016-01-12 13:02:11.218"):
+    head, line = file.read_text().splitlines()
+    file.write_text(f"{head}\n{text},{line.partition(',')[2]}\n")
+    with pytest.raises(BadSetting, match=rf"line 2: Time = '{text}': should be such as 2016-01-12 13:02:11.218"):
         read_ships(file, SHIPS)
 
 
@@ -153,9 +156,9 @@ def test_times_may_end_in_z_and_an_offset_is_refused(tmp_path: Path) -> None:
     plain = file.read_text()
     file.write_text(plain.replace(".000,", ".000Z,"))
     assert read_ships(file, SHIPS).visits[0].times.tolist() == [0.0, 10.0]
-    for offset in ("+01:00", "-0500"):
+    for offset in ("+01:00", "-0500", " UTC", "GMT"):
         file.write_text(plain.replace(".000,", f".000{offset},"))
-        with pytest.raises(BadSetting, match=r"line 2: Time = '.*': should be such as .*, in UTC"):
+        with warnings.catch_warnings(action="error"), pytest.raises(BadSetting, match=r"line 2: Time = '.*': should be such as .*, in UTC"):
             read_ships(file, SHIPS)
 
 

@@ -1,6 +1,7 @@
 """Ships in a CSV file of AIS reports: Time, MMSI, Latitude_degrees, Longitude_degrees, COG_degrees, SOG_knots; times in UTC."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from world.recorded.tracks import RecordedWorld, Report, check_no_hole, tracks_o
 COLUMNS = ("Time", "MMSI", "Latitude_degrees", "Longitude_degrees", "COG_degrees", "SOG_knots")
 FARTHEST = 2.0e5  # m from the origin: no coastal station receives a ship from farther away
 FASTEST = 60.0  # m/s: no ship sails faster
+TIME = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?Z?", re.ASCII)
 JITTER = 50.0  # m that two reports may be apart however short the time between them: antennas, and times of receipt
 
 
@@ -51,17 +53,13 @@ def _check_origin(settings: RecordedSettings) -> None:
 
 
 def _moment(line: Line) -> np.datetime64:
-    wrong = BadSetting(f"{line.place}: Time = {line.cells[0]!r}: should be such as 2016-01-12 13:02:11.218, in UTC")
-    text = line.cells[0].removesuffix("Z")
-    if "+" in text or text.count("-") > 2:  # an offset, which numpy accepts with a warning
-        raise wrong
+    text = line.cells[0]
     try:
-        moment = np.datetime64(text, "ms")
+        if TIME.fullmatch(text):  # numpy takes offsets and words such as `now` too
+            return np.datetime64(text.removesuffix("Z"), "ms")
     except ValueError:
-        raise wrong from None
-    if np.isnat(moment):
-        raise wrong
-    return moment
+        pass  # such as the thirteenth month
+    raise BadSetting(f"{line.place}: Time = {text!r}: should be such as 2016-01-12 13:02:11.218, in UTC")
 
 
 def _jump(before: Report, after: Report) -> float:
