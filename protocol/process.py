@@ -48,10 +48,13 @@ class JsonLines(logging.Formatter):
 
 
 def log_json_lines(run: str, name: str) -> None:
-    """Send all logging of this process to stderr as JSON lines."""
+    """Send all logging of this process to stderr as JSON lines; raises BadSetting for a COVEY_LOG that is no level."""
+    level = os.environ.get("COVEY_LOG") or "INFO"
+    if level.upper() not in logging.getLevelNamesMapping():
+        raise BadSetting(f"COVEY_LOG {level}: should be DEBUG, INFO or WARNING")
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines(run, name))
-    logging.basicConfig(level=os.environ.get("COVEY_LOG", "INFO").upper(), handlers=[handler], force=True)
+    logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
     logging.raiseExceptions = False  # a log that cannot be written ends no process
 
 

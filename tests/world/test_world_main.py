@@ -101,6 +101,13 @@ def test_a_missing_restore_file_ends_the_process_with_exit_code_2(tmp_path: Path
     assert done.stderr.startswith("world: --restore ")
 
 
+def test_a_level_of_the_logs_that_is_none_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "run.toml").write_text("")
+    monkeypatch.setenv("COVEY_LOG", "FOO")
+    done = world_process("--config", str(tmp_path / "run.toml"))
+    assert (done.returncode, done.stderr) == (2, "world: COVEY_LOG FOO: should be DEBUG, INFO or WARNING\n")
+
+
 def test_a_fresh_start_forgets_what_an_earlier_run_has_kept(tmp_path: Path) -> None:
     (tmp_path / "run.toml").write_text("[members]\ns1 = 'Z'\n")
     (tmp_path / "truth").write_bytes(b"of an earlier run")
