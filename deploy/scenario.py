@@ -11,6 +11,7 @@ import msgspec
 import tomli_w
 
 from agents.config import AgentConfig
+from protocol.endpoints import check_files
 from protocol.settings import (
     BadSetting,
     Fraction,
@@ -265,6 +266,12 @@ def check_names(scenario: Scenario) -> None:
     for name in bodies_of(scenario).values():
         if name in scenario.members:
             raise BadSetting(f"members.{name}: this name belongs to a body; call the agent otherwise")
+
+
+def check_certificates(scenario: Scenario) -> None:
+    """Raise BadSetting where a process of a run on this machine has no certificate that the scenario asks for."""
+    for name in ("monitor", *(() if bodies_of(scenario) else ("world",)), *scenario.members):
+        check_files(scenario.network, name)
 
 
 def bodies_of(scenario: Scenario) -> dict[str, str]:

@@ -15,7 +15,7 @@ from deploy.cli.scenario_checks import (
 )
 from deploy.cli.template import template
 from deploy.installation import versions
-from deploy.scenario import Scenario, agent_config, recording_remarks, targets_in_words, toml_text, world_config
+from deploy.scenario import ORACLE, Scenario, agent_config, check_certificates, recording_remarks, targets_in_words, toml_text, world_config
 from deploy.scoring.tick_rate import too_small
 from deploy.storage.run_directory import ROOM, runs_folder
 from protocol.settings import BadSetting, NetworkSettings
@@ -76,11 +76,12 @@ def complain(lines: list[str]) -> int:
 
 
 def check(scenario: Scenario) -> int:
-    """Print a summary of the scenario; raises BadSetting where this machine has no platform of the bodies, or opens no session."""
+    """Print a summary; raises BadSetting where this machine lacks the platform of the bodies, a certificate, or a session."""
     from protocol.endpoints import check_loopback
     from protocol.live import open_session  # loads zenoh
 
     platform_remark = check_platform_class(scenario)
+    check_certificates(scenario)
     classes = list(scenario.members.values())
     team = ", ".join(f"{classes.count(name)} {name}" for name in dict.fromkeys(classes))
     run = scenario.run
@@ -88,6 +89,8 @@ def check(scenario: Scenario) -> int:
     print(f"           {targets_in_words(scenario)}, {run.ticks} ticks of {run.dt:g} s")
     if platform_remark:
         print(f"bodies     {platform_remark}")
+    if scenario.control.mode == ORACLE:
+        print("control    oracle knows the true targets: of `covey simulate` alone, `covey up` refuses it")
     found = versions()
     for remark in recording_remarks(scenario):
         print(f"left out   {remark}")

@@ -21,14 +21,14 @@ from deploy.live.processes import Child, State, process_rows, rooms
 from deploy.live.seeds import endpoints, seed_listeners
 from deploy.live.startup import Startup
 from deploy.live.zygote import Zygote
-from deploy.scenario import FaultSettings, Scenario, bodies_of, check_names, world_names
+from deploy.scenario import FaultSettings, Scenario, bodies_of, check_certificates, check_names, world_names
 from deploy.scoring.result import Result
 from deploy.scoring.scorer import Scorer, Status
 from deploy.scoring.scores import write_scores
 from deploy.storage.kept_runs import link_latest
 from deploy.storage.run_directory import RunDirectory
 from protocol.codec import encode
-from protocol.endpoints import check_endpoints, check_files
+from protocol.endpoints import check_endpoints
 from protocol.link_faults import as_line
 from protocol.live import Driver
 from protocol.observer_messages import Truth
@@ -66,8 +66,7 @@ class Supervisor:
         check_faults(scenario.faults, list(scenario.members), world_names(scenario), live=True, link_faults=link_faults)
         check_endpoints(scenario.network)
         check_names(scenario)
-        for name in ("monitor", *(() if bodies_of(scenario) else ("world",)), *scenario.members):
-            check_files(scenario.network, name)
+        check_certificates(scenario)
         self.directory = directory
         self.result: Result | None = None
         self._listens = seed_listeners(scenario)

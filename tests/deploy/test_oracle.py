@@ -2,6 +2,7 @@
 
 import pytest
 
+from deploy.cli import scenario_file
 from deploy.scenario import Scenario, refuse_oracle, resolve
 from deploy.simulation import Simulation
 from protocol.settings import BadSetting
@@ -31,3 +32,9 @@ def test_a_live_run_with_the_oracle_is_refused_in_one_line() -> None:
     with pytest.raises(BadSetting, match=r"control.mode = 'oracle': .*covey simulate"):
         refuse_oracle(scenario("oracle"))
     refuse_oracle(scenario("lloyd"))
+
+
+def test_check_says_that_a_live_run_refuses_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert scenario_file.check(scenario("oracle")) == 0 and scenario_file.check(scenario("lloyd")) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("control")]
+    assert said == ["control    oracle knows the true targets: of `covey simulate` alone, `covey up` refuses it"]
