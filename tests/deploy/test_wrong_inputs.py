@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from deploy.__main__ import app
+from deploy.cli.errors import MOST_REMARKS, guarded
 from deploy.cli.options import RunOptions
 from tests.deploy.wrong_inputs import folder, typed
 
@@ -223,6 +225,12 @@ def test_check_tells_all_that_is_wrong_with_a_file_a_line_each(folder: Path, cap
     assert code == 2 and len(complaints) == len(parts), complaints
     assert all(line.startswith("covey: many.toml: ") for line in complaints)
     assert all(sum(part in line for line in complaints) == 1 for part in parts), complaints
+
+
+def test_check_names_all_that_is_left_out_of_a_recording_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = guarded(lambda: app(["check", "solent"], exit_on_error=False, print_error=False, result_action="return_value") or 0)
+    said = capsys.readouterr()
+    assert (code, said.err) == (0, "") and said.out.count("\nleft out   ") > MOST_REMARKS
 
 
 def test_what_only_follows_from_a_mistake_is_not_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
