@@ -45,17 +45,27 @@ def logs(names: tuple[str, ...], run: str | None, follow: bool, lines: int | Non
 
 
 def run_to_read(name: str | None) -> RunDirectory:
-    """The run of that name, or the newest that runs, or else the newest that has ended; raises BadSetting when there is none."""
+    """The run of that name, or the newest that runs, or else the newest that has ended; raises BadSetting when there is none.
+
+    It is one that has processes.
+    """
     if name is not None:
         directory = RunDirectory(name)
         if not directory.logs.is_dir():
             known = ", ".join(run.name for run in kept_runs())
             raise BadSetting(f"--run {name}: there is no such run in {runs_folder()}{f'; there are {known}' if known else ''}")
+        if not _has_processes(directory):
+            kind = "simulation" if directory.is_simulated() else "recording that is said again"
+            raise BadSetting(f"--run {name}: it is a {kind}, which has no processes and no logs")
         return directory
-    found = running_runs() or kept_runs()
+    found = list(filter(_has_processes, running_runs())) or list(filter(_has_processes, kept_runs()))
     if not found:
-        raise BadSetting(f"there is no run in {runs_folder()}; start one with `covey up`")
+        raise BadSetting(f"there is no run in {runs_folder()} that has processes; start one with `covey up`")
     return found[-1]
+
+
+def _has_processes(directory: RunDirectory) -> bool:
+    return not (directory.is_simulated() or directory.is_replayed())
 
 
 def kept_runs() -> list[RunDirectory]:

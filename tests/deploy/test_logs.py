@@ -1,12 +1,15 @@
 """`covey logs` and `covey ps -a`: logs merged by time, one process or all, while they grow, and runs that have ended."""
 
 import json
+import os
+import shutil
 from pathlib import Path
 
 import pytest
 
 from deploy.cli.logs import LogTails, logs
 from deploy.cli.process_list import ps_all
+from deploy.scenario import resolve
 from deploy.storage.run_directory import RunDirectory
 from protocol.settings import BadSetting
 
@@ -75,6 +78,26 @@ def test_a_run_or_a_process_that_is_not_there_is_told_with_those_that_are(run: R
         logs(("s9",), "r", follow=False, lines=None, raw=False)
     with pytest.raises(BadSetting, match=r"--run q: there is no such run in .*; there are r"):
         logs((), "q", follow=False, lines=None, raw=False)
+
+
+def test_of_what_has_no_processes_it_is_said_so_and_the_newest_run_that_has_some_is_the_default(
+    run: RunDirectory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for kind in ("simulated", "replayed"):
+        directory = RunDirectory(kind)
+        directory.logs.mkdir(parents=True)
+        os.utime(directory.logs, (4e9, 4e9))  # the newest
+        directory.write_config(resolve("quick"), **{kind: True})
+    for names in (), ("s1",):
+        with pytest.raises(BadSetting, match=r"--run simulated: it is a simulation, which has no processes and no logs$"):
+            logs(names, "simulated", follow=False, lines=None, raw=False)
+    with pytest.raises(BadSetting, match=r"--run replayed: it is a recording that is said again, which has no processes and no logs$"):
+        logs((), "replayed", follow=False, lines=None, raw=False)
+    assert logs((), None, follow=False, lines=1, raw=True) == 0
+    assert capsys.readouterr().out == line(40.0, "supervisor", "s1 ended: killed by SIGKILL")
+    shutil.rmtree(run.path)
+    with pytest.raises(BadSetting, match=r"there is no run in .* that has processes"):
+        logs((), None, follow=False, lines=None, raw=False)
 
 
 def test_ps_a_shows_a_run_that_has_ended_and_who_died_in_it(run: RunDirectory, capsys: pytest.CaptureFixture[str]) -> None:
