@@ -178,8 +178,8 @@ def spelled_out(scenario: Scenario, data: dict[str, Any], name: str, source: str
         for sensor_class in dict.fromkeys(members.values()):
             sensor_of(scenario, sensor_class)
     except BadSetting as error:
-        field = "" if str(error).startswith(("team.", "sensors.")) else "members: " if scenario.members else "team.composition: "
-        raise BadSetting(f"{source}: {field}{error}") from None
+        field = "members" if scenario.members else "team.triple" if scenario.team.composition.strip() in PAPER_TEAMS else "team.composition"
+        raise BadSetting(f"{source}: {'' if str(error).startswith(('team.', 'sensors.')) else f'{field}: '}{error}") from None
     if scenario.filter.compact and scenario.timing.overlap:  # copies of a particle are known by its id
         raise BadSetting(f"{source}: filter.compact = true: each owner numbers particles anew, so timing.overlap should be 0")
     run, network = msgspec.structs.replace(scenario.run, scenario=scenario.run.scenario or name), scenario.network

@@ -172,7 +172,7 @@ def test_the_run_toml_of_a_scenario_is_a_scenario_with_the_same_members(tmp_path
         ({"team.composition": "3Z"}, "team.composition: sensor class 'Z' does not exist; known are A, B, C, D, E, F, G, H"),
         (
             {"team.composition": "3", "team.triple": "acd"},
-            "team.composition: sensor class 'a' does not exist; known are A, B, C, D, E, F, G, H",
+            "team.triple: sensor class 'a' does not exist; known are A, B, C, D, E, F, G, H",
         ),
         (
             {"filter.compact": True, "timing.overlap": 3.0},
