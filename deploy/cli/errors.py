@@ -1,6 +1,7 @@
 """Errors of commands: one line on standard error and an exit code. A traceback is shown only when COVEY_DEBUG is set."""
 
 import contextlib
+import io
 import os
 import sys
 import tempfile
@@ -16,13 +17,18 @@ MOST_REMARKS = 3  # about the files of a recorded world, before a run
 
 
 def open_standard_files() -> None:
-    """Open closed standard files on the null device, so that a file opened later does not take their descriptors."""
+    """Open closed standard files on the null device, so that a file opened later does not take their descriptors.
+
+    Standard output writes \\xfc for a letter that the locale does not have.
+    """
     for number, mode in ((0, "r"), (1, "w"), (2, "w")):
         try:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
             setattr(sys, ("stdin", "stdout", "stderr")[number], open(number, mode, closefd=False))  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def guarded(command: Callable[[], int]) -> int:
@@ -117,7 +123,7 @@ def _details(error: Exception) -> str:
     """Keep the traceback in a file, and say where."""
     try:
         descriptor, name = tempfile.mkstemp(prefix=f"covey-error-{time.strftime('%H%M%S')}-", suffix=".txt")
-        with os.fdopen(descriptor, "w") as out:
+        with os.fdopen(descriptor, "w", encoding="utf-8", errors="backslashreplace") as out:
             out.write(f"{' '.join(sys.argv)}\n\n")
             traceback.print_exception(error, file=out)
         return f"details are in {Path(name)}"

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from deploy.storage.run_directory import RunDirectory
 from tests.deploy.wrong_inputs import folder, typed
 
 __all__ = ["folder"]  # a fixture
@@ -36,6 +37,19 @@ def test_a_standard_output_that_is_full_is_one_line_and_exit_code_1(line: str, f
     with open("/dev/full", "wb") as full:
         code, complaints = started(program(*shlex.split(line)), folder, stdout=full)
     assert (code, complaints) == (1, ["covey: standard output: No space left on device"])
+
+
+@pytest.mark.parametrize("locale", [{"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}, {"PYTHONIOENCODING": "ascii"}])
+def test_a_letter_that_the_locale_does_not_have_is_written_otherwise(
+    locale: dict[str, str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    RunDirectory("one").path.mkdir(parents=True)
+    RunDirectory("one").config.write_text("[run]\nscenario = 'h\u00fcgel.toml'\n", encoding="utf-8")
+    for name, value in locale.items():
+        monkeypatch.setenv(name, value)
+    with (folder / "said").open("wb") as said:
+        assert started(program("runs"), folder, stdout=said) == (0, [])
+    assert "h\\xfcgel.toml" in (folder / "said").read_text(encoding="ascii")
 
 
 def test_a_reader_who_leaves_is_no_error(folder: Path) -> None:

@@ -245,14 +245,15 @@ def test_an_error_of_our_own_is_one_line_that_names_a_file_with_the_details(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(self: RunOptions, name: str) -> None:
-        raise LookupError("deep\ninside")
+        raise LookupError("deep\ninside") from ValueError("no letter: \udcff")
 
     monkeypatch.setattr(RunOptions, "scenario", broken)
     monkeypatch.setattr("tempfile.tempdir", str(folder))
     code, complaints = typed(["config", "quick"], capsys)
     assert code == 1 and len(complaints) == 1
     assert complaints[0].startswith("covey: an error of Covey's own: LookupError: deep inside; details are in ")
-    assert "in broken" in Path(complaints[0].rpartition(" ")[2]).read_text()
+    details = Path(complaints[0].rpartition(" ")[2]).read_text(encoding="utf-8")
+    assert "in broken" in details and "no letter: \\udcff" in details
     monkeypatch.setenv("COVEY_DEBUG", "1")
     with pytest.raises(LookupError):
         typed(["config", "quick"], capsys)
