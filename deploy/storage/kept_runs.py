@@ -120,6 +120,7 @@ def _look(directory: RunDirectory) -> KeptRun:
     """What there is to say of a run; raises FileNotFoundError where something that was there has gone."""
     scenario = _run_section(directory)
     result = _result(directory)
+    ospa = result.get("steady_ospa")
     state = "running" if directory.is_running() else "interrupted"
     if state == "interrupted" and result.get("exit_code", 0) not in INTERRUPTED and result:
         state = "ended"
@@ -129,7 +130,7 @@ def _look(directory: RunDirectory) -> KeptRun:
         seed=scenario.get("seed"),
         began=directory.config.stat().st_mtime,
         state=state,
-        ospa=result.get("steady_ospa"),
+        ospa=ospa if isinstance(ospa, int | float) else None,
         recording_bytes=sum(file.stat().st_size for file in directory.path.glob("*.mcap")),
         simulated=directory.is_simulated(),
     )

@@ -231,6 +231,15 @@ def test_a_body_that_left_after_the_last_tick_has_not_died_before() -> None:
     assert [death["name"] for death in ended_run(directory)["deaths"]] == ["s2.body", "s3.body"]
 
 
+def test_a_result_that_was_spoilt_is_listed_without_its_score(capsys: pytest.CaptureFixture[str]) -> None:
+    play("good")
+    RunDirectory(play("spoilt")).result.write_text('{"steady_ospa": "much"}')
+    capsys.readouterr()
+    assert runs(False) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["name", "spoilt", "good"]
+    assert kept_runs()[0].ospa is None
+
+
 def test_a_running_run_is_not_removed_and_then_nothing_is() -> None:
     play("one")
     _, lock = new_run_directory("two", "quick")
