@@ -76,12 +76,14 @@ def complain(lines: list[str]) -> int:
 
 
 def check(scenario: Scenario) -> int:
-    """Print a summary; raises BadSetting where this machine lacks the platform of the bodies, a certificate, or a session."""
+    """Print a summary; raises BadSetting where this machine has no platform of the bodies, or opens no session.
+
+    Certificates may lie on another machine, for which the scenario is meant.
+    """
     from protocol.endpoints import check_loopback
     from protocol.live import open_session  # loads zenoh
 
     platform_remark = check_platform_class(scenario)
-    check_certificates(scenario)
     classes = list(scenario.members.values())
     team = ", ".join(f"{classes.count(name)} {name}" for name in dict.fromkeys(classes))
     run = scenario.run
@@ -91,6 +93,10 @@ def check(scenario: Scenario) -> int:
         print(f"bodies     {platform_remark}")
     if scenario.control.mode == ORACLE:
         print("control    oracle knows the true targets: of `covey simulate` alone, `covey up` refuses it")
+    try:
+        check_certificates(scenario)
+    except BadSetting as error:
+        print(f"missing    {error}. `covey up` needs it on the machine where it runs")
     found = versions()
     for remark in recording_remarks(scenario):
         print(f"left out   {remark}")

@@ -1,5 +1,6 @@
 """The oracle: bodies go to the true targets, in a simulation only, and nothing else is told."""
 
+import msgspec
 import pytest
 
 from deploy.cli import scenario_file
@@ -32,6 +33,13 @@ def test_a_live_run_with_the_oracle_is_refused_in_one_line() -> None:
     with pytest.raises(BadSetting, match=r"control.mode = 'oracle': .*covey simulate"):
         refuse_oracle(scenario("oracle"))
     refuse_oracle(scenario("lloyd"))
+
+
+def test_check_names_a_certificate_that_is_missing_here(capsys: pytest.CaptureFixture[str]) -> None:
+    found = scenario("lloyd")
+    network = msgspec.structs.replace(found.network, ca="nokeys/ca.pem", certificate="nokeys/{name}.pem", key="nokeys/{name}.key")
+    assert scenario_file.check(msgspec.structs.replace(found, network=network)) == 0
+    assert "missing    network.ca = 'nokeys/ca.pem': No such file or directory; `covey keys` makes" in capsys.readouterr().out
 
 
 def test_check_says_that_a_live_run_refuses_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -134,7 +134,7 @@ TYPED = [
     ("keys --scenario agents.toml", 2, "covey: agents.toml: settings of agents, as a run writes them"),
     ("record --run agents.toml", 2, "covey: agents.toml: settings of agents, as a run writes them"),  # who has bodies it does not say
     ("check agents.toml --network", 2, "covey: network.seeds is empty: nobody is dialled"),
-    ("check quick --keys nokeys", 2, "nokeys/ca.pem': No such file or directory; `covey keys` makes"),
+    ("up quick --keys nokeys", 2, "nokeys/ca.pem': No such file or directory; `covey keys` makes"),
     ("check port.toml", 2, "port.toml: bodies.platform = 'covey.examples.robots:DifferentialDrive': "),
     ("check team.toml", 2, "team.toml: team.composition = '2A': should be left out, or empty, for [members] names other agents"),
     ("config quick --seed 1.5", 2, "--seed: 1.5 is no whole number"),
