@@ -10,6 +10,7 @@ from protocol.fields import LARGEST_LABEL, LARGEST_NUMBER, Malformed
 
 MAX_COMPONENTS = 4096
 MOST_MASS = 1000.0  # expected targets of one owner. Every one is an estimate: 1000 are found and named in 0.06 s, 3000 in 0.5 s
+MOST_OWN_MASS = 0.999 * MOST_MASS  # that an agent states of its cell: sums are rounded, and a gossip of more is refused
 COMPONENT = np.dtype(
     [("weight", "<f4"), ("place", "<f4", 2), ("velocity", "<f2", 2), ("factor", "<f2", 10), ("id", "<u8"), ("label", "<u8")]
 )

@@ -31,6 +31,7 @@ from agents.compiled.particle_kernels import (
     uniform,
 )
 from agents.gossip.table import PARTICLES, REACH, WEIGHT, X, Y
+from protocol.gaussian_components import MOST_OWN_MASS
 
 BoxLimits = tuple[float, float, float, float]  # west, south, east and north, m
 SIZES = 4  # first columns of a result: the numbers of updated, own and resampled particles, and of estimated targets
@@ -222,7 +223,7 @@ def _update_region(
         offset = uniform(scramble(now, owner))
         resampled = resample(own_states, own_weights, own_ids, own_labels, mass, count, offset, scramble(now, keys[run_columns.SPLIT]))
         drawn_states, drawn_ids, drawn_labels = resampled
-        each = mass / count
+        each = min(mass, MOST_OWN_MASS) / count
     drawn = drawn_states, np.full(len(drawn_ids), each), drawn_ids, drawn_labels
     sums = mass, moment_x, moment_y, near_load + far_load, near_detected + far_detected
     return (states, weights, ids, labels), own, drawn, sums, targets, names

@@ -12,6 +12,7 @@ from agents.tracking.extraction import DETAILS, TargetEstimates
 from agents.tracking.gaussians import Mixture, factors, largest_variances
 from agents.tracking.labels import name_peaks, weight_by_label
 from agents.tracking.particles import join, select, total
+from protocol.gaussian_components import MOST_OWN_MASS
 
 STRIP = 1024  # components whose pairs are looked at together, so that they take little memory
 ALIKE = 9.0  # a component merges with one of at most this many times its variance
@@ -110,12 +111,12 @@ def _moments(group: Mixture, mass: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def limited(mixture: Mixture, most: int) -> Mixture:
-    """The `most` heaviest components, scaled to the mass of all; the order stays."""
-    if len(mixture.ids) <= most:
+    """The `most` heaviest components, scaled to the mass of all, but `MOST_OWN_MASS` at most; the order stays."""
+    mass = total(mixture.weights)
+    if len(mixture.ids) <= most and mass <= MOST_OWN_MASS:
         return mixture
-    heaviest = np.sort(np.lexsort((mixture.ids, -mixture.weights))[:most])
-    found = select(mixture, heaviest)
-    return found._replace(weights=found.weights * (total(mixture.weights) / total(found.weights)))
+    found = select(mixture, np.sort(np.lexsort((mixture.ids, -mixture.weights))[:most]))
+    return found._replace(weights=found.weights * (min(mass, MOST_OWN_MASS) / total(found.weights)))
 
 
 def estimate_and_label(mixture: Mixture, threshold: float, beside: float, radius: float) -> tuple[TargetEstimates, Mixture]:

@@ -20,6 +20,7 @@ from agents.tracking.measurement_likelihood import distances_and_peaks, kernel_v
 from agents.tracking.particles import NO_PARTICLES, WIRE_TYPE, Particles, canonical, column_sums, join, squared_distances
 from agents.tracking.step import Step
 from protocol.arithmetic import exp_minus
+from protocol.gaussian_components import MOST_OWN_MASS
 from protocol.random_streams import normal, random_key, scramble
 from protocol.sensing import measurement_of
 
@@ -172,8 +173,9 @@ def sample_offset(seed: int, owner: str, tick: int) -> float:
 def resample(particles: Particles, owner: str, step: Step) -> Particles:
     """Equally weighted particles of the same mass: systematic resampling with one uniform keyed by (seed, owner, tick).
 
-    The first draw of a particle keeps its id, and further draws get new ids. States are rounded to the precision of the wire, so
-    that the owner holds exactly the particles of its gossip. Ids ascend. All draws keep the label.
+    A mass beyond `MOST_OWN_MASS` is cut to that. The first draw of a particle keeps its id, and further draws get new ids. States are
+    rounded to the precision of the wire, so that the owner holds exactly the particles of its gossip. Ids ascend. All draws keep the
+    label.
     """
     sums = np.add.accumulate(particles.weights)
     mass = float(sums[-1]) if len(sums) else 0.0
@@ -187,4 +189,4 @@ def resample(particles: Particles, owner: str, step: Step) -> Particles:
     again = repeats > 0
     ids[again] = scramble(ids[again] + repeats[again].astype(np.uint64), random_key(seed, "split", tick))
     states = particles.states[parents].astype(WIRE_TYPE).astype(float)
-    return canonical(Particles(states, np.full(count, mass / count), ids, particles.labels[parents]))
+    return canonical(Particles(states, np.full(count, min(mass, MOST_OWN_MASS) / count), ids, particles.labels[parents]))

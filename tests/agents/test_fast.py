@@ -17,10 +17,11 @@ from agents.interest.selection import Ground
 from agents.interest.tiles import Bounds
 from agents.tracking.claims import end_to_end, make_claim, owned
 from agents.tracking.extraction import NO_ESTIMATES, estimate_targets
-from agents.tracking.particles import NO_PARTICLES, Particles, join, select
+from agents.tracking.particles import NO_PARTICLES, Particles, join, select, total
 from agents.tracking.step import Step
 from agents.tracking.tracker import RegionInput
 from protocol.fields import pack, pack_labels
+from protocol.gaussian_components import MOST_OWN_MASS
 from protocol.geometry import EMPTY, rectangle
 from protocol.messages import Gossip
 from protocol.random_streams import scramble
@@ -290,6 +291,16 @@ def case(seed: int, size: int, owners: int, in_table: bool, interest: str, other
 def test_update_regions(seed: int, size: int, owners: int, in_table: bool, interest: str, others: int) -> None:
     """All steps at once, of no owner, of one and of several, with sensors of both kinds."""
     assert_same("update_regions", *case(seed, size, owners, in_table, interest, others))
+
+
+def test_an_owner_of_more_targets_than_a_gossip_may_state_states_fewer() -> None:
+    """A gossip of more than 1000 is refused, and its sender would be silent for all."""
+    crowd = case(0, 150, 1, in_table=False, interest="all")
+    heavy = crowd._replace(density=crowd.density._replace(weights=np.full(len(crowd.density.ids), 100.0)))  # type: ignore[union-attr]
+    assert_same("update_regions", *heavy)
+    (update,) = FAST.update_regions(*heavy)
+    weights = update.resampled.weights
+    assert total(update.own.weights) > 1000.0 and total(weights) == pytest.approx(MOST_OWN_MASS) and len(weights) * weights[0] <= 1000.0
 
 
 @given(seeds, st.integers(0, 150), st.booleans())

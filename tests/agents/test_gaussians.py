@@ -27,6 +27,7 @@ from agents.tracking.particles import canonical, join
 from agents.tracking.step import Step
 from agents.tracking.tracker import Belief, OwnedState
 from protocol.fields import pack
+from protocol.gaussian_components import check_components
 from protocol.messages import Gossip
 from protocol.sensing import MeasurementModel, Pose, WedgeSensor
 from protocol.settings import ArenaSettings, DetectionSettings, RunSettings
@@ -211,6 +212,13 @@ def test_of_too_many_components_the_heaviest_are_kept_with_the_mass_of_all() -> 
     left = limited(mixture, 2)
     assert left.ids.tolist() == [1, 3]
     assert left.weights.sum() == pytest.approx(mixture.weights.sum()) and left.weights[0] / left.weights[1] == pytest.approx(5.0 / 3.0)
+
+
+def test_components_of_more_mass_than_a_gossip_may_state_are_scaled_down() -> None:
+    mixture = join([component(float(x), 1.0, 1.0, weight=weight, id=x) for x, weight in ((1, 900.0), (2, 300.0))])
+    left = limited(mixture, 1000)
+    assert left.ids.tolist() == [1, 2] and left.weights.tolist() == pytest.approx([749.25, 249.75])
+    check_components(packed(left).tobytes())
 
 
 def test_an_estimate_is_a_peak_of_at_least_the_threshold_and_two_targets_are_two() -> None:

@@ -270,5 +270,10 @@ def test_no_mass_leaves_no_particles() -> None:
     assert len(resample(cloud(1, 5)._replace(weights=np.zeros(5)), "s1", step(1)).ids) == 0
 
 
+def test_more_mass_than_a_gossip_may_state_is_cut() -> None:
+    after = resample(cloud(1, 50, mass=3000.0), "s1", step(1))
+    assert after.weights.sum() == pytest.approx(999.0) and len(after.ids) * after.weights[0] <= 1000.0
+
+
 def test_the_size_of_a_sample_stays_within_its_limits() -> None:
     assert [sample_size(mass, FILTER) for mass in (1e-9, 0.4, 2.0, 1e6)] == [30, 30, 150, 2000]
