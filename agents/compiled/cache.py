@@ -34,6 +34,7 @@ SOURCES = (
     "agents/tracking/labels.py",
     "agents/tracking/measurement_likelihood.py",
     "protocol/arithmetic.py",
+    "protocol/gaussian_components.py",
     "protocol/random_streams.py",
 )
 COMPLETE = "complete"  # the file in that folder which says that all loops have been compiled
